@@ -27,7 +27,8 @@ from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.safety_filter.filter import SafetyFilter
-from lieednn_sim.synthesis.bias import BIAS_RULES, bias_for
+from lieednn_sim.registry import BIAS_RULES
+from lieednn_sim.synthesis.bias import bias_for
 from lieednn_sim.theory import EquivariantLieEDNN, GroupLieEDNN, groups
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_shape
 
@@ -153,8 +154,6 @@ def test_stability(data):
                 lambda: check(stability.find_certificate, weight, **rates),
                 lambda: check(stability.log_norms, weight),
                 lambda: check(stability.weighted_norm, weight),
-                # The smallest norm was given, and may be infinite.
-                lambda: check(stability.norm_conditions, weight, data.draw(positive), infinite=(3,), **rates),
                 # Infinite beside an output that vanishes, as documented.
                 lambda: check(stability.smallest_one_norm, weight, data.draw(arrays(n, n)), infinite=(0,)),
                 lambda: check(stability.assess, weight, jacobian=data.draw(arrays(n, n)), **rates),
@@ -193,7 +192,7 @@ def test_networks(data, kind):
 
 
 @bounded(40)
-@given(st.sampled_from(BIAS_RULES), arrays(2, 6), positive, numbers)
+@given(st.sampled_from(list(BIAS_RULES)), arrays(2, 6), positive, numbers)
 def test_biases(rule, xi, bound, magnitude):
     with np.errstate(all="ignore"):
         outputs = np.tanh(xi)
@@ -374,7 +373,6 @@ OPTIONS += (
     st.one_of(
         st.lists(WORDS, max_size=3),
         st.tuples(st.sampled_from(("simulate", "render", "evaluate")), WORDS),
-        st.tuples(st.just("train"), st.just("--resume"), WORDS),
         st.tuples(st.just("arms"), WORDS),
         st.tuples(
             st.just("learn"), WORDS, st.sampled_from(("--starts=0", "--unit=inch", "--clock-rate=0", "--seed=0"))

@@ -176,7 +176,7 @@ def _parser() -> argparse.ArgumentParser:
     train = command(
         "train",
         "learn a network for a target with the algorithm of the paper, or an improved one",
-        "Continue with 'simulate', 'evaluate' and 'render'; --resume continues an interrupted training.",
+        "Continue with 'simulate', 'evaluate' and 'render'.",
     )
     options.add_training(train)
     options.add_plots(train)

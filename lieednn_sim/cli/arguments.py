@@ -20,9 +20,10 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
-from lieednn_sim.simulation import Disturbances, Push, controllers
+from lieednn_sim.registry import CONTROLLERS
+from lieednn_sim.simulation import Disturbances, Push
 from lieednn_sim.simulation.tracking import as_hold
-from lieednn_sim.validation import as_choice, as_positive, as_seed
+from lieednn_sim.validation import as_positive, as_seed
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -194,7 +195,7 @@ def push(text: str) -> Push:
 
 def disturbances(arm: Arm, arguments: argparse.Namespace) -> Disturbances:
     """The disturbances of the simulation's options; checks the other options too."""
-    as_choice("controller", arguments.controller, controllers())
+    CONTROLLERS.find(arguments.controller)
     as_hold(arguments.hold)
     if arguments.reference_rate is not None:
         steps_of_rate("reference_rate", arguments.reference_rate, arm.timestep)

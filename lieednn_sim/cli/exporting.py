@@ -9,16 +9,16 @@ from typing import Any
 from lieednn_sim.cli.console import progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.exports import FORMATS
 from lieednn_sim.exports import export as export_sources
 from lieednn_sim.exports import record as record_episodes
-from lieednn_sim.validation import as_choice, as_path
+from lieednn_sim.registry import FORMATS
+from lieednn_sim.validation import as_path
 
 
 def export(arguments: argparse.Namespace) -> None:
     """Write the runs, or the tables of comparisons, in the chosen format."""
-    chosen = FORMATS[as_choice("format", arguments.format, FORMATS)]
-    chosen.require()
+    chosen = FORMATS.find(arguments.format)
+    FORMATS.require(arguments.format)
     sources: dict[str, Any] = {}
     for text in arguments.runs:
         path = as_path("the name of a run directory", text)

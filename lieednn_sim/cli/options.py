@@ -7,9 +7,24 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 
-from lieednn_sim.cli.names import ALGORITHMS, ARMS, BIAS_RULES, CONTROLLERS, FORMATS, POLICIES, RIVALS, SCENES
-from lieednn_sim.planner_table import PLANNERS, SLOW
+from lieednn_sim import registry
+from lieednn_sim.registry import SLOW
 
+# Without looking for those of installed packages, which takes time.
+PLANNERS = registry.PLANNERS.entries
+ARMS, SCENES, CONTROLLERS, POLICIES, ALGORITHMS, BIAS_RULES, FORMATS, RIVALS = (
+    tuple(kind.entries)
+    for kind in (
+        registry.ARMS,
+        registry.SCENES,
+        registry.CONTROLLERS,
+        registry.POLICIES,
+        registry.ALGORITHMS,
+        registry.BIAS_RULES,
+        registry.FORMATS,
+        registry.RIVALS,
+    )
+)
 # Those that make a network.
 NETWORK_PLANNERS = tuple(name for name, entry in PLANNERS.items() if entry.network)
 # Numbers on the command line: plain ASCII decimals, a subset of what Python accepts.
@@ -37,7 +52,7 @@ def decimal_or_inf(text: str) -> float:
     return math.inf if text == "inf" else decimal(text)
 
 
-def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> argparse._MutuallyExclusiveGroup:
+def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True) -> None:
     """Add arm, scene, start and target; where ``goal`` is false the target is optional."""
     _add_arm(parser)
     group = parser.add_mutually_exclusive_group(required=goal)
@@ -59,7 +74,6 @@ def add_task(parser: argparse.ArgumentParser, output: str, *, goal: bool = True)
     _add_duration(parser)
     parser.add_argument("--seed", type=whole, default=0, help="seed of random draws")
     parser.add_argument("--output", default=output, metavar="DIR", help="directory for the files of the run")
-    return group
 
 
 def _add_arm(parser: argparse.ArgumentParser) -> None:
@@ -166,10 +180,7 @@ def add_planning(
 
 def add_training(parser: argparse.ArgumentParser) -> None:
     """Options of ``train``."""
-    goal = add_task(parser, output="results/run")
-    goal.add_argument(
-        "--resume", metavar="DIR", help="continue the interrupted training of this run directory, with its options"
-    )
+    add_task(parser, output="results/run")
     parser.add_argument(
         "--algorithm", default="tracked", metavar="NAME", help=f"learning algorithm: {_one_of(ALGORITHMS)}"
     )
@@ -298,9 +309,7 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="address of the scheduler of a Dask cluster, whose workers run the cases instead of --jobs",
     )
-    parser.add_argument(
-        "--shard", metavar="K/N", help="run only the K-th of N parts of the cases"
-    )
+    parser.add_argument("--shard", metavar="K/N", help="run only the K-th of N parts of the cases")
     parser.add_argument(
         "--merge",
         nargs="+",

@@ -13,24 +13,20 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import RANDOM, kept_region, load_arm, make_task, start_and_goal, usual_target
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
-from lieednn_sim.cli.options import NETWORK_PLANNERS
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import rounded, table
-from lieednn_sim.planner_table import PLANNERS
 from lieednn_sim.planning import (
     OBSTACLE_PLANNER,
     CertifiedOptions,
     Plan,
     default_planner,
     plan,
-    planners,
-    require_planner,
 )
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.shaped import ShapedDetails
-from lieednn_sim.validation import as_choice
+from lieednn_sim.registry import PLANNERS
 
 
 def make_plan(run: RunDirectory, arguments: argparse.Namespace) -> None:
@@ -86,10 +82,10 @@ def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
     name, reason = default_planner(arm) if arguments.planner is None else (arguments.planner, "asked for")
     if arguments.planner is None and arguments.keep is not None:
         name, reason = OBSTACLE_PLANNER, "the default where a region is kept"
-    as_choice("planner", name, planners())
-    if arguments.command == "synthesize" and name in PLANNERS and name not in NETWORK_PLANNERS:
+    PLANNERS.find(name)
+    if arguments.command == "synthesize" and PLANNERS[name].own and not PLANNERS[name].network:
         raise _no_network(name)
-    require_planner(name)
+    PLANNERS.require(name)
     given = [
         option
         for option in ("bias", "bias_magnitude", "n_networks")

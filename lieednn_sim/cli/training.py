@@ -1,25 +1,21 @@
-"""The command ``train``, which learns a network for a target and can be resumed."""
+"""The command ``train``, which learns a network for a target."""
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from lieednn_sim import filesystem
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import TRAINED, Task
-from lieednn_sim.errors import FileError, InputError, PlanError
+from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation import plot_training
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.learning import (
@@ -29,50 +25,28 @@ from lieednn_sim.learning import (
     train_riemannian,
 )
 from lieednn_sim.learning import train as projected_train
-from lieednn_sim.learning.checkpoint import KIND as CHECKPOINT_KIND
-from lieednn_sim.learning.checkpoint import seed_of
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.synthesis import bias_for
-from lieednn_sim.validation import as_choice, as_count, as_positive
+from lieednn_sim.validation import as_count, as_positive
 from lieednn_sim.values import Floats
-
-# Algorithms on the manifold, and whether with a certificate; without checkpoints, since they take seconds.
-RIEMANNIAN = {"riemannian": False, "stability-aware": True}
 
 # Options stored in the task.
 _OPTIONS = ("algorithm", "period", "epochs", "tolerance", "bias", "bias_magnitude", "candidates")
 
-Learner = Callable[..., TrainingResult]
+Learner = Callable[[int], TrainingResult]
 Candidates = Sequence[Callable[[], TrainingResult]]
 
 
 def train(arguments: argparse.Namespace) -> int:
     """Learn a network for a target in a run directory; returns 1 when none was learned."""
-    if arguments.resume is not None:
-        _require_no_others(arguments.words)
-    run = RunDirectory(arguments.output if arguments.resume is None else arguments.resume, arguments.plots)
-    if arguments.resume is None:
-        with run.made():
-            return _train(run, *_begin(run, arguments))
-    if not filesystem.is_file(run.pending.checkpoint):
-        raise FileError(f"{run.path} holds no interrupted training (no {run.pending.checkpoint})")
-    with run.at_work(), run.pending.at_work():
-        task, arm = run.pending.load_task()
-        return _train(run, task, arm, _resumed(run.pending, task, arm.encode(task.target)))
+    run = RunDirectory(arguments.output, arguments.plots)
+    with run.made():
+        return _train(run, *_begin(arguments))
 
 
-def _require_no_others(words: Sequence[str]) -> None:
-    """Refuse options beside ``--resume``, which would change nothing."""
-    given = [word.partition("=")[0] for word in words if word.startswith("--")]
-    # Options may be abbreviated.
-    others = [name for name in given if not any(known.startswith(name) for known in ("--resume", "--plots"))]
-    if others:
-        raise InputError(f"--resume continues a training with its own options; leave out {', '.join(others)}")
-
-
-def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm, Candidates]:
+def _begin(arguments: argparse.Namespace) -> tuple[Task, Arm, Candidates]:
     """The task, its arm, and learners of a network for it from consecutive seeds."""
     arm = load_arm(arguments)
     start, target = start_and_target(arm, arguments)
@@ -80,45 +54,17 @@ def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm,
     options = {name: getattr(arguments, name) for name in _OPTIONS}
     candidates = as_count("candidates", options["candidates"])
     task = make_task(arm, start, target, arguments, planner=TRAINED, reason="asked for", options=options)
-    learner = _learner(options, arm.encode(target), run.pending.checkpoint)
-    pending = run.pending
-    if pending.path.exists():
-        pending.manifest.check(pending.files)
-        # An interrupted training that is not resumed.
-        pending.remove()
-    filesystem.check_outputs([pending.path])
-    with filesystem.created(pending.path):
-        pending.manifest.expect(pending.checkpoint, CHECKPOINT_KIND)
-        with pending.manifest.writing(pending.task) as temporary:
-            task.save(temporary)
+    learner = _learner(arguments, arm.encode(target))
     print_import_report(arm)
     return task, arm, [functools.partial(learner, task.seed + k) for k in range(candidates)]
 
 
 def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int:
     """Learn from one seed after the other."""
-    pending = run.pending
-    try:
-        result, refusal = _choose(learners, run, arm, task)
-    except BaseException:
-        # Whatever ended it, a full disk or the user, what was learned is kept.
-        if pending.checkpoint.is_file():
-            console.print(f"what was learned so far is kept; continue with: lieednn-sim train --resume {run.path}")
-        else:
-            with contextlib.suppress(FileError):
-                pending.remove()
-        raise
-    if result.success:
-        pending.remove()
-    else:
-        # The run's previous files stay as they are.
-        outputs = [pending.history, pending.training_plot]
-        with pending.manifest.replacing(outputs, [pending.checkpoint]) as (history, training_plot):
-            result.history.save(history, {"task": task.fingerprint})
-            plot_training.plot_training(result.history, arm.encode(task.target), result.tolerance, training_plot)
+    result, refusal = _choose(learners, run, arm, task)
     _report(result, arm.encode(task.target))
     if not result.success:
-        wrote(pending.history, pending.training_plot)
+        # A run's previous files stay as they are.
         console.print("no network was written; try another --seed, more --epochs, or --algorithm stability-aware")
         return 1
     wrote(run.task, run.network, run.history, run.training_plot)
@@ -164,38 +110,25 @@ def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:
     return None
 
 
-def _learner(options: Mapping[str, Any], xi: Floats, checkpoint: Path) -> Learner:
+def _learner(asked: argparse.Namespace, xi: Floats) -> Learner:
     """A function that learns a network from a seed, with a progress bar."""
-    asked = argparse.Namespace(**options)
-    name = as_choice("algorithm", asked.algorithm, [*ALGORITHMS, *RIEMANNIAN])
+    make = ALGORITHMS.find(asked.algorithm).load()
     changes = {"period": asked.period, "max_epochs": asked.epochs, "tolerance": asked.tolerance}
+    given = {key: value for key, value in changes.items() if value is not None}
     learn: Callable[..., TrainingResult]
-    if name not in RIEMANNIAN:
-        algorithm = ALGORITHMS[name](**{key: value for key, value in changes.items() if value is not None})
-        learn = functools.partial(projected_train, xi, algorithm, checkpoint=checkpoint)
+    if not isinstance(make(), RiemannianOptions):
+        learn = functools.partial(projected_train, xi, make(**given))
     elif asked.period is not None or asked.epochs is not None:
-        raise InputError(f"--period and --epochs are for the algorithms {', '.join(ALGORITHMS)}, not for {name}")
+        raise InputError(f"--period and --epochs are for the algorithms of the paper, not for {asked.algorithm}")
     else:
-        riemannian = RiemannianOptions(certified=RIEMANNIAN[name], tolerance=asked.tolerance)
-        learn = functools.partial(train_riemannian, xi, riemannian)
+        learn = functools.partial(train_riemannian, xi, make(**given))
     bias = _bias(xi, asked)
 
-    def learner(seed: int, **resume: bool) -> TrainingResult:
+    def learner(seed: int) -> TrainingResult:
         with progress("train") as report:
-            return learn(bias=bias, seed=seed, progress=report, **resume)
+            return learn(bias=bias, seed=seed, progress=report)
 
     return learner
-
-
-def _resumed(pending: RunDirectory, task: Task, xi: Floats) -> Candidates:
-    """The interrupted candidate first, then those after it; those before it were learned, and rejected or worse."""
-    seed = seed_of(pending.checkpoint)
-    try:
-        learner = _learner(task.options, xi, pending.checkpoint)
-        later = range(seed + 1, task.seed + task.options["candidates"])
-    except (AttributeError, KeyError, TypeError, InputError) as error:
-        raise FileError(f"{pending.task} does not say how the training was begun ({error}); train again") from None
-    return [functools.partial(learner, seed, resume=True), *(functools.partial(learner, one) for one in later)]
 
 
 def _bias(xi: Floats, arguments: argparse.Namespace) -> Floats:
