@@ -33,7 +33,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim.errors import FileError
 from lieednn_sim.versions import commit, versions
 
@@ -109,7 +109,7 @@ def check(study: Mapping[str, Any], given: Mapping[str, Sequence[str]], *, updat
 
 def make(name: str, study: Mapping[str, Any], given: Mapping[str, Sequence[str]], jobs: int) -> None:
     """Run a study, or the rest of it, then copy and record its results; `FileError` if a command fails."""
-    work, begin, spent = filesystem.make_directory(ROOT / "results/making" / name), time.perf_counter(), _cpu()
+    work, begin, spent = io.make_directory(ROOT / "results/making" / name), time.perf_counter(), _cpu()
     more = f" --jobs {jobs}" if study.get("jobs") else ""
     for command in (*study["commands"][:-1], study["commands"][-1] + more):
         _run(command, given, work)
@@ -129,8 +129,8 @@ def make(name: str, study: Mapping[str, Any], given: Mapping[str, Sequence[str]]
         "jobs": jobs if more else 1,
         "outputs": outputs,
     }
-    studies = {**storage.load_json(REFERENCE / "made.json", "references")["studies"], name: entry}
-    storage.save_json(REFERENCE / "made.json", {"studies": dict(sorted(studies.items()))})
+    studies = {**io.load_json(REFERENCE / "made.json", "references")["studies"], name: entry}
+    io.save_json(REFERENCE / "made.json", {"studies": dict(sorted(studies.items()))})
     shutil.rmtree(work)
 
 
@@ -156,8 +156,8 @@ def _take(path: Path, target: Path, command: str) -> None:
     if path.suffix == ".md":
         packages = ", ".join(f"{package} {version}" for package, version in versions(optional=True).items())
         content = content.rstrip() + f"\n\nMade by `{command}`, {_today()} with {packages}.\n".encode()
-    filesystem.make_directory(target.parent)
-    with filesystem.atomic_path(target) as temporary:
+    io.make_directory(target.parent)
+    with io.atomic_path(target) as temporary:
         temporary.write_bytes(content)
 
 

@@ -254,7 +254,7 @@ def _parser() -> argparse.ArgumentParser:
     export = command(
         "export",
         "write runs or comparisons in the file formats of other tools",
-        "Runs must have been simulated. Files that this package did not write are never replaced.",
+        "Runs must have been simulated. The directory must be new, empty, or one of exports.",
     )
     options.add_export(export)
 

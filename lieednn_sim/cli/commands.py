@@ -6,12 +6,12 @@ import argparse
 import time
 from pathlib import Path
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import disturbances, load_arm, size
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError, SimulationError
+from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.rendering import opengl
@@ -30,7 +30,7 @@ def demo(arguments: argparse.Namespace) -> None:
     if not arguments.no_video:
         _check_video(arm, arguments)
     run = RunDirectory(arguments.output, arguments.plots)
-    with run.made():
+    with run.at_work():
         make_plan(run, arguments)
         _simulate(run, arguments)
         _evaluate(run)
@@ -52,7 +52,7 @@ def plan(arguments: argparse.Namespace) -> None:
     from lieednn_sim.cli.planning import make_plan
 
     run = RunDirectory(arguments.output)
-    with run.made():
+    with run.at_work():
         make_plan(run, arguments)
 
 
@@ -80,7 +80,7 @@ def render(arguments: argparse.Namespace) -> None:
     run = RunDirectory(arguments.run).existing()
     given = [as_path("the name of an output", name) for name in (arguments.still, arguments.output) if name is not None]
     paths = given or [run.video]
-    filesystem.check_outputs(paths)
+    io.check_outputs(paths)
     with run.at_work(shared=True, outputs=[path for path in paths if path in (run.video, run.page)]):
         for path in paths:
             _render(run, arguments, path, still=arguments.still is not None and path == given[0])
@@ -90,7 +90,7 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
     task, arm = run.load_task()
     changes = disturbances(arm, arguments)
     with progress("check"):
-        motion = run.motion_of(task, arm)
+        motion = run.load_motion(task, arm)
         check_motion(arm, motion)
     end = motion.t[-1] + arguments.hold
     for push in changes.pushes:
@@ -99,22 +99,18 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
             raise InputError(
                 f"the push on {push.body!r} at {push.start:g} s would begin when the run is over, at {end:g} s"
             )
-    try:
-        with progress("simulate") as report:
-            rollout = simulate_motion(
-                arm,
-                motion,
-                target=task.target,
-                controller=arguments.controller,
-                hold=arguments.hold,
-                reference_rate=arguments.reference_rate,
-                disturbances=changes,
-                dump_directory=run.path,
-                progress=report,
-            )
-    except SimulationError:
-        run.manifest.expect(run.divergence, "rollout")
-        raise
+    with progress("simulate") as report:
+        rollout = simulate_motion(
+            arm,
+            motion,
+            target=task.target,
+            controller=arguments.controller,
+            hold=arguments.hold,
+            reference_rate=arguments.reference_rate,
+            disturbances=changes,
+            dump_directory=run.path,
+            progress=report,
+        )
     wrote(*run.save_rollout(task, rollout))
 
 
@@ -125,12 +121,11 @@ def _evaluate(run: RunDirectory) -> None:
     rollout = run.load_rollout(task, arm)
     evaluation = evaluate_rollout(rollout)
     console.print(evaluation)
-    made_from = run.check(task, "network", "motion", "rollout")
-    network = run.load_network(task) if run.network.exists() else None
+    network = run.load_network() if run.network.exists() else None
     *outputs, channels_plot = run.evaluated
     if rollout.channels:
         outputs.append(channels_plot)
-    with run.manifest.replacing(outputs) as (
+    with io.atomic_paths(outputs) as (
         metrics_json,
         metrics_csv,
         network_plot,
@@ -138,7 +133,7 @@ def _evaluate(run: RunDirectory) -> None:
         joints_plot,
         *more,
     ):
-        evaluation.save_json(metrics_json, made_from=made_from)
+        evaluation.save_json(metrics_json)
         evaluation.save_csv(metrics_csv)
         plots.plot_network(rollout, network_plot, network=network)
         plots.plot_tracking(rollout, tracking_plot)
@@ -156,11 +151,8 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path, *, sti
     if not page:
         backend = opengl.require()
         console.print(f"rendering with {backend.name}: {backend.detail}")
-    # A file that the user named is replaced, whatever it is.
-    own = path in (run.video, run.page)
-    writing = run.manifest.writing(path) if own else filesystem.atomic_path(path)
     view = {"size": size(arguments.size), "preset": arguments.preset}
-    with progress("render") as report, writing as temporary:
+    with progress("render") as report, io.atomic_path(path) as temporary:
         if still:
             from lieednn_sim.rendering.still import render_still
 

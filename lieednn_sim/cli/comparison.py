@@ -9,11 +9,10 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.manifest import Manifest
 from lieednn_sim.registry import CONTROLLERS, PLANNERS
 from lieednn_sim.studies import Case, Comparison, Settings, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
@@ -51,14 +50,12 @@ def compare(arguments: argparse.Namespace) -> None:
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
     cluster = contextlib.nullcontext() if arguments.scheduler is None else dask_executor(arguments.scheduler)
-    with (
-        cluster as executor,
-        filesystem.created(arguments.output) as directory,
-        # Several shards may grow one table.
-        filesystem.locked(directory, shared=study.shard is not None),
-    ):
+    # Several shards may grow one table.
+    folder = io.output_folder(arguments.output, "table", outputs=_OUTPUTS, shared=study.shard is not None)
+    with cluster as executor, folder as directory:
         how: dict[str, Any] = {"jobs": jobs, "executor": executor, "console": to_stderr()}
-        Manifest(directory).check(directory / name for name in _OUTPUTS)
+        if executor is not None:
+            console.print(f"cases wait for workers at {arguments.scheduler}")
         if arguments.merge:
             table = merge(directory, arguments.merge)
         else:
@@ -80,7 +77,7 @@ def compare(arguments: argparse.Namespace) -> None:
         clips = _shown("video", filmed, lambda case, **told: film(table, case, controller, **told))
         head = {"command": shlex.join(["lieednn-sim", *arguments.words]), "date": arguments.date}
         outputs = [directory / name for name in _OUTPUTS if reactions is not None or not name.startswith("reactions")]
-        with Manifest(directory).replacing(outputs) as (rows, summary, page, *more):
+        with io.atomic_paths(outputs) as (rows, summary, page, *more):
             table.write_csv(rows)
             write_summary(summary, table, study.absent)
             write_page(page, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim.cli.arguments import import_options
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.joint_demonstrations import learn_joints
@@ -18,7 +18,6 @@ from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demo
 from lieednn_sim.learning.demonstrations.alignment import goal_distance
 from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
-from lieednn_sim.manifest import Manifest
 from lieednn_sim.registry import RIVALS
 from lieednn_sim.studies.demonstrations.models import ModelRow, compare_models, family_deviation, models_table
 from lieednn_sim.studies.demonstrations.plots import plot_field, plot_paths
@@ -52,10 +51,9 @@ def learn(arguments: argparse.Namespace) -> None:
     apart = goal_distance(shown)
     if demonstrations.extent <= 0.0:
         raise InputError("the mean of the demonstrations does not move")
-    with filesystem.created(arguments.output) as directory, filesystem.locked(directory):
-        manifest = Manifest(directory)
-        outputs = [directory / name for name in ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")]
-        manifest.check(outputs)
+    names = ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")
+    with io.output_folder(arguments.output, "demonstrations", outputs=names) as directory:
+        outputs = [directory / name for name in names]
         shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, seed, family=not arguments.no_family)
         with progress("learn") as bar:
             rows, models = compare_models(
@@ -69,10 +67,10 @@ def learn(arguments: argparse.Namespace) -> None:
                 seed=seed,
                 progress=bar,
             )
-        with manifest.replacing(outputs) as (network, report, paths, field):
+        with io.atomic_paths(outputs) as (network, report, paths, field):
             shaped.network.save(network)
             found = _report(arguments, demonstrations, shaped, rows)
-            storage.save_json(report, {**found, "goal_distance_m": apart})
+            io.save_json(report, {**found, "goal_distance_m": apart})
             drawn = {shaped.name: shaped} if demonstrations.goals_kept else models
             plot_paths(drawn, demonstrations, paths)
             plot_field(shaped, demonstrations, field, seed)

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from lieednn_sim import io
 from lieednn_sim.cli.console import progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, InputError
@@ -49,7 +50,7 @@ def record(arguments: argparse.Namespace) -> None:
 
 def _rollout(path: Path) -> Any:
     run = RunDirectory(path).existing()
-    with run.at_work(shared=True, outputs=[]):
+    with io.locked(run.path, shared=True):
         task, arm = run.load_task()
         if not run.rollout.exists():
             raise FileError(f"{path} has not been simulated; run: lieednn-sim simulate {path}")

@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import import_options, make_task
 from lieednn_sim.cli.arms import print_import_report
@@ -42,7 +42,7 @@ def learn_joints(arguments: argparse.Namespace) -> None:
     shown = JointDemonstrations.load(
         arm, arguments.files, rate=arguments.sample_rate, phase=arguments.phase, goals=arguments.goals
     )
-    with run.made():
+    with run.at_work():
         learned = JointMotion.fit(shown, arguments.deviation, options, seed, family=not arguments.no_family)
         motion, refusal = learned.planned(shown.mean[0])
         with progress("learn") as bar:
@@ -92,8 +92,8 @@ def learn_joints(arguments: argparse.Namespace) -> None:
         reproduced = learned.run(shown.mean[0]).q
         fan = [motion_to(learned, shown, one[-1]).run(one[0]).q for one in shown.q] if learned.response else []
         results = [run.report, run.demonstrations_plot, run.starts_plot]
-        with run.manifest.replacing(results) as (report, demonstrations_plot, starts_plot):
-            storage.save_json(report, found)
+        with io.atomic_paths(results) as (report, demonstrations_plot, starts_plot):
+            io.save_json(report, found)
             plot_joint_paths(shown, reproduced, demonstrations_plot, fan=fan)
             plot_joint_paths(shown, reproduced, starts_plot, paths)
     print_import_report(arm)

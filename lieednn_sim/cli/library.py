@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.cli.arguments import load_arm, make_task
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, wrote
@@ -27,16 +27,16 @@ def library(arguments: argparse.Namespace) -> None:
 
 
 def _add(path: Path, arguments: argparse.Namespace) -> None:
-    filesystem.check_outputs([path])
+    io.check_outputs([path])
     runs = [RunDirectory(run).existing() for run in arguments.runs]
     names = [run.path.resolve().name if arguments.name is None else arguments.name for run in runs]
     if len(set(names)) < len(names):
         raise InputError("each motion needs a name of its own: add runs of the same name one by one, with --name")
     known = MotionLibrary.load(path) if path.exists() else None
     for run, name in zip(runs, names, strict=True):
-        with run.at_work(shared=True, outputs=[]):
+        with io.locked(run.path, shared=True):
             task, arm = run.load_task()
-            motion = run.motion_of(task, arm)
+            motion = run.load_motion(task, arm)
         known = MotionLibrary(arm.n_links) if known is None else known
         require_fit(arm, known.universal)
         known.add(name, motion, lever_units(arm, motion.q))
@@ -62,7 +62,7 @@ def _run(path: Path, arguments: argparse.Namespace) -> None:
     known, arm = MotionLibrary.load(path), load_arm(arguments)
     blend = {} if arguments.blend is None else {"blend": arguments.blend, "fraction": fraction}
     run = RunDirectory(arguments.output)
-    with run.made():
+    with run.at_work():
         with progress("plan"):
             made = known.plan(arm, arguments.motion, duration=arguments.duration, **blend)
         task = make_task(

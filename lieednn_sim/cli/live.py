@@ -8,6 +8,7 @@ import sys
 import warnings
 from pathlib import Path
 
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import import_options, joint_position
 from lieednn_sim.cli.arms import print_import_report
@@ -61,12 +62,12 @@ def view(arguments: argparse.Namespace) -> None:
 
 def _recorded(directory: str) -> tuple[dict[str, Rollout], Floats]:
     """The rollout of a run, or those of several planners of a comparison, by the planners' names; and their start."""
-    if (Path(directory) / "comparison.json").exists():
+    if (Path(directory) / "comparison.sqlite").exists():
         with progress("plan"):
             rollouts = replay_together(directory)
     else:
         run = RunDirectory(directory).existing()
-        with run.at_work(shared=True, outputs=[]):
+        with io.locked(run.path, shared=True):
             task, arm = run.load_task()
             rollouts = {task.planner: run.load_rollout(task, arm)}
     return rollouts, next(iter(rollouts.values())).q_ref[0]

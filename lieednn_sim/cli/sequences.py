@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.cli.arguments import size
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.errors import LieEDNNError, RenderingUnavailableError
-from lieednn_sim.manifest import Manifest
 from lieednn_sim.planning.sequence import PlanSequence
 from lieednn_sim.planning.sequence_file import load_sequence
 from lieednn_sim.simulation import ModelRun, run_in
@@ -27,42 +26,38 @@ def sequence(arguments: argparse.Namespace) -> None:
     view = {"camera": arguments.camera, "size": size(arguments.size), "preset": arguments.preset}
     check_view(described.model, **view)
     check_rate(arguments.fps, "video.mp4")
-    with filesystem.created(arguments.output) as directory, filesystem.locked(directory):
-        plan, run, report, page, video = (
-            directory / name for name in ("sequence.npz", "run.npz", "report.json", "run.html", "video.mp4")
-        )
-        outputs = [plan, run, report, page, video]
-        filesystem.check_outputs(outputs)
-        manifest = Manifest(directory)
-        manifest.check(outputs)
-        manifest.remove(outputs)
+    names = ("sequence.npz", "run.npz", "report.json", "run.html", "video.mp4")
+    with io.output_folder(arguments.output, "sequence", outputs=names) as directory:
+        outputs = [directory / name for name in names]
+        plan, run, report, page, video = outputs
+        for path in outputs:
+            path.unlink(missing_ok=True)
         with progress("plan"):
             found = described.plan()
-        with manifest.writing(plan) as temporary:
-            found.save(temporary)
+        found.save(plan)
         console.print(str(found))
         wrote(plan)
         with progress("simulate") as shown:
             done = run_in(described.model, described.data, found, hold=arguments.hold, progress=shown)
-        with manifest.replacing([run, report]) as temporaries:
+        with io.atomic_paths([run, report]) as temporaries:
             done.save(temporaries[0])
-            storage.save_json(temporaries[1], _report(found, done))
+            io.save_json(temporaries[1], _report(found, done))
         _print(done, found)
         wrote(run, report)
         if not arguments.no_page:
-            _show(manifest, page, done, {"camera": arguments.camera})
+            _show(page, done, {"camera": arguments.camera})
         if not arguments.no_video:
-            _show(manifest, video, done, {**view, "fps": arguments.fps})
+            _show(video, done, {**view, "fps": arguments.fps})
 
 
-def _show(manifest: Manifest, path: Path, run: ModelRun, how: dict[str, Any]) -> None:
+def _show(path: Path, run: ModelRun, how: dict[str, Any]) -> None:
     """Write a page or a video, or say why there is none."""
     from lieednn_sim.rendering.page import render_page
     from lieednn_sim.rendering.video import render_video
 
     render: Any = render_page if path.suffix == ".html" else render_video
     try:
-        with progress("render") as report, manifest.writing(path) as temporary:
+        with progress("render") as report, io.atomic_path(path) as temporary:
             render(run, temporary, progress=report, **how)
     except RenderingUnavailableError as error:
         console.print(f"no {path.name}: {error}")

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
 from lieednn_sim.cli.arms import print_import_report
@@ -42,7 +43,7 @@ Candidates = Sequence[Callable[[], TrainingResult]]
 def train(arguments: argparse.Namespace) -> int:
     """Learn a network for a target in a run directory; returns 1 when none was learned."""
     run = RunDirectory(arguments.output, arguments.plots)
-    with run.made():
+    with run.at_work():
         return _train(run, *_begin(arguments))
 
 
@@ -90,7 +91,7 @@ def _choose(learners: Candidates, run: RunDirectory, arm: Arm, task: Task) -> tu
             best = result, refusal
             if result.success and isinstance(result.network, LieEDNN):
                 run.save_network(task, result.network, history=result.history)
-                with run.manifest.writing(run.training_plot) as temporary:
+                with io.atomic_path(run.training_plot) as temporary:
                     plot_training.plot_training(result.history, xi, result.tolerance, temporary)
         if result.success and refusal is None:
             break

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer.loading import compile_spec, read_model
@@ -72,7 +72,7 @@ def load_sequence(path: str | os.PathLike[str]) -> SequenceFile:
         InputError: an entry is unknown or malformed; the message names it.
     """
     source = as_path("the name of a sequence's file", path)
-    content: dict[str, Any] = storage.load_description(source, "description of a sequence")
+    content: dict[str, Any] = io.load_description(source, "description of a sequence")
     _check_entries(source, content, (*_SOURCES, *_COMMON))
     try:
         model, names, tip = _model(source, content)

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from rich.console import Console
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.studies.rows import TableRow
 from lieednn_sim.studies.table import SUFFIX, Table
@@ -58,7 +58,7 @@ class Study(ABC, Generic[R]):
 
     def open(self, directory: str | os.PathLike[str]) -> Table[R]:
         """The table in a directory, which is created if it is missing; raises as `Table.begin`."""
-        path = filesystem.make_directory(directory) / f"{self.name}{SUFFIX}"
+        path = io.make_directory(directory) / f"{self.name}{SUFFIX}"
         return Table.begin(path, self.kind, self.settings(), self.user_files)
 
 

@@ -12,7 +12,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.studies.rows import TableRow, columns_of
 from lieednn_sim.studies.user_files import UserFile
@@ -86,7 +86,7 @@ class Table(Generic[R]):
             InputError: JSON cannot hold the settings.
         """
         file = as_path("the name of a table's file", path)
-        filesystem.check_outputs([file])
+        io.check_outputs([file])
         try:
             described = {"settings": json.dumps(settings), "versions": json.dumps(versions())}
         except (TypeError, ValueError) as error:
@@ -164,7 +164,7 @@ class Table(Generic[R]):
     def write_csv(self, path: str | os.PathLike[str]) -> None:
         """Write all rows as a CSV file, in the order of their keys, below the names of the columns."""
         names = [entry.name for entry in fields(self._kind)]
-        with filesystem.atomic_text(path) as stream:
+        with io.atomic_text(path) as stream:
             writer = csv.writer(stream, lineterminator="\n")
             writer.writerow(names)
             writer.writerows([getattr(row, name) for name in names] for row in self.rows.values())
@@ -186,7 +186,7 @@ class Table(Generic[R]):
             if old.fingerprint != file.fingerprint:
                 raise FileError(
                     f"rows in {self.path} belong to another {file.kind} {file.name!r} (fingerprint "
-                    f"{storage.short(old.fingerprint)}, that of {file.source} is {storage.short(file.fingerprint)}); "
+                    f"{io.short(old.fingerprint)}, that of {file.source} is {io.short(file.fingerprint)}); "
                     "choose another --output, or another name for the file"
                 )
             known[file[:2]] = file
@@ -227,7 +227,7 @@ def _address(path: Path, mode: str) -> str:
 @contextlib.contextmanager
 def _connected(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
     """A connection to a file, for one transaction; the default journal also works on disks that machines share."""
-    if mode == "rw" and not filesystem.is_file(path):
+    if mode == "rw" and not io.is_file(path):
         raise FileError(f"no such file: {path}")
     try:
         with contextlib.closing(sqlite3.connect(_address(path, mode), uri=True, timeout=_PATIENCE)) as base, base:

@@ -7,7 +7,6 @@ import os
 import resource
 import signal
 import sys
-import time
 import weakref
 
 import pytest
@@ -29,25 +28,18 @@ DEMO = [
 ]
 
 
-@pytest.mark.parametrize("again", [True, False])
-def test_a_signal_that_is_swallowed_ends_the_command_all_the_same(tmp_path, capsys, monkeypatch, again):
-    """It is raised again a moment later, and where even that is lost, before the next step."""
+def test_a_signal_that_is_swallowed_ends_the_command_before_its_next_step(tmp_path, capsys, monkeypatch):
     progress = commands.progress
 
     @contextlib.contextmanager
     def interrupted(what):
         with progress(what) as report:
             if what == "simulate":
-                if not again:
-                    sys.unraisablehook = lambda *_: None
                 # It arrives in a callback of a weak reference, where Python swallows exceptions.
                 thing = set()
                 kept = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGTERM))
                 del thing
                 assert kept() is None
-                if again:
-                    time.sleep(20.0)
-                    pytest.fail("it is not raised again")
             yield report
 
     monkeypatch.setattr(commands, "progress", interrupted)
@@ -147,14 +139,8 @@ if __name__ == "__main__":
 def test_a_refused_command_leaves_no_folder(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     out = tmp_path / "a" / "out"
-    for words in (["merge", out, tmp_path / "empty"], ["problems", tmp_path / "empty", "--output", out]):
-        assert main([str(word) for word in words]) == 2
-        assert [path.name for path in tmp_path.iterdir()] == ["empty"]
-
-
-def test_numbers_of_thousands_of_digits_are_refused(tmp_path, capsys):
-    assert main(["problems", str(tmp_path), "--problems", "9" * 5000]) == 2
-    assert "--problems must be a number of at least 1, or all; got '999" in capsys.readouterr().err
+    assert main(["compare", "--merge", str(tmp_path / "empty"), "--output", str(out)]) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["empty"]
 
 
 @pytest.fixture(scope="module")
@@ -175,10 +161,10 @@ def test_an_ffmpeg_that_does_not_exist_is_named(run, capsys, monkeypatch):
 @pytest.mark.rendering
 def test_a_disk_that_is_full_is_one_line_with_the_name_that_was_asked_for(run, tmp_path, start):
     film = tmp_path / "film.gif"
-    words = ["render", str(run), "--size", "320x240", "--preset", "draft", "--fps", "5", "--output", str(film)]
+    words = ["render", str(run), "--size", "64x48", "--preset", "draft", "--fps", "2", "--output", str(film)]
 
     def limited():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))
 
     process = start("-m", "lieednn_sim", *words, preexec_fn=limited)
     assert process.communicate()[1] == f"lieednn-sim: error: cannot write {film}: File too large\n"
@@ -206,6 +192,6 @@ def test_a_full_standard_error_changes_no_exit_code(tmp_path, monkeypatch):
 
 
 def test_signals_have_their_handlers_back(capsys):
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)]
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     assert main(["arms"]) == 0
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)] == before
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before

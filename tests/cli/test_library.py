@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
 
 def motion_of(path):
     run = RunDirectory(path)
-    return run.load_motion(run.load_task()[0])
+    return run.load_motion(*run.load_task())
 
 
 def test_a_stored_motion_becomes_a_run_that_the_other_commands_take(folder, tmp_path, capsys):

@@ -77,10 +77,11 @@ def test_a_file_is_planned_and_simulated(folder, capsys):
         np.testing.assert_allclose(run["qpos"][-1, 7:], [0.5, 0.1, 0.05], atol=5e-3)
         assert run["t"][-1] == pytest.approx(report["simulated_s"] + 0.25)
     # Its own files are replaced, others are not.
+    (folder / "made" / "notes.txt").write_text("mine")
     assert main(words) == 0
-    (folder / "made" / "report.json").write_text("mine")
-    assert main(words) == 2
-    assert "report.json" in capsys.readouterr().err
+    assert (folder / "made" / "notes.txt").read_text() == "mine"
+    assert main([*words[:2], "--output", "."]) == 2
+    assert "holds files that no command of this package made" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

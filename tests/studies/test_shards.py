@@ -39,7 +39,7 @@ def shards(tmp_path):
     folders = [tmp_path / f"shard{number}" for number in (1, 2, 3)]
     for number, folder in enumerate(folders, start=1):
         assert main(["compare", *WORDS, str(folder), "--shard", f"{number}/3"]) == 0
-        assert {path.name for path in folder.iterdir()} == {"comparison.sqlite"}
+        assert {path.name for path in folder.iterdir()} == {"comparison.sqlite", "lieednn_sim.json"}
     return folders
 
 

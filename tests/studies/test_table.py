@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import gc
-import multiprocessing
 import sqlite3
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -172,23 +173,18 @@ def test_rows_that_are_added_stay_on_disk_until_they_are_asked_for(table):
     assert len({id(row.set) for row in table.rows.values() if row.set == "many"}) == 1
 
 
-def fill(folder, name, barrier):
-    barrier.wait()
-    table = begin(folder)
-    for number in range(20):
-        table.add([Measured(name, number, count=number)])
+def test_several_at_once_begin_and_fill_a_table(tmp_path):
+    together = threading.Barrier(3)
 
+    def fill(name):
+        together.wait()
+        table = begin(tmp_path)
+        for number in range(10):
+            table.add([Measured(name, number, count=number)])
 
-def test_several_processes_begin_and_fill_a_table_at_once(tmp_path):
-    context = multiprocessing.get_context("fork")
-    barrier = context.Barrier(3)
-    processes = [context.Process(target=fill, args=(tmp_path, name, barrier)) for name in ("a", "b", "c")]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join()
-    assert [process.exitcode for process in processes] == [0, 0, 0]
-    assert set(begin(tmp_path).rows) == {(name, number) for name in ("a", "b", "c") for number in range(20)}
+    with ThreadPoolExecutor(3) as pool:
+        list(pool.map(fill, ("a", "b", "c")))
+    assert set(begin(tmp_path).rows) == {(name, number) for name in ("a", "b", "c") for number in range(10)}
 
 
 def test_tables_are_merged_unless_they_disagree(table, tmp_path):
