@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -17,8 +18,9 @@ from lieednn_sim.registry import CONTROLLERS, PLANNERS
 from lieednn_sim.studies import Case, Comparison, Settings, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
 from lieednn_sim.studies.comparison.study import Shard, merge
+from lieednn_sim.studies.comparison.together import choose_problems
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
-from lieednn_sim.studies.report import choose_cases, choose_problems, film, view, write_page
+from lieednn_sim.studies.report import film, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
 
@@ -73,7 +75,8 @@ def compare(arguments: argparse.Namespace) -> None:
         problems = choose_problems(table, arguments.views, controller)
         places = {f"{some[0].arm}, {some[0].scene}": some for some in problems}
         views = _shown("view", places, lambda some, **told: view(table, some, controller, **told))
-        filmed = {str(case): case for case in cases + choose_cases(table, arguments.videos)}
+        solved = itertools.chain(*choose_problems(table, arguments.videos, controller))
+        filmed = {str(case): case for case in (*cases, *itertools.islice(solved, arguments.videos))}
         clips = _shown("video", filmed, lambda case, **told: film(table, case, controller, **told))
         head = {"command": shlex.join(["lieednn-sim", *arguments.words]), "date": arguments.date}
         outputs = [directory / name for name in _OUTPUTS if reactions is not None or not name.startswith("reactions")]

@@ -18,7 +18,9 @@ from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.live import view as show
 from lieednn_sim.live.page import warning
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.studies.comparison.together import replay_together
+from lieednn_sim.studies.comparison.statistics import controllers_of
+from lieednn_sim.studies.comparison.study import Comparison
+from lieednn_sim.studies.comparison.together import choose_problems, replay_together
 from lieednn_sim.values import Floats
 
 
@@ -64,7 +66,10 @@ def _recorded(directory: str) -> tuple[dict[str, Rollout], Floats]:
     """The rollout of a run, or those of several planners of a comparison, by the planners' names; and their start."""
     if (Path(directory) / "comparison.sqlite").exists():
         with progress("plan"):
-            rollouts = replay_together(directory)
+            table = Comparison.read(directory)
+            controller = next(iter(controllers_of(table.sorted_rows())), "")
+            cases = next(iter(choose_problems(table, 1, controller)), [])
+            rollouts = replay_together(table, cases, controller)
     else:
         run = RunDirectory(directory).existing()
         with io.locked(run.path, shared=True):
