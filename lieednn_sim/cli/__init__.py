@@ -30,7 +30,6 @@ _MODULES = {
     "learn": "demonstrations",
     "compare": "comparison",
     "sequence": "sequences",
-    "library": "library",
     "export": "exporting",
     "record": "exporting",
     "arms": "arms",
@@ -243,13 +242,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     options.add_sequence(sequence)
     options.add_video(sequence)
-
-    library = command(
-        "library",
-        "store the motions of runs in one file, blend them, and make runs of them",
-        "Each motion is a start of the hidden neurons of one certified network; its path is stored, not its timing.",
-    )
-    options.add_library(library)
 
     export = command(
         "export",

@@ -18,9 +18,8 @@ from lieednn_sim.registry import CONTROLLERS, PLANNERS
 from lieednn_sim.studies import Case, Comparison, Settings, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
 from lieednn_sim.studies.comparison.study import Shard, merge
-from lieednn_sim.studies.comparison.together import choose_problems
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
-from lieednn_sim.studies.report import film, view, write_page
+from lieednn_sim.studies.report import choose_problems, film, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
 

@@ -56,7 +56,7 @@ def doctor(arguments: argparse.Namespace) -> int:
     else:
         models = ", ".join(arms)
     backend = opengl.configure()
-    packages = opengl.missing_packages()
+    packages = backend.missing_packages
     missing = [name for name, version in versions.items() if version is None]
     healthy = bool(arms) and not missing and backend.renders
     if arguments.json:

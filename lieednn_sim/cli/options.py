@@ -228,30 +228,6 @@ def add_sequence(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-video", action="store_true", help="do not make video.mp4")
 
 
-def add_library(parser: argparse.ArgumentParser) -> None:
-    """The file of ``library``, and what to do with it."""
-    parser.add_argument("file", metavar="FILE", help="the library, an .npz file; made by the first 'add'")
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    add = actions.add_parser("add", help="store the motions of runs; a motion replaces one of the same name")
-    add.add_argument(
-        "runs", nargs="+", metavar="RUN", help="run directories; all arms must have the same number of links"
-    )
-    add.add_argument("--name", help="name of the motion, if only one run is added (default: the name of its directory)")
-    actions.add_parser("list", help="list the motions")
-    run = actions.add_parser(
-        "run", help="plan a motion of the library for an arm, in a run directory; continue with 'simulate'"
-    )
-    run.add_argument("motion", metavar="NAME", help="name of a motion")
-    run.add_argument("--blend", metavar="OTHER", help="name of another motion, to blend NAME with")
-    run.add_argument(
-        "--fraction", type=decimal, metavar="F", help="where the blend is between NAME (0) and OTHER (1) (default: 0.5)"
-    )
-    _add_arm(run)
-    _add_duration(run)
-    run.add_argument("--output", default="results/run", metavar="DIR", help="directory for the files of the run")
-    run.set_defaults(seed=0)
-
-
 def add_export(parser: argparse.ArgumentParser) -> None:
     """Options of ``export``."""
     parser.add_argument(
@@ -388,11 +364,6 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     )
     add_frames(parser)
     _add_scene(parser)
-    parser.add_argument(
-        "--run",
-        metavar="DIR",
-        help="play a simulated run, or motions of a comparison; arm, scene, start and target are those of the run",
-    )
     parser.add_argument("--policy", default="lieednn-shaped", metavar="NAME", help=f"policy: {_one_of(POLICIES)}")
     parser.add_argument(
         "--planner",

@@ -2,9 +2,9 @@
 
 from lieednn_sim.studies.report.page import write_page
 from lieednn_sim.studies.report.videos import Clip, film
-from lieednn_sim.studies.report.views import View, view
+from lieednn_sim.studies.report.views import View, choose_problems, view
 from lieednn_sim.typecheck import typecheck_public
 
-__all__ = ["Clip", "View", "film", "view", "write_page"]
+__all__ = ["Clip", "View", "choose_problems", "film", "view", "write_page"]
 
 typecheck_public(globals())

@@ -7,10 +7,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from lieednn_sim.errors import InputError
+from lieednn_sim.registry import PLANNERS
 from lieednn_sim.rendering.recording import Recording, record
+from lieednn_sim.studies.comparison.cases import replay
 from lieednn_sim.studies.comparison.rows import Case, Row
-from lieednn_sim.studies.comparison.together import replay_together
+from lieednn_sim.studies.comparison.statistics import in_order
+from lieednn_sim.studies.comparison.study import settings_of
+from lieednn_sim.studies.statistics import grouped
 from lieednn_sim.studies.table import Table
+from lieednn_sim.validation import as_count
+
+# Planners in a view: more would be too small to see.
+_TOGETHER = 4
+_OWN = "lieednn"
 
 
 @dataclass(frozen=True)
@@ -31,6 +40,38 @@ class View:
         return base64.b64encode(self.recording.content).decode("ascii")
 
 
+def choose_problems(table: Table[Row], count: int, controller: str) -> list[list[Case]]:
+    """Choose up to ``count`` problems of a table, and at most four planners that solved each.
+
+    The problems that most planners solved come first, each arm and scene once. The planner of LieEDNN with the most
+    successes in the whole table is the first of every problem where it succeeded; the others take turns.
+
+    Raises:
+        InputError: ``count`` is not a whole number >= 0.
+    """
+    most = as_count("the number of problems", count, least=0)
+    solved = [row for row in table.sorted_rows() if row.success and row.controller == controller]
+    names = in_order((row.planner for row in solved), PLANNERS)
+    totals = {name: sum(row.planner == name for row in solved) for name in names}
+    best = max((name for name in totals if name.startswith(_OWN)), key=lambda name: totals[name], default=None)
+    # Of each arm in each scene, the seed that the most planners solved; the first of several.
+    problems = []
+    for place in grouped(solved, ("arm", "scene")):
+        seeds = sorted({row.seed for row in place.rows})
+        seed = max(seeds, key=lambda seed: sum(row.seed == seed for row in place.rows))
+        problems.append([row for row in place.rows if row.seed == seed])
+    problems.sort(key=lambda rows: (best not in {row.planner for row in rows}, -len(rows)))
+    shown = dict.fromkeys(totals, 0)
+    chosen: list[list[Case]] = []
+    for rows in problems[:most]:
+        by_name = {row.planner: row.case for row in rows}
+        some = sorted(in_order(by_name, PLANNERS), key=lambda name: (name != best, shown[name]))[:_TOGETHER]
+        for name in some:
+            shown[name] += 1
+        chosen.append([by_name[name] for name in some])
+    return chosen
+
+
 def view(
     table: Table[Row],
     cases: Sequence[Case],
@@ -48,5 +89,6 @@ def view(
     found = tuple(row for row in rows if row is not None)
     if len(found) < len(rows) or len({(row.arm, row.scene, row.seed) for row in found}) != 1:
         raise InputError("a view is of one problem that the table has, by one planner or more")
-    rollouts = replay_together(table, cases, controller)
-    return View(found, record(list(rollouts.values()), list(rollouts), progress=progress))
+    settings = settings_of(table)
+    rollouts = [replay(case, controller, settings, user_files=table.user_files) for case in cases]
+    return View(found, record(rollouts, [case.planner for case in cases], progress=progress))

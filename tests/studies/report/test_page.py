@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import re
-import shutil
 from dataclasses import replace
 
 import pytest
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies import Case, Comparison, Row, Settings, compute
-from lieednn_sim.studies.report import film, page, videos, view, write_page
+from lieednn_sim.studies.report import choose_problems, film, page, videos, view, write_page
 from lieednn_sim.studies.report.style import marks
 
 CONTROLLERS = ("position-servo", "computed-torque")
@@ -109,10 +108,33 @@ def test_only_cases_with_a_motion_can_be_filmed(table):
         film(table, Case("another_arm", "free", "rrt-connect", 0), "position-servo")
 
 
+def test_problems_are_those_of_the_best_of_lieednn_and_others_in_turn(tmp_path):
+    """Two scenes; 'dmp' fails in one, 'lieednn-shaped' succeeds once more than 'lieednn-certified'."""
+    others = ["minimum-jerk", "se3-geodesic", "linear-attractor", "dmp", "promp"]
+    failed = {("free", "dmp", 0), ("poles", "lieednn-certified", 0)}
+    table = Comparison().open(tmp_path)
+    table.add(
+        [
+            Row("arm", scene, planner, "pd", seed, 1.0, "contact" if (scene, planner, seed) in failed else "")
+            for scene in ("free", "poles")
+            for planner in ("lieednn-certified", "lieednn-shaped", *others)
+            for seed in (0, 1)
+        ]
+    )
+    first, second = choose_problems(table, 2, "pd")
+    for cases in (first, second):
+        assert len({(case.arm, case.scene, case.seed) for case in cases}) == 1
+        assert cases[0].planner == "lieednn-shaped"
+        assert len({case.planner for case in cases}) == 4
+        assert {case.seed for case in cases} == {1}, "the seed that all solved"
+    assert {case.planner for case in first} & {case.planner for case in second} == {"lieednn-shaped"}
+    assert choose_problems(table, 1, "pd") == [first]
+    assert choose_problems(table, 2, "another") == []
+
+
 @pytest.fixture(scope="module")
-def browser(table, figures_kept, tmp_path_factory):
-    """The page with a video, open in a headless Chromium."""
-    webdriver = pytest.importorskip("selenium.webdriver")
+def browser(table, figures_kept, tmp_path_factory, opened):
+    """The page with a video, open in the browser."""
     path = tmp_path_factory.mktemp("page") / "page.html"
     with figures_kept(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(videos, "FPS", 10)
@@ -121,18 +143,7 @@ def browser(table, figures_kept, tmp_path_factory):
         shown = view(table, cases, "position-servo")
         write_page(path, table, views=[shown, shown], clips=[clip, replace(clip)])
     assert path.stat().st_size < 3e6
-    options = webdriver.ChromeOptions()
-    options.binary_location = shutil.which("chromium")
-    for argument in ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"):
-        options.add_argument(argument)
-    options.add_argument("--window-size=1280,1000")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
-    try:
-        driver.get(path.as_uri())
-        yield driver
-    finally:
-        driver.quit()
+    return opened(path.as_uri(), 1280, 1000)
 
 
 def column(driver, index):
