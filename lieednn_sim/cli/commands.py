@@ -64,14 +64,14 @@ def synthesize(arguments: argparse.Namespace) -> None:
 def simulate(arguments: argparse.Namespace) -> None:
     """Simulate the run's motion, and write the rollout."""
     run = RunDirectory(arguments.run).existing()
-    with run.at_work(outputs=[run.rollout, *run.results]):
+    with run.at_work():
         _simulate(run, arguments)
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
     """Evaluate the rollout, and write metrics and plots."""
     run = RunDirectory(arguments.run, arguments.plots).existing()
-    with run.at_work(shared=True, outputs=run.evaluated):
+    with run.at_work(shared=True):
         _evaluate(run)
 
 
@@ -81,7 +81,7 @@ def render(arguments: argparse.Namespace) -> None:
     given = [as_path("the name of an output", name) for name in (arguments.still, arguments.output) if name is not None]
     paths = given or [run.video]
     io.check_outputs(paths)
-    with run.at_work(shared=True, outputs=[path for path in paths if path in (run.video, run.page)]):
+    with run.at_work(shared=True):
         for path in paths:
             _render(run, arguments, path, still=arguments.still is not None and path == given[0])
 
@@ -90,7 +90,7 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
     task, arm = run.load_task()
     changes = disturbances(arm, arguments)
     with progress("check"):
-        motion = run.load_motion(task, arm)
+        motion = run.load_motion(task)
         check_motion(arm, motion)
     end = motion.t[-1] + arguments.hold
     for push in changes.pushes:
@@ -111,7 +111,8 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
             dump_directory=run.path,
             progress=report,
         )
-    wrote(*run.save_rollout(task, rollout))
+    run.save_rollout(rollout)
+    wrote(run.rollout)
 
 
 def _evaluate(run: RunDirectory) -> None:

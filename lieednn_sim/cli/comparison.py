@@ -52,7 +52,7 @@ def compare(arguments: argparse.Namespace) -> None:
         console.print(f"not compared: {name} is not installed ({reason})")
     cluster = contextlib.nullcontext() if arguments.scheduler is None else dask_executor(arguments.scheduler)
     # Several shards may grow one table.
-    folder = io.output_folder(arguments.output, "table", outputs=_OUTPUTS, shared=study.shard is not None)
+    folder = io.output_folder(arguments.output, "table", shared=study.shard is not None)
     with cluster as executor, folder as directory:
         how: dict[str, Any] = {"jobs": jobs, "executor": executor, "console": to_stderr()}
         if executor is not None:

@@ -51,9 +51,8 @@ def learn(arguments: argparse.Namespace) -> None:
     apart = goal_distance(shown)
     if demonstrations.extent <= 0.0:
         raise InputError("the mean of the demonstrations does not move")
-    names = ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")
-    with io.output_folder(arguments.output, "demonstrations", outputs=names) as directory:
-        outputs = [directory / name for name in names]
+    with io.output_folder(arguments.output, "demonstrations") as directory:
+        outputs = [directory / name for name in ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")]
         shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, seed, family=not arguments.no_family)
         with progress("learn") as bar:
             rows, models = compare_models(

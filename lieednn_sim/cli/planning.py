@@ -53,8 +53,7 @@ def make_plan(run: RunDirectory, arguments: argparse.Namespace) -> None:
             planner=planner,
             start=start,
             duration=arguments.duration,
-            # If the run stores only the network, this generates the motion again in the task's duration.
-            max_time_scale=1.0 if task.drawn else 3.0,
+            max_time_scale=1.0 if planner == CERTIFIED and not arguments.fastest else 3.0,
             seed=arguments.seed,
             time_budget=arguments.time_budget,
             options=chosen,
@@ -65,7 +64,7 @@ def make_plan(run: RunDirectory, arguments: argparse.Namespace) -> None:
     if arguments.command == "synthesize" and made.network is None:
         raise _no_network(planner)
     task = replace(task, target=tuple(made.target.tolist()))
-    written = run.save_network(task, made.network, None if task.drawn else made.motion)
+    written = run.save_network(task, made.network, made.motion)
     print_import_report(arm)
     if planner == CERTIFIED:
         _print_choice(arm, made, shown["bias"])

@@ -26,9 +26,8 @@ def sequence(arguments: argparse.Namespace) -> None:
     view = {"camera": arguments.camera, "size": size(arguments.size), "preset": arguments.preset}
     check_view(described.model, **view)
     check_rate(arguments.fps, "video.mp4")
-    names = ("sequence.npz", "run.npz", "report.json", "run.html", "video.mp4")
-    with io.output_folder(arguments.output, "sequence", outputs=names) as directory:
-        outputs = [directory / name for name in names]
+    with io.output_folder(arguments.output, "sequence") as directory:
+        outputs = [directory / name for name in ("sequence.npz", "run.npz", "report.json", "run.html", "video.mp4")]
         plan, run, report, page, video = outputs
         for path in outputs:
             path.unlink(missing_ok=True)
