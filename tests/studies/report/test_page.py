@@ -121,7 +121,10 @@ def test_problems_are_those_of_the_best_of_lieednn_and_others_in_turn(tmp_path):
             for seed in (0, 1)
         ]
     )
-    first, second = choose_problems(table, 2, "pd")
+    # Where fewer arrived comes last.
+    table.add([Row("arm", "a wall", planner, "pd", 0, 1.0) for planner in ("lieednn-shaped", "dmp")])
+    first, second, last = choose_problems(table, 3, "pd")
+    assert [case.scene for case in last] == ["a wall"] * 2
     for cases in (first, second):
         assert len({(case.arm, case.scene, case.seed) for case in cases}) == 1
         assert cases[0].planner == "lieednn-shaped"
