@@ -29,8 +29,6 @@ _MODULES = {
     "train": "training",
     "learn": "demonstrations",
     "compare": "comparison",
-    "merge": "comparison",
-    "problems": "problems",
     "sequence": "sequences",
     "export": "exporting",
     "record": "exporting",
@@ -43,7 +41,7 @@ _MODULES = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
 
-    0: success; 1: ``doctor`` found a problem, ``train`` learned no network, or ``merge`` lacks cases; 2: error;
+    0: success; 1: ``doctor`` found a problem, or ``train`` learned no network; 2: error;
     130: interrupted; 141: the reader of the output closed it; 143: terminated.
     """
     words = list(sys.argv[1:] if argv is None else argv)
@@ -236,14 +234,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     options.add_comparison(compare)
 
-    merge = command(
-        "merge",
-        "join the tables of 'compare --shard' into one table and page",
-        "If cases are missing, they are listed, the exit code is 1, and the other cases are joined nevertheless.",
-    )
-    merge.add_argument("output", metavar="DIR", help="directory for the whole table")
-    merge.add_argument("folders", nargs="+", metavar="FOLDER", help="directories of the tables to join")
-
     sequence = command(
         "sequence",
         "plan the moves and gripper steps of a file in its model, simulate them, and show them",
@@ -252,13 +242,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     options.add_sequence(sequence)
     options.add_video(sequence)
-
-    problems = command(
-        "problems",
-        "run planners on the published problems of MotionBenchMaker",
-        "After an interruption, the same command continues.",
-    )
-    options.add_problems(problems)
 
     export = command(
         "export",

@@ -1,9 +1,10 @@
-"""The commands ``compare`` and ``merge``, which write a table and a page."""
+"""The command ``compare``, which writes a table and a page."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -16,26 +17,20 @@ from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS
 from lieednn_sim.studies import Case, Comparison, Settings, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
-from lieednn_sim.studies.comparison.merging import merge as merge_shards
-from lieednn_sim.studies.comparison.study import Shard
+from lieednn_sim.studies.comparison.study import Shard, merge
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
-from lieednn_sim.studies.report import choose_cases, choose_problems, film, view, write_page
+from lieednn_sim.studies.report import choose_problems, film, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
 
+# What is written beside the table.
+_OUTPUTS = ("comparison.csv", "comparison.md", "comparison.html", "reactions.csv", "reactions.md")
 _Wanted = TypeVar("_Wanted")
 _Shown = TypeVar("_Shown")
 
 
 def compare(arguments: argparse.Namespace) -> None:
-    """Compute the missing rows of the table, then write summary and page."""
-    settings = Settings(
-        duration=arguments.duration,
-        hold=arguments.hold,
-        mass_scale=arguments.mass_scale,
-        time_budget=arguments.time_budget,
-    )
-    shard = None if arguments.shard is None else Shard.parse(arguments.shard)
+    """Compute the missing rows of the table, or add those of other tables, then write summary and page."""
     study = Comparison(
         planners=_listed(arguments.planners),
         arms=_listed(arguments.arms),
@@ -43,66 +38,55 @@ def compare(arguments: argparse.Namespace) -> None:
         controllers=_listed(arguments.controllers),
         seeds=arguments.seeds,
         slow_seeds=arguments.slow_seeds,
-        common=settings,
-        shard=shard,
+        common=Settings(arguments.duration, arguments.hold, arguments.mass_scale, arguments.time_budget),
+        shard=None if arguments.shard is None else Shard.parse(arguments.shard),
     )
     jobs = as_count("jobs", os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs)
     # Check values before any work.
-    as_count("videos", arguments.videos, least=0)
-    as_count("views", arguments.views, least=0)
-    as_count("reactive", arguments.reactive, least=0)
+    for name in ("videos", "views", "reactive"):
+        as_count(name, getattr(arguments, name), least=0)
     cases = [Case.parse(text) for text in arguments.video]
-    if shard is not None and (arguments.videos or cases or arguments.reactive):
-        raise InputError("--shard makes only a part of the table; it cannot take --videos, --video or --reactive")
+    if study.shard is not None and (arguments.videos or cases or arguments.reactive or arguments.merge):
+        raise InputError("--shard makes only a part of the table; it takes no --videos, --video, --reactive or --merge")
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
     cluster = contextlib.nullcontext() if arguments.scheduler is None else dask_executor(arguments.scheduler)
-    with cluster as executor, io.output_folder(arguments.output, "table") as directory:
+    # Several shards may grow one table.
+    folder = io.output_folder(arguments.output, "table", shared=study.shard is not None)
+    with cluster as executor, folder as directory:
         how: dict[str, Any] = {"jobs": jobs, "executor": executor, "console": to_stderr()}
         if executor is not None:
-            console.print(f"{executor.n_workers} workers at {arguments.scheduler}; cases wait for the first one")
-        summary, page = directory / "comparison.md", directory / "comparison.html"
-        _print_found(study)
-        table = compute(study, directory, **how)
-        if shard is not None:
-            wrote(table.csv)
+            console.print(f"cases wait for workers at {arguments.scheduler}")
+        if arguments.merge:
+            table = merge(directory, arguments.merge)
+        else:
+            _print_found(study)
+            table = compute(study, directory, **how)
+        if study.shard is not None:
+            wrote(table.path)
             return
-        with io.atomic_path(summary) as temporary:
-            write_summary(temporary, table, study.absent)
+        reactions = None
+        if arguments.reactive:
+            reactions = compute(
+                Reactions(study.arms, study.scenes, arguments.reactive, user_files=study.user_files), directory, **how
+            )
         controller = study.controllers[0]
         problems = choose_problems(table, arguments.views, controller)
         places = {f"{some[0].arm}, {some[0].scene}": some for some in problems}
         views = _shown("view", places, lambda some, **told: view(table, some, controller, **told))
-        filmed = {str(case): case for case in cases + choose_cases(table, arguments.videos)}
+        solved = itertools.chain(*choose_problems(table, arguments.videos, controller))
+        filmed = {str(case): case for case in (*cases, *itertools.islice(solved, arguments.videos))}
         clips = _shown("video", filmed, lambda case, **told: film(table, case, controller, **told))
-        line = shlex.join(["lieednn-sim", *arguments.words])
-        reactions, more = None, []
-        if arguments.reactive:
-            disturbed = Reactions(study.arms, study.scenes, arguments.reactive, user_files=study.user_files)
-            reactions = compute(disturbed, directory, **how)
-            more = [reactions.csv, directory / "reactions.md"]
-            with io.atomic_path(more[1]) as temporary:
-                write_reactions(temporary, reactions)
-        head = {"command": line, "date": arguments.date}
-        with io.atomic_path(page) as temporary:
-            write_page(temporary, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)
-    wrote(table.csv, summary, *more, page)
-
-
-def merge(arguments: argparse.Namespace) -> int:
-    """Merge the tables of shards, and write summary and page; returns 1 if cases are missing."""
-    line = shlex.join(["lieednn-sim", *arguments.words])
-    with io.output_folder(arguments.output, "table") as directory:
-        outputs = [directory / "comparison.md", directory / "comparison.html"]
-        merged = merge_shards(directory, arguments.folders)
-        with io.atomic_paths(outputs) as (summary, page):
-            write_summary(summary, merged.table, merged.absent)
-            write_page(page, merged.table, missing=merged.absent, command=line)
-    wrote(merged.table.csv, *outputs)
-    for shard, cases in sorted(merged.missing.items(), key=lambda one: one[0].number):
-        where = ", ".join(str(folder) for folder, there in merged.shards.items() if there == shard) or "in no folder"
-        console.print(f"shard {shard} ({where}) lacks {len(cases)} cases, such as {cases[0]}")
-    return 1 if merged.missing else 0
+        head = {"command": shlex.join(["lieednn-sim", *arguments.words]), "date": arguments.date}
+        outputs = [directory / name for name in _OUTPUTS if reactions is not None or not name.startswith("reactions")]
+        with io.atomic_paths(outputs) as (rows, summary, page, *more):
+            table.write_csv(rows)
+            write_summary(summary, table, study.absent)
+            write_page(page, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)
+            if reactions is not None:
+                reactions.write_csv(more[0])
+                write_reactions(more[1], reactions)
+    wrote(table.path, *outputs)
 
 
 def _listed(words: Sequence[str] | None) -> list[str]:

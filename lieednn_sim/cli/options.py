@@ -285,8 +285,13 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="address of the scheduler of a Dask cluster, whose workers run the cases instead of --jobs",
     )
+    parser.add_argument("--shard", metavar="K/N", help="run only the K-th of N parts of the cases")
     parser.add_argument(
-        "--shard", metavar="K/N", help="run only the K-th of N parts of the cases; 'merge' joins the parts"
+        "--merge",
+        nargs="+",
+        default=[],
+        metavar="FOLDER",
+        help="run nothing, but add the rows of the tables in other directories, such as those of --shard",
     )
     parser.add_argument(
         "--reactive",
@@ -312,30 +317,6 @@ def add_comparison(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--date", default="", metavar="TEXT", help="date to print at the top of the page (default: none)"
-    )
-
-
-def add_problems(parser: argparse.ArgumentParser) -> None:
-    """Options of ``problems``."""
-    parser.add_argument(
-        "folder", metavar="FOLDER", help="folder of one robot, with problems.tar.bz2 or problems/, a URDF and an SRDF"
-    )
-    parser.add_argument(
-        "--planners",
-        nargs="+",
-        default=["minimum-jerk,rrt-connect,lieednn-shaped"],
-        metavar="A,B,...",
-        help=f"any of {', '.join(PLANNERS)} (default: minimum-jerk,rrt-connect,lieednn-shaped)",
-    )
-    parser.add_argument(
-        "--problems", default="100", metavar="N", help="number of problems, taken evenly from all sets, or 'all'"
-    )
-    parser.add_argument(
-        "--time-budget", type=decimal, default=10.0, metavar="S", help="largest CPU time for one problem [s]"
-    )
-    parser.add_argument("--output", default="results/problems", metavar="DIR", help="directory of the table")
-    parser.add_argument(
-        "--jobs", type=whole, metavar="N", help="number of worker processes (default: one for each core)"
     )
 
 
