@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 import platform
 import sys
 from collections.abc import Iterator
 from importlib import metadata
+from json import dumps
 
 from rich.table import Table
 from rich.text import Text
@@ -59,8 +58,14 @@ def _extras() -> Iterator[tuple[str, str | None, str, str]]:
         yield library, _version(library), f"pip install 'lieednn_sim[{extra}]'", why
 
 
-def doctor(arguments: argparse.Namespace) -> int:
-    """Report on the installation; returns 1 when physics or rendering would not work."""
+def doctor(*, json: bool = False) -> int:
+    """Check the installation: versions, headless OpenGL, what is missing.
+
+    The exit code is 1 if physics or rendering does not work.
+
+    Args:
+        json: print JSON instead of a table.
+    """
     versions = {"lieednn-sim": _version("lieednn-sim"), "python": platform.python_version()}
     versions |= {name: _version(name) for name in _PACKAGES}
     extras = list(_extras())
@@ -74,9 +79,9 @@ def doctor(arguments: argparse.Namespace) -> int:
     packages = opengl.missing_packages()
     missing = [name for name, version in versions.items() if version is None]
     healthy = bool(arms) and not missing and backend.renders
-    if arguments.json:
+    if json:
         print(
-            json.dumps(
+            dumps(
                 {
                     "healthy": healthy,
                     "versions": versions,

@@ -2,59 +2,99 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import warnings
 from pathlib import Path
+from typing import Annotated, Any
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli.arguments import import_options, joint_position
+from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
+from lieednn_sim.cli.arguments import joint_position
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress
 from lieednn_sim.cli.interruption import say
+from lieednn_sim.cli.kinds import Directory, Joints
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.live import view as show
 from lieednn_sim.live.page import warning
 from lieednn_sim.simulation import Rollout
+from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.studies.comparison.together import replay_together
 from lieednn_sim.values import Floats
 
 
-def view(arguments: argparse.Namespace) -> None:
-    """Show the arm until Ctrl-C."""
+def view(
+    arm: str = "telescopic_pr",
+    *,
+    scene: str = "free",
+    scene_seed: int = 0,
+    run: Directory | None = None,
+    policy: str = "lieednn-shaped",
+    planner: str | None = None,
+    controller: str = "inverse-dynamics",
+    disturbances: Annotated[dict[str, Any], Disturbances, "payload", "mass_scale"],
+    target: Joints | None = None,
+    start: Joints = "home",
+    seed: int = 0,
+    port: int = 0,
+    host: str = "127.0.0.1",
+    browser: bool = True,
+    imported: Annotated[ImportOptions, import_arm],
+) -> None:
+    """Show an arm in the browser: drag its target, push it, change its policy and its load.
+
+    It needs the extra 'view' and runs until Ctrl-C. Only this machine can connect, unless --host is given.
+
+    Args:
+        arm: {arms}, or an MJCF, URDF or YAML file.
+        scene: obstacles: {scenes}, or an MJCF or YAML file.
+        scene_seed: seed of the obstacles' positions.
+        run: play a simulated run, or motions of a comparison; arm, scene, start and target are those of the run.
+        policy: {policies}.
+        planner: planner of the motions that the policies tracker and dmp follow (default: as for 'plan').
+        controller: {controllers}.
+        disturbances: of what the controller does not know.
+        target: first target, given as for 'plan' (default: extended; among obstacles, or without it, random: and the
+            seed).
+        start: joints at the start, given as for --target.
+        seed: seed of random draws.
+        port: port at which the page is served; 0 for any free one.
+        host: network address to listen at; 0.0.0.0 lets other machines connect.
+        browser: open a browser at the page's address, which is printed.
+        imported: how a model file is imported.
+    """
     rollouts: dict[str, Rollout] = {}
-    if arguments.run is None:
-        arm = Arm.load(arguments.arm, arguments.scene, arguments.scene_seed, **import_options(arguments))
-        print_import_report(arm)
-        target = None if arguments.target is None else joint_position(arm, arguments.target, "target")
-        start = joint_position(arm, arguments.start, "start")
+    if run is None:
+        shown = Arm.load(arm, scene, scene_seed, **imported)
+        print_import_report(shown)
+        goal = None if target is None else joint_position(shown, target, "target")
+        begin = joint_position(shown, start, "start")
     else:
-        rollouts, start = _recorded(arguments.run)
-        arm, target = (some := next(iter(rollouts.values()))).arm, some.target
-    if said := warning(arguments.host):
+        rollouts, begin = _recorded(run)
+        shown, goal = (some := next(iter(rollouts.values()))).arm, some.target
+    if said := warning(host):
         say(f"warning: {said}")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         page = show(
-            arm,
-            policy=arguments.policy,
-            planner=arguments.planner,
-            controller=arguments.controller,
-            payload=arguments.payload,
-            mass_scale=arguments.mass_scale,
-            target=target,
-            start=start,
+            shown,
+            policy=policy,
+            planner=planner,
+            controller=controller,
+            **disturbances,
+            target=goal,
+            start=begin,
             rollouts=rollouts,
-            seed=arguments.seed,
-            host=arguments.host,
-            port=arguments.port,
+            seed=seed,
+            host=host,
+            port=port,
             browser=False,
         )
     with page:
         console.print(f"view: {page.url} (Ctrl-C ends it)")
         sys.stdout.flush()
-        if not arguments.no_browser and _has_display():
+        if browser and _has_display():
             page.open()
         page.wait()
 
