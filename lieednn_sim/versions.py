@@ -22,10 +22,10 @@ _LEFT_OUT = (
     *("evaluation.display", "evaluation.figure_layout", "evaluation.plots", "studies.demonstrations.plots"),
     *("evaluation.plot_training", "studies.table", "filesystem", "manifest", "storage", "versions"),
     *("studies.cluster", "studies.study", "studies.comparison.merging", "studies.workers"),
-    *("studies.markdown", "errors", "registration", "validation"),
+    *("studies.markdown", "errors", "validation"),
 )
 _PACKAGE = "lieednn_sim"
-# Something in a module of the package, as in `planner_table`.
+# Something in a module of the package, as in `registry`.
 _PLACE = re.compile(r"([a-z_]+(?:\.[a-z_]+)+):\w+")
 
 

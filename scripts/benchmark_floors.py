@@ -21,7 +21,7 @@ from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, RenderingUnavailableError
-from lieednn_sim.planning import missing_planners, plan
+from lieednn_sim.planning import PLANNERS, plan
 from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.rendering import ffmpeg
@@ -123,7 +123,7 @@ def check_row(arm: Arm, seed: int, repeats: int) -> Row:
 
 def planning_rows(arms: list[Arm], seeds: int) -> list[Row]:
     """Time of plans of ``lieednn-certified`` in free space, in RRT-Connect's median; no row without OMPL."""
-    if "rrt-connect" in missing_planners():
+    if "rrt-connect" in PLANNERS.missing():
         return []
     times: dict[str, list[float]] = {"lieednn-certified": [], "rrt-connect": []}
     for arm in arms:

@@ -20,7 +20,7 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Plan, plan
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import ShapedOptions
-from lieednn_sim.policies import NetworkPolicy, make_policy, policies
+from lieednn_sim.policies import POLICIES, NetworkPolicy, make_policy
 from lieednn_sim.simulation import follow, simulate
 from lieednn_sim.synthesis import synthesize
 
@@ -90,7 +90,7 @@ def control_step_rows(arm: Arm) -> list[Row]:
 def policy_rows(arm: Arm) -> list[Row]:
     """Time of a step of every policy, over a run with its simulation."""
     target = draw_target(arm, 0)
-    made = {name: make_policy(name, arm, target) for name in policies()}
+    made = {name: make_policy(name, arm, target) for name in POLICIES}
     return [
         Row(f"step of policy {name}, {arm.name} [us]", (1e6 * follow(policy, target, 4.0).step_time).tolist())
         for name, policy in made.items()

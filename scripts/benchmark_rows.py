@@ -8,7 +8,7 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
-from lieednn_sim.planning import planners
+from lieednn_sim.planning import PLANNERS
 from lieednn_sim.studies import Case, Comparison, Row, Settings, Table, compute, write_summary
 from lieednn_sim.studies.comparison.rows import COLUMNS
 from lieednn_sim.studies.comparison.study import DEFAULT_CONTROLLERS
@@ -45,7 +45,7 @@ class _Made(Comparison):
         return _rows
 
     def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
-        names = list(planners())
+        names = list(PLANNERS)
         cases = [Case("telescopic_pr", "free", names[k % len(names)], k // len(names)) for k in range(self.count)]
         return [(case, list(DEFAULT_CONTROLLERS), self.common) for case in cases]
 

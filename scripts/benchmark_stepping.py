@@ -22,7 +22,7 @@ from lieednn_sim.environments.gymnasium import Environment, VectorEnvironment
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Disturbances, Rollout, Simulation, simulate, simulate_many
-from lieednn_sim.simulation.controllers import controllers
+from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference
 
@@ -36,7 +36,7 @@ _FLOORS = {_WHOLE: False, _BARE: True}
 def floor(arm: Arm, controller: str, followed: Rollout, bare: bool) -> Simulation:
     """A plant at the start of a rollout, with the controls of its first step, with or without visual geoms."""
     arm = arm.without_visuals if bare else arm
-    driver = controllers()[controller](arm, Reference.of(arm, followed.q_ref, followed.qd_ref))
+    driver = make_controller(controller, arm, Reference.of(arm, followed.q_ref, followed.qd_ref))
     plant = make_plant(arm, None, driver.add_bodies if driver.adds_bodies else None)
     driver.equip(plant)
     simulation = Simulation(arm, plant)

@@ -32,7 +32,7 @@ from lieednn_sim.arm import arm_names
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import FileError, LieEDNNError, NoSolutionError
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE, save_figure
-from lieednn_sim.planning import PLANNERS, missing_planners, plan
+from lieednn_sim.planning import PLANNERS, plan
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.studies.comparison.cases import arm_and_target
 from lieednn_sim.validation import as_choice, as_count
@@ -149,7 +149,7 @@ def plot(runs: Sequence[Run], path: Path) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Measure missing runs, and write all three files."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--planners", default=",".join(name for name in LADDERS if name not in missing_planners()))
+    parser.add_argument("--planners", default=",".join(name for name in LADDERS if name not in PLANNERS.missing()))
     parser.add_argument("--arms", default=",".join(arm_names()))
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--output", type=Path, default=Path("results/cost_over_time"))

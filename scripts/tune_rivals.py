@@ -25,7 +25,7 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.planning import PLANNERS, missing_planners, plan
+from lieednn_sim.planning import PLANNERS, plan
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.planning.options import PlannerOptions
 
@@ -122,7 +122,7 @@ def main(arguments: list[str] | None = None) -> None:
     if unknown := [name for name in chosen if name not in RIVALS]:
         parser.error(f"no rival with settings: {', '.join(unknown)}; allowed: {', '.join(RIVALS)}")
     for planner in chosen:
-        if (missing := missing_planners().get(planner)) is not None:
+        if (missing := PLANNERS.missing().get(planner)) is not None:
             print(f"{planner} is not installed: {missing}", flush=True)
             continue
         kind = PLANNERS[planner].options

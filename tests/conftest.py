@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
-from lieednn_sim import budget
+from lieednn_sim import budget, registry
 from lieednn_sim.rendering import opengl
 
 if TYPE_CHECKING:
@@ -110,6 +110,14 @@ _TWO_HINGES = """
   </worldbody>
 </mujoco>
 """
+
+
+@pytest.fixture
+def own_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test registers is gone after it, and the entry points of packages are looked for again."""
+    for kind in (registry.PLANNERS, registry.POLICIES, registry.CONTROLLERS):
+        monkeypatch.setattr(kind, "entries", dict(kind.entries))
+        monkeypatch.setattr(kind, "_searched", False)
 
 
 @pytest.fixture

@@ -153,7 +153,6 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Plan": lambda: ls.plan(thing("Arm"), 0.99 * home(), planner="minimum-jerk", duration=0.5, max_time_scale=20.0),
     "Motion": lambda: thing("Plan").motion,
     "Tube": lambda: planning.find_tube(thing("Arm"), ls.plan(thing("Arm"), home(), planner="linear-attractor")),
-    "Planner": lambda: planning.PLANNERS["minimum-jerk"],
     **{name: getattr(planning, name) for name in planning.__all__ if name.endswith("Options")},
     "PlannerOptions": planning.CertifiedOptions,
     "PlanningProblem": lambda: planning.PlanningProblem(thing("Arm"), home(), 0.99 * home(), 0.5),
@@ -189,7 +188,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "PolicyTask": lambda: policies.PolicyTask(thing("Arm"), home(), home()),
     "LoopReport": lambda: policies.control_loop(fresh("Policy"), home, lambda q, qd: None, home(), 0.02),
     "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), 1, None),
-    "Controller": lambda: simulation.CONTROLLERS["position-servo"](thing("Arm"), thing("Reference")),
+    "Controller": lambda: simulation.CONTROLLERS["position-servo"].load()(thing("Arm"), thing("Reference")),
     "Evaluation": lambda: ls.evaluate(thing("Rollout")),
     "Settings": lambda: studies.Settings(duration=0.5, hold=0.0),
     "Comparison": lambda: studies.Comparison(

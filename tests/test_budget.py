@@ -16,7 +16,7 @@ from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.budget import check_time, out_of_time, time_limit
 from lieednn_sim.cli import _parser, main
 from lieednn_sim.errors import InputError, OutOfTimeError, PlanError
-from lieednn_sim.planning import PLANNERS, CertifiedOptions, certified, missing_planners, plan
+from lieednn_sim.planning import PLANNERS, CertifiedOptions, certified, plan
 from lieednn_sim.planning.motion import least_duration
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.studies import Case, Comparison, Settings, run_case, write_summary
@@ -25,7 +25,7 @@ SPEC = Arm.load("telescopic_pr").spec.copy()
 # Motions of fewer samples are planned in less time.
 SPEC.option.timestep = 0.01
 ARM = Arm.from_spec(SPEC, Path("telescopic_pr.xml"), "telescopic_pr")
-INSTALLED = sorted(set(PLANNERS) - set(missing_planners()))
+INSTALLED = sorted(set(PLANNERS) - set(PLANNERS.missing()))
 
 
 @pytest.fixture

@@ -27,7 +27,8 @@ from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.safety_filter.filter import SafetyFilter
-from lieednn_sim.synthesis.bias import BIAS_RULES, bias_for
+from lieednn_sim.registry import BIAS_RULES
+from lieednn_sim.synthesis.bias import bias_for
 from lieednn_sim.theory import EquivariantLieEDNN, GroupLieEDNN, groups
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_shape
 
@@ -193,7 +194,7 @@ def test_networks(data, kind):
 
 
 @bounded(40)
-@given(st.sampled_from(BIAS_RULES), arrays(2, 6), positive, numbers)
+@given(st.sampled_from(list(BIAS_RULES)), arrays(2, 6), positive, numbers)
 def test_biases(rule, xi, bound, magnitude):
     with np.errstate(all="ignore"):
         outputs = np.tanh(xi)

@@ -23,8 +23,7 @@ GROUND = (
     "storage",
     "manifest",
     "budget",
-    "planner_table",
-    "registration",
+    "registry",
     "_blas",
     "_mujoco",
 )

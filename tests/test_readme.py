@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from lieednn_sim.cli import _parser
-from lieednn_sim.policies.registry import REGISTRY
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
@@ -48,6 +47,7 @@ COMMANDS = {
 }
 
 
+@pytest.mark.usefixtures("own_names")
 @pytest.mark.parametrize("page", PYTHON)
 def test_the_python_blocks_of_a_page_run_in_order(page, tmp_path, monkeypatch, capsys):
     code = "\n".join(block for _, block in PYTHON[page])
@@ -55,12 +55,9 @@ def test_the_python_blocks_of_a_page_run_in_order(page, tmp_path, monkeypatch, c
         if re.search(need, code, re.MULTILINE):
             pytest.importorskip(module)
     monkeypatch.chdir(tmp_path)
-    before, names = dict(REGISTRY.given), {"__name__": "__main__"}
-    try:
-        for line, block in PYTHON[page]:
-            exec(compile("\n" * line + block, ROOT / page, "exec"), names)
-    finally:
-        REGISTRY.forget(before)
+    names = {"__name__": "__main__"}
+    for line, block in PYTHON[page]:
+        exec(compile("\n" * line + block, ROOT / page, "exec"), names)
     # What a page prints is a success, unless it says otherwise.
     assert "False" not in capsys.readouterr().out or "# False" in code
 

@@ -22,7 +22,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.planning.baselines.primitives import DmpOptions
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.studies.demonstrations.models import RIVALS
+from lieednn_sim.registry import RIVALS
 from lieednn_sim.synthesis import ShapingOptions
 
 

@@ -23,10 +23,11 @@ from lieednn_sim.arm.importer.holding import Grasp, keep_from_last_link
 from lieednn_sim.arm.models import find_model, label_of, open_model
 from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.parsing import read_arm
-from lieednn_sim.arm.scenes import SCENES, add_obstacles
+from lieednn_sim.arm.scenes import add_obstacles
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.arm.visuals import discard_visuals, moves_alike
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
+from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import Seed, as_choice, as_floats, as_path, as_seed, quoted
 from lieednn_sim.values import Floats
 
@@ -38,7 +39,7 @@ class Arm(SerialArm):
     The base class `SerialArm` has its joint coordinates, limits and kinematics; this class adds obstacles and contacts.
 
     Attributes:
-        scene: name of the obstacles around it: one of `scenes.SCENES`, or the stem of their file.
+        scene: name of the obstacles around it: one of `registry.SCENES`, or the stem of their file.
         scene_seed: seed of the obstacles' positions.
         import_report: what the importer did, for a file without the package's conventions; otherwise None.
         clearance: distance that planned motions keep from contact, start and target included [m]; change it with
@@ -66,7 +67,7 @@ class Arm(SerialArm):
         Args:
             name: an arm of the package; or an MJCF or URDF file (see `from_xml`), optionally followed by its links as
                 in ``robot.urdf:wrist,tool``; or a YAML or JSON file that describes the import (`models.find_model`).
-            scene: a name of `scenes.SCENES`, or a file of obstacles (see `among`).
+            scene: a name of `registry.SCENES`, or a file of obstacles (see `among`).
             seed: seed of the obstacles' positions.
             options: import options for such a file (see `from_xml`).
 
@@ -148,7 +149,7 @@ class Arm(SerialArm):
         """This arm with the obstacles of a scene; itself for the scene ``"free"``.
 
         Args:
-            scene: a name of `scenes.SCENES`, or a file of obstacles with a suffix of `obstacles.SCENE_SUFFIXES` (see
+            scene: a name of `registry.SCENES`, or a file of obstacles with a suffix of `obstacles.SCENE_SUFFIXES` (see
                 `obstacles.load_obstacles`), whose stem becomes the arm's `scene`.
             seed: seed of the obstacles' positions, where these are random.
 

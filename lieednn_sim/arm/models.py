@@ -12,7 +12,8 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer import ImportOptions, ImportReport, import_arm
 from lieednn_sim.arm.importer.loading import read_model
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.validation import as_choice, as_path
+from lieednn_sim.registry import ARMS
+from lieednn_sim.validation import as_path
 
 # Suffixes of model files, and of files that describe an import; both tell a file from the name of an arm.
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
@@ -39,12 +40,14 @@ def models_directory() -> Path:
 
 def arm_names() -> list[str]:
     """Names of the arms that come with the package."""
-    return sorted(path.parent.name for path in models_directory().glob("*/scene.xml"))
+    folder = models_directory()
+    return [name for name in ARMS if (folder / name / "scene.xml").is_file()]
 
 
 def scene_path(arm: str) -> Path:
     """The scene file of an arm, or `InputError` listing the known arms."""
-    return models_directory() / as_choice("arm", arm, arm_names()) / "scene.xml"
+    ARMS.find(arm)
+    return models_directory() / arm / "scene.xml"
 
 
 def is_arm_file(text: str) -> bool:

@@ -15,10 +15,11 @@ from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, colliding
 from lieednn_sim.arm.fingerprint import model_fingerprint
 from lieednn_sim.arm.importer.floor import AUTO, FLOOR, NONE, add_plane, as_floor, collision_bits
 from lieednn_sim.arm.importer.loading import compile_spec, load_spec, unused
-from lieednn_sim.arm.scenes import GOAL_PREFIX, PREFIX, SCENES
+from lieednn_sim.arm.scenes import GOAL_PREFIX, PREFIX
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.filesystem import is_file
+from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, quoted
 from lieednn_sim.values import Floats
 

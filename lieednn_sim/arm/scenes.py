@@ -16,7 +16,8 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.contacts import colliding_geoms
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_choice, as_seed
+from lieednn_sim.registry import SCENES
+from lieednn_sim.validation import as_seed
 from lieednn_sim.values import Floats
 
 # Distance that every obstacle keeps from the arm at home [m].
@@ -83,17 +84,17 @@ def add_obstacles(spec: mujoco.MjSpec, arm: SerialArm, scene: str, seed: int = 0
     Raises:
         InputError: no such scene, a bad seed, or no place for the obstacles around this arm.
     """
-    as_choice("scene", scene, SCENES)
-    rng = np.random.default_rng([as_seed("seed", seed), SCENES.index(scene)])
+    entry = SCENES.find(scene)
+    rng = np.random.default_rng([as_seed("seed", seed), list(SCENES).index(scene)])
     if scene == "free":
         return
     room = _surroundings(arm)
     for name, colour in _MATERIALS.items():
         spec.add_material(name=name, rgba=colour, specular=0.25, shininess=0.35)
-    _OBSTACLES[scene](spec, spec.worldbody.add_body(name=f"{PREFIX}{scene}", **room.place), room, rng)
+    entry.load()(spec, spec.worldbody.add_body(name=f"{PREFIX}{scene}", **room.place), room, rng)
 
 
-def _window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
+def window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
     """A wall across x with an opening, which need not be in front of the tip at home."""
     s = room.scale
     thickness, width = 0.03 * s, 1.3 * s
@@ -134,7 +135,7 @@ def _window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng:
     _goal(body, 0, ((ends[0] + ends[1]) / 2.0, y, z), ((ends[1] - ends[0]) / 2.0, 0.5 * half[0], 0.5 * half[1]))
 
 
-def _shelf(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
+def shelf(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
     """A shelf of two columns and two rows, open towards the arm, which points into one compartment at home."""
     s = room.scale
     board = 0.015 * s
@@ -159,7 +160,7 @@ def _shelf(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.
         _goal(body, number, inside, (0.25 * depth, 0.2 * wide, 0.2 * high))
 
 
-def _poles(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
+def poles(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
     """Vertical poles in a sector of a ring, with gaps that the arm fits through."""
     s, wanted, trials = room.scale, 7, 60
     radius = s * rng.uniform(0.02, 0.04, trials)
@@ -184,11 +185,6 @@ def _poles(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.
         turned = side * 0.75
         middle = 0.68 * room.reach * np.array([np.cos(turned), np.sin(turned)])
         _goal(body, number, (*middle, room.tip[2]), (0.22 * room.reach, 0.3 * room.reach, 0.4 * s))
-
-
-# Functions that add the obstacles of a scene to a body; the index of a name is part of the seed.
-_OBSTACLES = {"window": _window, "shelf": _shelf, "poles": _poles}
-SCENES = ("free", *_OBSTACLES)
 
 
 def _pole_clearances(room: _Surroundings, spots: Floats, radius: Floats, half: float) -> Floats:

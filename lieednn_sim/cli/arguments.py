@@ -21,8 +21,8 @@ from lieednn_sim.cli.kinds import KINDS, ArgumentTypeError, Force, Joints, Point
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
+from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.rendering.video import check_rate, check_view, render_video
-from lieednn_sim.simulation import controllers
 from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_choice, as_positive, as_seed
@@ -187,7 +187,7 @@ class Simulating:
 
     def all_disturbances(self, arm: Arm) -> Disturbances:
         """The disturbances, with the pushes; checks the other options too."""
-        as_choice("controller", self.controller, controllers())
+        CONTROLLERS.find(self.controller)
         as_hold(self.hold)
         if self.reference_rate is not None:
             steps_of_rate("reference_rate", self.reference_rate, arm.timestep)

@@ -15,8 +15,7 @@ from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.manifest import Manifest
-from lieednn_sim.planning.registry import REGISTRY as PLANNER_REGISTRY
-from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
+from lieednn_sim.registry import CONTROLLERS, PLANNERS
 from lieednn_sim.studies import Case, Comparison, Settings, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
 from lieednn_sim.studies.comparison.merging import merge as merge_shards
@@ -139,7 +138,7 @@ def _print_found(study: Comparison) -> None:
                 f"arm {file.name}: {arm.n_links} links, {arm.n_joints} joints, from {file.source}", markup=False
             )
             print_import_report(arm)
-    others = PLANNER_REGISTRY.found(study.planners) + CONTROLLER_REGISTRY.found(study.controllers)
+    others = PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers)
     for line in others + describe_files(study.arms, study.scenes, study.user_files):
         console.print(line, markup=False)
 

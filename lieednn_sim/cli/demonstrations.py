@@ -19,7 +19,8 @@ from lieednn_sim.learning.demonstrations.alignment import goal_distance
 from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.manifest import Manifest
-from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models, family_deviation, models_table
+from lieednn_sim.registry import RIVALS
+from lieednn_sim.studies.demonstrations.models import ModelRow, compare_models, family_deviation, models_table
 from lieednn_sim.studies.demonstrations.plots import plot_field, plot_paths
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_choice, as_count, as_seed
@@ -39,7 +40,7 @@ def learn(arguments: argparse.Namespace) -> None:
     kind = as_choice("kind of plots", arguments.plots, PLOT_KINDS)
     rivals = [] if arguments.rivals in ("", "none") else arguments.rivals.split(",")
     for name in rivals:
-        as_choice("rival", name, RIVALS)
+        RIVALS.find(name)
     starts = as_count("starts", 1000 if arguments.starts is None else arguments.starts)
     seed = as_seed("seed", arguments.seed)
     options = ShapingOptions(rate=arguments.clock_rate)

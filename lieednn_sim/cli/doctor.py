@@ -14,7 +14,7 @@ from rich.text import Text
 from lieednn_sim.arm import arm_names
 from lieednn_sim.cli.console import console
 from lieednn_sim.errors import FileError
-from lieednn_sim.planner_table import PLANNERS
+from lieednn_sim.registry import LIBRARIES, install_command, purpose
 from lieednn_sim.rendering import opengl
 
 _PACKAGES = (
@@ -34,28 +34,13 @@ _PACKAGES = (
     "pyyaml",
     "threadpoolctl",
 )
-# Optional packages that not only planners need, the extra that installs them, and their purpose.
-_OTHERS = {
-    "toppra": ("timing", "the planned path in the least time, --fastest"),
-    "viser": ("view", "motions in a browser"),
-    "mjviser": ("view", "motions in a browser"),
-    "gymnasium": ("gymnasium", "Gymnasium environments"),
-    "onnx": ("onnx", "a network as a graph, network.to_onnx"),
-    "rosbags": ("ros2", "export --format ros2"),
-    "pyarrow": ("lerobot", "export --format lerobot, record"),
-    "rerun-sdk": ("rerun", "export --format rerun"),
-    "distributed": ("cluster", "comparisons on a Dask cluster"),
-}
 
 
 def _extras() -> Iterator[tuple[str, str | None, str, str]]:
     """Optional packages: name, version if installed, the command that installs it, and its purpose."""
-    of_planners = {library: (entry.extra, "") for entry in PLANNERS.values() for library in entry.libraries}
-    for library, (extra, purpose) in (of_planners | _OTHERS).items():
-        names = [name for name, entry in PLANNERS.items() if library in entry.libraries]
-        planners = f"planner{'s' * (len(names) > 1)} {', '.join(names)}" if names else ""
-        why = ", ".join(filter(None, (planners, purpose)))
-        yield library, _version(library), f"pip install 'lieednn_sim[{extra}]'", why
+    for module, library in LIBRARIES.items():
+        name = library.distribution or module
+        yield name, _version(name), install_command(module), purpose(module)
 
 
 def doctor(*, json: bool = False) -> int:
@@ -86,8 +71,8 @@ def doctor(*, json: bool = False) -> int:
                     "healthy": healthy,
                     "versions": versions,
                     "extras": {
-                        name: {"version": version, "install": install, "for": purpose}
-                        for name, version, install, purpose in extras
+                        name: {"version": version, "install": install, "for": use}
+                        for name, version, install, use in extras
                     },
                     "arms": arms,
                     "opengl": {"backend": backend.name, "source": backend.source, "detail": backend.detail},
@@ -101,8 +86,8 @@ def doctor(*, json: bool = False) -> int:
     table = Table(show_header=False, title="lieednn-sim doctor", title_justify="left")
     for name, version in versions.items():
         table.add_row(name, version or Text("missing", "red"))
-    for name, version, install, purpose in extras:
-        table.add_row(name, version or f"not installed (optional, for {purpose}): {install}")
+    for name, version, install, use in extras:
+        table.add_row(name, version or f"not installed (optional, for {use}): {install}")
     table.add_row("platform", f"{platform.system()} {platform.machine()}, {sys.executable}")
     table.add_row("arms", models)
     table.add_row("OpenGL backend", f"{backend.name} (by {backend.source})" if backend.renders else "none")

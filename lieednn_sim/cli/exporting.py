@@ -9,10 +9,10 @@ from lieednn_sim.cli.console import progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.exports import FORMATS
 from lieednn_sim.exports import export as export_sources
 from lieednn_sim.exports.recording import record
-from lieednn_sim.validation import as_choice, as_path
+from lieednn_sim.registry import FORMATS
+from lieednn_sim.validation import as_path
 
 
 def export(
@@ -37,8 +37,8 @@ def export(
             instead; for lerobot.
         recorded: the episodes.
     """
-    chosen = FORMATS[as_choice("format", format, FORMATS)]
-    chosen.require()
+    chosen = FORMATS.find(format)
+    FORMATS.require(format)
     if episodes is not None:
         _record(runs, format, output, episodes, recorded)
         return

@@ -12,12 +12,12 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import import_options, make_task
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, wrote
-from lieednn_sim.cli.names import RIVALS
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import DEMONSTRATED
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
+from lieednn_sim.registry import RIVALS
 from lieednn_sim.studies.demonstrations.joints import joints_table, motion_to, study_joints
 from lieednn_sim.studies.demonstrations.plots import plot_joint_paths
 from lieednn_sim.synthesis import ShapingOptions

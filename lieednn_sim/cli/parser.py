@@ -5,16 +5,16 @@ from __future__ import annotations
 import argparse
 import difflib
 import importlib
+import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
-from lieednn_sim.cli import names
+from lieednn_sim import registry
 from lieednn_sim.cli.kinds import KINDS
 from lieednn_sim.cli.signatures import Definition, Parameter, find, parameters
 from lieednn_sim.errors import InputError
-from lieednn_sim.planner_table import PLANNERS
 
 _PROGRAM = "lieednn-sim"
 
@@ -60,12 +60,12 @@ def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
 def _planner_help(words: Sequence[str]) -> str:
     """What ``--option`` takes for the planner that the words name, a line for each."""
     named = [after for word, after in zip(words, [*words[1:], ""], strict=True) if word == "--planner"]
-    planner = next((name for name in named if name in PLANNERS and PLANNERS[name].options), None)
-    if planner is None:
+    entry = next((registry.PLANNERS.entries[name] for name in named if name in registry.PLANNERS.entries), None)
+    if entry is None or not isinstance(entry.takes, str) or not entry.takes:
         return ""
-    options = find(f"lieednn_sim.{PLANNERS[planner].solve.partition(':')[0]}", PLANNERS[planner].options)
+    options = find(f"lieednn_sim.{entry.place.partition(':')[0]}", entry.takes)
     assert options is not None
-    return "\n".join([f"--option of {planner}:", *_settings(parameters(options))])
+    return "\n".join(["options of this planner, for --option:", *_settings(parameters(options))])
 
 
 def _settings(taken: Iterable[Parameter], within: str = "") -> Iterator[str]:
@@ -139,18 +139,10 @@ def _default(taken: Parameter) -> str:
 
 def _filled(text: str) -> str:
     """The text with the names of what there is in place of ``{planners}``, ``{arms}`` and so on."""
-    listed = {
-        "arms": names.ARMS,
-        "scenes": names.SCENES,
-        "controllers": names.CONTROLLERS,
-        "policies": names.POLICIES,
-        "algorithms": names.ALGORITHMS,
-        "formats": names.FORMATS,
-        "rivals": names.RIVALS,
-    }
-    text = text.replace("{planners}", "".join(f"\n{name}: {entry.help}" for name, entry in PLANNERS.items()))
-    for name, entries in listed.items():
-        text = text.replace(f"{{{name}}}", ", ".join(entries))
+    for name in re.findall(r"\{(\w+)\}", text):
+        entries = getattr(registry, name.upper()).entries
+        lines = "".join(f"\n{each}: {entry.help}" for each, entry in entries.items())
+        text = text.replace(f"{{{name}}}", lines if name == "planners" else ", ".join(entries))
     return text.replace("%", "%%")
 
 

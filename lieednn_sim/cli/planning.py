@@ -16,12 +16,12 @@ from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import rounded, table
-from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner, plan, planners, require_planner
+from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner, plan
 from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.shaped import ShapedDetails
-from lieednn_sim.validation import as_choice
+from lieednn_sim.registry import PLANNERS
 
 
 def make_plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) -> None:
@@ -79,14 +79,14 @@ def _planner(arm: Arm, planning: Planning) -> tuple[str, str]:
     name, reason = default_planner(arm) if planning.planner is None else (planning.planner, "asked for")
     if planning.planner is None and planning.keep is not None:
         name, reason = OBSTACLE_PLANNER, "the default where a region is kept"
-    as_choice("planner", name, planners())
-    require_planner(name)
+    PLANNERS.find(name)
+    PLANNERS.require(name)
     return name, reason
 
 
 def _options(planner: str, texts: Sequence[str]) -> PlannerOptions | None:
     """Options of a planner from ``NAME=VALUE``; None for a planner without options."""
-    kind = planners()[planner].options
+    kind = PLANNERS[planner].options
     if kind is None:
         if texts:
             raise InputError(f"the planner {planner} has no options, got {texts[0]!r}")

@@ -35,11 +35,8 @@ from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.synthesis import bias_for
-from lieednn_sim.validation import as_choice, as_count, as_positive
+from lieednn_sim.validation import as_count, as_positive
 from lieednn_sim.values import Floats
-
-# Algorithms on the manifold, and whether with a certificate; without checkpoints, since they take seconds.
-RIEMANNIAN = {"riemannian": False, "stability-aware": True}
 
 # Options stored in the task.
 _OPTIONS = ("algorithm", "period", "epochs", "tolerance", "bias", "bias_magnitude", "candidates")
@@ -167,17 +164,16 @@ def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:
 def _learner(options: Mapping[str, Any], xi: Floats, checkpoint: Path) -> Learner:
     """A function that learns a network from a seed, with a progress bar."""
     asked = argparse.Namespace(**options)
-    name = as_choice("algorithm", asked.algorithm, [*ALGORITHMS, *RIEMANNIAN])
+    make = ALGORITHMS.find(asked.algorithm).load()
     changes = {"period": asked.period, "max_epochs": asked.epochs, "tolerance": asked.tolerance}
+    given = {key: value for key, value in changes.items() if value is not None}
     learn: Callable[..., TrainingResult]
-    if name not in RIEMANNIAN:
-        algorithm = ALGORITHMS[name](**{key: value for key, value in changes.items() if value is not None})
-        learn = functools.partial(projected_train, xi, algorithm, checkpoint=checkpoint)
-    elif asked.period is not None or asked.epochs is not None:
-        raise InputError(f"--period and --epochs are for the algorithms {', '.join(ALGORITHMS)}, not for {name}")
+    if not isinstance(make(), RiemannianOptions):
+        learn = functools.partial(projected_train, xi, make(**given), checkpoint=checkpoint)
+    elif len(given) > 1:
+        raise InputError(f"--period and --epochs are for the algorithms of the paper, not for {asked.algorithm}")
     else:
-        riemannian = RiemannianOptions(certified=RIEMANNIAN[name], tolerance=asked.tolerance)
-        learn = functools.partial(train_riemannian, xi, riemannian)
+        learn = functools.partial(train_riemannian, xi, make(**given))
     bias = _bias(xi, asked)
 
     def learner(seed: int, **resume: bool) -> TrainingResult:

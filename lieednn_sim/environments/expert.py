@@ -10,10 +10,11 @@ from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import Track
 from lieednn_sim.environments.trajectories import planned
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning import OBSTACLE_PLANNER, planners, require_planner
-from lieednn_sim.policies import MotionTracker, Policy, make_policy, policies
+from lieednn_sim.planning import OBSTACLE_PLANNER
+from lieednn_sim.policies import MotionTracker, Policy, make_policy
+from lieednn_sim.registry import PLANNERS, POLICIES
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import Seed, as_choice, as_count, as_seed
+from lieednn_sim.validation import Seed, as_count, as_seed
 from lieednn_sim.values import Floats
 
 __all__ = ["Expert"]
@@ -63,12 +64,14 @@ class Expert:
         if policy is not None and planner is not None:
             raise InputError(f"give a policy or a planner, got {policy!r} and {planner!r}")
         self._task = task
-        self._kind = None if policy is None else as_choice("policy", policy, policies())
+        if policy is not None:
+            POLICIES.find(policy)
+        self._kind = policy
         if planner is None and task.arm.scene != "free":
             planner = OBSTACLE_PLANNER
-        self._planner = None if planner is None else as_choice("planner", planner, planners())
-        if self._planner is not None and self._kind is None:
-            require_planner(self._planner)
+        if planner is not None and policy is None:
+            PLANNERS.require(planner)
+        self._planner = planner
         self._n_networks = as_count("n_networks", n_networks)
         self._seed = as_seed("seed", seed)
         self._episode, self._periods = 0, 0

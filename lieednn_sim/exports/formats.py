@@ -1,13 +1,11 @@
-"""The table of formats, and the function that writes any of them."""
+"""The function that writes any format, and what the writers share."""
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,40 +13,12 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from lieednn_sim import filesystem
-from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.errors import InputError
 from lieednn_sim.manifest import Manifest
 from lieednn_sim.planning.motion import steps_of_rate
+from lieednn_sim.registry import FORMATS
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.validation import as_choice, as_path, quoted
-
-
-class Format(NamedTuple):
-    """A format of another tool.
-
-    Attributes:
-        help: what is written.
-        module: the module of `lieednn_sim.exports` whose function ``write`` writes it.
-        library: the library that it needs, if any.
-        extra: the extra of this package that installs the library.
-        of_comparison: whether it holds the table of a comparison; otherwise it holds rollouts.
-    """
-
-    help: str
-    module: str
-    library: str = ""
-    extra: str = ""
-    of_comparison: bool = False
-
-    def require(self) -> None:
-        """Raise `LieEDNNError` if the library is not installed; the message says what to do."""
-        if self.library and importlib.util.find_spec(self.library) is None:
-            raise LieEDNNError(f"this format needs {self.library}: pip install 'lieednn_sim[{self.extra}]'")
-
-    @property
-    def write(self) -> Callable[..., None]:
-        """Function of the sources by name, a folder, and further options, which writes files into the folder."""
-        self.require()
-        return importlib.import_module(f"lieednn_sim.exports.{self.module}").write
+from lieednn_sim.validation import as_path, quoted
 
 
 class Episode(NamedTuple):
@@ -61,15 +31,6 @@ class Episode(NamedTuple):
 
     frames: Mapping[str, NDArray[Any]]
     about: Mapping[str, Any]
-
-
-FORMATS: Mapping[str, Format] = {
-    "csv": Format("a table of time, joints and end effector", "csv_table"),
-    "ros2": Format("a JointTrajectory as YAML, and a bag in MCAP", "ros2", "rosbags", "ros2"),
-    "plannerarena": Format("OMPL's benchmark logs of a comparison", "planner_arena", of_comparison=True),
-    "lerobot": Format("a data set of LeRobot with one episode for each run", "lerobot", "pyarrow", "lerobot"),
-    "rerun": Format("a recording of the moving arm and of curves over time", "rerun_recording", "rerun", "rerun"),
-}
 
 
 def export(
@@ -100,7 +61,8 @@ def export(
         FileError: the files cannot be written, or one of that name is there that this package did not make.
         LieEDNNError: a library that the format needs is not installed.
     """
-    chosen = FORMATS[as_choice("format", format, FORMATS)]
+    chosen = FORMATS.find(format)
+    FORMATS.require(format)
     kinds: Any
     kinds, wanted, alone = Rollout, "a rollout", "motion"
     if chosen.of_comparison:
@@ -116,7 +78,7 @@ def export(
         check_name(name)
     more = {} if chosen.of_comparison else {"rate": rate}
     with exporting(directory) as (folder, written):
-        chosen.write(sources, folder, **more)
+        chosen.load()(sources, folder, **more)
     return written
 
 

@@ -15,8 +15,9 @@ from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import NoSolutionError, NotCertifiedError, PlanError
-from lieednn_sim.exports.formats import FORMATS, Episode, exporting
+from lieednn_sim.exports.formats import Episode, exporting
 from lieednn_sim.manifest import Manifest
+from lieednn_sim.registry import FORMATS
 from lieednn_sim.validation import Seed, as_count, as_seed
 from lieednn_sim.values import Floats
 
@@ -69,7 +70,7 @@ def record(
         LieEDNNError: pyarrow is not installed.
     """
     wanted, first = as_count("episodes", episodes, most=_MOST), as_seed("seed", seed)
-    FORMATS["lerobot"].require()
+    FORMATS.require("lerobot")
     dataset = importlib.import_module("lieednn_sim.exports.lerobot")
     task = make_task("reach", arm, scene=scene, scene_seed=scene_seed)
     expert = Expert(task, planner=planner)

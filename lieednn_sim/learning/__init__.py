@@ -6,11 +6,12 @@ motions is in `lieednn_sim.learning.demonstrations`.
 """
 
 from lieednn_sim.learning.history import History
-from lieednn_sim.learning.options import ALGORITHMS, RiemannianOptions, TrainingOptions
+from lieednn_sim.learning.options import RiemannianOptions, TrainingOptions
 from lieednn_sim.learning.projected import train
 from lieednn_sim.learning.result import StopReason, TrainingResult
 from lieednn_sim.learning.riemannian import train_riemannian
 from lieednn_sim.learning.sensitivity import Sensitivity, sensitivity
+from lieednn_sim.registry import ALGORITHMS
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [

@@ -189,10 +189,7 @@ class RiemannianOptions:
             raise InputError(f"barrier must lie below 1, where the certificate ends, got {self.barrier:g}")
         check_rates(self.initial_rate, (self.min_rate, self.max_rate), grow=self.grow, shrink=self.shrink)
 
-
-#: Functions that return the settings of each learning algorithm, by the name that the command line uses.
-ALGORITHMS = {
-    "literal": TrainingOptions.literal,
-    "repaired": TrainingOptions.repaired,
-    "tracked": TrainingOptions.tracked,
-}
+    @classmethod
+    def stability_aware(cls, **changes: Any) -> RiemannianOptions:
+        """A certificate of global stability is learned along with the weights."""
+        return cls(**{"certified": True, **changes})

@@ -15,8 +15,7 @@ from lieednn_sim.live.session import SPEEDS, Session
 from lieednn_sim.live.settings import PLANNED, ready_planners
 from lieednn_sim.live.snapshot import Snapshot
 from lieednn_sim.live.status import status
-from lieednn_sim.policies import policies
-from lieednn_sim.simulation import controllers
+from lieednn_sim.registry import CONTROLLERS, POLICIES
 from lieednn_sim.values import Floats
 
 _DIRECTIONS = {
@@ -100,7 +99,7 @@ class Panel:
     def _menus(self) -> None:
         gui, wanted = self._server.gui, self._session.wanted
         menus = {
-            "policy": gui.add_dropdown("policy", tuple(policies()), initial_value=wanted.policy),
+            "policy": gui.add_dropdown("policy", tuple(POLICIES), initial_value=wanted.policy),
             "planner": gui.add_dropdown(
                 "planner",
                 ready_planners(),
@@ -109,7 +108,7 @@ class Panel:
             ),
             "rho": gui.add_slider("rho", 0.05, 1.0, step=0.05, initial_value=wanted.rho, hint="of lieednn-shaped"),
             "filtered": gui.add_checkbox("safety filter", wanted.filtered),
-            "controller": gui.add_dropdown("controller", tuple(controllers()), initial_value=wanted.controller),
+            "controller": gui.add_dropdown("controller", tuple(CONTROLLERS), initial_value=wanted.controller),
             "payload": gui.add_slider("payload kg", 0.0, 5.0, step=0.25, initial_value=wanted.payload),
             "mass_scale": gui.add_slider("mass scale", 0.5, 2.0, step=0.05, initial_value=wanted.mass_scale),
         }

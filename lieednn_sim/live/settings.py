@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lieednn_sim.planning import missing_planners, planners
-from lieednn_sim.policies import policies
-from lieednn_sim.simulation import Disturbances, controllers
-from lieednn_sim.validation import as_choice, as_positive
+from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
+from lieednn_sim.simulation import Disturbances
+from lieednn_sim.validation import as_positive
 from lieednn_sim.values import check_fields
 
 # Policies that follow or imitate a planned motion.
@@ -16,8 +15,7 @@ PLANNED = ("tracker", "dmp")
 
 def ready_planners() -> tuple[str, ...]:
     """Names of the planners whose libraries are installed, for menus."""
-    missing = missing_planners()
-    return tuple(name for name in planners() if name not in missing)
+    return tuple(name for name in PLANNERS if not PLANNERS[name].install)
 
 
 @dataclass(frozen=True)
@@ -46,9 +44,9 @@ class Settings:
     mass_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        as_choice("policy", self.policy, policies())
-        as_choice("planner", self.planner, planners())
-        as_choice("controller", self.controller, controllers())
+        POLICIES.find(self.policy)
+        PLANNERS.find(self.planner)
+        CONTROLLERS.find(self.controller)
         check_fields(self, as_positive, "rho")
         self.disturbances  # noqa: B018 (checks the numbers)
 

@@ -10,7 +10,6 @@ from lieednn_sim.planning.baselines.qshnn import QshnnOptions
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, RrtStarOptions
 from lieednn_sim.planning.baselines.stomp import StompOptions
 from lieednn_sim.planning.certified import CertifiedOptions
-from lieednn_sim.planning.extras import missing_planners, require_planner
 from lieednn_sim.planning.filtered_planners import FilteredOptions, GuidedOptions
 from lieednn_sim.planning.in_model import ModelPlan, plan_in
 from lieednn_sim.planning.joint_space import joint_motion
@@ -22,22 +21,15 @@ from lieednn_sim.planning.network_planners import (
     UnprojectedOptions,
     reference_network,
 )
+from lieednn_sim.planning.planners import OBSTACLE_PLANNER, default_planner, plan, register_planner
 from lieednn_sim.planning.problem import Plan, PlanningProblem
-from lieednn_sim.planning.registry import (
-    OBSTACLE_PLANNER,
-    PLANNERS,
-    Planner,
-    default_planner,
-    plan,
-    planners,
-    register_planner,
-)
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.planning.sequence import PlanSequence, SequencePart, plan_sequence
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.planning.steps import Actuate, Move
 from lieednn_sim.planning.teachers import TeacherOptions
 from lieednn_sim.planning.tube import Tube, find_tube
+from lieednn_sim.registry import PLANNERS
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
@@ -55,7 +47,6 @@ __all__ = [
     "OptimisationOptions",
     "Plan",
     "PlanSequence",
-    "Planner",
     "PlanningProblem",
     "QshnnOptions",
     "RetargetedOptions",
@@ -71,14 +62,11 @@ __all__ = [
     "default_planner",
     "find_tube",
     "joint_motion",
-    "missing_planners",
     "plan",
     "plan_in",
     "plan_sequence",
-    "planners",
     "reference_network",
     "register_planner",
-    "require_planner",
     "retime",
 ]
 

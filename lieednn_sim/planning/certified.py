@@ -21,8 +21,8 @@ from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, least_duration
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
-from lieednn_sim.synthesis import BIAS_RULES, Synthesis, synthesize, synthesize_many
-from lieednn_sim.validation import as_choice
+from lieednn_sim.registry import BIAS_RULES
+from lieednn_sim.synthesis import Synthesis, synthesize, synthesize_many
 from lieednn_sim.values import Floats, frozen
 
 # The stronger the bias, the less the weights have to do and the straighter the transient; tried in turn.
@@ -89,7 +89,7 @@ class CertifiedOptions(CandidateOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        as_choice("bias rule", self.bias, BIAS_RULES)
+        BIAS_RULES.find(self.bias)
 
 
 @frozen

@@ -21,12 +21,12 @@ from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.sampling import SearchOptions
 from lieednn_sim.planning.certified import CandidateOptions, rough_trajectories
-from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.joint_space import Workspace, joint_scale
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.problem import Plan, PlanningProblem
 from lieednn_sim.planning.safety_filter import FilteredRun, FilterOptions, run_filtered
 from lieednn_sim.planning.time_laws import minimum_jerk_law
+from lieednn_sim.registry import optional_module
 from lieednn_sim.synthesis import synthesize
 from lieednn_sim.values import Floats
 

@@ -19,8 +19,8 @@ from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.goals import single_goals
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE
 from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.planners import OBSTACLE_PLANNER, plan
 from lieednn_sim.planning.problem import Plan
-from lieednn_sim.planning.registry import OBSTACLE_PLANNER, plan
 from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 

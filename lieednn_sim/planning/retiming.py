@@ -18,9 +18,9 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_splin
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError, TooFastError
-from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.planning.motion import Motion, check_motion, count_steps, rates_and_limits
+from lieednn_sim.registry import optional_module
 
 # Pieces of the path, of equal length, with one acceleration of the law on each.
 _PIECES = 1000

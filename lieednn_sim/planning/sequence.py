@@ -20,8 +20,8 @@ from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning.in_model import plan_in
 from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.planners import OBSTACLE_PLANNER
 from lieednn_sim.planning.problem import Plan
-from lieednn_sim.planning.registry import OBSTACLE_PLANNER
 from lieednn_sim.planning.steps import Actuate, Gripping, Move
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats, frozen

@@ -10,20 +10,15 @@ from lieednn_sim.policies.feedback import Feedback
 from lieednn_sim.policies.filtered import FilteredPolicy
 from lieednn_sim.policies.joint_policy import JointPolicy
 from lieednn_sim.policies.loop import LoopReport, control_loop
+from lieednn_sim.policies.making import make_policy, register_policy
 from lieednn_sim.policies.network_policy import NetworkPolicy
+from lieednn_sim.policies.networks import CertifiedPolicyOptions
 from lieednn_sim.policies.path_integral import PathIntegral, PathIntegralOptions
 from lieednn_sim.policies.primitive import MovementPrimitive, PrimitiveOptions
-from lieednn_sim.policies.registry import (
-    POLICIES,
-    CertifiedPolicyOptions,
-    PolicyKind,
-    PolicyTask,
-    make_policy,
-    policies,
-    register_policy,
-)
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
+from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.policies.tracker import MotionTracker
+from lieednn_sim.registry import POLICIES
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
@@ -41,14 +36,12 @@ __all__ = [
     "PathIntegral",
     "PathIntegralOptions",
     "Policy",
-    "PolicyKind",
     "PolicyTask",
     "PrimitiveOptions",
     "ReplanningOptions",
     "ReplanningPolicy",
     "control_loop",
     "make_policy",
-    "policies",
     "register_policy",
 ]
 

@@ -12,6 +12,7 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.joint_policy import JointPolicy
+from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.values import Floats
 
 
@@ -101,3 +102,8 @@ class Fabric(JointPolicy):
         """Distances of pairs that are near [m]."""
         near = self._collisions.distances(q, self._options.near)
         return {(a, b): float(d) for (a, b), d in zip(near.pairs.tolist(), near.distance, strict=True)}
+
+
+def fabric(task: PolicyTask, options: FabricOptions) -> Fabric:
+    """The fabric of a task, which needs no motion."""
+    return Fabric(task.arm, task.rate, options=options, feedback=task.feedback)

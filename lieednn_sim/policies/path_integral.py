@@ -23,6 +23,7 @@ from lieednn_sim.arm.contacts import move_bodies, moving_geoms
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.joint_policy import JointPolicy
+from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats
 
@@ -222,3 +223,15 @@ class PathIntegral(JointPolicy):
     def _at(self, times: Floats) -> Floats:
         """Interpolation matrix from the knots to times ``(m,)``, constant after the last knot."""
         return np.array([np.interp(times, self._knots, unit) for unit in np.eye(_KNOTS)]).T
+
+
+def path_integral(task: PolicyTask, options: PathIntegralOptions) -> PathIntegral:
+    """The controller of a task, which needs no motion."""
+    return PathIntegral(
+        task.arm,
+        task.rate,
+        convergence_rate=task.convergence_rate,
+        options=options,
+        feedback=task.feedback,
+        seed=task.seed,
+    )

@@ -16,6 +16,7 @@ from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.joint_policy import JointPolicy
+from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.values import Floats
 
 
@@ -94,3 +95,8 @@ class MovementPrimitive(JointPolicy):
 
     def _features(self, x: Floats) -> Floats:
         return forcing(self._options.basis_functions, x, self._options.decay)
+
+
+def primitive(task: PolicyTask, options: PrimitiveOptions) -> MovementPrimitive:
+    """The primitive that imitates the task's motion."""
+    return MovementPrimitive(task.arm, task.motion, task.rate, options=options, feedback=task.feedback)

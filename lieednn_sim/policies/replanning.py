@@ -26,6 +26,7 @@ from lieednn_sim.planning.transition import along, straight
 from lieednn_sim.policies.coded_policy import RESTS, CodedPolicy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.surroundings import PathSearch, Surroundings
+from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
 
@@ -262,3 +263,10 @@ class ReplanningPolicy(CodedPolicy):
                     self._ends_at, self._search, self._path, busy = math.inf, None, None, False
         if math.isfinite(self._ends_at) and not busy:
             self._turn(goal)
+
+
+def replanning(task: PolicyTask, options: ReplanningOptions) -> ReplanningPolicy:
+    """The policy that begins with the task's motion."""
+    return ReplanningPolicy(
+        task.arm, task.rate, motion=task.motion, options=options, feedback=task.feedback, seed=task.seed
+    )

@@ -9,6 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.policies.base import Policy
+from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.values import Floats
 
 # Largest distance of a motion's beginning from where the arm is, as a fraction of a joint's range.
@@ -61,3 +62,8 @@ class MotionTracker(Policy):
     def message(self) -> str:
         """See `Policy`."""
         return "has ended" if self._row == len(self._rows[0]) - 1 else "moves"
+
+
+def tracker(task: PolicyTask) -> MotionTracker:
+    """The policy that plays the task's motion."""
+    return MotionTracker(task.arm, task.motion, task.rate)

@@ -4,7 +4,8 @@
 policy, and `run_in` plays a plan in a model that somebody else made. Each returns the log of what happened.
 """
 
-from lieednn_sim.simulation.controllers import CONTROLLERS, controllers, register_controller
+from lieednn_sim.registry import CONTROLLERS
+from lieednn_sim.simulation.controllers import register_controller
 from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.following import Following, follow
@@ -32,7 +33,6 @@ __all__ = [
     "Rollout",
     "Rollouts",
     "Simulation",
-    "controllers",
     "follow",
     "register_controller",
     "run_in",

@@ -17,14 +17,15 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.simulation.controllers import controllers
+from lieednn_sim.registry import CONTROLLERS
+from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.simulation.tracking import as_hold, as_motion, as_reference, joined, scaled, simulate
-from lieednn_sim.validation import as_choice, as_count, as_positive, as_workers
+from lieednn_sim.validation import as_count, as_positive, as_workers
 from lieednn_sim.values import Floats, frozen
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -104,8 +105,8 @@ def simulate_many(
         raise InputError("motions must hold at least one motion or plan")
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
-    known, bare, changes = controllers(), arm.without_visuals, scaled(disturbances, mass_scale)
-    make = known[as_choice("controller", controller, known)]
+    bare, changes = arm.without_visuals, scaled(disturbances, mass_scale)
+    CONTROLLERS.find(controller)  # before the work
     settings = {"controller": controller, "reference_rate": rate, "disturbances": changes}
     q = np.full((len(chosen), total, arm.n_joints), np.nan)
     qd, ctrl = q.copy(), np.full((len(chosen), total, arm.model.nu), np.nan)
@@ -118,7 +119,7 @@ def simulate_many(
             own.reference.become(reference)
         else:
             # Once per thread: setting up a controller takes long and is the same for every motion.
-            own.reference, own.driver = reference, make(bare, reference)
+            own.reference, own.driver = reference, make_controller(controller, bare, reference)
             plant = make_plant(bare, changes, own.driver.add_bodies if own.driver.adds_bodies else None)
             own.driver.equip(plant)
             own.simulation = Simulation(bare, plant, disturbances=changes)

@@ -17,7 +17,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.simulation.controllers import controllers
+from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.simulation.disturbances import Disturbances, tangent_basis
 from lieednn_sim.simulation.log import Log
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
@@ -196,7 +196,7 @@ class Rollout:
                 arm=arm,
                 motion=motion,
                 motion_end=float(meta["motion_end"]),
-                controller=as_choice("controller", meta["controller"], controllers()),
+                controller=as_choice("controller", meta["controller"], CONTROLLERS),
                 reference_rate=None if rate is None else float(rate),
                 disturbances=Disturbances.from_json(meta["disturbances"]),
                 channels=channels,

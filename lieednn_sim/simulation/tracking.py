@@ -17,7 +17,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Plan
 from lieednn_sim.planning.motion import Motion, steps_of_rate
-from lieednn_sim.simulation.controllers import controllers
+from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.log import ChannelSource, Log
@@ -25,7 +25,7 @@ from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.simulation.rollout import Rollout, as_rollout
 from lieednn_sim.simulation.simulation import Simulation
-from lieednn_sim.validation import as_choice, as_floats, as_positive
+from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
 # Largest time after the motion [s]: a longer one is an error of units, and would take gigabytes.
@@ -36,8 +36,8 @@ def make_controlled(
     arm: Arm, controller: str, reference: Reference, disturbances: Disturbances
 ) -> tuple[Controller, Simulation]:
     """A controller by name, and the simulation of the plant that it drives, without visual geoms."""
-    known, bare = controllers(), arm.without_visuals
-    driver = known[as_choice("controller", controller, known)](bare, reference)
+    bare = arm.without_visuals
+    driver = make_controller(controller, bare, reference)
     plant = make_plant(bare, disturbances, driver.add_bodies if driver.adds_bodies else None)
     driver.equip(plant)
     return driver, Simulation(arm, plant, disturbances=disturbances)

@@ -26,9 +26,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.planning.registry import REGISTRY as PLANNER_REGISTRY
-from lieednn_sim.policies.registry import REGISTRY as POLICY_REGISTRY
-from lieednn_sim.simulation.controllers import REGISTRY as CONTROLLER_REGISTRY
+from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
 
 # Tasks submitted at once: enough for a cluster, while memory does not grow with the study.
 _AHEAD = 4096
@@ -194,8 +192,8 @@ def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:
 
 def _modules() -> list[str]:
     """Modules of the user's planners, policies and controllers, which workers must import to register these."""
-    others = [one for kind in (PLANNER_REGISTRY, POLICY_REGISTRY, CONTROLLER_REGISTRY) for one in kind.given.values()]
-    return sorted({str(one.__module__) for one in others} - {"__main__"})
+    entries = [entry for kind in (PLANNERS, POLICIES, CONTROLLERS) for entry in kind.entries.values()]
+    return sorted({str(entry.place.__module__) for entry in entries if not entry.own} - {"__main__"})
 
 
 def _prepare_worker(modules: Sequence[str]) -> None:

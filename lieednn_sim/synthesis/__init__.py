@@ -5,8 +5,9 @@ end, by hidden neurons. `CurveEncoder` has one network for all curves, and encod
 hidden neurons start.
 """
 
+from lieednn_sim.registry import BIAS_RULES
 from lieednn_sim.synthesis.attempts import RESIDUAL_TOLERANCE
-from lieednn_sim.synthesis.bias import BIAS_RULES, bias_for
+from lieednn_sim.synthesis.bias import bias_for
 from lieednn_sim.synthesis.certified import synthesize, synthesize_many
 from lieednn_sim.synthesis.result import Synthesis
 from lieednn_sim.synthesis.shaping import CurveEncoder, Shaping, ShapingOptions, shape

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import brentq
 
-from lieednn_sim.validation import as_choice, as_floats, as_positive
+from lieednn_sim.registry import BIAS_RULES
+from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
-
-#: Rules for choosing a network's bias, see `bias_for`.
-BIAS_RULES = ("uniform", "sign-matched", "solved")
 
 # Rotations drive translations through t poorly when all their coordinates are below this [rad] ...
 _SMALL_ROTATION = 0.6
@@ -30,7 +28,7 @@ def bias_for(rule: str, xi: Floats, outputs: Floats, bound: float, magnitude: fl
       needs it, see `_least_strength`, for each part of `equation_columns`.
     - ``"solved"``: the bias that makes ``xi`` the equilibrium of weights drawn without regard to it; it starts at zero.
     """
-    as_choice("bias rule", rule, BIAS_RULES)
+    BIAS_RULES.find(rule)
     xi = as_floats("xi", xi, ("N", 6))
     outputs, bound = as_floats("outputs", outputs, xi.shape), as_positive("bound", bound)
     magnitude = float(as_floats("magnitude", magnitude, ()))

@@ -37,7 +37,7 @@ def target(seed: int) -> np.ndarray:
 def trained(algorithm: str, changes: dict[str, Any], seed: int) -> Outcome:
     """Projective learning in one of its variants."""
     with threadpool_limits(1, "blas"):
-        options = ALGORITHMS[algorithm](**changes)
+        options = ALGORITHMS[algorithm].load()(**changes)
         return _training(*_timed(lambda: train(target(seed), options, bias=BIAS, seed=seed)), seed)
 
 

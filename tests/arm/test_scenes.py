@@ -6,9 +6,10 @@ import pytest
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.arm.scenes import GOAL_PREFIX, HOME_CLEARANCE, SCENES, add_obstacles
+from lieednn_sim.arm.scenes import GOAL_PREFIX, HOME_CLEARANCE, add_obstacles
 from lieednn_sim.arm.targets import OWN_CLEARANCE, TARGET_CLEARANCE, draw_target
 from lieednn_sim.errors import InputError
+from lieednn_sim.registry import SCENES
 
 BARE = {name: Arm.load(name) for name in arm_names()}
 CASES = [(name, scene) for name in BARE for scene in SCENES if scene != "free"]

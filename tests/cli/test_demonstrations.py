@@ -9,11 +9,9 @@ import pytest
 from PIL import Image
 
 from lieednn_sim.cli import main
-from lieednn_sim.cli.names import RIVALS as NAMED
 from lieednn_sim.evaluation import paths
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.studies.demonstrations.models import RIVALS
 
 
 @pytest.fixture
@@ -24,10 +22,6 @@ def hook(tmp_path):
         path = np.column_stack([30.0 * (1.0 - s), (9.0 + k) * np.sin(np.pi * s)])
         np.savetxt(tmp_path / name, np.add(path, [100.0, 7.0 * k]), delimiter=",")
     return [str(tmp_path / name) for name in ("a.csv", "b.csv")]
-
-
-def test_names_in_the_help_are_those_there_are():
-    assert tuple(RIVALS) == NAMED
 
 
 def test_learn(hook, tmp_path, capsys, monkeypatch):

@@ -18,10 +18,10 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.evaluation import plots
 from lieednn_sim.network.hopfield import HopfieldNetwork
-from lieednn_sim.planning import PLANNERS, Plan, plan, require_planner
+from lieednn_sim.planning import Plan, plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_path import make_motion
-from lieednn_sim.planning.registry import Planner
+from lieednn_sim.registry import PLANNERS, PlannerEntry
 from lieednn_sim.simulation import Rollout, simulate
 
 pytestmark = pytest.mark.usefixtures("no_plots")
@@ -114,7 +114,7 @@ def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsy
         network = cascade(problem.arm.encode(problem.target), 0.02)
         return Plan(make_motion(problem.arm, network, problem.start, problem.duration, problem.timestep), network)
 
-    monkeypatch.setitem(PLANNERS, "hidden", Planner(hidden))
+    monkeypatch.setitem(PLANNERS.entries, "hidden", PlannerEntry(hidden))
     directory = str(tmp_path / "run")
     words = ("--planner", "hidden", "--target", "home", "--duration", "3")
     assert main(["plan", *words, "--output", directory]) == 0
@@ -335,14 +335,14 @@ def test_a_run_can_be_made_again_from_task_and_metrics(tmp_path, capsys):
 
 
 def test_no_planner_takes_the_place_of_one_that_is_not_installed(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("lieednn_sim.planning.extras.importlib.util.find_spec", lambda _: None)
-    task = ["--scene", "window", "--target", "random:0", "--planner", "lieednn-guided"]
-    line = fails(capsys, "synthesize", *task, "--output", tmp_path / "run")
-    assert "planner 'lieednn-guided' is not installed: pip install 'lieednn_sim[rivals]'; or name another one" in line
-    assert "lieednn-filtered" in line
+    monkeypatch.setattr("lieednn_sim.registry.importlib.util.find_spec", lambda _: None)
+    task = ["--scene", "window", "--target", "random:0", "--planner", "rrt-connect"]
+    line = fails(capsys, "plan", *task, "--output", tmp_path / "run")
+    assert "planner 'rrt-connect' is not installed: pip install 'lieednn_sim[rivals]'; or name another one" in line
+    assert "lieednn-shaped" in line
     assert not (tmp_path / "run").exists()
-    with pytest.raises(LieEDNNError, match="'lieednn-guided' is not installed"):
-        require_planner("lieednn-guided")
+    with pytest.raises(LieEDNNError, match="'rrt-connect' is not installed"):
+        PLANNERS.require("rrt-connect")
 
 
 @pytest.mark.parametrize("command", ["demo", "plan", "train", "compare"])

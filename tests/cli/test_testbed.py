@@ -14,9 +14,10 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import PlanError
 from lieednn_sim.evaluation import figure_layout, plots
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning import OBSTACLE_PLANNER, PLANNERS, Planner
+from lieednn_sim.planning import OBSTACLE_PLANNER
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_path import make_motion
+from lieednn_sim.registry import PLANNERS, PlannerEntry
 from lieednn_sim.simulation import Push, Rollout
 
 # Three hinges; [joint] looks like markup of the terminal.
@@ -200,7 +201,7 @@ def test_obstacles_of_a_file_go_the_whole_road_from_another_directory(own, tmp_p
 
 @pytest.mark.parametrize("planner", ["minimum-jerk", "own"])
 def test_a_planner_without_a_network_synthesizes_nothing(planner, tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(PLANNERS, "own", PLANNERS["minimum-jerk"])
+    monkeypatch.setitem(PLANNERS.entries, "own", PlannerEntry(PLANNERS["minimum-jerk"].load()))
     arguments = ["synthesize", "--target", "extended", "--planner", planner, "--output", tmp_path / "run"]
     said = error(capsys, *arguments)
     assert f"the planner {planner} makes no network; use: lieednn-sim plan --planner {planner}" in said
@@ -211,7 +212,7 @@ def test_where_the_filter_blocks_nothing_is_left_and_the_line_says_by_what(tmp_p
     def blocked(problem):
         raise PlanError("blocked by the clearance of 'hand' from 'wall'")
 
-    monkeypatch.setitem(PLANNERS, OBSTACLE_PLANNER, Planner(blocked))
+    monkeypatch.setitem(PLANNERS.entries, OBSTACLE_PLANNER, PlannerEntry(blocked))
     arguments = ["synthesize", "--scene", "window", "--target", "random:0", "--output", tmp_path / "run"]
     assert "error: blocked by the clearance of 'hand' from 'wall'" in error(capsys, *arguments)
     assert not (tmp_path / "run").exists()

@@ -13,9 +13,9 @@ from lieednn_sim.environments.tasks import REST, TASKS, make_task
 from lieednn_sim.environments.trajectories import band_limited, planned
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import exp
-from lieednn_sim.planning import PLANNERS, Plan
+from lieednn_sim.planning import Plan
 from lieednn_sim.planning.network_path import make_motion
-from lieednn_sim.planning.registry import Planner
+from lieednn_sim.registry import PLANNERS, PlannerEntry
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -260,7 +260,7 @@ def test_the_expert_takes_a_planner_whose_network_has_hidden_neurons(reach, casc
         made.append(cascade(problem.arm.encode(problem.target), 0.02))
         return Plan(make_motion(problem.arm, made[-1], problem.start, problem.duration, problem.timestep), made[-1])
 
-    monkeypatch.setitem(PLANNERS, "hidden", Planner(hidden))
+    monkeypatch.setitem(PLANNERS.entries, "hidden", PlannerEntry(hidden))
     reach.begin(np.random.default_rng(0))
     expert = Expert(reach, planner="hidden")
     for _ in range(3):

@@ -65,8 +65,8 @@ def test_bad_exports_are_refused_and_leave_nothing(rollout, tmp_path, source, op
 
 @pytest.mark.parametrize("name", [name for name, entry in FORMATS.items() if entry.library])
 def test_a_missing_library_is_named_with_its_extra(rollout, tmp_path, monkeypatch, name):
-    monkeypatch.setattr("lieednn_sim.exports.formats.importlib.util.find_spec", lambda _: None)
-    with pytest.raises(LieEDNNError, match=rf"pip install 'lieednn_sim\[{FORMATS[name].extra}\]'"):
+    monkeypatch.setattr("lieednn_sim.registry.importlib.util.find_spec", lambda _: None)
+    with pytest.raises(LieEDNNError, match=rf"pip install 'lieednn_sim\[{name}\]'"):
         export(rollout, tmp_path, format=name)
 
 

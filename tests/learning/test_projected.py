@@ -129,9 +129,9 @@ def test_literal_is_algorithm_1_transcribed():
             np.testing.assert_allclose(result.weight[6 * i : 6 * i + 6, 6 * j : 6 * j + 6], last, atol=1e-4)
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("algorithm", ["literal", "repaired", "tracked"])
 def test_same_seed_same_result_and_other_seed_another(algorithm):
-    options = ALGORITHMS[algorithm](max_epochs=60)
+    options = ALGORITHMS[algorithm].load()(max_epochs=60)
     one, two, other = (train(target(1, 2), options, seed=seed) for seed in (3, 3, 4))
     same(one, two)
     assert not np.array_equal(one.weight, other.weight)

@@ -12,7 +12,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning import FilteredOptions, GuidedOptions, filtered_planners, missing_planners, plan
+from lieednn_sim.planning import PLANNERS, FilteredOptions, GuidedOptions, filtered_planners, plan
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.safety_filter import (
@@ -156,8 +156,8 @@ def test_pairs_left_out_change_no_step(monkeypatch):
     ],
 )
 def test_the_planners_find_a_way_around(name, options, scene, seed):
-    if name in missing_planners():
-        pytest.skip(f"{name} needs {missing_planners()[name]}")
+    if name in PLANNERS.missing():
+        pytest.skip(f"{name} needs {PLANNERS.missing()[name]}")
     arm = Arm.load("telescopic_pr", scene, seed)
     start, target = arm.keyframe("home"), draw_target(arm, seed)
     straight = start + np.linspace(0.0, 1.0, 80)[:, None] * (target - start)

@@ -10,7 +10,6 @@ import pytest
 import lieednn_sim as ls
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.kept import projected
-from lieednn_sim.planning.registry import REGISTRY
 
 
 @pytest.fixture(scope="module")
@@ -69,8 +68,9 @@ def test_an_upright_hand_finds_its_way_among_obstacles():
 
 
 @pytest.mark.parametrize("kind", ["line", "orientation"])
+@pytest.mark.usefixtures("own_names")
 def test_every_motion_is_checked_with_how_far_it_leaves_the_region_and_when(arm, start, kind):
-    before, here = dict(REGISTRY.given), arm.link_poses(start)[-1]
+    here = arm.link_poses(start)[-1]
     if kind == "line":
         last = here.translation + np.array([0.0, 0.0, 0.2])
         region = ls.TaskSpaceRegion.line(here.translation, last)
@@ -85,11 +85,8 @@ def test_every_motion_is_checked_with_how_far_it_leaves_the_region_and_when(arm,
         assert problem.keep is region
         return ls.plan(arm, problem.target, start=problem.start, planner="minimum-jerk").motion
 
-    try:
-        with pytest.raises(PlanError, match="outside the region to keep at t = ") as caught:
-            ls.plan(arm, target, start=start, planner="careless", keep=region)
-    finally:
-        REGISTRY.forget(before)
+    with pytest.raises(PlanError, match="outside the region to keep at t = ") as caught:
+        ls.plan(arm, target, start=start, planner="careless", keep=region)
     said = [float(number) for number in re.findall(r"([\d.e-]+) (?:mm|degrees) ", str(caught.value))[:2]]
     q = ls.plan(arm, target, start=start, planner="minimum-jerk").motion.q
     if kind == "line":

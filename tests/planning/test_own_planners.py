@@ -15,7 +15,7 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning import ShapedOptions, joint_motion, plan, planners, register_planner, registry
+from lieednn_sim.planning import PLANNERS, ShapedOptions, joint_motion, plan, register_planner
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 
@@ -28,15 +28,14 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "howto" / "own_planner.md"
 
 
 @pytest.fixture(autouse=True)
-def _only_here(monkeypatch):
-    """What a test registers is gone after it."""
-    before = dict(registry.REGISTRY.given), list(sys.path), set(sys.modules)
+def _only_here(own_names):
+    """What a test registers or imports is gone after it."""
+    path, modules = list(sys.path), set(sys.modules)
     yield
-    sys.path[:] = before[1]
-    for name in set(sys.modules) - before[2]:
+    sys.path[:] = path
+    for name in set(sys.modules) - modules:
         if name.startswith("my_"):
             del sys.modules[name]
-    registry.REGISTRY.forget(before[0])
 
 
 def smoothstep(problem: PlanningProblem):
@@ -55,7 +54,6 @@ def installed(folder: Path, points: str, **modules: str) -> None:
     for name, text in modules.items():
         (folder / f"{name}.py").write_text(text)
     sys.path.insert(0, str(folder))
-    registry.REGISTRY.forget(registry.REGISTRY.given)
 
 
 def test_the_example_appears_in_table_and_page(tmp_path, capsys, undrawn):
@@ -130,8 +128,7 @@ def test_a_package_that_cannot_be_loaded_is_named_and_left_out(tmp_path):
     )
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
-        known = planners()
-    assert "my-broken" not in known
+        assert "my-broken" not in PLANNERS
     said = sorted(str(one.message) for one in seen)
     assert said[0].startswith("planner 'minimum-jerk' of package 'my-planners' (my_other:solve) is left out: ")
     assert said[1].startswith("planner 'my-broken' of package 'my-planners' (my_broken:solve) is left out: No module")

@@ -11,7 +11,6 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli.options import NETWORK_PLANNERS
 from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.lie import exp, log
 from lieednn_sim.planning import (
@@ -19,18 +18,17 @@ from lieednn_sim.planning import (
     CertifiedOptions,
     OptimisationOptions,
     Plan,
-    Planner,
     PlanningProblem,
     RrtConnectOptions,
     TrainedOptions,
-    missing_planners,
     network_planners,
     plan,
+    planners,
     reference_network,
-    registry,
 )
 from lieednn_sim.planning.baselines import smoothing
 from lieednn_sim.planning.motion import Motion, check_motion
+from lieednn_sim.registry import PlannerEntry
 
 
 def sampled_every(timestep: float) -> Arm:
@@ -46,7 +44,7 @@ LOW, HIGH = ARM.position_limits.T
 SEEDS = (0,)
 # Their motions may deviate from the network's, and end later.
 FILTERED = ("lieednn-filtered", "lieednn-guided")
-MISSING = missing_planners()
+MISSING = PLANNERS.missing()
 INSTALLED = sorted(set(PLANNERS) - set(MISSING))
 # These spend what work they are given on shortening the path that they found: a tenth of that here. The filter's steps
 # are twice as long as by default.
@@ -136,7 +134,7 @@ def test_the_same_problem_gives_the_same_motion(motions, name):
     again = made.motion
     np.testing.assert_array_equal(again.q, motions[name, 0].q)
     np.testing.assert_array_equal(again.qd, motions[name, 0].qd)
-    assert (made.network is not None) == (name in NETWORK_PLANNERS), "what `lieednn-sim synthesize` takes"
+    assert (made.network is not None) == PLANNERS[name].network, "what `lieednn-sim synthesize` takes"
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -230,7 +228,7 @@ def test_refusals_say_why():
 
 def test_a_plan_says_what_it_was_made_of(monkeypatch):
     task = problem(0)
-    monkeypatch.setattr(registry, "cpu_time", iter([3.0, 5.5, 6.0, 7.0]).__next__)
+    monkeypatch.setattr(planners, "cpu_time", iter([3.0, 5.5, 6.0, 7.0]).__next__)
     made = plan(ARM, list(task.target), planner="minimum-jerk")
     assert (made.planner, made.network, made.details) == ("minimum-jerk", None, None)
     np.testing.assert_array_equal(made.target, task.target)
@@ -312,7 +310,7 @@ def test_what_cannot_be_certified_is_no_motion(monkeypatch):
     def refuse(*_args, **_options):
         raise NotCertifiedError("none of 24")
 
-    monkeypatch.setitem(PLANNERS, "lieednn-certified", Planner(refuse))
+    monkeypatch.setitem(PLANNERS.entries, "lieednn-certified", PlannerEntry(refuse))
     with pytest.raises(NotCertifiedError, match="none of 24"):
         plan_with("lieednn-certified", problem(0))
 

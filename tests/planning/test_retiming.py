@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from lieednn_sim import registry
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, LieEDNNError, TooFastError
-from lieednn_sim.planning import extras, plan, retime
+from lieednn_sim.planning import plan, retime
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along
 from lieednn_sim.planning.motion import check_motion, least_duration
 from lieednn_sim.planning.problem import PlanningProblem, in_time
@@ -116,8 +117,8 @@ def test_what_has_no_fastest_motion_is_refused(gantry, monkeypatch):
     rest = dataclasses.replace(motion, q=np.tile(motion.q[0], (len(motion.t), 1)), qd=np.zeros_like(motion.qd))
     with pytest.raises(InputError, match="the motion goes nowhere"):
         retime(gantry, rest)
-    monkeypatch.setattr(extras.importlib, "import_module", lambda name: (_ for _ in ()).throw(ImportError(name)))
-    with pytest.raises(LieEDNNError, match=r"fastest law needs toppra: pip install 'lieednn_sim\[timing\]'"):
+    monkeypatch.setattr(registry.importlib, "import_module", lambda name: (_ for _ in ()).throw(ImportError(name)))
+    with pytest.raises(LieEDNNError, match=r"toppra is not installed \(.*\): pip install 'lieednn_sim\[timing\]'"):
         retime(gantry, motion)
 
 

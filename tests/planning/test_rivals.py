@@ -26,7 +26,6 @@ from lieednn_sim.planning import (
     PlanningProblem,
     RrtConnectOptions,
     RrtStarOptions,
-    missing_planners,
     plan,
     reference_network,
 )
@@ -48,8 +47,8 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def needs(name: str) -> None:
-    if name in missing_planners():
-        pytest.skip(f"{name} needs {missing_planners()[name]}")
+    if name in PLANNERS.missing():
+        pytest.skip(f"{name} needs {PLANNERS.missing()[name]}")
 
 
 def with_post() -> Arm:
@@ -350,13 +349,11 @@ def test_what_is_not_installed_is_reported_as_missing(monkeypatch, module, names
     for loaded in [name for name in sys.modules if name.partition(".")[0] == module]:
         monkeypatch.delitem(sys.modules, loaded)
     monkeypatch.setitem(sys.modules, module, None)
-    missing = missing_planners()
+    missing = PLANNERS.missing()
     assert names <= set(missing)
     for name in names:
         assert f"pip install 'lieednn_sim[{extra}]'" in missing[name]
-        with pytest.raises(
-            LieEDNNError, match=rf"planners? .*'{name}'.* pip install 'lieednn_sim\[{extra}\]'"
-        ) as caught:
+        with pytest.raises(LieEDNNError, match=rf"planners? .*{name}.* pip install 'lieednn_sim\[{extra}\]'") as caught:
             plan_with(name, blocked())
         assert not isinstance(caught.value, PlanError | InputError), "a missing library is no failed plan"
 

@@ -12,7 +12,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
-from lieednn_sim.planning import CertifiedOptions, ShapedOptions, TeacherOptions, missing_planners, plan, shaped
+from lieednn_sim.planning import PLANNERS, CertifiedOptions, ShapedOptions, TeacherOptions, plan, shaped
 from lieednn_sim.planning.encoded_path import EncodedPath
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import NetworkPath
@@ -25,7 +25,7 @@ SPEC = Arm.load("telescopic_pr").spec.copy()
 SPEC.option.timestep = 0.005
 FREE = Arm.from_spec(SPEC, Path("telescopic_pr.xml"), "telescopic_pr")
 UNPOLISHED = TeacherOptions(polished=False)
-needs_ompl = pytest.mark.skipif("rrt-connect" in missing_planners(), reason="RRT-Connect needs OMPL")
+needs_ompl = pytest.mark.skipif("rrt-connect" in PLANNERS.missing(), reason="RRT-Connect needs OMPL")
 
 
 def planned(arm, target, **options):

@@ -15,7 +15,7 @@ from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
-from lieednn_sim.planning import PlanningProblem, TeacherOptions, missing_planners, plan, teachers
+from lieednn_sim.planning import PLANNERS, PlanningProblem, TeacherOptions, plan, teachers
 from lieednn_sim.planning.joint_space import sweeps
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.polishing import Polish
@@ -24,7 +24,7 @@ from lieednn_sim.planning.teachers import best_teacher, shortened
 SPEC = Arm.load("telescopic_pr").spec.copy()
 SPEC.option.timestep = 0.005
 FREE = Arm.from_spec(SPEC, Path("telescopic_pr.xml"), "telescopic_pr")
-needs_ompl = pytest.mark.skipif("rrt-connect" in missing_planners(), reason="RRT-Connect needs OMPL")
+needs_ompl = pytest.mark.skipif("rrt-connect" in PLANNERS.missing(), reason="RRT-Connect needs OMPL")
 
 
 def problem_of(scene, seed):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import PlanError
-from lieednn_sim.planning import RrtConnectOptions, missing_planners, plan
+from lieednn_sim.planning import PLANNERS, RrtConnectOptions, plan
 from lieednn_sim.planning.baselines import sampling, trees
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.joint_space import Workspace
@@ -114,7 +114,7 @@ def test_where_no_sample_is_near_the_nearest_counts(monkeypatch):
     assert World(0.2).path(0) is not None
 
 
-@pytest.mark.skipif("rrt-connect" in missing_planners(), reason="OMPL simplifies its path")
+@pytest.mark.skipif("rrt-connect" in PLANNERS.missing(), reason="OMPL simplifies its path")
 def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     task, options = blocked(3), RrtConnectOptions(balanced=True)
     asked = dict.fromkeys(("start", "duration", "seed"))

@@ -20,11 +20,8 @@ from lieednn_sim.policies import (
     MotionTracker,
     Policy,
     make_policy,
-    policies,
     register_policy,
 )
-from lieednn_sim.policies.registry import REGISTRY
-from lieednn_sim.registration import Registry
 
 GOAL = np.array([0.3, -0.2, 0.3, 0.2])
 
@@ -189,26 +186,17 @@ class Halver(Policy):
         return q, (q - self.q) / self.period
 
 
+@pytest.mark.usefixtures("own_names")
 def test_ones_own_policy_in_a_few_lines():
-    before = dict(REGISTRY.given)
-    try:
-        register_policy("halver")(lambda task: Halver(task.arm, task.rate))
-        arm = ls.Arm.load("telescopic_pr")
-        policy = make_policy("halver", arm, arm.keyframe("extended"))
-        first, _ = policy.step(arm.keyframe("home"), arm.keyframe("extended"))
-        np.testing.assert_allclose(first, 0.5 * (arm.keyframe("home") + arm.keyframe("extended")))
-        assert "halver" in policies()
-        register_policy("wrong")(lambda task: 5)
-        with pytest.raises(InputError, match="policy 'wrong' must be a Policy, its function returned int"):
-            make_policy("wrong", arm, arm.keyframe("home"))
-    finally:
-        REGISTRY.forget(before)
-    assert "halver" not in policies()
-
-
-def test_policies_of_other_packages_are_found_by_their_plural():
-    assert REGISTRY._group == "lieednn_sim.policies"
-    assert Registry("planner", {}, lambda *_: None)._group == "lieednn_sim.planners"
+    register_policy("halver")(lambda task: Halver(task.arm, task.rate))
+    arm = ls.Arm.load("telescopic_pr")
+    policy = make_policy("halver", arm, arm.keyframe("extended"))
+    first, _ = policy.step(arm.keyframe("home"), arm.keyframe("extended"))
+    np.testing.assert_allclose(first, 0.5 * (arm.keyframe("home") + arm.keyframe("extended")))
+    assert "halver" in POLICIES
+    register_policy("wrong")(lambda task: 5)
+    with pytest.raises(InputError, match="policy 'wrong' must be a Policy, its function returned int"):
+        make_policy("wrong", arm, arm.keyframe("home"))
 
 
 def test_where_it_begins_without_a_reset(gantry):
@@ -236,7 +224,7 @@ def test_bad_input(gantry):
     with pytest.raises(InputError, match="q is out of reach"):
         policy.reset(10.0 * GOAL)
     for arguments, named, words in (
-        (("shaped",), {}, "no name 'shaped'; allowed: dmp, fabric"),
+        (("shaped",), {}, "no policy 'shaped'; allowed: dmp, fabric"),
         (("fabric",), {"rate": 0.0}, "rate must be positive"),
         (("fabric",), {"start": np.zeros(3)}, "start must have shape"),
         (("tracker",), {"options": FabricOptions()}, "the policy 'tracker' has no options"),

@@ -15,8 +15,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import plan
-from lieednn_sim.simulation import Controller, Rollout, controllers, register_controller, simulate
-from lieednn_sim.simulation.controllers import REGISTRY
+from lieednn_sim.simulation import CONTROLLERS, Controller, Rollout, register_controller, simulate
 from lieednn_sim.simulation.controllers.base import PositionServo
 from lieednn_sim.simulation.controllers.mocap import MocapWelds
 from lieednn_sim.studies import Comparison, Row, Settings, compute, read_rows
@@ -27,13 +26,12 @@ MOTION = plan(ARM, ARM.keyframe("extended"), planner="minimum-jerk", duration=1.
 
 
 @pytest.fixture(autouse=True)
-def _only_here():
+def _only_here(own_names):
     """What a test registers is gone after it."""
-    before = dict(REGISTRY.given), list(sys.path)
+    path = list(sys.path)
     yield
-    sys.path[:] = before[1]
+    sys.path[:] = path
     sys.modules.pop("my_controllers", None)
-    REGISTRY.forget(before[0])
 
 
 @pytest.fixture
@@ -51,7 +49,6 @@ def test_the_example_of_an_installed_package_appears_in_table_and_page(example, 
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-controllers\nVersion: 0.1\n")
     (information / "entry_points.txt").write_text(f"[lieednn_sim.controllers]\n{example}\n")
-    REGISTRY.forget(REGISTRY.given)
     words = "compare --planners minimum-jerk --arms telescopic_pr --scenes free --seeds 1 --duration 2"
     with in_this_process():
         assert (
@@ -77,7 +74,7 @@ def test_what_is_registered_here_is_known_to_workers(tmp_path):
 @pytest.mark.parametrize("kind", [PositionServo, MocapWelds])
 def test_a_registered_controller_does_what_it_does_otherwise(kind, tmp_path):
     register_controller("mine")(lambda arm, reference: kind(arm, reference))
-    name = next(name for name, own in controllers().items() if own is kind)
+    name = next(name for name, entry in CONTROLLERS.items() if entry.load() is kind)
     mine, own = (simulate(ARM, MOTION, controller=controller, hold=0.1) for controller in ("mine", name))
     np.testing.assert_array_equal(mine.q, own.q)
     np.testing.assert_array_equal(mine.ctrl, own.ctrl)

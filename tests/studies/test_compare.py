@@ -19,6 +19,7 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.evaluation.motion_metrics import least_clearance, rms_curvature, violations
 from lieednn_sim.planning import find_tube, plan
+from lieednn_sim.registry import PLANNERS
 from lieednn_sim.simulation import simulate
 from lieednn_sim.studies import Case, Comparison, Settings, compute, read_rows, run_case, write_summary
 from lieednn_sim.studies.comparison import cases
@@ -368,7 +369,7 @@ def test_bad_input_is_named(make, message):
 
 
 def test_missing_planners_are_left_out(monkeypatch):
-    monkeypatch.setattr("lieednn_sim.studies.comparison.study.missing_planners", lambda: {"rrt-star": "pip install it"})
+    monkeypatch.setattr(PLANNERS, "missing", lambda: {"rrt-star": "pip install it"})
     made = Comparison(("rrt-star", "se3-geodesic"), ("telescopic_pr",), ("free",), seeds=1).cases()
     assert made == [Case("telescopic_pr", "free", "se3-geodesic", 0)]
 

@@ -15,6 +15,7 @@ from lieednn_sim.evaluation import paths
 from lieednn_sim.evaluation.paths import PathErrors
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.registry import Entry, Registry
 from lieednn_sim.studies.demonstrations import models as compared
 from lieednn_sim.studies.demonstrations.models import compare_models, mean_errors
 from lieednn_sim.studies.demonstrations.study import DemonstrationSets
@@ -43,7 +44,7 @@ def test_what_is_left_out_was_not_seen(monkeypatch):
     # Straight to a goal each: 0, 1 and 5 cm beside each other where they are aligned, so nowhere apart.
     apart = [Demonstration.from_samples([*one, [-0.1, 0.0]], [0.0, 1.0, 2.0]) for one in rows]
     shown = align(apart)
-    monkeypatch.setattr(compared, "RIVALS", {"recaller": lambda some, _: Recaller(some)})
+    monkeypatch.setattr(compared, "RIVALS", Registry("rival", {"recaller": Entry(lambda some, _: Recaller(some))}))
     monkeypatch.setattr(paths, "SAMPLES", 100)
     options = ShapingOptions(neurons=(2,), placed_neurons=(), iterations=5)
     shaped = ShapedMotion.fit(shown, options=options)

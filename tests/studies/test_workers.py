@@ -12,14 +12,15 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from rich.console import Console
 
+from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Entry
 from lieednn_sim.studies import workers
 from lieednn_sim.studies.workers import run_each, worker_pool
 
 
 def test_workers_import_the_modules_of_ones_own_planners_policies_and_controllers(monkeypatch):
-    for kind, module in enumerate(("PLANNER", "POLICY", "CONTROLLER")):
-        made = type("Mine", (), {"__module__": f"mine_{kind}"})
-        monkeypatch.setitem(getattr(workers, f"{module}_REGISTRY").given, "mine", made)
+    for number, kind in enumerate((PLANNERS, POLICIES, CONTROLLERS)):
+        made = type("Mine", (), {"__module__": f"mine_{number}"})
+        monkeypatch.setitem(kind.entries, "mine", Entry(made))
     assert {"mine_0", "mine_1", "mine_2"} <= set(workers._modules())
 
 

@@ -20,10 +20,10 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.planning.baselines.sampling import PathOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.smoothing import motion_along_first
-from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.joint_space import Workspace
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
 # Arguments: edge test, start and target in its coordinates, longest edge, options, seed. Returns corners, or None.

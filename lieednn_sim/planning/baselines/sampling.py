@@ -21,11 +21,11 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.planning.baselines.search_space import SearchSpace
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along_first
 from lieednn_sim.planning.baselines.trees import connected
-from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.joint_space import Workspace
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
 # OMPL's names. PRM* is left out: OMPL's builds its roadmap against the clock and in two threads, so its paths depend on

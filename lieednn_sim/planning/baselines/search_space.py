@@ -14,9 +14,9 @@ import numpy as np
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time, out_of_time
-from lieednn_sim.planning.extras import optional_module
 from lieednn_sim.planning.joint_space import Workspace, joint_scale, sweeps
 from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
 # How often a search may ask whether it is over, per test that it may make; usually it makes a test or more each time.

@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TypeVar
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError
-from lieednn_sim.registration import Registry
-from lieednn_sim.simulation.controllers.base import ComputedTorque, Controller, InverseDynamicsServo, PositionServo
+from lieednn_sim.registry import CONTROLLERS
+from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.controllers.checked import CheckedController
-from lieednn_sim.simulation.controllers.mocap import DeadbeatWelds, MocapWelds
 from lieednn_sim.simulation.reference import Reference
 
 _Make = TypeVar("_Make", bound=Callable[[Arm, Reference], Controller])
 
-#: Controllers by name, including those added by `register_controller`: functions or classes that take an arm and a
-#: `Reference`.
-CONTROLLERS: dict[str, Callable[[Arm, Reference], Controller]] = {
-    "position-servo": PositionServo,
-    "inverse-dynamics": InverseDynamicsServo,
-    "computed-torque": ComputedTorque,
-    "mocap": MocapWelds,
-    "mocap-deadbeat": DeadbeatWelds,
-}
 
+def make_controller(name: str, arm: Arm, reference: Reference) -> Controller:
+    """A controller of an arm that follows a reference; one of another package is checked at every step.
 
-def _controller(name: str, make: Callable[[Arm, Reference], Controller]) -> Callable[[Arm, Reference], Controller]:
-    if not callable(make):
-        raise InputError(f"controller {name!r} must be a Controller, or a function that makes one, got {make!r}")
-    return lambda arm, reference: CheckedController(name, make, arm, reference)
-
-
-REGISTRY = Registry("controller", CONTROLLERS, _controller)
+    Raises:
+        InputError: there is no controller of that name, or it cannot drive the arm.
+        SimulationError: one of another package fails.
+    """
+    entry = CONTROLLERS.find(name)
+    made: Controller = (
+        entry.load()(arm, reference) if entry.own else CheckedController(name, entry.place, arm, reference)
+    )
+    return made
 
 
 def register_controller(name: str) -> Callable[[_Make], _Make]:
@@ -51,12 +44,4 @@ def register_controller(name: str) -> Callable[[_Make], _Make]:
     Raises:
         InputError: the name is malformed or taken, or the decorated object is not callable.
     """
-    return REGISTRY.register(name)
-
-
-def controllers() -> Mapping[str, Callable[[Arm, Reference], Controller]]:
-    """All controllers by name: `CONTROLLERS`, and those of the entry points of installed packages.
-
-    An entry point that cannot be loaded is left out, with a warning that names its package.
-    """
-    return REGISTRY.all()
+    return CONTROLLERS.register(name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from lieednn_sim.simulation import CONTROLLERS
+from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.studies.comparison.rows import Row
 from lieednn_sim.studies.statistics import motions, pattern_of
 

@@ -13,11 +13,8 @@ from typing import Any
 from rich.console import Console
 
 from lieednn_sim.arm import arm_names
-from lieednn_sim.arm.scenes import SCENES
 from lieednn_sim.errors import InputError
-from lieednn_sim.planner_table import SLOW
-from lieednn_sim.planning import missing_planners, planners
-from lieednn_sim.simulation import controllers
+from lieednn_sim.registry import CONTROLLERS, PLANNERS, SCENES, SLOW
 from lieednn_sim.studies.comparison.cases import FREE, Settings, failed_case, run_case
 from lieednn_sim.studies.comparison.rows import Case, Row
 from lieednn_sim.studies.statistics import numbers
@@ -113,10 +110,10 @@ class Comparison(Study[Row]):
     def __post_init__(self) -> None:
         user_files = list(self.user_files)
         for name, known, default in (
-            ("planners", list(planners()), list(planners())),
+            ("planners", list(PLANNERS), list(PLANNERS)),
             ("arms", arm_names(), arm_names()),
             ("scenes", list(SCENES), list(DEFAULT_SCENES)),
-            ("controllers", list(controllers()), list(DEFAULT_CONTROLLERS)),
+            ("controllers", list(CONTROLLERS), list(DEFAULT_CONTROLLERS)),
         ):
             given = getattr(self, name) or default
             kind = name.removesuffix("s")
@@ -137,7 +134,7 @@ class Comparison(Study[Row]):
     @property
     def absent(self) -> dict[str, str]:
         """Chosen planners whose package is missing, with the reason."""
-        return {name: reason for name, reason in missing_planners().items() if name in self.planners}
+        return {name: reason for name, reason in PLANNERS.missing().items() if name in self.planners}
 
     def settings(self) -> Mapping[str, Any]:
         """See `Study`."""
@@ -157,7 +154,7 @@ class Comparison(Study[Row]):
         few = self.seeds if self.slow_seeds is None else self.slow_seeds
         combinations = itertools.product(self.arms, self.scenes, usable, range(self.seeds))
         cases = itertools.starmap(Case, combinations)
-        return [case for case in cases if case.seed < few or planners()[case.planner].cost <= SLOW]
+        return [case for case in cases if case.seed < few or PLANNERS[case.planner].cost <= SLOW]
 
     def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
         """See `Study`."""
@@ -183,7 +180,7 @@ class Comparison(Study[Row]):
         costs = {}
         for planner in self.planners:
             known = numbers([row for row in table.rows.values() if row.planner == planner], "planning_s")
-            costs[planner] = max(known) if known else planners()[planner].cost
+            costs[planner] = max(known) if known else PLANNERS[planner].cost
         return costs
 
 

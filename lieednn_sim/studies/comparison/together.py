@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.planner_table import PLANNERS
+from lieednn_sim.registry import PLANNERS
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.studies.comparison.cases import Settings, replay
 from lieednn_sim.studies.comparison.rows import Row

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -19,27 +19,17 @@ from lieednn_sim.evaluation.display import table
 from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.models import LinearAttractor, MotionModel
-from lieednn_sim.learning.demonstrations.primitive import MovementPrimitive
-from lieednn_sim.learning.demonstrations.probabilistic import ProbabilisticPrimitive
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
-from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.registry import RIVALS
 from lieednn_sim.studies.demonstrations.attraction import Attraction, attraction, random_starts
 from lieednn_sim.synthesis import ShapingOptions
-from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
     from rich.console import Group
 
 
-# Functions that fit a model with about a given number of parameters.
-RIVALS: Mapping[str, Callable[[Demonstrations, int], MotionModel]] = {
-    MovementPrimitive.name: MovementPrimitive.fit,
-    ProbabilisticPrimitive.name: ProbabilisticPrimitive.fit,
-    StableMixture.name: StableMixture.fit,
-    LinearAttractor.name: lambda demonstrations, _: LinearAttractor.fit(demonstrations),
-}
 # Instants of a reproduction.
 _INSTANTS = 600
 
@@ -111,7 +101,9 @@ def compare_models(
         LieEDNNError: the executor gave up.
     """
     again = no_more_than(options, shaped.shaping.network)
-    names = [shaped.name, *(as_choice("rival", name, RIVALS) for name in (RIVALS if rivals is None else rivals))]
+    names = [shaped.name, *(RIVALS if rivals is None else rivals)]
+    for name in names[1:]:
+        RIVALS.find(name)
     n, places = len(demonstrations), random_starts(demonstrations, starts, seed)
     folds = range(n) if leave_one_out and n > 1 else range(0)
     fit = partial(_fit, n_parameters=shaped.n_parameters, options=again, seed=seed, family=shaped.response is not None)
@@ -151,7 +143,13 @@ def _fit(
 ) -> MotionModel:
     if name == ShapedMotion.name:
         return ShapedMotion.fit(demonstrations, options=options, seed=seed, family=family)
-    return RIVALS[name](demonstrations, n_parameters)
+    model: MotionModel = RIVALS[name].load()(demonstrations, n_parameters)
+    return model
+
+
+def linear_attractor(demonstrations: Demonstrations, _: int) -> LinearAttractor:
+    """The linear attractor of demonstrations, whose number of parameters is fixed."""
+    return LinearAttractor.fit(demonstrations)
 
 
 def _left_out(

@@ -10,7 +10,8 @@ from typing import Any
 
 from lieednn_sim.learning.demonstrations import align, load_demonstrations
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
-from lieednn_sim.studies.demonstrations.models import RIVALS, ModelRow, compare_models
+from lieednn_sim.registry import RIVALS
+from lieednn_sim.studies.demonstrations.models import ModelRow, compare_models
 from lieednn_sim.studies.rows import TableRow, column, outcome
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table

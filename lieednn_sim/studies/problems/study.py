@@ -21,17 +21,18 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import as_time_budget, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
-from lieednn_sim.planning import Plan, missing_planners, plan, planners, retime
+from lieednn_sim.planning import Plan, plan, retime
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.motion import Motion, least_duration
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.planning.teachers import TeacherOptions
+from lieednn_sim.registry import PLANNERS
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
-from lieednn_sim.validation import as_choice, as_count
+from lieednn_sim.validation import as_count
 from lieednn_sim.values import Floats, check_fields, set_fields
 
 SKIPPED = "skipped"
@@ -219,10 +220,9 @@ class PublishedProblems(Study[Solution]):
     time_budget: float = 10.0
 
     def __post_init__(self) -> None:
-        chosen = [as_choice("planner", name, planners()) for name in dict.fromkeys(self.planners)]
-        for name, reason in missing_planners().items():
-            if name in chosen:
-                raise LieEDNNError(f"planner {name} is not installed ({reason})")
+        chosen = list(dict.fromkeys(self.planners))
+        for name in chosen:
+            PLANNERS.require(name)
         set_fields(self, planners=chosen, time_budget=as_time_budget("time_budget", self.time_budget))
         if self.problems is not None:
             check_fields(self, as_count, "problems")

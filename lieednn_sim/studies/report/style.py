@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from lieednn_sim.evaluation.figure_layout import COLOURS
-from lieednn_sim.planning import planners
+from lieednn_sim.registry import PLANNERS
 
 # The package's colours, and a grey.
 _COLOURS = (*COLOURS, "#8C8C8C")
@@ -25,7 +25,7 @@ class Mark:
 
 def marks(names: Iterable[str]) -> dict[str, Mark]:
     """A mark for each planner, which does not depend on the other names."""
-    known = list(planners())
+    known = list(PLANNERS)
     order = known + sorted(set(names) - set(known))
     made = {}
     for index, name in enumerate(order):
@@ -36,7 +36,7 @@ def marks(names: Iterable[str]) -> dict[str, Mark]:
 
 def in_order(names: Iterable[str]) -> list[str]:
     """Planners in the order of the registry, unknown ones last."""
-    found, known = set(names), list(planners())
+    found, known = set(names), list(PLANNERS)
     return [name for name in known if name in found] + sorted(found - set(known))
 
 

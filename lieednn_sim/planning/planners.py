@@ -1,30 +1,25 @@
-"""The registry of planners, and `plan`, which calls any of them by name."""
+"""Planning by the name of a planner: `plan`, the default planner, and registering a planner of one's own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim import planner_table
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
-from lieednn_sim.errors import InputError, LieEDNNError, NotCertifiedError, PlanError
-from lieednn_sim.planner_table import TYPICAL, Entry
-from lieednn_sim.planning.extras import optional_module
+from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.kept import check_kept
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.planning.retiming import retime
-from lieednn_sim.registration import Registry
-from lieednn_sim.validation import Seed, as_choice, as_seed
+from lieednn_sim.registry import PLANNERS, PlannerEntry, optional_module
+from lieednn_sim.validation import Seed, as_seed
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -32,34 +27,6 @@ if TYPE_CHECKING:
 # Largest distance of a motion's ends from the start and target asked for, in joint coordinates [rad, m].
 _END_TOLERANCE = 1e-3
 _Solve = TypeVar("_Solve", bound=Callable[..., Plan | Motion])
-
-
-class Planner(NamedTuple):
-    """A planning function and the class of its options.
-
-    Attributes:
-        solve: takes a problem, and options if there are any; returns a plan, or a motion if there is no network, or
-            raises. The motion is sampled at the model's time step and passes `motion.check_motion`.
-        options: class of the options; None for a planner without options.
-        cost: CPU time of a case of a comparison [s]; see `planner_table.Entry`.
-        keeps: whether it can keep a region, `PlanningProblem.keep`; whether a motion does is checked in any case.
-    """
-
-    solve: Callable[..., Plan | Motion]
-    options: type[PlannerOptions] | None = None
-    cost: float = TYPICAL
-    keeps: bool = False
-
-
-def _loaded(entry: Entry) -> Planner:
-    place, _, name = entry.solve.partition(":")
-    module = import_module(f"lieednn_sim.{place}")
-    options = getattr(module, entry.options) if entry.options else None
-    return Planner(getattr(module, name), options, entry.cost, entry.keeps)
-
-
-#: All planners by name, including those added by `register_planner`.
-PLANNERS: dict[str, Planner] = {name: _loaded(entry) for name, entry in planner_table.PLANNERS.items()}
 
 
 def register_planner(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Solve], _Solve]:
@@ -82,49 +49,39 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
     Raises:
         InputError: the name is malformed or taken, or the options are no subclass of `PlannerOptions`.
     """
-    return REGISTRY.register(name, options)
+    return PLANNERS.register(name, options)
 
 
-def planners() -> Mapping[str, Planner]:
-    """All planners by name: `PLANNERS` and the entry points of installed packages.
-
-    An entry point that cannot be loaded is left out, with a warning that names its package.
-    """
-    return REGISTRY.all()
-
-
-def _planner(name: str, solve: Callable[..., Plan | Motion], options: type[PlannerOptions] | None = None) -> Planner:
-    if not callable(solve):
-        raise InputError(f"planner {name!r} must be a function of a PlanningProblem, got {type(solve).__name__}")
-    return Planner(partial(in_time, partial(_checked, solve)), options, keeps=True)
+def _solved(entry: PlannerEntry, problem: PlanningProblem, *options: PlannerOptions) -> Plan:
+    """A planner's plan; that of another package is held to what every planner guarantees."""
+    solve = entry.load()
+    result = solve(problem, *options) if entry.own else in_time(_checked, problem, solve, *options)
+    return Plan(result) if isinstance(result, Motion) else result
 
 
-REGISTRY = Registry("planner", PLANNERS, _planner)
-
-
-def _checked(solve: Callable[..., Plan | Motion], problem: PlanningProblem, *options: PlannerOptions) -> Plan | Motion:
-    """The result of a registered planner, checked for what every planner guarantees."""
+def _checked(problem: PlanningProblem, solve: Callable[..., Plan | Motion], *options: PlannerOptions) -> Plan | Motion:
+    """The result of a registered planner, checked."""
     try:
-        made = solve(problem, *options)
+        result = solve(problem, *options)
     except LieEDNNError:
         raise
     except Exception as error:
         raise PlanError(f"the planner failed: {type(error).__name__}: {error}") from error
-    if not isinstance(made, Plan | Motion):
-        raise PlanError(f"the planner returned {type(made).__name__}, neither a Motion nor a Plan")
-    motion = made if isinstance(made, Motion) else made.motion
-    given, wanted = (motion.q.shape[1], motion.timestep), (problem.arm.n_joints, problem.timestep)
-    if not np.allclose(given, wanted, rtol=1e-6):
+    if not isinstance(result, Plan | Motion):
+        raise PlanError(f"the planner returned {type(result).__name__}, neither a Motion nor a Plan")
+    motion = result if isinstance(result, Motion) else result.motion
+    given, needed = (motion.q.shape[1], motion.timestep), (problem.arm.n_joints, problem.timestep)
+    if not np.allclose(given, needed, rtol=1e-6):
         raise PlanError(
             "the planner's motion has {} joints and a time step of {:g} s, ".format(*given)
-            + "the arm has {} joints and its model steps of {:g} s".format(*wanted)
+            + "the arm has {} joints and its model steps of {:g} s".format(*needed)
         )
     for which, there, asked in (("begins", motion.q[0], problem.start), ("ends", motion.q[-1], problem.target)):
         missed = float(np.abs(there - asked).max())
         if missed > _END_TOLERANCE:
             raise PlanError(f"the planner's motion {which} {missed:.2g} (rad or m) from where it was asked to")
     check_motion(problem.arm, motion)
-    return made
+    return result
 
 
 #: Name of the default planner among obstacles: the LieEDNN planner with the most successes and the smoothest motions
@@ -198,32 +155,26 @@ def plan(
     """
     if planner is None:
         planner = default_planner(arm)[0] if keep is None else OBSTACLE_PLANNER
-    known = planners()
-    solve, kind, _, keeps = known[as_choice("planner", planner, known)]
-    if keep is not None and not keeps:
-        able = ", ".join(name for name, each in known.items() if each.keeps)
+    entry = PLANNERS.find(planner)
+    if keep is not None and not entry.keeps:
+        able = ", ".join(name for name, each in PLANNERS.items() if each.keeps)
         raise InputError(f"the planner {planner!r} cannot keep a region on the way; planners that can: {able}")
-    given = given_options(f"the planner {planner!r}", kind, options)
+    given = given_options(f"the planner {planner!r}", entry.options, options)
     if fastest:
         optional_module("toppra")  # before the work
-    begun, number = cpu_time(), as_seed("seed", seed)
-    begin = arm.configuration(start, "start")
+    begin, number = cpu_time(), as_seed("seed", seed)
+    q = arm.configuration(start, "start")
     # The rest of a bad problem is refused before goals are searched for, which is within the budget.
-    first = PlanningProblem(arm, begin, begin, duration, number, time_budget, max_time_scale, progress, keep)
+    first = PlanningProblem(arm, q, q, duration, number, time_budget, max_time_scale, progress, keep)
+    refusal: LieEDNNError = NoSolutionError("there is no goal")
     with time_limit(first.time_budget):
-        refusal: PlanError | NotCertifiedError | None = None
-        for goal in candidates(arm, target, begin, number, keep):
-            problem = replace(first, target=goal)
+        for goal in candidates(arm, target, q, number, keep):
             try:
-                made = solve(problem, *given)
-                found = Plan(made) if isinstance(made, Motion) else made
-                if fastest:
-                    found = replace(found, motion=retime(problem.arm, found.motion))
-                check_kept(arm, keep, found.motion)
-                break
+                result = _solved(entry, replace(first, target=goal), *given)
+                motion = retime(arm, result.motion) if fastest else result.motion
+                check_kept(arm, keep, motion)
             except (PlanError, NotCertifiedError) as error:
                 refusal = error
-        else:
-            assert refusal is not None
-            raise refusal
-    return replace(found, target=problem.target, planner=planner, cpu_time=cpu_time() - begun)
+            else:
+                return replace(result, motion=motion, target=goal, planner=planner, cpu_time=cpu_time() - begin)
+    raise refusal

@@ -1,0 +1,92 @@
+"""Policies by name: `make_policy`, and registering one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from numpy.typing import ArrayLike
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning import Motion, Plan
+from lieednn_sim.planning.options import PlannerOptions, given_options
+from lieednn_sim.planning.safety_filter import FilterOptions
+from lieednn_sim.policies.base import Policy
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback
+from lieednn_sim.policies.filtered import FilteredPolicy
+from lieednn_sim.policies.task import PolicyTask
+from lieednn_sim.registry import POLICIES
+from lieednn_sim.validation import Seed, as_seed
+
+_Make = TypeVar("_Make", bound=Callable[..., Policy])
+
+
+def register_policy(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Make], _Make]:
+    """Decorator that registers a function that makes policies, for `make_policy`.
+
+    The function takes a `PolicyTask` and returns a `Policy`.
+
+    An installed package declares its policies as entry points::
+
+        [project.entry-points."lieednn_sim.policies"]
+        my-policy = "my_package.my_module:my_function"
+
+    A function declared like this needs the decorator only if it takes options.
+
+    Args:
+        name: name of the policy, in lower-case letters, digits and hyphens.
+        options: class of its options, which are its second argument.
+
+    Raises:
+        InputError: the name is malformed or taken.
+    """
+    return POLICIES.register(name, options)
+
+
+def make_policy(
+    name: str,
+    arm: Arm,
+    target: ArrayLike | str,
+    *,
+    rate: float = 100.0,
+    start: ArrayLike | str = "home",
+    motion: Motion | Plan | None = None,
+    feedback: Feedback | None = FEEDBACK,
+    safety: FilterOptions | None = None,
+    convergence_rate: float = 2.0,
+    options: PlannerOptions | None = None,
+    seed: Seed = 0,
+) -> Policy:
+    """Make a policy by name, reset at the start.
+
+    Args:
+        name: a name of `POLICIES`.
+        arm: the arm, in its scene.
+        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made. The target given in each
+            step may differ.
+        rate: control rate [Hz].
+        start: joint coordinates ``(n,)`` at the beginning, or a keyframe's name.
+        motion: what ``tracker`` tracks and ``dmp`` imitates, from start to target; by default a planned one.
+        feedback: settings of the feedback from the measured joints; None for no feedback.
+        safety: settings of a safety filter around the policy; None for none.
+        convergence_rate: rate at which a policy without a motion approaches the target [1/s].
+        options: options of the policy, of its class in `POLICIES`; by default that class's defaults.
+        seed: seed of random draws; the same seed gives the same policy.
+
+    Raises:
+        InputError: a value is malformed, the policy is unknown, or the options are those of another one.
+        NotCertifiedError: no network could be certified.
+        PlanError: no motion was found.
+    """
+    entry = POLICIES.find(name)
+    given = given_options(f"the policy {name!r}", entry.options, options)
+    ends = arm.configuration(start, "start"), arm.configuration(target, "target")
+    task = PolicyTask(arm, *ends, rate, feedback, convergence_rate, as_seed("seed", seed), motion)
+    policy = entry.load()(task, *given)
+    if not isinstance(policy, Policy):
+        raise InputError(f"policy {name!r} must be a Policy, its function returned {type(policy).__name__}")
+    if safety is not None:
+        policy = FilteredPolicy(policy, safety)
+    policy.reset(task.start)
+    return policy

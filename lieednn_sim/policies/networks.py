@@ -1,0 +1,64 @@
+"""The policies that run a network made for the target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning import ShapedOptions, plan
+from lieednn_sim.planning.network_planners import without_weights
+from lieednn_sim.planning.options import NetworkOptions
+from lieednn_sim.policies.network_policy import NetworkPolicy
+from lieednn_sim.policies.task import PolicyTask
+from lieednn_sim.synthesis import synthesize
+
+
+@dataclass(frozen=True)
+class CertifiedPolicyOptions(NetworkOptions):
+    """Options of the policy ``lieednn-certified``.
+
+    Attributes:
+        bias_magnitude: magnitude of the network's bias [gamma/mu].
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    bias_magnitude: float = 0.25
+
+
+def shaped(task: PolicyTask, options: ShapedOptions) -> NetworkPolicy:
+    """A network along the motion of the planner ``lieednn-shaped``."""
+    # A network of its own has a tenth of the universal one's neurons, so that its steps take less time.
+    own = replace(options, encoded=False)
+    network = plan(
+        task.arm, task.target, planner="lieednn-shaped", start=task.start, options=own, seed=task.seed
+    ).network
+    assert isinstance(network, LieEDNN)
+    # Its clock is the slowest.
+    return _policy(task, network, task.convergence_rate / options.rate)
+
+
+def certified(task: PolicyTask, options: CertifiedPolicyOptions) -> NetworkPolicy:
+    """A certified network for the target."""
+    xi = task.arm.encode(task.target)
+    network = synthesize(
+        xi,
+        bias="sign-matched",
+        bias_magnitude=options.bias_magnitude,
+        activation=options.activation,
+        seed=task.seed,
+    ).unwrap()
+    slowest = -float(np.linalg.eigvals(network.jacobian(xi)).real.max())
+    return _policy(task, network, task.convergence_rate / slowest)
+
+
+def linear(task: PolicyTask) -> NetworkPolicy:
+    """A network without weights: xi' = -(xi - xi_d)."""
+    return _policy(task, without_weights(task.arm.encode(task.target)), task.convergence_rate)
+
+
+def _policy(task: PolicyTask, network: LieEDNN, speed: float) -> NetworkPolicy:
+    return NetworkPolicy(task.arm, network, task.rate, speed=speed, feedforward=False, feedback=task.feedback)

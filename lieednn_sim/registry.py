@@ -1,0 +1,468 @@
+"""Everything that is chosen by name: one row for each planner, policy, controller, arm, scene, format and model.
+
+A row says where a thing is, what it does in one line, which class its options have, and which optional library it
+needs. Help texts, menus and the tables of the documentation come from the rows; nothing is imported for them, and this
+module imports nothing slow. A thing itself is imported when it is loaded. Decorators and the entry points of installed
+packages add further planners, policies and controllers.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from lieednn_sim.errors import InputError, LieEDNNError
+
+# CPU time of a case of most planners, and that above which a planner is slow [s].
+TYPICAL, SLOW = 0.6, 1.0
+
+_Given = TypeVar("_Given")
+_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+
+
+class Library(NamedTuple):
+    """An optional library.
+
+    Attributes:
+        extra: extra of this package that installs it.
+        purpose: what it is for, besides the rows that name it.
+        distribution: its name on the package index, if that is another one.
+    """
+
+    extra: str
+    purpose: str = ""
+    distribution: str = ""
+
+
+#: Optional libraries by the name of their module.
+LIBRARIES: Mapping[str, Library] = {
+    "ompl": Library("rivals"),
+    "mjpl": Library("cbirrt"),
+    "sscbirrt": Library("cbirrt"),
+    "toppra": Library("timing", "the planned path in the least time, --fastest"),
+    "viser": Library("view", "motions in a browser"),
+    "mjviser": Library("view", "motions in a browser"),
+    "gymnasium": Library("gymnasium", "Gymnasium environments"),
+    "onnx": Library("onnx", "a network as a graph, network.to_onnx"),
+    "rosbags": Library("ros2"),
+    "pyarrow": Library("lerobot", "record"),
+    "rerun": Library("rerun", distribution="rerun-sdk"),
+    "distributed": Library("cluster", "comparisons on a Dask cluster"),
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row of a registry.
+
+    Attributes:
+        place: where the thing is, ``module:name`` within this package; or what another package has registered.
+        help: what it is or does, in one line.
+        takes: class of its options, by name in the same module or the class itself; empty or None for no options.
+        library: module of `LIBRARIES` that it needs; empty if it needs none.
+    """
+
+    place: Any = ""
+    help: str = ""
+    takes: Any = ""
+    library: str = ""
+
+    @property
+    def own(self) -> bool:
+        """Whether it is this package's, not added by another one."""
+        return isinstance(self.place, str)
+
+    def load(self) -> Any:
+        """The thing itself, which is imported when it is asked for first."""
+        return self._within(self.place.partition(":")[2]) if self.own else self.place
+
+    @property
+    def options(self) -> Any:
+        """Class of its options; None for a thing without options."""
+        return self._within(self.takes) if self.takes and isinstance(self.takes, str) else self.takes or None
+
+    @property
+    def install(self) -> str:
+        """The command that installs the library that it needs; empty if it is there, or if it needs none."""
+        return "" if not self.library or importlib.util.find_spec(self.library) else install_command(self.library)
+
+    def _within(self, name: str) -> Any:
+        return attrgetter(name)(importlib.import_module(f"lieednn_sim.{self.place.partition(':')[0]}"))
+
+
+@dataclass(frozen=True)
+class PlannerEntry(Entry):
+    """A planner: a function of a `PlanningProblem`, and of its options if there are any.
+
+    It returns a plan, or a motion if there is no network, or raises. The motion is sampled at the model's time step and
+    passes `motion.check_motion`.
+
+    Attributes:
+        cost: CPU time of a case of a comparison [s], planning and both default controllers, in the mean over the
+            package's arms, free and behind the window. Declared, not measured, so that which cases there are depends
+            on no machine.
+        network: whether its plans have a certifiable network, which `lieednn-sim synthesize` stores.
+        keeps: whether it can keep the end effector in a region on the way, the argument ``keep`` of `planning.plan`;
+            whether a motion does is checked in any case.
+    """
+
+    cost: float = TYPICAL
+    network: bool = False
+    keeps: bool = False
+
+
+@dataclass(frozen=True)
+class FormatEntry(Entry):
+    """A format of another tool: a function of sources by name, a folder, and options, which writes files into it.
+
+    Attributes:
+        of_comparison: whether it holds the table of a comparison; otherwise it holds rollouts.
+    """
+
+    of_comparison: bool = False
+
+
+_Entry = TypeVar("_Entry", bound=Entry)
+
+
+class Registry(Mapping[str, _Entry], Generic[_Entry]):
+    """All things of one kind by name, those of installed packages included, which are looked for once.
+
+    An entry point that cannot be loaded is left out, with a warning that names its package.
+
+    Args:
+        kind: name of the kind.
+        entries: this package's own rows.
+        make: makes the row of an added thing from the thing and its options, ``make(place, takes=...)``; None if
+            others add none.
+        wanted: what an added thing must be, in words.
+        group: packages declare theirs as entry points of this group.
+
+    Attributes:
+        entries: the rows of this package and those that decorators have added, without looking for others.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        entries: dict[str, _Entry],
+        *,
+        make: Callable[..., _Entry] | None = None,
+        wanted: str = "",
+        group: str = "",
+    ) -> None:
+        self.kind, self.entries = kind, entries
+        self._make, self._wanted, self._group = make, wanted, group
+        self._searched = make is None
+
+    def __getitem__(self, name: str) -> _Entry:
+        return self._all()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all())
+
+    def __len__(self) -> int:
+        return len(self._all())
+
+    def find(self, name: str) -> _Entry:
+        """The row of that name; `InputError` that lists the names if there is none."""
+        from lieednn_sim.validation import as_choice  # NumPy is slow to import
+
+        return self[as_choice(self.kind, name, self)]
+
+    def register(self, name: str, options: type | None = None) -> Callable[[_Given], _Given]:
+        """Decorator that adds the decorated thing.
+
+        Raises:
+            InputError: its name is taken, or not of lower-case letters, digits and hyphens, or it is not callable.
+        """
+
+        def decorate(given: _Given) -> _Given:
+            assert self._make is not None, f"others add no {self.kind}"
+            if not _NAME.fullmatch(name):
+                raise InputError(
+                    f"a {self.kind}'s name must be lower-case letters, digits and hyphens, got {name[:80]!r}"
+                )
+            if name in self.entries:
+                raise InputError(f"{self.kind} {name!r} is already registered; choose another name")
+            if not callable(given):
+                raise InputError(f"{self.kind} {name!r} must be {self._wanted}, got {type(given).__name__}")
+            self.entries[name] = self._make(given, takes=options)
+            return given
+
+        return decorate
+
+    def missing(self) -> dict[str, str]:
+        """Names of those whose library is not installed, with the commands that install them."""
+        return {name: entry.install for name, entry in self.entries.items() if entry.install}
+
+    def require(self, name: str) -> None:
+        """Raise `LieEDNNError` if the library that one needs is not installed; the message says what to do.
+
+        No other one is taken instead, since results must not depend on what is installed.
+        """
+        if command := self.find(name).install:
+            others = ", ".join(other for other, entry in self.entries.items() if not entry.library)
+            raise LieEDNNError(
+                f"{self.kind} {name!r} is not installed: {command}; or name another one, which needs no extra: {others}"
+            )
+
+    def origins(self, names: Iterable[str]) -> list[str]:
+        """Where those that others have added come from, a line for each."""
+        added = {name: self[name].place for name in names if name in self and not self[name].own}
+        return [
+            f"{self.kind} {name}: {place.__module__}.{getattr(place, '__qualname__', name)}"
+            for name, place in added.items()
+        ]
+
+    def _all(self) -> dict[str, _Entry]:
+        if not self._searched:
+            self._searched = True
+            self._load_entry_points()
+        return self.entries
+
+    def _load_entry_points(self) -> None:
+        from importlib import metadata  # slow to import
+
+        for point in metadata.entry_points(group=self._group):
+            package = "unknown" if point.dist is None else point.dist.name
+            try:
+                given = point.load()
+                # A decorated object has registered itself on loading.
+                if point.name not in self.entries or self.entries[point.name].place is not given:
+                    self.register(point.name)(given)
+            except Exception as error:
+                text = f"{self.kind} {point.name!r} of package {package!r} ({point.value}) is left out: {error}"
+                warnings.warn(text, RuntimeWarning, stacklevel=5)
+
+
+def install_command(library: str) -> str:
+    """The command that installs an optional library, with others of its extra."""
+    return f"pip install 'lieednn_sim[{LIBRARIES[library].extra}]'"
+
+
+def purpose(library: str) -> str:
+    """What an optional library is for."""
+    users = []
+    for registry in (PLANNERS, FORMATS):
+        names = [name for name, entry in registry.entries.items() if entry.library == library]
+        users += [f"{registry.kind}{'s' * (len(names) > 1)} {', '.join(names)}"] * bool(names)
+    return ", ".join(filter(None, (*users, LIBRARIES[library].purpose)))
+
+
+def optional_module(name: str) -> Any:
+    """Import a module of an optional library.
+
+    Raises:
+        LieEDNNError: it is not installed; the message names the extra.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        library = name.partition(".")[0]
+        raise LieEDNNError(f"{library} is not installed (for {purpose(library)}): {install_command(library)}") from None
+
+
+def _added_planner(place: Any, takes: type | None = None) -> PlannerEntry:
+    return PlannerEntry(place, takes=takes, keeps=True)
+
+
+#: All planners by name; a comparison's table is in this order.
+PLANNERS: Registry[PlannerEntry] = Registry(
+    "planner",
+    {
+        "minimum-jerk": PlannerEntry("planning.baselines.interpolation:minimum_jerk", "straight in joint space"),
+        "se3-geodesic": PlannerEntry(
+            "planning.baselines.interpolation:se3_geodesic", "compound joints on geodesics of SE(3)"
+        ),
+        "dmp": PlannerEntry("planning.baselines.primitives:dmp", "a dynamic movement primitive", "DmpOptions"),
+        "rrt-connect": PlannerEntry(
+            "planning.baselines.sampling:rrt_connect", "OMPL's RRT-Connect", "RrtConnectOptions", "ompl"
+        ),
+        "rrt-star": PlannerEntry(
+            "planning.baselines.sampling:rrt_star", "OMPL's RRT*", "RrtStarOptions", "ompl", cost=1.3
+        ),
+        "informed-rrt-star": PlannerEntry(
+            "planning.baselines.sampling:informed_rrt_star", "OMPL's Informed RRT*", "InformedRrtStarOptions", "ompl"
+        ),
+        "bit-star": PlannerEntry("planning.baselines.sampling:bit_star", "OMPL's BIT*", "BitStarOptions", "ompl"),
+        "aorrtc": PlannerEntry("planning.baselines.sampling:aorrtc", "OMPL's AORRTC", "RrtStarOptions", "ompl"),
+        "mjpl": PlannerEntry("planning.baselines.cbirrt:mjpl", "the bidirectional RRT of mjpl", "PathOptions", "mjpl"),
+        "sscbirrt": PlannerEntry(
+            "planning.baselines.cbirrt:sscbirrt", "the bidirectional RRT of sscbirrt", "PathOptions", "sscbirrt"
+        ),
+        "trajectory-optimisation": PlannerEntry(
+            "planning.baselines.optimisation:trajectory_optimisation",
+            "a spline of least jerk",
+            "OptimisationOptions",
+            cost=1.6,
+        ),
+        "stomp": PlannerEntry("planning.baselines.stomp:stomp", "stochastic trajectory optimisation", "StompOptions"),
+        "qshnn": PlannerEntry("planning.baselines.qshnn:qshnn", "a quaternion Hopfield network", "QshnnOptions"),
+        "linear-attractor": PlannerEntry(
+            "planning.network_planners:linear_attractor", "a network without weights", network=True
+        ),
+        "lieednn-certified": PlannerEntry(
+            "planning.certified:certified", "a certified network for the target", "CertifiedOptions", network=True
+        ),
+        "lieednn-retargeted": PlannerEntry(
+            "planning.network_planners:retargeted", "one network, certified once", "RetargetedOptions", network=True
+        ),
+        "lieednn-trained": PlannerEntry(
+            "planning.network_planners:trained", "a learned network", "TrainedOptions", cost=2.7, network=True
+        ),
+        "lieednn-unprojected": PlannerEntry(
+            "planning.network_planners:unprojected",
+            "the same without projections",
+            "UnprojectedOptions",
+            network=True,
+        ),
+        "lieednn-shaped": PlannerEntry(
+            "planning.shaped:shaped", "a network along another's motion", "ShapedOptions", network=True, keeps=True
+        ),
+        "lieednn-filtered": PlannerEntry(
+            "planning.filtered_planners:filtered",
+            "a network through the safety filter",
+            "FilteredOptions",
+            cost=1.1,
+            network=True,
+        ),
+        "lieednn-guided": PlannerEntry(
+            "planning.filtered_planners:guided",
+            "the same along RRT-Connect's path",
+            "GuidedOptions",
+            "ompl",
+            cost=1.1,
+            network=True,
+        ),
+    },
+    make=_added_planner,
+    wanted="a function of a PlanningProblem",
+    group="lieednn_sim.planners",
+)
+
+#: All policies by name: functions of a `PolicyTask`, and of options if there are any.
+POLICIES: Registry[Entry] = Registry(
+    "policy",
+    {
+        "lieednn-shaped": Entry(
+            "policies.networks:shaped", "a network along the motion of the planner of that name", "ShapedOptions"
+        ),
+        "lieednn-certified": Entry(
+            "policies.networks:certified", "a certified network for the target", "CertifiedPolicyOptions"
+        ),
+        "lieednn-replanning": Entry(
+            "policies.replanning:replanning", "a network that is shaped anew on the way", "ReplanningOptions"
+        ),
+        "linear-attractor": Entry("policies.networks:linear", "a network without weights"),
+        "dmp": Entry("policies.primitive:primitive", "a dynamic movement primitive", "PrimitiveOptions"),
+        "fabric": Entry("policies.fabric:fabric", "a geometric fabric", "FabricOptions"),
+        "mppi": Entry("policies.path_integral:path_integral", "model-predictive path integral", "PathIntegralOptions"),
+        "tracker": Entry("policies.tracker:tracker", "a planned motion, as it is"),
+    },
+    make=Entry,
+    wanted="a function of a PolicyTask",
+    group="lieednn_sim.policies",
+)
+
+#: All controllers by name: functions or classes that take an arm and a `Reference`.
+CONTROLLERS: Registry[Entry] = Registry(
+    "controller",
+    {
+        "position-servo": Entry("simulation.controllers.base:PositionServo", "the reference, to the model's servos"),
+        "inverse-dynamics": Entry(
+            "simulation.controllers.base:InverseDynamicsServo", "the servos, with the forces of the motion fed forward"
+        ),
+        "computed-torque": Entry(
+            "simulation.controllers.base:ComputedTorque", "forces that make the error decay like a spring and damper"
+        ),
+        "mocap": Entry("simulation.controllers.mocap:MocapWelds", "soft welds of the links to moving bodies"),
+        "mocap-deadbeat": Entry(
+            "simulation.controllers.mocap:DeadbeatWelds", "the same, with the lag of the welds taken out"
+        ),
+    },
+    make=Entry,
+    wanted="a Controller, or a function that makes one",
+    group="lieednn_sim.controllers",
+)
+
+#: The arms of the package; each is a folder of that name with a scene.xml in ``assets/mjcf``.
+ARMS: Registry[Entry] = Registry(
+    "arm",
+    {
+        "telescopic_compound": Entry(help="four compound joints of six degrees of freedom each"),
+        "telescopic_pr": Entry(help="four sliding and turning links"),
+        "telescopic_rrp": Entry(help="three links that turn twice and slide"),
+    },
+)
+
+#: Obstacles around an arm, functions of `arm.scenes`. The index of a name is part of the seed of its obstacles.
+SCENES: Registry[Entry] = Registry(
+    "scene",
+    {
+        "free": Entry(help="no obstacles"),
+        "window": Entry("arm.scenes:window", "a wall with an opening"),
+        "shelf": Entry("arm.scenes:shelf", "a shelf of two columns and two rows"),
+        "poles": Entry("arm.scenes:poles", "a field of vertical poles"),
+    },
+)
+
+#: File formats of other tools.
+FORMATS: Registry[FormatEntry] = Registry(
+    "format",
+    {
+        "csv": FormatEntry("exports.csv_table:write", "a table of time, joints and end effector"),
+        "ros2": FormatEntry("exports.ros2:write", "a JointTrajectory as YAML, and a bag in MCAP", library="rosbags"),
+        "plannerarena": FormatEntry(
+            "exports.planner_arena:write", "OMPL's benchmark logs of a comparison", of_comparison=True
+        ),
+        "lerobot": FormatEntry(
+            "exports.lerobot:write", "a data set of LeRobot with one episode for each run", library="pyarrow"
+        ),
+        "rerun": FormatEntry(
+            "exports.rerun_recording:write", "a recording of the moving arm and of curves over time", library="rerun"
+        ),
+    },
+)
+
+#: Algorithms that learn a network for a target: functions of their options' values, which make these options.
+ALGORITHMS: Registry[Entry] = Registry(
+    "algorithm",
+    {
+        "literal": Entry("learning.options:TrainingOptions.literal", "as printed in the paper"),
+        "repaired": Entry("learning.options:TrainingOptions.repaired", "its equations, repaired"),
+        "tracked": Entry("learning.options:TrainingOptions.tracked", "the same, with the equilibrium tracked"),
+        "riemannian": Entry("learning.options:RiemannianOptions", "on the manifold of scaled adjoints"),
+        "stability-aware": Entry("learning.options:RiemannianOptions.stability_aware", "the same, certified all along"),
+    },
+)
+
+#: Rules that choose a network's bias, see `synthesis.bias_for`.
+BIAS_RULES: Registry[Entry] = Registry(
+    "bias rule",
+    {
+        "uniform": Entry(help="every entry the same, as in the paper"),
+        "sign-matched": Entry(help="with the sign of the target"),
+        "solved": Entry(help="what makes the target the equilibrium of weights drawn without regard to it"),
+    },
+)
+
+#: Models of demonstrations with which a shaped network is compared: functions of demonstrations and of the number of
+#: parameters to have.
+RIVALS: Registry[Entry] = Registry(
+    "rival",
+    {
+        "dmp": Entry("learning.demonstrations.primitive:MovementPrimitive.fit", "a dynamic movement primitive"),
+        "promp": Entry(
+            "learning.demonstrations.probabilistic:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"
+        ),
+        "lpv-ds": Entry("learning.demonstrations.stable_mixture:StableMixture.fit", "a stable mixture of linear ones"),
+        "linear-attractor": Entry("studies.demonstrations.models:linear_attractor", "the same rate everywhere"),
+    },
+)
