@@ -94,16 +94,15 @@ def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterat
 
 @contextlib.contextmanager
 def created(directory: str | os.PathLike[str]) -> Iterator[Path]:
-    """Create a directory with its parents, and remove what was created if it is still empty when the block fails."""
+    """Create a directory with its parents, and remove what was created if it is empty when the block ends."""
     wanted = as_path("the name of a directory", directory)
     absent = [path for path in (wanted, *wanted.parents) if not os.path.lexists(path)]
     try:
         yield make_directory(wanted)
-    except BaseException:
+    finally:
         with contextlib.suppress(OSError):
             for path in absent:
                 path.rmdir()
-        raise
 
 
 @contextlib.contextmanager

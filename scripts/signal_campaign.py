@@ -3,8 +3,7 @@
     python scripts/signal_campaign.py [--times 30] [--jobs 1] [--seed 0] [--commands demo,train,...]
 
 After each signal: the exit code is right, nothing is printed but the command's own lines, no process is left, every
-file that was reported is there and readable, and the same command, or ``train --resume``, ends with the results of an
-undisturbed one. Exit code 1, with the seed of each case, where one of these fails.
+file that was reported is there and readable, and the same command ends with the results of an undisturbed one. Exit code 1, with the seed of each case, where one of these fails.
 """
 
 from __future__ import annotations
@@ -197,8 +196,6 @@ def disturb(
     output, errors = process.communicate()
     wrong = faults(name, sent, process, output, errors)
     try:
-        if name == "train" and (folder / "out" / "training" / "checkpoint.npz").is_file():
-            words = ["train", "--resume", "{0}/out"]
         finish(words, folder)
         if COMMANDS[name].result(folder) != expected:
             wrong.append("ends with another result than without the signal")

@@ -17,7 +17,6 @@ from lieednn_sim import storage
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.learning import checkpoint
 from lieednn_sim.studies import Comparison, Row, Settings, compute, read_rows, workers
 
 # A process that ends itself by SIGKILL where it is told to: no moment to wait for, no time to clean up.
@@ -62,45 +61,6 @@ def test_a_demo_that_is_killed_leaves_what_it_had_finished(tmp_path, start):
     assert names(directory) == {"made.json", "task.json", "network.npz", "motion.npz"}
     # The lock died with it, and the next step goes on from there.
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
-
-
-@pytest.mark.usefixtures("no_plots")
-def test_a_training_that_is_killed_goes_on_with_resume(tmp_path, start, capsys):
-    directory = tmp_path / "run"
-    code = """
-from lieednn_sim.cli import main
-from lieednn_sim.learning import checkpoint
-save = checkpoint.save
-checkpoint.save = lambda *arguments: (save(*arguments), kill())
-sys.exit(main())
-"""
-    words = ["train", "--target", "extended", "--algorithm", "repaired", "--period", "8", "--output", directory]
-    die(start, code, *words)
-    assert names(directory) == {"training"}
-    assert main(["train", "--resume", str(directory)]) == 0
-    assert names(directory) == {"made.json", "task.json", "network.npz", "history.npz", "training.png"}
-    assert "converged after" in capsys.readouterr().out
-
-
-@pytest.mark.usefixtures("no_plots")
-@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), MemoryError(), SystemError()])
-def test_a_training_that_fails_keeps_what_it_learned(tmp_path, capsys, monkeypatch, error):
-    """Whatever ends it, after its first checkpoint."""
-    directory = tmp_path / "run"
-    words = ["train", "--target", "extended", "--algorithm", "repaired", "--period", "8", "--output", str(directory)]
-    save = checkpoint.save
-
-    def failing(*arguments):
-        save(*arguments)
-        raise error
-
-    with monkeypatch.context() as patch:
-        patch.setattr(checkpoint, "save", failing)
-        with contextlib.suppress(SystemError):
-            assert main(words) == 2
-    assert f"continue with: lieednn-sim train --resume {directory}" in capsys.readouterr().out
-    assert main(["train", "--resume", str(directory)]) == 0
-    assert "converged after" in capsys.readouterr().out
 
 
 def test_a_comparison_that_is_killed_goes_on_from_its_table(tmp_path, start, undrawn, in_this_process):

@@ -375,7 +375,6 @@ OPTIONS += (
     st.one_of(
         st.lists(WORDS, max_size=3),
         st.tuples(st.sampled_from(("simulate", "render", "evaluate")), WORDS),
-        st.tuples(st.just("train"), st.just("--resume"), WORDS),
         st.tuples(st.just("arms"), WORDS),
         st.tuples(
             st.just("learn"), WORDS, st.sampled_from(("--starts=0", "--unit=inch", "--clock-rate=0", "--seed=0"))

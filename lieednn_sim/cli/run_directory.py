@@ -42,7 +42,7 @@ class RunDirectory:
     """
 
     def __init__(self, path: str | os.PathLike[str], plots: str = PLOT_KINDS[0]) -> None:
-        self._plots = as_choice("plots", plots, PLOT_KINDS)
+        as_choice("plots", plots, PLOT_KINDS)
         self.path = as_path("the name of a run directory", path)
         self.manifest = Manifest(self.path)
         self.task = self.path / "task.json"
@@ -52,7 +52,6 @@ class RunDirectory:
         self.divergence = self.path / "divergence.npz"
         self.video = self.path / "video.mp4"
         self.page = self.path / "motion.html"
-        self.checkpoint = self.path / "checkpoint.npz"
         self.history = self.path / "history.npz"
         self.report = self.path / "report.json"
         self.metrics_json = self.path / "metrics.json"
@@ -61,11 +60,6 @@ class RunDirectory:
             self.path / f"{name}.{plots}" for name in _PLOTS
         )
         self.network_plot, self.tracking_plot, self.joints_plot, self.channels_plot = others
-
-    @property
-    def pending(self) -> RunDirectory:
-        """Directory of a training in progress, until there is a network to replace the run's files."""
-        return RunDirectory(self.path / "training", self._plots)
 
     @property
     def files(self) -> list[Path]:

@@ -1,121 +1,97 @@
-"""The command ``train``, which learns a network for a target and can be resumed."""
+"""The command ``train``, which learns a network for a target."""
 
 from __future__ import annotations
 
-import argparse
-import contextlib
 import functools
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from lieednn_sim import filesystem
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
+from lieednn_sim.cli.arguments import Goal
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
+from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import TRAINED, Task
-from lieednn_sim.errors import FileError, InputError, PlanError
+from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation import plot_training
 from lieednn_sim.evaluation.display import table
-from lieednn_sim.learning import (
-    ALGORITHMS,
-    RiemannianOptions,
-    TrainingResult,
-    train_riemannian,
-)
+from lieednn_sim.learning import RiemannianOptions, TrainingResult, train_riemannian
 from lieednn_sim.learning import train as projected_train
-from lieednn_sim.learning.checkpoint import KIND as CHECKPOINT_KIND
-from lieednn_sim.learning.checkpoint import seed_of
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
+from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import make_motion
+from lieednn_sim.registry import ALGORITHMS
 from lieednn_sim.synthesis import bias_for
 from lieednn_sim.validation import as_count, as_positive
 from lieednn_sim.values import Floats
 
-# Options stored in the task.
-_OPTIONS = ("algorithm", "period", "epochs", "tolerance", "bias", "bias_magnitude", "candidates")
-
-Learner = Callable[..., TrainingResult]
+Learner = Callable[[int], TrainingResult]
 Candidates = Sequence[Callable[[], TrainingResult]]
 
 
-def train(arguments: argparse.Namespace) -> int:
-    """Learn a network for a target in a run directory; returns 1 when none was learned."""
-    if arguments.resume is not None:
-        _require_no_others(arguments.words)
-    run = RunDirectory(arguments.output if arguments.resume is None else arguments.resume, arguments.plots)
-    if arguments.resume is None:
-        with run.made():
-            return _train(run, *_begin(run, arguments))
-    if not filesystem.is_file(run.pending.checkpoint):
-        raise FileError(f"{run.path} holds no interrupted training (no {run.pending.checkpoint})")
-    with run.at_work(), run.pending.at_work():
-        task, arm = run.pending.load_task()
-        return _train(run, task, arm, _resumed(run.pending, task, arm.encode(task.target)))
+@dataclass(frozen=True)
+class Learning:
+    """How a network is learned; stored in the task.
+
+    Attributes:
+        algorithm: learning algorithm: {algorithms}.
+        candidates: largest number of seeds to try until the motion of a network is within the arm's limits.
+        period: number of epochs between two projections onto scaled adjoints (default: that of the algorithm).
+        epochs: largest number of epochs (default: 25000).
+        tolerance: largest allowed error of the equilibrium [rad, units of length of the arm].
+        bias: rule that chooses the network's bias: uniform or sign-matched.
+        bias_magnitude: magnitude of the bias.
+    """
+
+    algorithm: str = "tracked"
+    candidates: int = 4
+    period: int | None = None
+    epochs: int | None = None
+    tolerance: float = 1e-5
+    bias: str = "sign-matched"
+    bias_magnitude: float = 0.125
 
 
-def _require_no_others(words: Sequence[str]) -> None:
-    """Refuse options beside ``--resume``, which would change nothing."""
-    given = [word.partition("=")[0] for word in words if word.startswith("--")]
-    # Options may be abbreviated.
-    others = [name for name in given if not any(known.startswith(name) for known in ("--resume", "--plots"))]
-    if others:
-        raise InputError(f"--resume continues a training with its own options; leave out {', '.join(others)}")
+def train(*, goal: Goal, learning: Learning, output: Directory = "results/run", plots: str = "png") -> int:
+    """Learn a network for a target with the algorithm of the paper, or an improved one, in a run directory.
+
+    Continue with 'simulate', 'evaluate' and 'render'. The exit code is 1 if no network was learned.
+
+    Args:
+        goal: the motion.
+        learning: how it is learned.
+        output: directory for the files of the run.
+        plots: format of the plot: png, pdf or svg.
+    """
+    run = RunDirectory(output, plots)
+    with run.made():
+        return _train(run, *_begin(goal, learning))
 
 
-def _begin(run: RunDirectory, arguments: argparse.Namespace) -> tuple[Task, Arm, Candidates]:
+def _begin(goal: Goal, learning: Learning) -> tuple[Task, Arm, Candidates]:
     """The task, its arm, and learners of a network for it from consecutive seeds."""
-    arm = load_arm(arguments)
-    start, target = start_and_target(arm, arguments)
+    arm = goal.load()
+    start, aim = goal.start_and_goal(arm)
+    target = next(candidates(arm, aim, start))
     arm.check_position(target, "target")
-    options = {name: getattr(arguments, name) for name in _OPTIONS}
-    candidates = as_count("candidates", options["candidates"])
-    task = make_task(arm, start, target, arguments, planner=TRAINED, reason="asked for", options=options)
-    learner = _learner(options, arm.encode(target), run.pending.checkpoint)
-    pending = run.pending
-    if pending.path.exists():
-        pending.manifest.check(pending.files)
-        # An interrupted training that is not resumed.
-        pending.remove()
-    filesystem.check_outputs([pending.path])
-    with filesystem.created(pending.path):
-        pending.manifest.expect(pending.checkpoint, CHECKPOINT_KIND)
-        with pending.manifest.writing(pending.task) as temporary:
-            task.save(temporary)
+    count = as_count("candidates", learning.candidates)
+    about = {"planner": TRAINED, "reason": "asked for", "options": asdict(learning)}
+    task = goal.task(arm, start, target, goal.duration, goal.seed, **about)
+    learner = _learner(learning, arm.encode(target))
     print_import_report(arm)
-    return task, arm, [functools.partial(learner, task.seed + k) for k in range(candidates)]
+    return task, arm, [functools.partial(learner, task.seed + k) for k in range(count)]
 
 
 def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int:
     """Learn from one seed after the other."""
-    pending = run.pending
-    try:
-        result, refusal = _choose(learners, run, arm, task)
-    except BaseException:
-        # Whatever ended it, a full disk or the user, what was learned is kept.
-        if pending.checkpoint.is_file():
-            console.print(f"what was learned so far is kept; continue with: lieednn-sim train --resume {run.path}")
-        else:
-            with contextlib.suppress(FileError):
-                pending.remove()
-        raise
-    if result.success:
-        pending.remove()
-    else:
-        # The run's previous files stay as they are.
-        outputs = [pending.history, pending.training_plot]
-        with pending.manifest.replacing(outputs, [pending.checkpoint]) as (history, training_plot):
-            result.history.save(history, {"task": task.fingerprint})
-            plot_training.plot_training(result.history, arm.encode(task.target), result.tolerance, training_plot)
+    result, refusal = _choose(learners, run, arm, task)
     _report(result, arm.encode(task.target))
     if not result.success:
-        wrote(pending.history, pending.training_plot)
+        # A run's previous files stay as they are.
         console.print("no network was written; try another --seed, more --epochs, or --algorithm stability-aware")
         return 1
     wrote(run.task, run.network, run.history, run.training_plot)
@@ -161,44 +137,28 @@ def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:
     return None
 
 
-def _learner(options: Mapping[str, Any], xi: Floats, checkpoint: Path) -> Learner:
+def _learner(asked: Learning, xi: Floats) -> Learner:
     """A function that learns a network from a seed, with a progress bar."""
-    asked = argparse.Namespace(**options)
     make = ALGORITHMS.find(asked.algorithm).load()
     changes = {"period": asked.period, "max_epochs": asked.epochs, "tolerance": asked.tolerance}
     given = {key: value for key, value in changes.items() if value is not None}
     learn: Callable[..., TrainingResult]
     if not isinstance(make(), RiemannianOptions):
-        learn = functools.partial(projected_train, xi, make(**given), checkpoint=checkpoint)
+        learn = functools.partial(projected_train, xi, make(**given))
     elif len(given) > 1:
         raise InputError(f"--period and --epochs are for the algorithms of the paper, not for {asked.algorithm}")
     else:
         learn = functools.partial(train_riemannian, xi, make(**given))
-    bias = _bias(xi, asked)
+    if asked.bias == "solved":
+        raise InputError("the solved bias needs no learning; use 'lieednn-sim plan --option bias=solved'")
+    magnitude = as_positive("bias magnitude", asked.bias_magnitude)
+    bias = bias_for(asked.bias, xi, ACTIVATIONS[DEFAULT_ACTIVATION].phi(xi), 1.0, magnitude)
 
-    def learner(seed: int, **resume: bool) -> TrainingResult:
+    def learner(seed: int) -> TrainingResult:
         with progress("train") as report:
-            return learn(bias=bias, seed=seed, progress=report, **resume)
+            return learn(bias=bias, seed=seed, progress=report)
 
     return learner
-
-
-def _resumed(pending: RunDirectory, task: Task, xi: Floats) -> Candidates:
-    """The interrupted candidate first, then those after it; those before it were learned, and rejected or worse."""
-    seed = seed_of(pending.checkpoint)
-    try:
-        learner = _learner(task.options, xi, pending.checkpoint)
-        later = range(seed + 1, task.seed + task.options["candidates"])
-    except (AttributeError, KeyError, TypeError, InputError) as error:
-        raise FileError(f"{pending.task} does not say how the training was begun ({error}); train again") from None
-    return [functools.partial(learner, seed, resume=True), *(functools.partial(learner, one) for one in later)]
-
-
-def _bias(xi: Floats, arguments: argparse.Namespace) -> Floats:
-    if arguments.bias == "solved":
-        raise InputError("the solved bias needs no learning; use 'lieednn-sim synthesize --bias solved'")
-    magnitude = as_positive("bias magnitude", arguments.bias_magnitude)
-    return bias_for(arguments.bias, xi, ACTIVATIONS[DEFAULT_ACTIVATION].phi(xi), 1.0, magnitude)
 
 
 def _report(result: TrainingResult, xi: Floats) -> None:

@@ -52,13 +52,10 @@ class History:
     def __len__(self) -> int:
         return len(self.error)
 
-    def arrays(self) -> dict[str, Floats]:
-        """The columns by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
     def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
         """Write to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
-        storage.save_arrays(path, "training-history", self.arrays(), {}, made_from)
+        columns = {field.name: getattr(self, field.name) for field in fields(self)}
+        storage.save_arrays(path, "training-history", columns, {}, made_from)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> History:
@@ -106,12 +103,3 @@ class Recorder:
         delta = (equilibrium - self._target).reshape(len(epoch), self._target.size)
         accuracy = (np.abs(delta) < self._tolerance).mean(axis=1)
         return History(epoch, np.linalg.norm(delta, axis=1), accuracy, rate, one_norm, infinity_norm, equilibrium)
-
-    @classmethod
-    def from_history(cls, history: History, target: Floats, tolerance: float) -> Recorder:
-        """Inverse of `history`."""
-        recorder = cls(target, tolerance)
-        columns = (history.epoch, history.rate, history.one_norm, history.infinity_norm)
-        recorder._scalars = list(zip(*(column.tolist() for column in columns), strict=True))
-        recorder._equilibria = [row.ravel() for row in history.equilibrium]
-        return recorder

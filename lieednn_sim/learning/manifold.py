@@ -53,9 +53,6 @@ class WeightManifold(Protocol):
         ``near`` is a point from which a search may start.
         """
 
-    def point(self, alpha: Floats, elements: dict[str, NDArray[Any]]) -> WeightPoint:
-        """The point with given strengths and elements."""
-
     def network(
         self, point: WeightPoint, bias: Floats, rates: dict[str, Any]
     ) -> LieEDNN | GroupLieEDNN | HopfieldNetwork:
@@ -79,7 +76,7 @@ class SE3Weights:
         return self.point(alpha, {"rotation": rotation, "translation": translation})
 
     def point(self, alpha: Floats, elements: dict[str, NDArray[Any]]) -> WeightPoint:
-        """See `WeightManifold.point`."""
+        """The point with given strengths and elements."""
         return WeightPoint(alpha, adjoint(elements["rotation"], elements["translation"]), elements)
 
     def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> LieEDNN:
@@ -123,7 +120,7 @@ class GroupWeights:
         return self.group.project_to_adjoint(blocks / alpha[:, :, None, None], start)
 
     def point(self, alpha: Floats, elements: dict[str, NDArray[Any]]) -> WeightPoint:
-        """See `WeightManifold.point`."""
+        """The point with given strengths and elements."""
         return WeightPoint(alpha, self.group.adjoint(elements["theta"]), elements)
 
     def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> GroupLieEDNN:
@@ -135,8 +132,6 @@ class QuaternionWeights:
     """Blocks that multiply quaternions (w, x, y, z) from the left, |omega_ij| L(omega_ij / |omega_ij|)."""
 
     dimension = 4
-    # Its name in the fingerprints of trainings; no group has it.
-    name = "quaternions"
 
     def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
         """See `WeightManifold.project`; "scaled" is the orthogonal projection onto the linear space of blocks."""
@@ -147,7 +142,7 @@ class QuaternionWeights:
         return self.point(length if kind == "scaled" else alpha, {"quaternion": unit})
 
     def point(self, alpha: Floats, elements: dict[str, NDArray[Any]]) -> WeightPoint:
-        """See `WeightManifold.point`."""
+        """The point with given strengths and elements."""
         return WeightPoint(alpha, np.tensordot(elements["quaternion"], _LEFT, axes=1), elements)
 
     def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> HopfieldNetwork:

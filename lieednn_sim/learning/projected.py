@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
-import time
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.budget import check_time, cpu_time
-from lieednn_sim.errors import InputError
-from lieednn_sim.learning import checkpoint as checkpoints
-from lieednn_sim.learning.checkpoint import TrainingState
 from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
 from lieednn_sim.learning.history import Recorder
-from lieednn_sim.learning.manifold import QuaternionWeights
+from lieednn_sim.learning.manifold import QuaternionWeights, WeightPoint
 from lieednn_sim.learning.options import TrainingOptions
 from lieednn_sim.learning.problem import Progress, TrainingProblem
 from lieednn_sim.learning.result import StopReason, TrainingResult, conclude
@@ -26,8 +22,6 @@ from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.validation import Seed, as_floats
 from lieednn_sim.values import Floats
 
-# Seconds from one checkpoint to the next.
-_CHECKPOINT_SECONDS = 10.0
 # Tolerance of the equilibrium relative to its distance from the target, so that its error does not affect E.
 _RELATIVE_TOLERANCE = 1e-6
 _LEAST_TOLERANCE = 1e-12
@@ -44,8 +38,6 @@ def train(
     group: MatrixLieGroup | QuaternionWeights | None = None,
     initial_weight: ArrayLike | None = None,
     seed: Seed = 0,
-    checkpoint: str | os.PathLike[str] | None = None,
-    resume: bool = False,
     progress: Progress | None = None,
 ) -> TrainingResult:
     """Learn weights whose equilibrium is the target, projecting onto the manifold every few epochs.
@@ -63,9 +55,6 @@ def train(
         initial_weight: ``(Nd, Nd)`` weights of the first start; by default, and for every other start, random ones of
             1-norm 1, as in the paper.
         seed: seed of the initial weights; the same seed gives the same network.
-        checkpoint: ``.npz`` file for the state, written every ten seconds and when interrupted.
-        resume: continue from the checkpoint of an interrupted call with the same arguments; the result is the same as
-            without the interruption.
         progress: called with the epochs done and the largest number of epochs.
 
     Returns:
@@ -73,7 +62,6 @@ def train(
 
     Raises:
         InputError: a value has the wrong shape or range.
-        FileError: the checkpoint cannot be written; or, to resume, cannot be read or is of another training.
     """
     problem = TrainingProblem.checked(target, bias, gamma, mu, activation, group, seed)
     chosen = TrainingOptions() if options is None else options
@@ -81,13 +69,38 @@ def train(
     first = None if initial_weight is None else as_floats("initial_weight", initial_weight, (size, size))
     training = _ProjectedTraining(problem, chosen)
     with one_blas_thread():
-        if not resume:
-            training.begin(0, weight=first)
-        elif checkpoint is None:
-            raise InputError("to resume a training needs its checkpoint")
-        else:
-            training.anchor, training.recorder, training.spent = checkpoints.load(checkpoint, problem, chosen)
-        return training.run(checkpoint, progress)
+        training.begin(0, weight=first)
+        return training.run(progress)
+
+
+class _State(NamedTuple):
+    """State of a training after a projection, to which a rejected trial returns.
+
+    Attributes:
+        weight: ``(Nd, Nd)``.
+        alpha: ``(N, N)`` learned strengths.
+        point: the last projection of the weights.
+        equilibrium: equilibrium of the weights.
+        rate: learning rate.
+        error: E of the last epoch, to which the adaptive rate compares the next one.
+        epoch: epochs done, over all starts.
+        rows: rows of history up to here.
+        start: number of the initial weights.
+        start_epoch: epoch at which this start began.
+        reason: why this start ended; None while it goes on.
+    """
+
+    weight: Floats
+    alpha: Floats
+    point: WeightPoint
+    equilibrium: FlatEquilibrium
+    rate: float
+    error: float
+    epoch: int
+    rows: int
+    start: int
+    start_epoch: int
+    reason: StopReason | None = None
 
 
 class _ProjectedTraining:
@@ -96,8 +109,7 @@ class _ProjectedTraining:
         self.manifold, self.solver = problem.manifold(), problem.solver()
         self.goal = problem.target.ravel()
         self.recorder = Recorder(problem.target, options.tolerance)
-        self.anchor: TrainingState
-        self.spent = 0.0
+        self.anchor: _State
 
     def begin(self, start: int, epoch: int = 0, weight: Floats | None = None) -> None:
         """New initial weights: random ones, unless they are given."""
@@ -114,35 +126,18 @@ class _ProjectedTraining:
         self.recorder.cut(0)
         rk45 = options.equilibrium == "rk45"
         equilibrium = self.solver.flow(weight, np.zeros(len(weight))) if rk45 else self.solver.first(weight)
-        self.anchor = TrainingState(
-            weight, alpha, point, equilibrium, options.initial_rate, np.inf, epoch, 0, start, epoch
-        )
+        self.anchor = _State(weight, alpha, point, equilibrium, options.initial_rate, np.inf, epoch, 0, start, epoch)
 
-    def run(self, checkpoint: str | os.PathLike[str] | None, progress: Progress | None) -> TrainingResult:
+    def run(self, progress: Progress | None) -> TrainingResult:
         """Train until there is a reason to stop."""
-        begun, saved = cpu_time(), time.perf_counter()
-
-        def save() -> None:
-            if checkpoint is not None:
-                elapsed = self.spent + cpu_time() - begun
-                checkpoints.save(checkpoint, self.problem, self.options, self.anchor, self.recorder, elapsed)
-
-        # At once, so that an unwritable path is reported before the work.
-        save()
-        try:
-            while self.anchor.reason is None or self._may_restart():
-                if self.anchor.reason is None:
-                    self._advance()
-                else:
-                    self.begin(self.anchor.start + 1, self.anchor.epoch)
-                if progress is not None:
-                    progress(self.anchor.epoch, self.options.max_epochs)
-                if time.perf_counter() - saved > _CHECKPOINT_SECONDS:
-                    save()
-                    saved = time.perf_counter()
-        except KeyboardInterrupt:
-            save()
-            raise
+        start = cpu_time()
+        while self.anchor.reason is None or self._may_restart():
+            if self.anchor.reason is None:
+                self._advance()
+            else:
+                self.begin(self.anchor.start + 1, self.anchor.epoch)
+            if progress is not None:
+                progress(self.anchor.epoch, self.options.max_epochs)
         last = self.anchor
         self.recorder.cut(last.rows)
         self.recorder.add(last.epoch, last.equilibrium.x, last.rate, last.weight)
@@ -156,7 +151,7 @@ class _ProjectedTraining:
             history=self.recorder.history(),
             epochs=last.epoch,
             starts=last.start + 1,
-            cpu_time=self.spent + cpu_time() - begun,
+            cpu_time=cpu_time() - start,
         )
 
     def _find(self, weight: Floats, x: Floats, nearby: SensitivityMatrix | None = None) -> FlatEquilibrium:
@@ -206,7 +201,7 @@ class _ProjectedTraining:
         tracked = options.step_control == "tracked"
         lost = not state.equilibrium.success
         if lost or (tracked and np.abs(state.equilibrium.x - before.equilibrium.x).max() > options.max_jump):
-            # Back to the last weights that have the equilibrium; one assignment, so that interruptions see all of it.
+            # Back to the last weights that have the equilibrium.
             rate = before.rate * options.shrink if tracked else before.rate
             reason: StopReason | None = StopReason.LOST_EQUILIBRIUM
             if tracked:
@@ -224,7 +219,7 @@ class _ProjectedTraining:
             state = state._replace(reason=StopReason.CONVERGED)
         self.anchor = state
 
-    def _step(self, state: TrainingState) -> tuple[TrainingState, bool]:
+    def _step(self, state: _State) -> tuple[_State, bool]:
         """One epoch of Algorithm 1 without the projection, and whether its stop test passed as printed."""
         check_time()
         options, ratio = self.options, self.problem.ratio
@@ -256,7 +251,5 @@ class _ProjectedTraining:
                     change /= np.einsum("ijab,ijab->ij", state.point.adjoints, state.point.adjoints)
                 alpha = alpha - rate * change
         found, epoch, rows = self._find(weight, now.x, nearby), state.epoch + 1, len(self.recorder)
-        after = TrainingState(
-            weight, alpha, state.point, found, rate, error, epoch, rows, state.start, state.start_epoch
-        )
+        after = _State(weight, alpha, state.point, found, rate, error, epoch, rows, state.start, state.start_epoch)
         return after, arrived

@@ -42,7 +42,7 @@ class TrainingResult:
         history: history of the last start, epoch by epoch.
         epochs: epochs over all starts.
         starts: number of initial weights tried.
-        cpu_time: CPU time, including that before interruptions [s].
+        cpu_time: CPU time [s].
     """
 
     success: bool

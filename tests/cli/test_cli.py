@@ -1,8 +1,8 @@
 """The command line as a user meets it: the whole road, one-line errors, exit code 2, no half-written file."""
 
+import errno
 import importlib
 import importlib.metadata
-import itertools
 import json
 import os
 import re
@@ -19,7 +19,6 @@ import pytest
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.cli import doctor, main
 from lieednn_sim.learning import projected
-from lieednn_sim.learning.history import History
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Motion
 
@@ -116,16 +115,8 @@ def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "epochs spent after 20 epochs" in printed
     assert "no network was written; try" in printed
-    assert {path.name for path in directory.rglob("*.*")} == {"made.json", "task.json", "history.npz", "training.png"}
+    assert not directory.exists()
     assert "holds no run" in fails(capsys, "simulate", directory)
-    # Of several that fail, the last one is told, as after a resume.
-    words = ["train", "--target", "extended", "--algorithm", "literal", "--epochs", "20"]
-    histories = []
-    for seed, candidates in ((0, 2), (1, 1), (0, 1)):
-        there = tmp_path / f"{seed}-{candidates}"
-        assert main([*words, "--seed", str(seed), "--candidates", str(candidates), "--output", str(there)]) == 1
-        histories.append(History.load(there / "training" / "history.npz").error.tolist())
-    assert histories[0] == histories[1] != histories[2]
 
 
 @pytest.mark.usefixtures("no_plots")
@@ -140,33 +131,23 @@ def test_a_training_that_fails_leaves_an_earlier_run_as_it_was(run, tmp_path, ca
 
 
 @pytest.mark.usefixtures("no_plots")
-def test_interrupted_training_goes_on_with_resume(tmp_path, capsys, monkeypatch):
-    straight, broken = tmp_path / "straight", tmp_path / "broken"
-    arguments = ["train", "--target", "extended", "--algorithm", "repaired", "--period", "8", "--output"]
-    assert main([*arguments, str(straight)]) == 0
-    steps = itertools.count()
-    original = projected._ProjectedTraining._step
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))])
+def test_a_training_that_is_ended_says_so_and_leaves_nothing_half_made(run, tmp_path, capsys, monkeypatch, error):
+    """By the user or by a fault, in a directory of its own and in one with an earlier run."""
 
-    def stopping(self, state):
-        if next(steps) == 101:
-            raise KeyboardInterrupt
-        return original(self, state)
+    def ending(*_):
+        raise error
 
-    # The plots' own patch stays.
-    with monkeypatch.context() as patch:
-        patch.setattr(projected._ProjectedTraining, "_step", stopping)
-        assert main([*arguments, str(broken)]) == 130
-    printed = capsys.readouterr().out
-    assert f"train --resume {broken}" in printed
-    assert "\nafter a push of size 1 the state is at most" in printed
-    assert [path.name for path in broken.iterdir()] == ["training"]
-    words = fails(capsys, "train", "--resume", broken, "--epochs=7", "--output", tmp_path / "other", "--plots", "svg")
-    assert words.endswith("with its own options; leave out --epochs, --output")
-    assert main(["train", "--resume", str(broken)]) == 0
-    one, two = (LieEDNN.load(directory / "network.npz") for directory in (straight, broken))
-    np.testing.assert_array_equal(one.weight, two.weight)
-    assert {path.name for path in broken.iterdir()} == {path.name for path in straight.iterdir()}
-    assert "holds no interrupted training" in fails(capsys, "train", "--resume", broken)
+    monkeypatch.setattr(projected._ProjectedTraining, "_step", ending)
+    code, said = (130, "interrupted") if isinstance(error, KeyboardInterrupt) else (2, "No space left on device")
+    directory = tmp_path / "run"
+    shutil.copytree(run, directory)
+    before = {path.name: path.read_bytes() for path in directory.iterdir()}
+    for output in (tmp_path / "new" / "learned", directory):
+        assert main(["train", "--target", "extended", "--algorithm", "repaired", "--output", str(output)]) == code
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+    assert before == {path.name: path.read_bytes() for path in directory.iterdir()}
 
 
 @pytest.mark.parametrize(

@@ -359,7 +359,6 @@ def test_an_empty_name_is_no_run_and_no_video(tmp_path, made, capsys, monkeypatc
     for command in ("simulate", "evaluate", "render"):
         assert "must be a path, got ''" in fails(capsys, command, "")
     assert "must be a path, got ''" in fails(capsys, "render", ".", "--output", "")
-    assert "must be a path, got ''" in fails(capsys, "train", "--resume", "")
 
 
 def test_every_output_is_looked_at_before_the_work(tmp_path, made, capsys):
@@ -401,18 +400,6 @@ def test_what_a_killed_command_left_half_written_is_removed_by_the_next(tmp_path
         assert (tmp_path / ".rollout.unfinished-a1b2c3d4.npz").exists()
     with run.at_work():
         assert {name for name in names(tmp_path) if name.startswith(".")} == mine
-
-
-def test_a_training_that_was_killed_at_its_very_beginning_begins_again(tmp_path):
-    """It had made its directory, and had not yet begun or just not finished its first file."""
-    words = ["train", "--target", "extended", "--epochs", "1", "--output", str(tmp_path)]
-    for left in ((), (".task.unfinished-a1b2c3d4.json", ".made.unfinished-a1b2c3d4.json")):
-        (tmp_path / "training").mkdir()
-        for name in left:
-            (tmp_path / "training" / name).write_bytes(b"half")
-        assert main(words) == 1, "one epoch does not suffice"
-        assert names(tmp_path / "training") == {"history.npz", "made.json", "task.json", "training.png"}
-        shutil.rmtree(tmp_path / "training")
 
 
 @pytest.mark.parametrize(

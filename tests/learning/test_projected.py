@@ -1,4 +1,4 @@
-"""Algorithm 1 in its variants: what it must reach, how it stops, and that an interruption changes nothing."""
+"""Algorithm 1 in its variants: what it must reach, and how it stops."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
-from lieednn_sim import storage
-from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, projected, train
+from lieednn_sim.errors import InputError
+from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, train
 from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.lie import adjoint, project_to_adjoint
@@ -36,7 +35,7 @@ def same(one, other) -> None:
 
 
 def test_tracked_learning_reaches_nearly_every_target_on_the_manifold():
-    results = [uninterrupted(TrainingOptions.tracked(), seed) for seed in range(12)]
+    results = [trained(TrainingOptions.tracked(), seed) for seed in range(12)]
     assert sum(result.success for result in results) >= 11
     for seed, result in enumerate(results):
         assert result.structure_error < 1e-12
@@ -138,7 +137,7 @@ def test_same_seed_same_result_and_other_seed_another(algorithm):
 
 
 @functools.cache
-def uninterrupted(options, seed):
+def trained(options, seed):
     return train(target(seed), options, seed=seed)
 
 
@@ -146,41 +145,9 @@ def uninterrupted(options, seed):
 SETTLING = TrainingOptions.repaired(max_epochs=150, period=1)
 
 
-@pytest.mark.parametrize(
-    ("options", "seed"),
-    [
-        (TrainingOptions.repaired(max_epochs=120), 2),
-        (TrainingOptions.tracked(restarts=2, max_start_epochs=60, max_epochs=120), 2),
-        (TrainingOptions.literal(max_epochs=100), 2),
-        (TrainingOptions.repaired(max_epochs=100, projection="none"), 2),
-        (SETTLING, 0),
-    ],
-    ids=["repaired", "tracked", "literal", "ablation", "settling"],
-)
-@pytest.mark.parametrize("interrupted_at", [3, 73])
-def test_interrupted_training_resumes_to_the_same_result(tmp_path, monkeypatch, options, seed, interrupted_at):
-    goal, path = target(seed), tmp_path / "training.npz"
-    whole = uninterrupted(options, seed)
-    steps = 0
-    original = projected._ProjectedTraining._step
-
-    def failing(self, state):
-        nonlocal steps
-        steps += 1
-        if steps == interrupted_at:
-            raise KeyboardInterrupt
-        return original(self, state)
-
-    monkeypatch.setattr(projected._ProjectedTraining, "_step", failing)
-    with pytest.raises(KeyboardInterrupt):
-        train(goal, options, seed=seed, checkpoint=path)
-    monkeypatch.undo()
-    same(train(goal, options, seed=seed, checkpoint=path, resume=True), whole)
-
-
 def test_where_newton_steps_find_no_equilibrium_the_network_is_run():
     """The jump is far, so the one from which training goes on must attract: checked by a fresh network."""
-    result = uninterrupted(SETTLING, 0)
+    result = trained(SETTLING, 0)
     assert result.reason is StopReason.EPOCHS_SPENT
     assert result.epochs == 150
     # Without it this training ended as lost at epoch 55; after it the equilibrium has jumped by more than 1.
@@ -203,63 +170,6 @@ def test_a_network_without_rest_is_given_up():
     np.testing.assert_allclose(still.x, 0.1 * turning @ np.tanh(still.x) + 1e-3, atol=1e-12)
     # Weights beyond all measure: neither a hang nor a false find.
     assert not solver.settled(1e100 * turning, np.array([0.5, 0.0])).success
-
-
-def test_checkpoint_is_written_on_the_way(tmp_path, monkeypatch):
-    monkeypatch.setattr(projected, "_CHECKPOINT_SECONDS", 0.0)
-    path = tmp_path / "training.npz"
-    options = TrainingOptions.repaired(max_epochs=40)
-    result = train(target(0), options, seed=0, checkpoint=path)
-    np.testing.assert_array_equal(train(target(0), options, checkpoint=path, resume=True).weight, result.weight)
-    for goal, changed in (
-        (target(1), {}),
-        (target(0), {"seed": 1}),
-        (target(0), {"bias": 0.2}),
-        (target(0), {"mu": 2.0}),
-        (target(0), {"options": TrainingOptions.repaired(max_epochs=41)}),
-    ):
-        with pytest.raises(FileError, match="with another target, other options or another seed"):
-            train(goal, **{"options": options, "checkpoint": path, "resume": True, **changed})
-    with pytest.raises(FileError, match="no such file"):
-        train(target(0), options, checkpoint=tmp_path / "none.npz", resume=True)
-    with pytest.raises(InputError, match="needs its checkpoint"):
-        train(target(0), options, resume=True)
-
-
-def test_a_checkpoint_that_cannot_be_written_is_known_before_the_work(tmp_path):
-    for path in (tmp_path / "none" / "training.npz", tmp_path / "training.txt"):
-        with pytest.raises(FileError, match="cannot write"):
-            train(target(0), TrainingOptions.repaired(max_epochs=10**6), checkpoint=path)
-
-
-def test_training_on_an_affine_group_resumes_and_a_finished_one_stays_finished(tmp_path, monkeypatch):
-    monkeypatch.setattr(projected, "_CHECKPOINT_SECONDS", 0.0)
-    path, chosen = tmp_path / "training.npz", group("affine(C^x)")
-    words = {"options": TrainingOptions.tracked(max_epochs=5), "group": chosen, "seed": 1, "checkpoint": path}
-    result = train(target(0, 2, 4), **words)
-    same(train(target(0, 2, 4), **words, resume=True), result)
-    monkeypatch.undo()
-    done = train(target(0), TrainingOptions.tracked(), seed=0, checkpoint=path)
-    assert done.success
-    same(train(target(0), TrainingOptions.tracked(), seed=0, checkpoint=path, resume=True), done)
-
-
-def test_checkpoint_with_nonsense_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(projected, "_CHECKPOINT_SECONDS", 0.0)
-    path, options = tmp_path / "training.npz", TrainingOptions.repaired(max_epochs=20)
-    train(target(0), options, checkpoint=path)
-    arrays, meta = storage.load_arrays(path, "training")
-    meta = {k: v for k, v in meta.items() if k not in ("kind", "format")}
-    without = {name: value for name, value in arrays.items() if name != "weight"}
-    for held, said in (
-        (without, meta),
-        ({**arrays, "numbers": arrays["numbers"][:-1]}, meta),
-        ({**arrays, "history_equilibrium": arrays["history_equilibrium"][:-1]}, meta),
-        (arrays, {**meta, "reason": "bored"}),
-    ):
-        storage.save_arrays(path, "training", held, said)
-        with pytest.raises(FileError, match="not a valid training checkpoint"):
-            train(target(0), options, checkpoint=path, resume=True)
 
 
 def test_lost_equilibrium_and_instability_stop_the_training_with_their_reason():
@@ -308,7 +218,7 @@ def test_learning_gets_closer_where_the_projection_is_slow(name):
 
 def test_trained_networks_seldom_carry_a_certificate_that_they_could_not_have():
     """A trained network is checked like any other; where the search finds a certificate, it holds."""
-    result = uninterrupted(TrainingOptions.tracked(), 0)
+    result = trained(TrainingOptions.tracked(), 0)
     certificate = find_certificate(result.network.rotational_weight)
     abscissa = result.network.equilibrium(target(0)).spectral_abscissa
     assert not certificate.valid or abscissa <= -certificate.rate + 1e-6
@@ -331,7 +241,7 @@ def test_first_weights_and_strengths_can_be_chosen():
     first = train(target(0), TrainingOptions.repaired(max_epochs=1), initial_weight=given, seed=1).history
     assert first.one_norm[0] == pytest.approx(np.linalg.norm(given, 1))
     # Learning goes on from a network that is near: the equilibrium is already there.
-    learned = uninterrupted(TrainingOptions.tracked(), 0)
+    learned = trained(TrainingOptions.tracked(), 0)
     again = train(target(0), TrainingOptions.tracked(), initial_weight=learned.weight, seed=1)
     assert again.success
     assert again.epochs <= 2

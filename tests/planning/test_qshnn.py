@@ -112,19 +112,3 @@ def test_refusals_say_why():
     short = QshnnOptions(networks=2, training=dataclasses.replace(OPTIONS.training, max_epochs=10))
     with pytest.raises(PlanError, match=r"no quaternion network of 2 can be used: epochs spent after 10 epochs"):
         qshnn(PROBLEM, short)
-
-
-def test_an_interrupted_training_of_quaternions_goes_on_to_the_same_weights(tmp_path):
-    file, options = tmp_path / "checkpoint.npz", TrainingOptions(projection="scaled", tolerance=1e-6)
-    target = np.random.default_rng(0).uniform(-0.5, 0.5, (2, 4))
-
-    def interrupt(done, _):
-        if done > 50:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(target, options, group=QuaternionWeights(), checkpoint=file, progress=interrupt)
-    whole = train(target, options, group=QuaternionWeights())
-    assert whole.success
-    again = train(target, options, group=QuaternionWeights(), checkpoint=file, resume=True)
-    np.testing.assert_array_equal(again.weight, whole.weight)
