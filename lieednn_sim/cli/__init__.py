@@ -84,14 +84,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _call(words: Sequence[str]) -> Callable[[], Any]:
     """What the words ask for: a command, the help or the version."""
-    if not words or words[0] in ("-h", "--help"):
+    command = words[0] if words else ""
+    if command in ("-h", "--help"):
         return lambda: print(parser.overview(_DESCRIPTION, COMMANDS))
-    if words[0] == "--version":
+    if command == "--version":
         return _print_version
     modules = {command: module for members in COMMANDS.values() for command, module in members.items()}
-    if words[0] not in modules:
-        raise InputError(f"no command {words[0]!r}{parser.near(words[0], modules)}; commands: {', '.join(modules)}")
-    return parser.bind(parser.definition(modules[words[0]], words[0]), words[1:])
+    if command not in modules:
+        raise InputError(f"no command {command!r}{parser.near(command, modules)}; commands: {', '.join(modules)}")
+    return parser.bind(parser.definition(modules[command], command), words[1:])
 
 
 def _print_version() -> None:

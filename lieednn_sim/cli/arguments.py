@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from argparse import ArgumentTypeError
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from lieednn_sim.arm.models import chosen, is_arm_file
 from lieednn_sim.arm.obstacles import is_scene_file
 from lieednn_sim.arm.targets import draw_target, goes_to_extended
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
-from lieednn_sim.cli.kinds import KINDS, ArgumentTypeError, Force, Joints, Point, Pose, Setting, numbers
+from lieednn_sim.cli.kinds import KINDS, Force, Joints, Point, Pose, Setting, numbers
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
@@ -241,7 +242,7 @@ def read_options(options: Any, texts: Sequence[str]) -> Any:
         name, equals, value = text.partition("=")
         head, dot, rest = name.partition(".")
         if not equals or head not in known or bool(dot) != is_dataclass(getattr(options, head)):
-            raise InputError(f"{text!r} is none of {', '.join(f'{name}=VALUE' for name in option_names(options))}")
+            raise InputError(f"{text!r} must be NAME=VALUE with a name of {', '.join(option_names(options))}")
         if dot:
             inner.setdefault(head, []).append(f"{rest}={value}")
             continue

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
-import shlex
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from lieednn_sim import filesystem
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
+from lieednn_sim.cli.kinds import CommandLine, Directory, File
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.manifest import Manifest
 from lieednn_sim.registry import CONTROLLERS, PLANNERS
@@ -29,80 +29,149 @@ _Wanted = TypeVar("_Wanted")
 _Shown = TypeVar("_Shown")
 
 
-def compare(arguments: argparse.Namespace) -> None:
-    """Compute the missing rows of the table, then write summary and page."""
-    settings = Settings(
-        duration=arguments.duration,
-        hold=arguments.hold,
-        mass_scale=arguments.mass_scale,
-        time_budget=arguments.time_budget,
-    )
-    shard = None if arguments.shard is None else Shard.parse(arguments.shard)
-    study = Comparison(
-        planners=_listed(arguments.planners),
-        arms=_listed(arguments.arms),
-        scenes=_listed(arguments.scenes),
-        controllers=_listed(arguments.controllers),
-        seeds=arguments.seeds,
-        slow_seeds=arguments.slow_seeds,
-        common=settings,
-        shard=shard,
-    )
-    jobs = as_count("jobs", os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs)
+@dataclass(frozen=True)
+class Cases:
+    """The cases of a comparison.
+
+    Attributes:
+        planners: any of these (default: all): {planners}
+        arms: any of {arms}, or MJCF, URDF or YAML files, with links as in robot.urdf:wrist,tool (default: all).
+        scenes: any of {scenes}, or MJCF or YAML files of obstacles (default: free,window).
+        controllers: any of {controllers} (default: position-servo,inverse-dynamics).
+        seeds: number of seeds for each arm, scene and planner: 0, 1, ....
+        slow_seeds: number of seeds for planners whose cases take more than a second of CPU time (default: as for the
+            others).
+        shard: run only the K-th of N parts of the cases, K/N; --merge joins the parts.
+    """
+
+    planners: list[str] | None = None
+    arms: list[str] | None = None
+    scenes: list[str] | None = None
+    controllers: list[str] | None = None
+    seeds: int = 3
+    slow_seeds: int | None = None
+    shard: str | None = None
+
+    def study(self, settings: Settings) -> Comparison:
+        """The comparison of the cases."""
+        return Comparison(
+            planners=_listed(self.planners),
+            arms=_listed(self.arms),
+            scenes=_listed(self.scenes),
+            controllers=_listed(self.controllers),
+            seeds=self.seeds,
+            slow_seeds=self.slow_seeds,
+            common=settings,
+            shard=None if self.shard is None else Shard.parse(self.shard),
+        )
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the page of a comparison shows.
+
+    Attributes:
+        reactive: number of seeds for a benchmark of policies that are pushed, loaded and given another target.
+        views: number of problems that the page shows in 3D, with the motions of several planners.
+        videos: number of cases of which to make videos.
+        video: a case of which to make a video, planner:arm:scene:seed.
+        date: date to print at the top of the page (default: none).
+    """
+
+    reactive: int = 0
+    views: int = 1
+    videos: int = 0
+    video: tuple[str, ...] = ()
+    date: str = ""
+
+    def check(self) -> list[Case]:
+        """The cases of ``video``; raises `InputError` for what is no number or no case."""
+        for name in ("videos", "views", "reactive"):
+            as_count(name, getattr(self, name), least=0)
+        return [Case.parse(text) for text in self.video]
+
+
+def compare(
+    *,
+    cases: Cases,
+    settings: Settings,
+    shown: Shown,
+    output: Directory = "results/comparison",
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    merge: list[File] | None = None,
+    line: CommandLine,
+) -> int:
+    """Compare planners on arms, scenes, controllers and seeds, in a table and a page.
+
+    After an interruption, the same command continues. The defaults take a quarter of an hour of CPU time.
+
+    Args:
+        cases: the cases.
+        settings: the settings of all cases.
+        shown: the page.
+        output: directory of the table.
+        jobs: number of worker processes (default: one for each core).
+        scheduler: address of the scheduler of a Dask cluster, whose workers run the cases instead of --jobs.
+        merge: join the tables of --shard in these directories instead, and make the page; the exit code is 1 if cases
+            are missing.
+        line: the words of the command, which the page shows.
+    """
+    if merge is not None:
+        return _merge(output, merge, line)
+    study = cases.study(settings)
+    shard = study.shard
+    workers = as_count("jobs", os.cpu_count() or 1 if jobs is None else jobs)
     # Check values before any work.
-    as_count("videos", arguments.videos, least=0)
-    as_count("views", arguments.views, least=0)
-    as_count("reactive", arguments.reactive, least=0)
-    cases = [Case.parse(text) for text in arguments.video]
-    if shard is not None and (arguments.videos or cases or arguments.reactive):
+    chosen = shown.check()
+    if shard is not None and (shown.videos or chosen or shown.reactive):
         raise InputError("--shard makes only a part of the table; it cannot take --videos, --video or --reactive")
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
-    cluster = contextlib.nullcontext() if arguments.scheduler is None else dask_executor(arguments.scheduler)
+    cluster = contextlib.nullcontext() if scheduler is None else dask_executor(scheduler)
     with (
         cluster as executor,
-        filesystem.created(arguments.output) as directory,
+        filesystem.created(output) as directory,
         filesystem.locked(directory),
     ):
-        how: dict[str, Any] = {"jobs": jobs, "executor": executor, "console": to_stderr()}
+        how: dict[str, Any] = {"jobs": workers, "executor": executor, "console": to_stderr()}
         if executor is not None:
-            console.print(f"{executor.n_workers} workers at {arguments.scheduler}; cases wait for the first one")
+            console.print(f"{executor.n_workers} workers at {scheduler}; cases wait for the first one")
         summary, page = directory / "comparison.md", directory / "comparison.html"
-        _check_outputs(directory, [summary, page, *([directory / "reactions.md"] if arguments.reactive else [])])
+        _check_outputs(directory, [summary, page, *([directory / "reactions.md"] if shown.reactive else [])])
         _print_found(study)
         table = compute(study, directory, **how)
         if shard is not None:
             wrote(table.csv)
-            return
+            return 0
         with table.manifest.writing(summary) as temporary:
             write_summary(temporary, table, study.absent)
         controller = study.controllers[0]
-        problems = choose_problems(table, arguments.views, controller)
+        problems = choose_problems(table, shown.views, controller)
         places = {f"{some[0].arm}, {some[0].scene}": some for some in problems}
         views = _shown("view", places, lambda some, **told: view(table, some, controller, **told))
-        filmed = {str(case): case for case in cases + choose_cases(table, arguments.videos)}
+        filmed = {str(case): case for case in chosen + choose_cases(table, shown.videos)}
         clips = _shown("video", filmed, lambda case, **told: film(table, case, controller, **told))
-        line = shlex.join(["lieednn-sim", *arguments.words])
         reactions, more = None, []
-        if arguments.reactive:
-            disturbed = Reactions(study.arms, study.scenes, arguments.reactive, user_files=study.user_files)
+        if shown.reactive:
+            disturbed = Reactions(study.arms, study.scenes, shown.reactive, user_files=study.user_files)
             reactions = compute(disturbed, directory, **how)
             more = [reactions.csv, directory / "reactions.md"]
             with table.manifest.writing(more[1]) as temporary:
                 write_reactions(temporary, reactions)
-        head = {"command": line, "date": arguments.date}
+        head = {"command": line, "date": shown.date}
         with table.manifest.writing(page) as temporary:
             write_page(temporary, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)
     wrote(table.csv, summary, *more, page)
+    return 0
 
 
-def merge(arguments: argparse.Namespace) -> int:
+def _merge(output: Directory, folders: Sequence[File], line: CommandLine) -> int:
     """Merge the tables of shards, and write summary and page; returns 1 if cases are missing."""
-    line = shlex.join(["lieednn-sim", *arguments.words])
-    with filesystem.created(arguments.output) as directory, filesystem.locked(directory):
+    with filesystem.created(output) as directory, filesystem.locked(directory):
         outputs = [directory / "comparison.md", directory / "comparison.html"]
         _check_outputs(directory, outputs)
-        merged = merge_shards(directory, arguments.folders)
+        merged = merge_shards(directory, folders)
         with merged.table.manifest.replacing(outputs) as (summary, page):
             write_summary(summary, merged.table, merged.absent)
             write_page(page, merged.table, missing=merged.absent, command=line)

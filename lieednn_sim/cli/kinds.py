@@ -21,6 +21,7 @@ Point = tuple[float, ...]
 Pose = tuple[float, ...]
 Joints = str
 Setting = str
+CommandLine = str
 Force = tuple[str, tuple[float, ...]]
 
 
@@ -131,6 +132,8 @@ KINDS = {
     "tuple[str, ...]": Kind(str, "NAME", repeated=True),
     "tuple[Setting, ...]": Kind(str, "NAME=VALUE", repeated=True),
     "list[str]": Kind(str, "A,B,...", words=True),
+    # Given by the program itself.
+    "CommandLine": Kind(str, ""),
     "Directory": Kind(str, "DIR"),
     "File": Kind(str, "FILE"),
     "list[File]": Kind(str, "FILE", words=True),

@@ -6,6 +6,7 @@ import argparse
 import difflib
 import importlib
 import re
+import shlex
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -35,7 +36,9 @@ def overview(description: str, commands: Mapping[str, Mapping[str, str]]) -> str
             summary = definition(module, command).docstring.partition("\n")[0]
             lines.append(f"  {command:<12}{summary[0].lower()}{summary[1:].rstrip('.')}")
         lines.append("")
-    return "\n".join([*lines, f"{_PROGRAM} COMMAND --help explains the options of a command, --version prints the version"])
+    return "\n".join(
+        [*lines, f"{_PROGRAM} COMMAND --help explains the options of a command, --version prints the version"]
+    )
 
 
 def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
@@ -46,13 +49,18 @@ def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
     taken = parameters(source)
     parser = make_parser(source)
     parser.epilog = _planner_help(words)
-    given, unknown = parser.parse_known_args(words)
+    space, unknown = parser.parse_known_args(words)
+    given = vars(space) | {
+        parameter.option: shlex.join([_PROGRAM, source.name, *words])
+        for parameter in taken
+        if parameter.kind == "CommandLine"
+    }
     if unknown:
         known = [name for action in parser._actions for name in action.option_strings]
         parser.error(f"{unknown[0]} is not understood{near(unknown[0].partition('=')[0], known)}")
 
     def call() -> Any:
-        return getattr(importlib.import_module(source.module), source.name)(**_arguments(taken, vars(given)))
+        return getattr(importlib.import_module(source.module), source.name)(**_arguments(taken, given))
 
     return call
 
@@ -99,7 +107,9 @@ def make_parser(source: Definition) -> argparse.ArgumentParser:
 
 def _add(parser: argparse.ArgumentParser, group: Any, taken: Iterable[Parameter]) -> None:
     for each in taken:
-        if each.makes is None and not each.group:
+        if each.kind == "CommandLine":
+            continue
+        if each.kind:
             _add_option(group, each)
         else:
             _add(parser, parser.add_argument_group(each.help), each.group)
@@ -174,8 +184,7 @@ def _join_negative_numbers(words: Sequence[str]) -> list[str]:
     """Rewrite ``--target -1,2`` as ``--target=-1,2``, since argparse takes a leading minus for another option."""
     joined: list[str] = []
     for word in words:
-        minus = word[:1] == "-" and word[1:2].isdigit() or word[:2] == "-."
-        if minus and joined and joined[-1].startswith("--") and "=" not in joined[-1]:
+        if joined and joined[-1].startswith("--") and "=" not in joined[-1] and re.match(r"-\.?\d", word):
             joined[-1] += f"={word}"
         else:
             joined.append(word)
