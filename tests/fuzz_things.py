@@ -131,7 +131,6 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Guarantee": lambda: thing("Robustness").guarantees[0],
     "Decay": lambda: stability.Decay(thing("Robustness"), 6),
     "LogNorms": lambda: stability.log_norms(np.eye(2)),
-    "NormConditions": lambda: stability.norm_conditions(np.eye(2), 0.5),
     "WeightedNorm": lambda: stability.weighted_norm(np.eye(2)),
     "MatrixLieGroup": lambda: theory.group("SO(3)"),
     "GroupLieEDNN": lambda: theory.complex_network(0.1 * np.eye(2), np.ones(2)),

@@ -36,7 +36,7 @@ for name, result in results.items():
 # Left: the loss, the distance of the equilibrium from the target. Right: the 1-norm of the weights. The paper proves
 # stability where this norm is below gamma/mu = 1, but no network with this equilibrium can have so small a norm.
 
-least = results["tracked"].network.norm_conditions(target).smallest_one_norm
+least = results["tracked"].network.smallest_one_norm(target)
 figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 3.4), layout="constrained")
 for name, result in results.items():
     left.loglog(result.history.epoch + 1, result.history.error, lw=1.2, label=name)

@@ -6,7 +6,6 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.simulation.quaternions import quaternions
 from lieednn_sim.values import Floats
 
 # Sine of half an angle below which the first terms of series are used.
@@ -54,8 +53,10 @@ def goal_frames(arm: Arm, q: Floats, frames: slice) -> Floats:
 
 
 def _rows(positions: Floats, rotations: Floats) -> Floats:
-    turns = quaternions(rotations.reshape(*rotations.shape[:-1], 3, 3))
-    return np.concatenate([positions, rotations, turns], axis=-1)
+    found = np.concatenate([positions, rotations, np.empty((*rotations.shape[:-1], 4))], axis=-1)
+    for frame in found.reshape(-1, 16):
+        mujoco.mju_mat2Quat(frame[12:], frame[3:12])
+    return found
 
 
 def pose_error_twists(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Floats]:

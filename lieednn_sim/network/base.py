@@ -6,7 +6,7 @@ import inspect
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import Field, fields, replace
 from functools import cache, cached_property
 from typing import Any, ClassVar, Self
 
@@ -38,19 +38,8 @@ class BlockNetwork(ABC):
     mu: float
     n_clock: int = 0
 
-    # What `save` writes: the kind of file, and the attributes kept as arrays and as metadata.
+    # The kind of file that `save` writes.
     _kind: ClassVar[str]
-    _arrays: ClassVar[tuple[str, ...]]
-    _scalars: ClassVar[tuple[str, ...]]
-    # Those that may be missing in a file.
-    _optional: ClassVar[tuple[str, ...]] = (
-        "lyapunov_diagonal",
-        "hidden_start",
-        "start_gain",
-        "start_reference",
-        "goal_gain",
-        "n_clock",
-    )
     # Cached values independent of the visible neurons' bias, which `retarget` hands over.
     _bias_free: ClassVar[tuple[str, ...]] = (
         *("blocks", "weight", "certificate", "n_driven", "driven_weight", "_undriven_rest"),
@@ -292,12 +281,10 @@ class BlockNetwork(ABC):
             atol=atol,
         )
 
-    def norm_conditions(self, xi: ArrayLike) -> stability.NormConditions:
-        """The paper's norm conditions, and the smallest 1-norm possible with equilibrium ``xi``."""
+    def smallest_one_norm(self, xi: ArrayLike) -> float:
+        """The smallest 1-norm of any W with which ``xi`` ``(N, d)`` is an equilibrium; above gamma/mu nearly always."""
         target = as_floats("xi", xi, self.bias.shape)
-        required = self.gamma / self.mu * target - self.bias
-        smallest = stability.smallest_one_norm(self.phi(target), required)
-        return stability.norm_conditions(self.weight, smallest, gamma=self.gamma, mu=self.mu)
+        return stability.smallest_one_norm(self.phi(target), self.gamma / self.mu * target - self.bias)
 
     def _seen(self, x: Floats) -> Floats:
         """Visible neurons' states and hidden ones' outputs of a flat state, flat."""
@@ -366,7 +353,8 @@ class BlockNetwork(ABC):
 
     def stored(self) -> tuple[dict[str, Floats], dict[str, Any]]:
         """The arrays and the metadata that a file holds, by name."""
-        return {name: getattr(self, name) for name in self._arrays if getattr(self, name) is not None}, self._meta()
+        arrays = {field.name: getattr(self, field.name) for field in self._stored("Floats", "NDArray")}
+        return {name: values for name, values in arrays.items() if values is not None}, self._meta()
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -383,7 +371,8 @@ class BlockNetwork(ABC):
     def restored(cls, arrays: Mapping[str, Floats], meta: Mapping[str, Any], path: str | os.PathLike[str]) -> Self:
         """The network of what `stored` gave, read from a file, verified and raising as by `load`; unchecked."""
         path = as_path("path", path)
-        names = [name for name in cls._arrays if name in arrays or name not in cls._optional]
+        kept = cls._stored("Floats", "NDArray")
+        names = [field.name for field in kept if field.name in arrays or not field.type.endswith("None")]
         values = dict(zip(names, storage.take(arrays, path, *names), strict=True))
         try:
             network = cls(**values, **cls._from_meta(meta))
@@ -394,13 +383,18 @@ class BlockNetwork(ABC):
             raise FileError(f"{path} carries a certificate that does not hold for its weights ({certificate})")
         return network
 
+    @classmethod
+    def _stored(cls, *types: str) -> list[Field[Any]]:
+        """The fields whose annotation begins with one of some types."""
+        return [field for field in fields(cls) if str(field.type).startswith(types)]  # type: ignore[arg-type]
+
     def _meta(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self._scalars}
+        return {field.name: getattr(self, field.name) for field in self._stored("float", "int", "str")}
 
     @classmethod
     def _from_meta(cls, meta: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the constructor from metadata; raises KeyError or InputError if some are missing."""
-        return {name: meta[name] for name in cls._scalars if name in meta or name not in cls._optional}
+        return {field.name: meta[field.name] for field in cls._stored("float", "int", "str")}
 
 
 def flatten_blocks(blocks: Floats) -> Floats:

@@ -39,8 +39,6 @@ class HopfieldNetwork(ComponentwiseNetwork):
     lyapunov_diagonal: Floats | None = None
 
     _kind: ClassVar[str] = "hopfield-network"
-    _arrays: ClassVar[tuple[str, ...]] = ("matrix", "bias", "lyapunov_diagonal")
-    _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu", "activation")
 
     def __post_init__(self) -> None:
         bias = as_floats("bias", self.bias, ("N", "d"))

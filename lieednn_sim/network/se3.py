@@ -98,18 +98,6 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
     goal_gain: Floats | None = None
 
     _kind: ClassVar[str] = "network"
-    _arrays: ClassVar[tuple[str, ...]] = (
-        "alpha",
-        "rotation",
-        "translation",
-        "bias",
-        "lyapunov_diagonal",
-        "hidden_start",
-        "start_gain",
-        "start_reference",
-        "goal_gain",
-    )
-    _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu", "activation", "n_clock")
 
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
-from lieednn_sim.simulation.quaternions import quaternions
+from lieednn_sim.lie import rotations
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
@@ -168,7 +168,7 @@ class Log:
     def instants(self) -> Instant:
         """All instants so far, along the first axis of every array."""
         rows, log = self._rows, {name: self._read(*pair) for name, pair in self._log.items()}
-        rotations = log["rotations"][:, self._sites].reshape(rows, len(self._sites), 3, 3)
+        matrices = log["rotations"][:, self._sites].reshape(rows, len(self._sites), 3, 3)
         contacts, contact_force = np.zeros(rows, dtype=int), np.zeros(rows)
         for row, touching, force in self._contacts:
             contacts[row], contact_force[row] = touching, force
@@ -180,7 +180,7 @@ class Log:
             actuator_force=log["actuators"] + self._compensated * log["compensation"],
             constraint_force=log["constraints"].copy(),
             link_position=log["positions"][:, self._sites],
-            link_quaternion=quaternions(rotations),
+            link_quaternion=rotations(matrices).as_quat(scalar_first=True),
             contacts=contacts,
             contact_force=contact_force,
         )

@@ -17,10 +17,8 @@ from lieednn_sim.stability.decay import Decay
 from lieednn_sim.stability.guarantees import Guarantee
 from lieednn_sim.stability.norms import (
     LogNorms,
-    NormConditions,
     WeightedNorm,
     log_norms,
-    norm_conditions,
     smallest_one_norm,
     weighted_norm,
 )
@@ -36,7 +34,6 @@ __all__ = [
     "Decay",
     "Guarantee",
     "LogNorms",
-    "NormConditions",
     "Robustness",
     "Verdict",
     "WeightedNorm",
@@ -44,7 +41,6 @@ __all__ = [
     "find_certificate",
     "find_contraction",
     "log_norms",
-    "norm_conditions",
     "robustness",
     "smallest_one_norm",
     "verify",

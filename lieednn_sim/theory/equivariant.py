@@ -82,8 +82,6 @@ class EquivariantLieEDNN(RigidNetwork):
     lyapunov_diagonal: Floats | None = None
 
     _kind: ClassVar[str] = "equivariant-network"
-    _arrays: ClassVar[tuple[str, ...]] = ("alpha", "rotation", "translation", "bias", "lyapunov_diagonal")
-    _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu")
 
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)

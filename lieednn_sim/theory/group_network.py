@@ -52,8 +52,6 @@ class GroupLieEDNN(ComponentwiseNetwork):
     lyapunov_diagonal: Floats | None = None
 
     _kind: ClassVar[str] = "group-network"
-    _arrays: ClassVar[tuple[str, ...]] = ("alpha", "theta", "bias", "lyapunov_diagonal")
-    _scalars: ClassVar[tuple[str, ...]] = ("gamma", "mu", "activation")
 
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)

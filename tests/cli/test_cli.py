@@ -19,7 +19,6 @@ import pytest
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.cli import doctor, main
 from lieednn_sim.learning import projected
-from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Motion
 
 FAST = ["--n-networks", "3", "--duration", "2"]
@@ -157,7 +156,7 @@ def test_a_training_that_is_ended_says_so_and_leaves_nothing_half_made(run, tmp_
         (["--bias", "solved"], "the solved bias needs no learning"),
         (["--bias", "loud"], "no bias rule 'loud'"),
         (["--period", "0"], "period must be at least 1"),
-        (["--algorithm", "riemannian", "--period", "8"], "--period and --epochs are for the algorithms literal"),
+        (["--algorithm", "riemannian", "--period", "8"], "--period and --epochs are for the algorithms of the paper"),
         (["--candidates", "0"], "candidates must be at least 1"),
         (["--tolerance", "-1"], "tolerance must be positive"),
     ],

@@ -53,8 +53,10 @@ class Network:
     def robustness(self):
         return "a push of size 1"
 
-    def norm_conditions(self, xi):
-        return SimpleNamespace(one_norm=3.456, smallest_one_norm=2.345)
+    weight = np.array([[3.456]])
+
+    def smallest_one_norm(self, xi):
+        return 2.345
 
 
 @pytest.fixture

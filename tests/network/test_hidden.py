@@ -198,16 +198,6 @@ def test_hidden_neurons_without_rest_are_refused():
         wild.retarget(np.ones((1, 6)))
 
 
-def test_a_file_of_before_has_no_hidden_neurons(tmp_path):
-    path = tmp_path / "n.npz"
-    network = random_network(0, 3, 0, 0, layered=True)
-    network.save(path)
-    arrays, meta = storage.load_arrays(path, "network")
-    del arrays["hidden_start"], meta["n_clock"]
-    storage.save_arrays(path, "network", arrays, meta)
-    assert LieEDNN.load(path) == network
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [

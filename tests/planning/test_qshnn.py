@@ -13,7 +13,6 @@ from scipy.integrate import solve_ivp
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import PlanError
-from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.learning.manifold import QuaternionWeights
 from lieednn_sim.planning import PlanningProblem, QshnnOptions
 from lieednn_sim.planning.baselines.qshnn import JointQuaternions, learned, path_of, qshnn

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
+from lieednn_sim.lie import rotations
 from lieednn_sim.simulation.actuators import driving_actuators
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Noise
-from lieednn_sim.simulation.quaternions import quaternions
 from lieednn_sim.simulation.reference import AHEAD, Foreseen, Reference, runs
 from lieednn_sim.values import Floats
 
@@ -88,7 +88,7 @@ class MocapWelds(Controller):
             matrices.write(scratch.site_xmat)
         position = np.frombuffer(positions.getvalue()).reshape(-1, model.nsite, 3)[:, sites]
         rotation = np.frombuffer(matrices.getvalue()).reshape(-1, model.nsite, 3, 3)[:, sites]
-        return np.concatenate([position, quaternions(rotation)], axis=-1)[run]
+        return np.concatenate([position, rotations(rotation).as_quat(scalar_first=True)], axis=-1)[run]
 
     def inputs(self, steps: range, noise: Noise) -> Inputs:
         """See `Controller`."""
