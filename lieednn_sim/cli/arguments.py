@@ -46,8 +46,8 @@ class ChosenArm:
     """An arm among obstacles.
 
     Attributes:
-        arm: {arms}, or an MJCF, URDF or YAML file.
-        scene: obstacles: {scenes}, or an MJCF or YAML file.
+        arm: a name of `ARMS`, or an MJCF, URDF or YAML file.
+        scene: obstacles: a name of `SCENES`, or an MJCF or YAML file.
         scene_seed: seed of the obstacles' positions.
         imported: how a model file is imported.
     """
@@ -131,7 +131,7 @@ class Planning(Goal):
 
     Attributes:
         planner: one of these (default: lieednn-certified; lieednn-shaped among obstacles, with --keep, or where three
-            hinges move a link): {planners}
+            hinges move a link): a name of `PLANNERS`
         option: an option of the planner; --planner NAME --help lists them.
         keep: line or orientation: let the end effector go on a straight line, or keep its orientation, on the way.
         fastest: follow the planned path as fast as the arm's limits allow.
@@ -170,7 +170,7 @@ class Simulating:
     """How a motion is simulated.
 
     Attributes:
-        controller: {controllers}.
+        controller: a name of `CONTROLLERS`.
         reference_rate: rate of the references that the controller gets, held in between [Hz] (default: every time
             step).
         hold: time simulated after the motion [s].

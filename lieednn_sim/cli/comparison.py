@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from lieednn_sim import filesystem
 from lieednn_sim.cli.arms import print_import_report
@@ -16,7 +16,7 @@ from lieednn_sim.cli.kinds import CommandLine, Directory, File
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.manifest import Manifest
 from lieednn_sim.registry import CONTROLLERS, PLANNERS
-from lieednn_sim.studies import Case, Comparison, Settings, compute, write_summary
+from lieednn_sim.studies import Case, Comparison, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
 from lieednn_sim.studies.comparison.merging import merge as merge_shards
 from lieednn_sim.studies.comparison.study import Shard
@@ -27,43 +27,6 @@ from lieednn_sim.validation import as_count
 
 _Wanted = TypeVar("_Wanted")
 _Shown = TypeVar("_Shown")
-
-
-@dataclass(frozen=True)
-class Cases:
-    """The cases of a comparison.
-
-    Attributes:
-        planners: any of these (default: all): {planners}
-        arms: any of {arms}, or MJCF, URDF or YAML files, with links as in robot.urdf:wrist,tool (default: all).
-        scenes: any of {scenes}, or MJCF or YAML files of obstacles (default: free,window).
-        controllers: any of {controllers} (default: position-servo,inverse-dynamics).
-        seeds: number of seeds for each arm, scene and planner: 0, 1, ....
-        slow_seeds: number of seeds for planners whose cases take more than a second of CPU time (default: as for the
-            others).
-        shard: run only the K-th of N parts of the cases, K/N; --merge joins the parts.
-    """
-
-    planners: list[str] | None = None
-    arms: list[str] | None = None
-    scenes: list[str] | None = None
-    controllers: list[str] | None = None
-    seeds: int = 3
-    slow_seeds: int | None = None
-    shard: str | None = None
-
-    def study(self, settings: Settings) -> Comparison:
-        """The comparison of the cases."""
-        return Comparison(
-            planners=_listed(self.planners),
-            arms=_listed(self.arms),
-            scenes=_listed(self.scenes),
-            controllers=_listed(self.controllers),
-            seeds=self.seeds,
-            slow_seeds=self.slow_seeds,
-            common=settings,
-            shard=None if self.shard is None else Shard.parse(self.shard),
-        )
 
 
 @dataclass(frozen=True)
@@ -93,8 +56,10 @@ class Shown:
 
 def compare(
     *,
-    cases: Cases,
-    settings: Settings,
+    cases: Annotated[
+        dict[str, Any], Comparison, "planners", "arms", "scenes", "controllers", "seeds", "slow_seeds", "common"
+    ],
+    shard: str | None = None,
     shown: Shown,
     output: Directory = "results/comparison",
     jobs: int | None = None,
@@ -108,7 +73,7 @@ def compare(
 
     Args:
         cases: the cases.
-        settings: the settings of all cases.
+        shard: run only the K-th of N parts of the cases, K/N; --merge joins the parts.
         shown: the page.
         output: directory of the table.
         jobs: number of worker processes (default: one for each core).
@@ -119,12 +84,11 @@ def compare(
     """
     if merge is not None:
         return _merge(output, merge, line)
-    study = cases.study(settings)
-    shard = study.shard
+    study = Comparison(**cases, shard=None if shard is None else Shard.parse(shard))
     workers = as_count("jobs", os.cpu_count() or 1 if jobs is None else jobs)
     # Check values before any work.
     chosen = shown.check()
-    if shard is not None and (shown.videos or chosen or shown.reactive):
+    if study.shard is not None and (shown.videos or chosen or shown.reactive):
         raise InputError("--shard makes only a part of the table; it cannot take --videos, --video or --reactive")
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
@@ -141,7 +105,7 @@ def compare(
         _check_outputs(directory, [summary, page, *([directory / "reactions.md"] if shown.reactive else [])])
         _print_found(study)
         table = compute(study, directory, **how)
-        if shard is not None:
+        if study.shard is not None:
             wrote(table.csv)
             return 0
         with table.manifest.writing(summary) as temporary:
@@ -186,16 +150,6 @@ def _check_outputs(directory: Path, outputs: Sequence[Path]) -> None:
     """Raise `FileError` if the table or one of the other outputs could not be written."""
     filesystem.check_outputs([directory / "comparison.csv", directory / "comparison.json"])
     Manifest(directory).check(outputs)
-
-
-def _listed(words: Sequence[str] | None) -> list[str]:
-    """Names and files, separated by commas or spaces; the links of a model file extend to the end of the word."""
-    listed = []
-    for word in words or ():
-        head, colon, links = word.partition(":")
-        *others, last = head.split(",")
-        listed += [*others, last + colon + links]
-    return listed
 
 
 def _print_found(study: Comparison) -> None:

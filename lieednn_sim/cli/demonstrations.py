@@ -38,7 +38,7 @@ class Reading:
     Attributes:
         unit: unit of the positions in the files: m, cm or mm.
         quaternion: order of the components of quaternions: wxyz or xyzw.
-        rivals: models to compare the network with, or none (default: all of {rivals}).
+        rivals: models to compare the network with, or none (default: all of: a name of `RIVALS`).
     """
 
     unit: str = "m"
@@ -64,8 +64,8 @@ def learn(
 
     Args:
         files: files with demonstrations of one motion, each of which ends at its goal.
-        arm: learn the joints' motion of {arms}, or of an MJCF, URDF or YAML file; the columns of the demonstrations
-            are its joints [rad, m].
+        arm: a name of `ARMS`, or an MJCF, URDF or YAML file: learn the motion of its joints, which the columns of the
+            demonstrations are [rad, m].
         reading: positions and poses, without --arm.
         fitting: what is learned.
         output: directory for the results.
@@ -115,9 +115,9 @@ def learn(
             )
         with manifest.replacing(outputs) as (network, report, paths, field):
             shaped.network.save(network)
-            asked = {"files": [str(name) for name in files], "unit": reading.unit, "quaternion": reading.quaternion}
+            asked = {"files": files, "unit": reading.unit, "quaternion": reading.quaternion, **asdict(fitting)}
             found = _report(demonstrations, shaped, rows)
-            storage.save_json(report, asked | fitting.shown | found | {"seed": seed, "goal_distance_m": apart})
+            storage.save_json(report, asked | found | {"goal_distance_m": apart})
             drawn = {shaped.name: shaped} if demonstrations.goals_kept else models
             plot_paths(drawn, demonstrations, paths)
             plot_field(shaped, demonstrations, field, seed)

@@ -30,7 +30,7 @@ def export(
 
     Args:
         runs: run directories, or for plannerarena directories of 'compare'; none with --episodes.
-        format: {formats}.
+        format: a name of `FORMATS`.
         rate: samples per second (default: every step of the simulation).
         output: directory of the files.
         episodes: record so many successful episodes of the expert of the learning environment TelescopicReach-v0

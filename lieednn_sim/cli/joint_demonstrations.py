@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -50,17 +49,6 @@ class Fitting:
     leave_one_out: bool = True
     seed: int = 0
 
-    @property
-    def shown(self) -> dict[str, Any]:
-        """What a report holds of it."""
-        return {
-            "sample_rate_hz": self.sample_rate,
-            "phase": self.phase,
-            "goals": self.goals,
-            "clock_rate": self.clock_rate,
-            "family": self.family,
-        }
-
 
 def learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run: RunDirectory) -> None:
     """Read, fit, measure, and write a run with network and motion, ``report.json`` and two plots."""
@@ -83,7 +71,7 @@ def learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run:
                 progress=bar,
             )
         duration = float(motion.t[-1])
-        asked = {"files": [str(name) for name in files], **fitting.shown, "deviation_m": fitting.deviation}
+        asked = {"files": list(files), **asdict(fitting)}
         about = {"planner": DEMONSTRATED, "reason": "demonstrated", "options": asked}
         task = chosen.task(arm, shown.mean[0], shown.mean[-1], duration, seed, **about)
         written = run.save_network(task, learned.network, motion)
@@ -91,7 +79,6 @@ def learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run:
             **asked,
             "arm": arm.name,
             "joints": list(arm.joint_names),
-            "seed": seed,
             "demonstrations": len(shown),
             "demonstrated_duration_s": learned.duration,
             "duration_s": duration,

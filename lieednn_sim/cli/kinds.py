@@ -56,6 +56,13 @@ def numbers(text: str, count: int) -> tuple[float, ...]:
     return values
 
 
+def names(text: str) -> list[str]:
+    """Comma-separated names; a colon and what follows it belong to the last one, as in ``arm.xml:link,tool``."""
+    head, colon, links = text.partition(":")
+    *others, last = head.split(",")
+    return [*others, last + colon + links]
+
+
 def named_numbers(text: str) -> dict[str, float]:
     """Numbers by name, from ``NAME=1,OTHER=2``."""
     pairs = [part.rpartition("=") for part in text.split(",")]
@@ -102,13 +109,13 @@ class Kind(NamedTuple):
     Attributes:
         read: its value from a text; raises `ArgumentTypeError`.
         metavar: what stands for it in the help.
-        repeated: whether it is a tuple, to which each use of the option adds an entry.
+        action: what `argparse` does with it: ``append`` and ``extend`` let each use of the option add to the value.
         words: whether it is a list of several words.
     """
 
     read: Callable[[str], Any]
     metavar: str
-    repeated: bool = False
+    action: str = "store"
     words: bool = False
 
 
@@ -127,11 +134,10 @@ KINDS = {
     "tuple[int, int]": Kind(size, "WxH"),
     "tuple[int, ...]": Kind(_listed(whole), "N,N,..."),
     "tuple[float, ...]": Kind(_listed(decimal), "X,X,..."),
-    "Sequence[str]": Kind(lambda text: text.split(","), "A,B,..."),
+    "Sequence[str]": Kind(names, "A,B,...", action="extend"),
     "Mapping[str, float]": Kind(named_numbers, "NAME=X,..."),
-    "tuple[str, ...]": Kind(str, "NAME", repeated=True),
-    "tuple[Setting, ...]": Kind(str, "NAME=VALUE", repeated=True),
-    "list[str]": Kind(str, "A,B,...", words=True),
+    "tuple[str, ...]": Kind(str, "NAME", action="append"),
+    "tuple[Setting, ...]": Kind(str, "NAME=VALUE", action="append"),
     # Given by the program itself.
     "CommandLine": Kind(str, ""),
     "Directory": Kind(str, "DIR"),
@@ -139,6 +145,6 @@ KINDS = {
     "list[File]": Kind(str, "FILE", words=True),
     "Joints": Kind(str, "Q"),
     "Point": Kind(lambda text: numbers(text, 3), "X,Y,Z"),
-    "tuple[Pose, ...]": Kind(lambda text: numbers(text, 6), "X,Y,Z,RX,RY,RZ", repeated=True),
-    "tuple[Force, ...]": Kind(force, "BODY,FX,FY,FZ,START,DURATION", repeated=True),
+    "tuple[Pose, ...]": Kind(lambda text: numbers(text, 6), "X,Y,Z,RX,RY,RZ", action="append"),
+    "tuple[Force, ...]": Kind(force, "BODY,FX,FY,FZ,START,DURATION", action="append"),
 }

@@ -19,7 +19,6 @@ from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.live import view as show
 from lieednn_sim.live.page import warning
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.studies.comparison.together import replay_together
 from lieednn_sim.values import Floats
 
@@ -30,15 +29,11 @@ def view(
     scene: str = "free",
     scene_seed: int = 0,
     run: Directory | None = None,
-    policy: str = "lieednn-shaped",
-    planner: str | None = None,
-    controller: str = "inverse-dynamics",
-    disturbances: Annotated[dict[str, Any], Disturbances, "payload", "mass_scale"],
     target: Joints | None = None,
     start: Joints = "home",
-    seed: int = 0,
-    port: int = 0,
-    host: str = "127.0.0.1",
+    live: Annotated[
+        dict[str, Any], show, "policy", "planner", "controller", "payload", "mass_scale", "seed", "port", "host"
+    ],
     browser: bool = True,
     imported: Annotated[ImportOptions, import_arm],
 ) -> None:
@@ -47,20 +42,13 @@ def view(
     It needs the extra 'view' and runs until Ctrl-C. Only this machine can connect, unless --host is given.
 
     Args:
-        arm: {arms}, or an MJCF, URDF or YAML file.
-        scene: obstacles: {scenes}, or an MJCF or YAML file.
+        arm: a name of `ARMS`, or an MJCF, URDF or YAML file.
+        scene: a name of `SCENES`, or an MJCF or YAML file.
         scene_seed: seed of the obstacles' positions.
         run: play a simulated run, or motions of a comparison; arm, scene, start and target are those of the run.
-        policy: {policies}.
-        planner: planner of the motions that the policies tracker and dmp follow (default: as for 'plan').
-        controller: {controllers}.
-        disturbances: of what the controller does not know.
-        target: first target, given as for 'plan' (default: extended; among obstacles, or without it, random: and the
-            seed).
+        target: first target, given as for 'plan', with the same default.
         start: joints at the start, given as for --target.
-        seed: seed of random draws.
-        port: port at which the page is served; 0 for any free one.
-        host: network address to listen at; 0.0.0.0 lets other machines connect.
+        live: the simulation and its page.
         browser: open a browser at the page's address, which is printed.
         imported: how a model file is imported.
     """
@@ -73,23 +61,17 @@ def view(
     else:
         rollouts, begin = _recorded(run)
         shown, goal = (some := next(iter(rollouts.values()))).arm, some.target
-    if said := warning(host):
+    if said := warning(live.get("host", "127.0.0.1")):
         say(f"warning: {said}")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         page = show(
             shown,
-            policy=policy,
-            planner=planner,
-            controller=controller,
-            **disturbances,
             target=goal,
             start=begin,
             rollouts=rollouts,
-            seed=seed,
-            host=host,
-            port=port,
             browser=False,
+            **live,
         )
     with page:
         console.print(f"view: {page.url} (Ctrl-C ends it)")

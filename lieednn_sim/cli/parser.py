@@ -96,7 +96,10 @@ def make_parser(source: Definition) -> argparse.ArgumentParser:
     summary, _, more = source.docstring.partition("Args:")[0].partition("\n")
     parser = _Parser(
         prog=f"{_PROGRAM} {source.name}",
-        usage="%(prog)s [OPTIONS] " + " ".join(each.option.upper() for each in taken if each.positional),
+        usage="%(prog)s [OPTIONS] "
+        + " ".join(
+            each.option.upper() if each.required else f"[{each.option.upper()}]" for each in taken if each.positional
+        ),
         description=" ".join([summary, *more.split()]),
         formatter_class=_Help,
         argument_default=argparse.SUPPRESS,
@@ -129,12 +132,8 @@ def _add_option(group: Any, taken: Parameter) -> None:
         how["default"] = argparse.SUPPRESS
     else:
         name = f"--{taken.option}"
-        how["required"] = taken.required
-        if kind.words:
-            how["nargs"] = "+"
-        if kind.repeated:
-            how["action"] = "append"
-            text += "; may be repeated"
+        how |= {"required": taken.required, "action": kind.action} | ({"nargs": "+"} if kind.words else {})
+        text += "; may be repeated" if kind.action == "append" else ""
     group.add_argument(name, help=text if "default" in text.lower() else text + _default(taken), **how)
 
 
@@ -148,12 +147,20 @@ def _default(taken: Parameter) -> str:
 
 
 def _filled(text: str) -> str:
-    """The text with the names of what there is in place of ``{planners}``, ``{arms}`` and so on."""
-    for name in re.findall(r"\{(\w+)\}", text):
-        entries = getattr(registry, name.upper()).entries
-        lines = "".join(f"\n{each}: {entry.help}" for each, entry in entries.items())
-        text = text.replace(f"{{{name}}}", lines if name == "planners" else ", ".join(entries))
-    return text.replace("%", "%%")
+    """The text with the names that there are in place of "a name of PLANNERS", or of another registry.
+
+    At the end of the text, planners say what they do.
+    """
+
+    def listed(reference: re.Match[str]) -> str:
+        found = getattr(registry, reference[1], None)
+        if found is None:
+            return reference[0]
+        if found is registry.PLANNERS and reference.end() == len(text):
+            return "".join(f"\n{name}: {entry.help}" for name, entry in found.entries.items())
+        return ", ".join(found.entries)
+
+    return re.sub(r"\ba name of (?:[a-z]\w*\.)*([A-Z_]+)", listed, text).replace("%", "%%")
 
 
 def _arguments(taken: Iterable[Parameter], given: Mapping[str, Any]) -> dict[str, Any]:
@@ -166,7 +173,7 @@ def _arguments(taken: Iterable[Parameter], given: Mapping[str, Any]) -> dict[str
             values[each.name] = make(**inner)
         elif each.option in given:
             value = given[each.option]
-            values[each.name] = tuple(value) if KINDS[each.kind].repeated else value
+            values[each.name] = tuple(value) if KINDS[each.kind].action == "append" else value
     return values
 
 

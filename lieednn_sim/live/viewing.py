@@ -63,7 +63,7 @@ def view(
         seed: seed of random draws.
         rollouts: up to four rollouts of this arm by their planners' names, to be played on one clock beside it.
         host: address to listen at; any but the loopback address is for others, too, with a warning.
-        port: port to listen at; by default a free one.
+        port: port to listen at; 0 for a free one.
         dark: whether the page is dark at first.
         browser: whether to open the page in a browser, if there is one.
 
