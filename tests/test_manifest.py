@@ -28,8 +28,7 @@ COMMANDS = {
     "learn --arm": (["learn", "joints.csv", "--arm", "telescopic_pr"], RUN),
     "learn": (["learn", "way.csv"], ["network.npz", "report.json", "paths.png", "field.png"]),
     "compare": (["compare", "--planners", "minimum-jerk", "--seeds", "1", "--reactive", "1"], [*TABLE, "reactions.md"]),
-    "merge": (["merge"], TABLE),
-    "problems": (["problems", "robot"], ["problems.csv", "problems.json", "problems.md"]),
+    "merge": (["compare", "--merge", "shard"], TABLE),
 }
 CASES = [(command, name) for command, (_, names) in COMMANDS.items() for name in [*names, "made.json"]]
 
@@ -48,13 +47,9 @@ def no_work(monkeypatch, tmp_path):
         "lieednn_sim.cli.joint_demonstrations.JointMotion.fit",
         "lieednn_sim.cli.demonstrations.ShapedMotion.fit",
         "lieednn_sim.cli.comparison.merge_shards",
-        "lieednn_sim.cli.problems.ProblemSets",
         "lieednn_sim.cli.comparison.compute",
-        "lieednn_sim.cli.problems.compute",
     ):
         monkeypatch.setattr(name, work)
-    monkeypatch.setattr("lieednn_sim.cli.problems.ProblemSets", lambda folder: None)
-    monkeypatch.setattr("lieednn_sim.cli.problems.PublishedProblems", lambda *_: None)
     t = np.linspace(0.0, 1.0, 50)
     np.savetxt("way.csv", np.column_stack([t, 0.3 * (1.0 - t), 0.1 * np.sin(np.pi * t)]), delimiter=",")
     joints = np.zeros((50, 8))
@@ -70,11 +65,11 @@ def test_files_of_others_survive_every_command(no_work, tmp_path, capsys, case, 
     output = tempfile.mkdtemp(dir=tmp_path)
     mine = Path(output) / name
     mine.write_bytes(content)
-    assert main([*words, output, "shard"] if command == "merge" else [*words, "--output", output]) == 2
+    assert main([*words, "--output", output]) == 2
     assert mine.read_bytes() == content
     assert [path for path in Path(output).rglob("*") if path.is_file()] == [mine]
     # The table's own file is read by the work.
-    if name.rpartition(".")[0] not in ("comparison", "problems") or name.endswith((".md", ".html")):
+    if name.rpartition(".")[0] != "comparison" or name.endswith((".md", ".html")):
         assert mine.name in capsys.readouterr().err
 
 

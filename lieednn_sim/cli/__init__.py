@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # A terminated run cleans up like an interrupted one.
     with Interruption(last=argv is None) as interruption:
         try:
-            call = _call(words)
+            call = bind(words)
             interruption.importing = False
             code = int(call() or 0)
             # An output that takes no more is noticed here, not at exit.
@@ -82,8 +82,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 2
 
 
-def _call(words: Sequence[str]) -> Callable[[], Any]:
-    """What the words ask for: a command, the help or the version."""
+def bind(words: Sequence[str]) -> Callable[[], Any]:
+    """A call of what the words ask for: a command, the help or the version; raises as `parser.bind`."""
     command = words[0] if words else ""
     if command in ("-h", "--help"):
         return lambda: print(parser.overview(_DESCRIPTION, COMMANDS))

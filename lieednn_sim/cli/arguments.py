@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from argparse import ArgumentTypeError
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -143,11 +142,6 @@ class Planning(Goal):
     keep: str | None = None
     fastest: bool = False
     time_budget: float = DEFAULT_TIME_BUDGET
-
-    @property
-    def budget(self) -> float | None:
-        """The time budget as JSON, which has no infinity."""
-        return None if self.time_budget == math.inf else self.time_budget
 
     def kept_region(self, arm: Arm, start: Floats, goal: _Goal) -> TaskSpaceRegion | None:
         """The region to keep between a start and a goal of `start_and_goal`."""

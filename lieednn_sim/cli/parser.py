@@ -10,6 +10,8 @@ import shlex
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import pairwise
 from typing import Any, NoReturn
 
 from lieednn_sim import registry
@@ -42,9 +44,11 @@ def overview(description: str, commands: Mapping[str, Mapping[str, str]]) -> str
 
 
 def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
-    """A call of a command's function with what the words say; raises `InputError`, or prints the help and exits.
+    """A call of a command's function with what the words say, of which what is not given has the function's default.
 
-    The function's module is imported by the call. What is not given is left to the function's own defaults.
+    Raises:
+        InputError: the words are wrong.
+        SystemExit: the help is printed; nothing is imported for it.
     """
     taken = parameters(source)
     parser = make_parser(source)
@@ -58,16 +62,14 @@ def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
     if unknown:
         known = [name for action in parser._actions for name in action.option_strings]
         parser.error(f"{unknown[0]} is not understood{near(unknown[0].partition('=')[0], known)}")
-
-    def call() -> Any:
-        return getattr(importlib.import_module(source.module), source.name)(**_arguments(taken, given))
-
-    return call
+    function = getattr(importlib.import_module(source.module), source.name)
+    return partial(function, **_arguments(taken, given))
 
 
 def _planner_help(words: Sequence[str]) -> str:
     """What ``--option`` takes for the planner that the words name, a line for each."""
-    named = [after for word, after in zip(words, [*words[1:], ""], strict=True) if word == "--planner"]
+    parts = [part for word in words for part in word.split("=", 1)]
+    named = [after for part, after in pairwise(parts) if part == "--planner"]
     entry = next((registry.PLANNERS.entries[name] for name in named if name in registry.PLANNERS.entries), None)
     if entry is None or not isinstance(entry.takes, str) or not entry.takes:
         return ""

@@ -41,11 +41,13 @@ def make_plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) 
         console.print(f"target: {target}")
     start, goal = planning.start_and_goal(arm, place=planning.keep is not None)
     keep = planning.kept_region(arm, start, goal)
-    shown = {} if options is None else asdict(options)
-    # JSON has no infinity.
-    shown["time_budget"] = None if planning.time_budget == math.inf else planning.time_budget
-    shown |= {"fastest": True} if planning.fastest else {}
-    shown |= {"keep": planning.keep} if keep is not None else {}
+    shown = {
+        # JSON has no infinity.
+        "time_budget": None if planning.time_budget == math.inf else planning.time_budget,
+        "fastest": planning.fastest,
+        "keep": planning.keep,
+        "option": {} if options is None else asdict(options),
+    }
     about = {"planner": planner, "reason": reason, "options": shown}
     task = planning.task(arm, start, start, planning.duration, planning.seed, **about)
     with progress("plan") as report:

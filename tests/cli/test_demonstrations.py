@@ -135,7 +135,7 @@ def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
     assert not report["limits_kept"]
     assert report["limit_broken"].startswith("joint 'x'")
     assert main(["learn", *files, "--arm", str(gantry.source), "--output", str(run), "--unit", "cm"]) == 2
-    assert "--unit is for positions and poses" in capsys.readouterr().err
+    assert "--unit, --quaternion and --rivals are for positions and poses" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def shards(made, tmp_path, undrawn):
 
 
 def merge(output, *folders):
-    return main(["merge", str(output), *map(str, folders)])
+    return main(["compare", "--output", str(output), "--merge", *map(str, folders)])
 
 
 def content(folder, *but):
