@@ -20,7 +20,7 @@ _TABLES = ("studies.comparison.study", "studies.reactions.study", "studies.probl
 _LEFT_OUT = (
     *("cli", "rendering", "studies.report", "studies.comparison.summary", "studies.problems.summary"),
     *("evaluation.display", "evaluation.figure_layout", "evaluation.plots", "studies.demonstrations.plots"),
-    *("evaluation.plot_training", "studies.table", "filesystem", "manifest", "storage", "versions"),
+    *("evaluation.plot_training", "studies.table", "io", "versions"),
     *("studies.cluster", "studies.study", "studies.comparison.merging", "studies.workers"),
     *("studies.markdown", "errors", "validation"),
 )

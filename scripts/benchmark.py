@@ -21,7 +21,7 @@ from benchmark_stepping import stepping_rows
 from benchmark_timing import HEADINGS
 from threadpoolctl import threadpool_info
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
@@ -91,7 +91,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
     parser.add_argument("--output", default="results/benchmark", help="directory (default: %(default)s)")
     options = parser.parse_args(arguments)
-    directory = filesystem.make_directory(options.output)
+    directory = io.make_directory(options.output)
     # BLAS threads that wait for work would count as busy.
     with one_blas_thread():
         write(directory, 10 if options.quick else 1, " --quick" if options.quick else "")
@@ -130,7 +130,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
     ]
     memories = memory(scale)
 
-    storage.save_json(
+    io.save_json(
         directory / "benchmark.json",
         {
             "synthesis": rows,
@@ -152,7 +152,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         *table(["peak memory", "MB"], memories.items()),
     ]
     path = directory / "benchmark.md"
-    with filesystem.atomic_text(path) as stream:
+    with io.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")
     print(path.read_text(encoding="utf-8"))
     return path

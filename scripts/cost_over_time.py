@@ -26,7 +26,7 @@ import numpy as np
 from csv_rows import read_rows, write_rows
 from matplotlib.figure import Figure
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import arm_names
 from lieednn_sim.budget import cpu_time
@@ -158,7 +158,7 @@ def main(arguments: list[str] | None = None) -> int:
         names = [as_choice("planner", name, LADDERS) for name in options.planners.split(",")]
         arms = [as_choice("arm", name, arm_names()) for name in options.arms.split(",")]
         seeds = as_count("seeds", options.seeds)
-        path = filesystem.make_directory(options.output) / "cost_over_time.csv"
+        path = io.make_directory(options.output) / "cost_over_time.csv"
         runs = _read(path)
     except LieEDNNError as error:
         parser.error(str(error))
@@ -174,7 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
                 write_rows(path, FIELDS, map(vars, runs))
     runs.sort(key=lambda run: list(LADDERS).index(run.planner))
     text = table(runs, f"python scripts/cost_over_time.py --seeds {seeds}")
-    with filesystem.atomic_text(options.output / "cost_over_time.md") as file:
+    with io.atomic_text(options.output / "cost_over_time.md") as file:
         file.write(text)
     plot(runs, options.output / "cost_over_time.png")
     print(text)

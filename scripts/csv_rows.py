@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
@@ -20,7 +20,7 @@ def read_rows(path: Path) -> list[dict[str, str]]:
 
 def write_rows(path: Path, fields: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
     """Write all rows below a header of their fields, atomically."""
-    with filesystem.atomic_text(path) as stream:
+    with io.atomic_text(path) as stream:
         writer = csv.DictWriter(stream, fields, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)

@@ -27,7 +27,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.environments.gymnasium import Environment
@@ -119,10 +119,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--output", type=Path, default=Path("results/environment_overhead"))
     options = parser.parse_args(arguments)
-    folder = filesystem.make_directory(options.output)
+    folder = io.make_directory(options.output)
     with one_blas_thread():
         rows = [(case.name, case.substeps, *measured(case, options.episodes)) for case in cases()]
-    with filesystem.atomic_text(folder / "environment_overhead.md") as file:
+    with io.atomic_text(folder / "environment_overhead.md") as file:
         file.write(table(rows))
     print(table(rows))
     return 0

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.studies.demonstrations.study import DemonstrationSets, ModelScore
 from lieednn_sim.studies.markdown import table_head, table_line
 from lieednn_sim.studies.statistics import grouped
@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for kind in KINDS:
         if sets := [row for row in found if row.kind == kind and row.success]:
             lines += [f"## {kind}", "", *verdicts(sets, kind), "", *table(sets, kind), ""]
-    with filesystem.atomic_text(given.output / "demonstrations.md") as stream:
+    with io.atomic_text(given.output / "demonstrations.md") as stream:
         stream.write("\n".join(lines))
     print(given.output / "demonstrations.md")
 

@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 from csv_rows import read_rows, write_rows
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
@@ -150,7 +150,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--arms", default=",".join(arm_names()), help="(default: all)")
     parser.add_argument("--output", default="results/pushes", help="directory (default: %(default)s)")
     options = parser.parse_args(arguments)
-    directory = filesystem.make_directory(options.output)
+    directory = io.make_directory(options.output)
     table = directory / "pushes.csv"
     rows = read_rows(table)
     done = {(row["arm"], row["rate"], row["seed"]) for row in rows}
@@ -169,7 +169,7 @@ def main(arguments: list[str] | None = None) -> None:
         write_rows(table, FIELDS, rows)
     rows.sort(key=lambda row: (row["arm"], float(row["rate"]), int(row["seed"])))
     text = summary(rows, f"python scripts/evaluate_pushes.py --pushes {options.pushes} --rates {options.rates}")
-    with filesystem.atomic_text(directory / "pushes.md") as stream:
+    with io.atomic_text(directory / "pushes.md") as stream:
         stream.write(text)
     print(text)
 

@@ -32,7 +32,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.gymnasium import ENVIRONMENTS, Environment
 from lieednn_sim.errors import LieEDNNError
@@ -104,7 +104,7 @@ def demonstrations(path: Path) -> tuple[Floats, Floats]:
                 seen, _ = where.reset(seed=step)
             pairs.append((seen, act(seen)))
             seen = where.step(pairs[-1][1])[0]
-        with filesystem.atomic_path(path) as temporary, temporary.open("wb") as stream:
+        with io.atomic_path(path) as temporary, temporary.open("wb") as stream:
             observations, actions = (np.array(values, dtype=np.float32) for values in zip(*pairs, strict=True))
             np.savez_compressed(stream, observations=observations, actions=actions)
     with np.load(path) as stored:
@@ -181,7 +181,7 @@ def run(learner: str, seed: int, folder: Path) -> None:
         if act is None:
             raise LieEDNNError(f"{learner} made no policy")
         result = {"curve": curve, "cpu_s": spent, "last": evaluate(act, MANY)}
-    storage.save_json(folder / f"{learner}-{seed}.json", result)
+    io.save_json(folder / f"{learner}-{seed}.json", result)
 
 
 def table(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
@@ -240,7 +240,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, default=Path("results/learning"))
     parser.add_argument("--one", nargs=2, metavar=("LEARNER", "SEED"), help="do this run alone")
     options = parser.parse_args(arguments)
-    folder = filesystem.make_directory(options.output / "runs")
+    folder = io.make_directory(options.output / "runs")
     if options.one:
         run(options.one[0], int(options.one[1]), folder)
         return 0
@@ -263,7 +263,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         runs[learner] = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
     used = [f"{name} {metadata.version(name)}" for name in ("stable-baselines3", "torch", "gymnasium")]
     text = table(runs, f"; {', '.join(used)}")
-    with filesystem.atomic_text(options.output / "learning.md") as file:
+    with io.atomic_text(options.output / "learning.md") as file:
         file.write(text)
     plot(runs, options.output / "learning.png")
     print(text)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.studies.markdown import table_line
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.problems.study import PublishedProblems, Solution, Statistic
@@ -81,7 +81,7 @@ def main(arguments: list[str] | None = None) -> int:
             study = PublishedProblems(ProblemSets(given.folder / robot), PLANNERS, given.problems, BUDGET)
             rows[robot] = compute(study, given.output / robot, jobs=given.jobs, console=console).sorted_rows()
         path = given.output / "motion_bench_maker.md"
-        with filesystem.atomic_text(path) as stream:
+        with io.atomic_text(path) as stream:
             stream.write(table(rows))
         return path
 

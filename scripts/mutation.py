@@ -25,7 +25,7 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 
 ROOT = Path(__file__).resolve().parents[1]
 # Files and folders that the tests read.
@@ -117,7 +117,7 @@ def measure(name: str, sample: int, seed: int, jobs: int, output: Path) -> dict[
             else:
                 alive[mutant] = diff
     result = {"room": name, "mutants": len(known), "seed": seed, "outcomes": found, "alive": alive}
-    storage.save_json(output / f"{name}.json", result)
+    io.save_json(output / f"{name}.json", result)
     return result
 
 
@@ -225,7 +225,7 @@ def main() -> None:
     for name in names:
         results.append(measure(name, options.sample, options.seed, options.jobs, output))
         print(table(results[-1:]).splitlines()[2], flush=True)
-    with filesystem.atomic_text(output / "mutation.md") as stream:
+    with io.atomic_text(output / "mutation.md") as stream:
         stream.write(table(results))
 
 

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 from PIL import Image
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.planning import plan
@@ -37,7 +37,7 @@ def main(path: str = "results/arms.jpg") -> None:
         target = draw_target(arm, seed)
         motion = plan(arm, target, planner="lieednn-guided", seed=seed).motion
         below.append(picture(arm, motion.q[int(0.7 * len(motion.q))], target))
-    with filesystem.atomic_path(path) as temporary:
+    with io.atomic_path(path) as temporary:
         Image.fromarray(np.vstack([np.hstack(above), np.hstack(below)])).save(temporary, quality=86)
     print(path)
 

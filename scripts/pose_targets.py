@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError
@@ -69,7 +69,7 @@ def main(arguments: list[str] | None = None) -> None:
         rows.append(try_arm(name, options.poses))
         print(rows[-1], flush=True)
     lines = [table_line([str(cell) for cell in row]) for row in rows]
-    with filesystem.atomic_text(options.output) as stream:
+    with io.atomic_text(options.output) as stream:
         stream.write("\n".join(["# Poses as targets", "", *table_head(HEADINGS), *lines]) + "\n")
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from robot_reports import wrong_in_report
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import ContactFinder
@@ -276,9 +276,9 @@ def main(words: list[str] | None = None) -> None:
             continue
         path = arguments.output / f"{file.parent.name}_{file.stem}.json"
         if not path.is_file():
-            storage.save_json(path, try_robot(file, ROBOTS.get(name, {}), arguments.targets))
+            io.save_json(path, try_robot(file, ROBOTS.get(name, {}), arguments.targets))
         rows.append(json.loads(path.read_text()) | {"robot": f"{Path(name).parts[0]}/{file.stem}"})
-        with filesystem.atomic_text(arguments.output / "robots.md") as stream:
+        with io.atomic_text(arguments.output / "robots.md") as stream:
             stream.write(as_markdown(rows, arguments.models or ", ".join(folder.name for folder in arguments.folders)))
         print(f"{name}: done", flush=True)
 

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.versions import code_version, versions
 
@@ -153,7 +153,7 @@ def stale(study: Study, record: Mapping[str, Any] | None, root: Path = ROOT) -> 
 def records(root: Path = ROOT) -> dict[str, Any]:
     """How the committed results were made, by study."""
     path = root / REFERENCE / "made.json"
-    return dict(storage.load_json(path, "references")["studies"]) if path.exists() else {}
+    return dict(io.load_json(path, "references")["studies"]) if path.exists() else {}
 
 
 def make(name: str, study: Study, given: Mapping[str, Sequence[str]], jobs: int, root: Path = ROOT) -> None:
@@ -173,8 +173,8 @@ def make(name: str, study: Study, given: Mapping[str, Sequence[str]], jobs: int,
     # Tables are continued with the very same code alone.
     how = json.dumps([study.commands, code, _code(folder=root), used])
     work = root / "results/making" / f"{name}-{hashlib.sha256(how.encode()).hexdigest()[:8]}"
-    filesystem.make_directory(work / "results")
-    with filesystem.locked(work), _timed(work / "spent.json") as spent:
+    io.make_directory(work / "results")
+    with io.locked(work), _timed(work / "spent.json") as spent:
         for command in study.commands:
             words = [part for word in shlex.split(command) for part in given.get(word, [word])]
             if study.jobs and command == study.commands[-1]:
@@ -192,11 +192,11 @@ def make(name: str, study: Study, given: Mapping[str, Sequence[str]], jobs: int,
             raise FileError(f"{name} made no {source} in {work}")
         for path in found:
             copy = root / REFERENCE / target / (path.name if "*" in source else "")
-            filesystem.make_directory(copy.parent)
+            io.make_directory(copy.parent)
             content = path.read_bytes()
             if path.suffix == ".md":
                 content = content.rstrip() + f"\n\nMade by `{command}`, {made}.\n".encode()
-            with filesystem.atomic_path(copy) as temporary:
+            with io.atomic_path(copy) as temporary:
                 temporary.write_bytes(content)
             outputs[copy.relative_to(root / REFERENCE).as_posix()] = _digest(copy)
     entry = {
@@ -215,7 +215,7 @@ def make(name: str, study: Study, given: Mapping[str, Sequence[str]], jobs: int,
         # Several studies may run at once.
         fcntl.flock(handle, fcntl.LOCK_EX)
         studies = {**records(root), name: entry}
-        storage.save_json(root / REFERENCE / "made.json", {"studies": dict(sorted(studies.items()))})
+        io.save_json(root / REFERENCE / "made.json", {"studies": dict(sorted(studies.items()))})
     finally:
         os.close(handle)
 
@@ -258,7 +258,7 @@ def _timed(path: Path) -> Iterator[dict[str, float]]:
     finally:
         spent["wall_s"] += time.perf_counter() - wall
         spent["cpu_s"] += _cpu() - cpu
-        storage.save_json(path, spent)
+        io.save_json(path, spent)
 
 
 def _cpu() -> float:

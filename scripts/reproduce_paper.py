@@ -22,7 +22,7 @@ from paper.plan import FULL, QUICK, Plan, jobs
 from paper.results import Results
 from rich.console import Console
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.studies.workers import exit_code
 
 
@@ -36,8 +36,8 @@ def reproduce(
 ) -> Path:
     """Run missing jobs on processes or an executor; write figures and report, and return the report's path."""
     begun = time.perf_counter()
-    output = filesystem.make_directory(directory)
-    cache = filesystem.make_directory(output / "jobs")
+    output = io.make_directory(directory)
+    cache = io.make_directory(output / "jobs")
     work = jobs(plan)
     count, failures = runner.run_all(work, cache, workers, console, executor)
     results = Results.collect(plan, work, lambda job: runner.load(job, cache))

@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.stability import Robustness, find_certificate, find_contraction
@@ -256,7 +256,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     text, broken = report(options.cases, options.jobs)
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    with filesystem.atomic_text(options.output) as file:
+    with io.atomic_text(options.output) as file:
         file.write(text)
     print(text)
     return 1 if broken else 0

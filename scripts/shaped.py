@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, arm_names
@@ -186,7 +186,7 @@ def write_summary(rows: list[Row], path: Path) -> None:
         "is the hidden neurons' start; for the others a network was shaped. One seed, from 0 on, for target, obstacles "
         "and planner. Every network was saved, loaded and verified again. Times are CPU seconds of one core.\n\n"
     )
-    with filesystem.atomic_text(path) as file:
+    with io.atomic_text(path) as file:
         file.write(head + "\n".join(summary(rows)) + "\n")
 
 
@@ -205,7 +205,7 @@ def main(arguments: list[str] | None = None) -> None:
     arms = {name: Arm.load(name) for name in given.arms}
     names = [field.name for field in fields(Row)]
     # Rewritten without a truncated line.
-    with filesystem.atomic_text(path) as file:
+    with io.atomic_text(path) as file:
         writer = csv.DictWriter(file, names, lineterminator="\n")
         writer.writeheader()
         writer.writerows(asdict(row) for row in rows)

@@ -23,7 +23,7 @@ from task_cases import Boom, Crane, Harvester, LeftOutError, Outcome, SlowCrane,
 from task_shelf import Shelf
 
 import lieednn_sim as ls
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 
 TASKS: dict[str, type[Task]] = {
@@ -162,13 +162,13 @@ def main(words: list[str] | None = None) -> None:
                     continue
                 row, done = attempt(task, case, planner)
                 rows[key] = {"planner": planner, "case": case} | row
-                storage.save_json(path, rows)
+                io.save_json(path, rows)
                 print(f"{name}, {planner}, case {case + 1}: {row}", flush=True)
                 if filmed and done is not None:
                     write_film(film, done)
                     write_pages(arguments.output, name, done)
         results[name] = rows
-        with filesystem.atomic_text(arguments.output / "tasks.md") as stream:
+        with io.atomic_text(arguments.output / "tasks.md") as stream:
             stream.write(as_markdown(results))
 
 

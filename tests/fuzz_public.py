@@ -60,8 +60,8 @@ def public_values() -> dict[str, Any]:
     """All that public modules name in their ``__all__`` and that can be called, once each, by name."""
     found: dict[str, Any] = {}
     for info in pkgutil.walk_packages(lieednn_sim.__path__, "lieednn_sim."):
-        # Neither private modules nor programs, nor what needs an extra that is not installed.
-        if any(part.startswith("_") or part == "cli" for part in info.name.split(".")):
+        # Neither private modules nor programs nor files, nor what needs an extra that is not installed.
+        if any(part.startswith("_") or part in ("cli", "io") for part in info.name.split(".")):
             continue
         try:
             module = importlib.import_module(info.name)

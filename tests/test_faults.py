@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lieednn_sim import storage
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, LieEDNNError
@@ -57,7 +56,7 @@ def run(tmp_path_factory):
 def test_a_demo_that_is_killed_leaves_what_it_had_finished(tmp_path, start):
     directory = tmp_path / "run"
     die(start, AT_PROGRESS, "demo", "--no-page", "--no-video", *PLAN, "--output", directory, "simulate")
-    assert names(directory) == {"made.json", "task.json", "network.npz", "motion.npz"}
+    assert names(directory) == {"lieednn_sim.json", "task.json", "network.npz", "motion.npz"}
     # The lock died with it, and the next step goes on from there.
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
 
@@ -145,9 +144,9 @@ def test_a_full_disk_leaves_the_run_as_it_was(run, capsys):
 
 def test_a_read_only_directory_is_named_before_the_work(run, capsys, monkeypatch):
     # Root may write everywhere: what the system would say is put into its mouth.
-    monkeypatch.setattr(storage.os, "access", lambda *_: False)
+    monkeypatch.setattr(os, "access", lambda *_: False)
     assert main(["simulate", str(run.path)]) == 2
-    assert f"{run.path} is read-only" in capsys.readouterr().err
+    assert f"cannot write into {run.path}: permission denied" in capsys.readouterr().err
     monkeypatch.undo()
 
     def refuse(*_, **__):

@@ -212,11 +212,11 @@ def test_an_interrupt_stops_cleanly_and_says_so(tmp_path, start):
         "tracked = plan.Job('tracked', 'train', {'algorithm': 'tracked', 'changes': {}, 'seed': 0})\n"
         "endless = plan.Job('activation', 'check', {'name': 'activation', 'samples': 10**12})\n"
         "reproduce_paper.jobs = lambda _: [tracked, endless]\n"
-        "save = runner.storage.save_arrays\n"
+        "save = runner.io.save_arrays\n"
         "def announcing(*given):\n"
         "    save(*given)\n"
         "    print('an experiment is done', flush=True)\n"
-        "runner.storage.save_arrays = announcing\n"
+        "runner.io.save_arrays = announcing\n"
         "sys.exit(reproduce_paper.main())"
     )
     process = start("-c", code, "--output", str(tmp_path), "--jobs", "1", cwd=SCRIPTS)

@@ -11,14 +11,14 @@ FILES = {
     "lieednn_sim/arm/__init__.py": "from lieednn_sim.arm.model import Arm\nfrom lieednn_sim.arm.other import Other\n",
     "lieednn_sim/arm/model.py": 'class Arm:\n    """An arm."""\n\n    length = 1.5\n',
     "lieednn_sim/arm/other.py": "Other = 1\n",
-    "lieednn_sim/storage.py": "digits = 6\n",
+    "lieednn_sim/io.py": "digits = 6\n",
     "lieednn_sim/lazy.py": "x = 1\n",
     "lieednn_sim/deep.py": "y = 1\n",
     "lieednn_sim/rendering/film.py": "from lieednn_sim.rendering import light\nsize = 2\n",
     "lieednn_sim/rendering/light.py": "sun = 1\n",
     "lieednn_sim/rendering/__init__.py": "",
     "scripts/study.py": (
-        "import numpy as np\nfrom rows import read\nfrom lieednn_sim import storage\n"
+        "import numpy as np\nfrom rows import read\nfrom lieednn_sim import io\n"
         "from lieednn_sim.arm import Arm\nfrom lieednn_sim.rendering import film\n"
     ),
     "scripts/rows.py": "def read():\n    from lieednn_sim.lazy import x\n    return x, 'lieednn_sim.deep'\n",
@@ -62,8 +62,8 @@ def test_a_script_depends_on_what_it_imports_in_turn(version):
         assert version(name, "z = 2") != version(), name
     # A wheel holds the models.
     assert version("lieednn_sim/assets/mjcf/a/a.xml", FILES["assets/mjcf/a/a.xml"]) == version()
-    # A room's name is that of the module in it; storage and films change no number.
-    for name in ("arm/other.py", "storage.py", "rendering/film.py", "rendering/light.py"):
+    # A room's name is that of the module in it; files and films change no number.
+    for name in ("arm/other.py", "io.py", "rendering/film.py", "rendering/light.py"):
         assert version(f"lieednn_sim/{name}", "z = 2") == version(), name
     # Unless the film is what is made.
     roots = ("lieednn_sim.rendering.film",)
@@ -82,6 +82,6 @@ def test_rows_of_tables_depend_on_planners_and_simulation_but_not_on_commands_an
             "lie.se3",
         ),
     }
-    assert not {name.split(".")[0] for name in found} & {"cli", "rendering", "environments", "storage", "validation"}
+    assert not {name.split(".")[0] for name in found} & {"cli", "rendering", "environments", "io", "validation"}
     assert "studies.report.page" not in found
     assert len(code_version()) == 12

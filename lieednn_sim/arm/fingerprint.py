@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.serial_arm import SerialArm
 
@@ -33,12 +33,12 @@ def arm_fingerprint(arm: SerialArm) -> str:
     if np.isfinite(arm.jerk_limits).any():
         arrays["jerk_limits"] = _rounded(arm.jerk_limits)
     arrays |= {"base": _rounded(arm.base.as_matrix()), "length_scale": _rounded(np.asarray(arm.length_scale))}
-    return storage.fingerprint(arrays, {"joints": arm.joint_names})
+    return io.fingerprint(arrays, {"joints": arm.joint_names})
 
 
 def model_fingerprint(model: mujoco.MjModel) -> str:
     """Fingerprint of a compiled model without an arm."""
-    return storage.fingerprint(_arrays(model), {})
+    return io.fingerprint(_arrays(model), {})
 
 
 def _arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:

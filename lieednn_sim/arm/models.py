@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple, Unpack
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer import ImportOptions, ImportReport, import_arm
 from lieednn_sim.arm.importer.loading import read_model
@@ -90,7 +90,7 @@ def find_model(arm: str | os.PathLike[str], options: ImportOptions) -> ModelFile
 
 
 def _read_description(path: Path) -> tuple[Path, ImportOptions]:
-    value: Any = storage.load_description(path, "description of an arm")
+    value: Any = io.load_description(path, "description of an arm")
     model = value.pop("model", None)
     if not isinstance(model, str) or Path(model).suffix.lower() not in MODEL_SUFFIXES:
         raise FileError(f"{path} names no model: it needs an entry such as `model: robot.urdf`, got {model!r}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, colliding_geoms, moving_geoms
 from lieednn_sim.arm.fingerprint import model_fingerprint
@@ -18,7 +18,7 @@ from lieednn_sim.arm.importer.loading import compile_spec, load_spec, unused
 from lieednn_sim.arm.scenes import GOAL_PREFIX, PREFIX
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.filesystem import is_file
+from lieednn_sim.io import is_file
 from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, quoted
 from lieednn_sim.values import Floats
@@ -79,7 +79,7 @@ def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
     spec = (
         load_spec(source)
         if source.suffix.lower() == ".xml"
-        else shapes(storage.load_description(source, "list of obstacles"), source)
+        else shapes(io.load_description(source, "list of obstacles"), source)
     )
     for key in spec.keys:
         spec.delete(key)

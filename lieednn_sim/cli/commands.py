@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.cli.arguments import Look, Planning, Simulating, check_look, still_look
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
 from lieednn_sim.cli.planning import make_plan
 from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError, SimulationError
+from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.rendering import opengl
@@ -51,7 +51,7 @@ def demo(
     if video:
         check_look(arm, look)
     run = RunDirectory(output, plots)
-    with run.made():
+    with run.at_work():
         # The paper's bias leaves more to the weights.
         make_plan(run, planning, ["bias_magnitudes=0.125"])
         _simulate(run, simulating)
@@ -79,7 +79,7 @@ def plan(*, planning: Planning, output: Directory = "results/run") -> None:
         output: directory for the files of the run.
     """
     run = RunDirectory(output)
-    with run.made():
+    with run.at_work():
         make_plan(run, planning)
 
 
@@ -125,7 +125,7 @@ def render(run: Directory, *, output: File | None = None, still: File | None = N
     directory = RunDirectory(run).existing()
     given = [as_path("the name of an output", name) for name in (still, output) if name is not None]
     paths = given or [directory.video]
-    filesystem.check_outputs(paths)
+    io.check_outputs(paths)
     with directory.at_work(shared=True, outputs=[path for path in paths if path in (directory.video, directory.page)]):
         for path in paths:
             _render(directory, path, look, still=still is not None and path == given[0])
@@ -135,7 +135,7 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
     task, arm = run.load_task()
     changes = simulating.all_disturbances(arm)
     with progress("check"):
-        motion = run.motion_of(task, arm)
+        motion = run.load_motion(task, arm)
         check_motion(arm, motion)
     end = motion.t[-1] + simulating.hold
     for push in changes.pushes:
@@ -144,22 +144,18 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
             raise InputError(
                 f"the push on {push.body!r} at {push.start:g} s would begin when the run is over, at {end:g} s"
             )
-    try:
-        with progress("simulate") as report:
-            rollout = simulate_motion(
-                arm,
-                motion,
-                target=task.target,
-                controller=simulating.controller,
-                hold=simulating.hold,
-                reference_rate=simulating.reference_rate,
-                disturbances=changes,
-                dump_directory=run.path,
-                progress=report,
-            )
-    except SimulationError:
-        run.manifest.expect(run.divergence, "rollout")
-        raise
+    with progress("simulate") as report:
+        rollout = simulate_motion(
+            arm,
+            motion,
+            target=task.target,
+            controller=simulating.controller,
+            hold=simulating.hold,
+            reference_rate=simulating.reference_rate,
+            disturbances=changes,
+            dump_directory=run.path,
+            progress=report,
+        )
     wrote(*run.save_rollout(task, rollout))
 
 
@@ -170,12 +166,11 @@ def _evaluate(run: RunDirectory) -> None:
     rollout = run.load_rollout(task, arm)
     evaluation = evaluate_rollout(rollout)
     console.print(evaluation)
-    made_from = run.check(task, "network", "motion", "rollout")
-    network = run.load_network(task) if run.network.exists() else None
+    network = run.load_network() if run.network.exists() else None
     *outputs, channels_plot = run.evaluated
     if rollout.channels:
         outputs.append(channels_plot)
-    with run.manifest.replacing(outputs) as (
+    with io.atomic_paths(outputs) as (
         metrics_json,
         metrics_csv,
         network_plot,
@@ -183,7 +178,7 @@ def _evaluate(run: RunDirectory) -> None:
         joints_plot,
         *more,
     ):
-        evaluation.save_json(metrics_json, made_from=made_from)
+        evaluation.save_json(metrics_json)
         evaluation.save_csv(metrics_csv)
         plots.plot_network(rollout, network_plot, network=network)
         plots.plot_tracking(rollout, tracking_plot)
@@ -201,10 +196,7 @@ def _render(run: RunDirectory, path: Path, look: Look, *, still: bool = False) -
     if not page:
         backend = opengl.require()
         console.print(f"rendering with {backend.name}: {backend.detail}")
-    # A file that the user named is replaced, whatever it is.
-    own = path in (run.video, run.page)
-    writing = run.manifest.writing(path) if own else filesystem.atomic_path(path)
-    with progress("render") as report, writing as temporary:
+    with progress("render") as report, io.atomic_path(path) as temporary:
         if still:
             from lieednn_sim.rendering.still import render_still
 

@@ -6,15 +6,13 @@ import contextlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.cli.kinds import CommandLine, Directory, File
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.manifest import Manifest
 from lieednn_sim.registry import CONTROLLERS, PLANNERS
 from lieednn_sim.studies import Case, Comparison, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
@@ -24,6 +22,9 @@ from lieednn_sim.studies.reactions.study import Reactions, write_reactions
 from lieednn_sim.studies.report import choose_cases, choose_problems, film, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
+
+# The files of a comparison.
+_OUTPUTS = ("comparison.csv", "comparison.json", "comparison.md", "comparison.html", "reactions.md")
 
 _Wanted = TypeVar("_Wanted")
 _Shown = TypeVar("_Shown")
@@ -93,22 +94,17 @@ def compare(
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
     cluster = contextlib.nullcontext() if scheduler is None else dask_executor(scheduler)
-    with (
-        cluster as executor,
-        filesystem.created(output) as directory,
-        filesystem.locked(directory),
-    ):
+    with cluster as executor, io.output_folder(output, "table", outputs=_OUTPUTS) as directory:
         how: dict[str, Any] = {"jobs": workers, "executor": executor, "console": to_stderr()}
         if executor is not None:
             console.print(f"{executor.n_workers} workers at {scheduler}; cases wait for the first one")
         summary, page = directory / "comparison.md", directory / "comparison.html"
-        _check_outputs(directory, [summary, page, *([directory / "reactions.md"] if shown.reactive else [])])
         _print_found(study)
         table = compute(study, directory, **how)
         if study.shard is not None:
             wrote(table.csv)
             return 0
-        with table.manifest.writing(summary) as temporary:
+        with io.atomic_path(summary) as temporary:
             write_summary(temporary, table, study.absent)
         controller = study.controllers[0]
         problems = choose_problems(table, shown.views, controller)
@@ -121,10 +117,10 @@ def compare(
             disturbed = Reactions(study.arms, study.scenes, shown.reactive, user_files=study.user_files)
             reactions = compute(disturbed, directory, **how)
             more = [reactions.csv, directory / "reactions.md"]
-            with table.manifest.writing(more[1]) as temporary:
+            with io.atomic_path(more[1]) as temporary:
                 write_reactions(temporary, reactions)
         head = {"command": line, "date": shown.date}
-        with table.manifest.writing(page) as temporary:
+        with io.atomic_path(page) as temporary:
             write_page(temporary, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)
     wrote(table.csv, summary, *more, page)
     return 0
@@ -132,11 +128,10 @@ def compare(
 
 def _merge(output: Directory, folders: Sequence[File], line: CommandLine) -> int:
     """Merge the tables of shards, and write summary and page; returns 1 if cases are missing."""
-    with filesystem.created(output) as directory, filesystem.locked(directory):
+    with io.output_folder(output, "table", outputs=_OUTPUTS) as directory:
         outputs = [directory / "comparison.md", directory / "comparison.html"]
-        _check_outputs(directory, outputs)
         merged = merge_shards(directory, folders)
-        with merged.table.manifest.replacing(outputs) as (summary, page):
+        with io.atomic_paths(outputs) as (summary, page):
             write_summary(summary, merged.table, merged.absent)
             write_page(page, merged.table, missing=merged.absent, command=line)
     wrote(merged.table.csv, *outputs)
@@ -144,12 +139,6 @@ def _merge(output: Directory, folders: Sequence[File], line: CommandLine) -> int
         where = ", ".join(str(folder) for folder, there in merged.shards.items() if there == shard) or "in no folder"
         console.print(f"shard {shard} ({where}) lacks {len(cases)} cases, such as {cases[0]}")
     return 1 if merged.missing else 0
-
-
-def _check_outputs(directory: Path, outputs: Sequence[Path]) -> None:
-    """Raise `FileError` if the table or one of the other outputs could not be written."""
-    filesystem.check_outputs([directory / "comparison.csv", directory / "comparison.json"])
-    Manifest(directory).check(outputs)
 
 
 def _print_found(study: Comparison) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
 from lieednn_sim.cli.arguments import ChosenArm
 from lieednn_sim.cli.console import console, progress, wrote
@@ -20,7 +20,6 @@ from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demo
 from lieednn_sim.learning.demonstrations.alignment import goal_distance
 from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
-from lieednn_sim.manifest import Manifest
 from lieednn_sim.registry import RIVALS
 from lieednn_sim.studies.demonstrations.models import ModelRow, compare_models, family_deviation, models_table
 from lieednn_sim.studies.demonstrations.plots import plot_field, plot_paths
@@ -96,10 +95,9 @@ def learn(
     apart = goal_distance(shown)
     if demonstrations.extent <= 0.0:
         raise InputError("the mean of the demonstrations does not move")
-    with filesystem.created(output) as directory, filesystem.locked(directory):
-        manifest = Manifest(directory)
-        outputs = [directory / name for name in ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")]
-        manifest.check(outputs)
+    names = ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")
+    with io.output_folder(output, "demonstrations", outputs=names) as directory:
+        outputs = [directory / name for name in names]
         shaped = ShapedMotion.fit(demonstrations, fitting.deviation, options, seed, family=fitting.family)
         with progress("learn") as bar:
             rows, models = compare_models(
@@ -113,11 +111,11 @@ def learn(
                 seed=seed,
                 progress=bar,
             )
-        with manifest.replacing(outputs) as (network, report, paths, field):
+        with io.atomic_paths(outputs) as (network, report, paths, field):
             shaped.network.save(network)
             asked = {"files": files, "unit": reading.unit, "quaternion": reading.quaternion, **asdict(fitting)}
             found = _report(demonstrations, shaped, rows)
-            storage.save_json(report, asked | found | {"goal_distance_m": apart})
+            io.save_json(report, asked | found | {"goal_distance_m": apart})
             drawn = {shaped.name: shaped} if demonstrations.goals_kept else models
             plot_paths(drawn, demonstrations, paths)
             plot_field(shaped, demonstrations, field, seed)

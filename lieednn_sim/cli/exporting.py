@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+from lieednn_sim import io
 from lieednn_sim.cli.console import progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
 from lieednn_sim.cli.run_directory import RunDirectory
@@ -69,7 +70,7 @@ def _record(runs: list[File], format: str, output: Directory, episodes: int, rec
 
 def _rollout(path: Path) -> Any:
     run = RunDirectory(path).existing()
-    with run.at_work(shared=True, outputs=[]):
+    with io.locked(run.path, shared=True):
         task, arm = run.load_task()
         if not run.rollout.exists():
             raise FileError(f"{path} has not been simulated; run: lieednn-sim simulate {path}")

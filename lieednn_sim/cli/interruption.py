@@ -10,18 +10,12 @@ import threading
 from types import FrameType, TracebackType
 from typing import Any
 
-# Time until an interruption that Python had to swallow is raised again [s].
-_AGAIN = 0.01
-# Whether the system can do so.
-_TIMED = hasattr(signal, "setitimer")
-
 
 class Interruption:
     """Context, for the main thread, in which SIGINT and SIGTERM raise `KeyboardInterrupt` once.
 
-    Python swallows exceptions that are raised in callbacks of weak references and in ``__del__``; therefore the
-    interruption is raised again a moment later, and `check` raises it between the steps of a command. Windows has no
-    timer for the former.
+    Python swallows exceptions that are raised in callbacks of weak references and in ``__del__``, and libraries may
+    swallow others; therefore `check` raises the interruption again between the steps of a command.
 
     A second signal ends the process at once. So does the first one while modules are still being imported: they might
     turn the exception into another one, and there is nothing to clean up yet. Objects that an interruption leaves half
@@ -54,9 +48,7 @@ class Interruption:
                 # A shell's background job ignores Ctrl-C.
                 if signal.getsignal(number) is not signal.SIG_IGN:
                     self._before[number] = signal.signal(number, self._handle)
-            if _TIMED:
-                self._before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._raise)
-            self._unraisable, sys.unraisablehook = sys.unraisablehook, self._swallowed
+            self._unraisable = sys.unraisablehook
             Interruption._current = self
         return self
 
@@ -65,15 +57,13 @@ class Interruption:
     ) -> None:
         if Interruption._current is self:
             Interruption._current = None
-            _alarm(0.0)
-            quiet = self._last and self.received is not None
-            sys.unraisablehook = _ignore if quiet else self._unraisable
+            if not self._last:
+                sys.unraisablehook = self._unraisable
         for number, handler in self._before.items():
-            signal.signal(number, _end if self._last and number in (signal.SIGINT, signal.SIGTERM) else handler)
+            signal.signal(number, _end if self._last else handler)
 
     def report(self) -> int:
         """Print that the command was interrupted; returns the exit code."""
-        _alarm(0.0)
         say("interrupted; files already reported are complete")
         return self.exit_code
 
@@ -81,31 +71,15 @@ class Interruption:
         if self.importing or self.received is not None:
             _end(number)
         self.received = number
+        sys.unraisablehook = lambda _: None
         raise KeyboardInterrupt
-
-    def _raise(self, *_: object) -> None:
-        if self.received is not None:
-            raise KeyboardInterrupt
-
-    def _swallowed(self, error: Any) -> None:
-        if self.received is not None and issubclass(error.exc_type, KeyboardInterrupt):
-            _alarm(_AGAIN)
-        elif self.received is None:
-            self._unraisable(error)
 
 
 def check() -> None:
     """Raise `KeyboardInterrupt` if the running command was interrupted but the exception was lost."""
     current = Interruption._current
     if current is not None and current.received is not None:
-        _alarm(0.0)
         raise KeyboardInterrupt
-
-
-def _alarm(seconds: float) -> None:
-    """Raise the interruption again in so many seconds; with 0 never, since its exception is under way."""
-    if _TIMED:
-        signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
 def say(message: str) -> None:
@@ -116,10 +90,6 @@ def say(message: str) -> None:
         # What waits there would fail again at exit, with another exit code.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
-
-
-def _ignore(_: object) -> None:
-    pass
 
 
 def _end(number: int, _: FrameType | None = None) -> None:

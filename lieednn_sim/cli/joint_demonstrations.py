@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.cli.arguments import ChosenArm
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, wrote
@@ -57,7 +57,7 @@ def learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run:
     options = ShapingOptions(rate=fitting.clock_rate)
     arm = chosen.load()
     shown = JointDemonstrations.load(arm, files, rate=fitting.sample_rate, phase=fitting.phase, goals=fitting.goals)
-    with run.made():
+    with run.at_work():
         learned = JointMotion.fit(shown, fitting.deviation, options, seed, family=fitting.family)
         motion, refusal = learned.planned(shown.mean[0])
         with progress("learn") as bar:
@@ -97,8 +97,8 @@ def learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run:
         reproduced = learned.run(shown.mean[0]).q
         fan = [motion_to(learned, shown, one[-1]).run(one[0]).q for one in shown.q] if learned.response else []
         results = [run.report, run.demonstrations_plot, run.starts_plot]
-        with run.manifest.replacing(results) as (report, demonstrations_plot, starts_plot):
-            storage.save_json(report, found)
+        with io.atomic_paths(results) as (report, demonstrations_plot, starts_plot):
+            io.save_json(report, found)
             plot_joint_paths(shown, reproduced, demonstrations_plot, fan=fan)
             plot_joint_paths(shown, reproduced, starts_plot, paths)
     print_import_report(arm)

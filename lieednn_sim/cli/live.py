@@ -8,6 +8,7 @@ import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
 from lieednn_sim.cli.arguments import joint_position
@@ -88,7 +89,7 @@ def _recorded(directory: str) -> tuple[dict[str, Rollout], Floats]:
             rollouts = replay_together(directory)
     else:
         run = RunDirectory(directory).existing()
-        with run.at_work(shared=True, outputs=[]):
+        with io.locked(run.path, shared=True):
             task, arm = run.load_task()
             rollouts = {task.planner: run.load_rollout(task, arm)}
     return rollouts, next(iter(rollouts.values())).q_ref[0]

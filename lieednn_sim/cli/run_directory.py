@@ -1,22 +1,25 @@
 """The directory of a run.
 
-Task, network, motion, rollout and metrics are made from each other in that order, and each file carries the
-fingerprints of those before it. `RunDirectory.check` compares them, so that files of different runs are never mixed.
+Task, network, motion, rollout and metrics are made from each other in that order. Task, network and motion replace
+those of an older run together, and its other results go. A motion must lead from the task's start to its target, and a
+rollout must have followed the motion, so that files of different runs are never mixed.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
-from lieednn_sim import filesystem, storage
+import numpy as np
+
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.history import History
-from lieednn_sim.manifest import Manifest
 from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
 from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning.motion import Motion
@@ -31,6 +34,8 @@ PLOT_KINDS = ("png", "pdf", "svg")
 _PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints", "channels")
 # Classes of networks by the kind of their files.
 _NETWORKS: dict[str, type[ComponentwiseNetwork]] = {network._kind: network for network in (LieEDNN, HopfieldNetwork)}
+# A stored motion may miss the start and the target of its task by this much [rad, m].
+_OFF = 1e-3
 
 
 class RunDirectory:
@@ -44,7 +49,6 @@ class RunDirectory:
     def __init__(self, path: str | os.PathLike[str], plots: str = PLOT_KINDS[0]) -> None:
         as_choice("plots", plots, PLOT_KINDS)
         self.path = as_path("the name of a run directory", path)
-        self.manifest = Manifest(self.path)
         self.task = self.path / "task.json"
         self.network = self.path / "network.npz"
         self.motion = self.path / "motion.npz"
@@ -82,46 +86,25 @@ class RunDirectory:
     def _plots_of(self, *names: str) -> list[Path]:
         return [self.path / f"{name}.{kind}" for name in names for kind in PLOT_KINDS]
 
-    @contextlib.contextmanager
-    def made(self) -> Iterator[None]:
-        """Create the directory if needed, and lock it as `at_work` does; if it stays empty it is removed."""
-        with filesystem.created(self.path), self.at_work():
-            yield
-
-    @contextlib.contextmanager
-    def at_work(self, *, shared: bool = False, outputs: Iterable[Path] | None = None) -> Iterator[None]:
-        """Lock the run against other commands while the block runs.
+    def at_work(
+        self, *, shared: bool = False, outputs: Iterable[Path] | None = None
+    ) -> contextlib.AbstractContextManager[Path]:
+        """Create the directory if needed, and lock the run against other commands; see `io.output_folder`.
 
         Args:
             shared: let other commands in that only write results, as this one does.
             outputs: the files that the command writes; by default all files of the run.
 
         Raises:
-            FileError: another command is at work there, or one of ``outputs`` cannot be written or was not made by
-                this package.
+            FileError: another command is at work there, it is no directory of runs, or one of ``outputs`` cannot be
+                written.
         """
-        with filesystem.locked(self.path, shared=shared):
-            self.manifest.check(self.files if outputs is None else outputs)
-            if not shared:
-                self._remove_unfinished()
-            yield
-
-    def remove(self) -> None:
-        """Remove the files of the run, and the directory if nothing else is in it; only within `at_work`."""
-        self._remove_unfinished()
-        self.manifest.remove(self.files)
-        with contextlib.suppress(OSError):
-            self.path.rmdir()
-
-    def _remove_unfinished(self) -> None:
-        """Remove the temporary files of a command that was killed; no other one is at work here."""
-        for path in (*self.files, self.manifest.path):
-            for left in filesystem.unfinished(path):
-                left.unlink(missing_ok=True)
+        names = [path.name for path in (self.files if outputs is None else outputs)]
+        return io.output_folder(self.path, "run", outputs=names, shared=shared)
 
     def existing(self) -> RunDirectory:
         """Return self, or raise `FileError` if there is no such run."""
-        if not filesystem.is_file(self.task):
+        if not io.is_file(self.task):
             raise FileError(
                 f"{self.path} holds no run (no {self.task.name}); make one with 'lieednn-sim plan' or 'train'"
             )
@@ -135,7 +118,7 @@ class RunDirectory:
             now, then = versions()["mujoco"], task.versions.get("mujoco")
             raise FileError(
                 f"arm {task.arm!r} in scene {task.scene!r} is not the one for which {self.task} was made (fingerprint "
-                f"{storage.short(arm.fingerprint)}, not {storage.short(task.model)}"
+                f"{io.short(arm.fingerprint)}, not {io.short(task.model)}"
                 + ("" if now == then else f"; MuJoCo {now}, not {then}")
                 + "): its model has changed since; make the run again"
             )
@@ -146,73 +129,60 @@ class RunDirectory:
             raise FileError(f"{self.task} does not fit arm {arm.name!r}: {error}") from None
         return task, arm
 
-    def load_network(self, task: Task) -> ComponentwiseNetwork:
-        """The network, after checking that it was made for the task."""
-        self.check(task, "network")
-        return _NETWORKS.get(storage.kind(self.network), LieEDNN).load(self.network)
+    def load_network(self) -> ComponentwiseNetwork:
+        """The network; raises as `ComponentwiseNetwork.load`."""
+        arrays, meta = io.load_arrays(self.network, *_NETWORKS)
+        return _NETWORKS[meta["kind"]].restored(arrays, meta, self.network)
 
-    def load_motion(self, task: Task) -> Motion:
-        """The motion, after checking that it was made for the task and from the network."""
-        self.check(task, "network", "motion")
-        return Motion.load(self.motion)
+    def load_motion(self, task: Task, arm: Arm, *, stored: bool | None = None) -> Motion:
+        """The motion from the task's start to its target.
 
-    def motion_of(self, task: Task, arm: Arm) -> Motion:
-        """The motion, generated by the network if it is not stored; checked as by `load_motion`."""
-        if task.drawn:
-            return make_motion(arm, self.load_network(task), task.start, task.duration, arm.timestep)
-        return self.load_motion(task)
-
-    def load_rollout(self, task: Task, arm: Arm) -> Rollout:
-        """The rollout, after checking that it, the motion and the network belong together and to the task."""
-        self.check(task, "network", "motion", "rollout")
-        # In a run that was not simulated, the missing file to report is the rollout.
-        motion = Motion.load(self.motion) if self.rollout.exists() else None
-        if not filesystem.is_file(self.rollout):
-            raise FileError(f"no such file: {self.rollout}; make it with 'lieednn-sim simulate {self.path}'")
-        return Rollout.load(self.rollout, arm, motion)
-
-    def check(self, task: Task, *names: str) -> dict[str, str]:
-        """Fingerprints of the task and of the named files that exist, in the order in which they were made.
+        Args:
+            task: the task of the run.
+            arm: its arm.
+            stored: whether to read it, rather than to generate it by the network; by default as the task says.
 
         Raises:
-            FileError: a file was made from another file than the present one; the message names both.
+            FileError: there is no such motion, or it is of another task.
         """
-        found = {"task": task.fingerprint}
-        for name in names:
-            path: Path = getattr(self, name)
-            if not path.exists():
-                continue
-            own, made_from = storage.origin(path)
-            for source in found:
-                then, now = made_from.get(source), found[source]
-                if then != now:
-                    raise FileError(
-                        f"{path} was made from another {source} than {getattr(self, source)} (fingerprint "
-                        f"{storage.short(then)}, not {storage.short(now)}): files of different runs are mixed, or one "
-                        f"was changed; 'lieednn-sim {'simulate' if name == 'rollout' else 'plan'}' makes it again"
-                    )
-            found[name] = own
-        return found
+        if task.drawn if stored is None else not stored:
+            source, motion = self.network, self._generated(task, arm)
+        else:
+            source, motion = self.motion, Motion.load(self.motion)
+        ends = np.array([task.start, task.target])
+        if motion.q.shape[1:] != ends.shape[1:] or np.abs(motion.q[[0, -1]] - ends).max() > _OFF:
+            raise FileError(
+                f"{source} is of another run than {self.task}: its motion does not lead from that start to that "
+                "target; 'lieednn-sim plan' makes it again"
+            )
+        return motion
+
+    def _generated(self, task: Task, arm: Arm) -> Motion:
+        return make_motion(arm, self.load_network(), task.start, task.duration, arm.timestep)
+
+    def load_rollout(self, task: Task, arm: Arm) -> Rollout:
+        """The rollout with its motion, which must belong together and to the task."""
+        if not io.is_file(self.rollout):
+            raise FileError(f"no such file: {self.rollout}; make it with 'lieednn-sim simulate {self.path}'")
+        return Rollout.load(self.rollout, arm, self.load_motion(task, arm, stored=True))
 
     def save_network(
         self, task: Task, network: BlockNetwork | None, motion: Motion | None = None, history: History | None = None
     ) -> list[Path]:
         """Write the task and the results for it, and remove all other files of the run.
 
+        The task is the first to go and the last to appear: a process that is killed in between leaves no run, rather
+        than a mixture of two.
+
         Returns:
             The files written.
         """
-        made_from = {"task": task.fingerprint}
-        savers: dict[str, Callable[[Path], None]] = {"task": task.save}
-        for name, made in (("network", network), ("motion", motion), ("history", history)):
-            if made is not None:
-                savers[name] = _saver(made, name, made_from)
-        targets: list[Path] = [getattr(self, name) for name in savers]
-        outdated = [path for path in self.files if path not in targets]
-        with self.manifest.replacing(targets, outdated) as temporaries:
-            for save, temporary in zip(savers.values(), temporaries, strict=True):
-                save(temporary)
-        return targets
+        given: dict[Path, Any] = {self.network: network, self.motion: motion, self.history: history, self.task: task}
+        items = {path: item for path, item in given.items() if item is not None}
+        with io.atomic_paths(list(items), [self.task, *self.files]) as temporaries:
+            for item, temporary in zip(items.values(), temporaries, strict=True):
+                item.save(temporary)
+        return [self.task, *(path for path in items if path != self.task)]
 
     def save_rollout(self, task: Task, rollout: Rollout) -> list[Path]:
         """Write a rollout, with its motion if the network generated that, and remove results of an older one.
@@ -220,21 +190,10 @@ class RunDirectory:
         Returns:
             The files written.
         """
-        made_from = self.check(task, "network", *([] if task.drawn else ["motion"]))
-        motion = rollout.motion if task.drawn else None
-        targets = [self.rollout] if motion is None else [self.motion, self.rollout]
-        with self.manifest.replacing(targets, self.results) as temporaries:
-            if motion is not None:
-                _saver(motion, "motion", made_from)(temporaries[0])
-            rollout.save(temporaries[-1], made_from)
-        return targets
-
-
-def _saver(made: BlockNetwork | Motion | History, name: str, made_from: dict[str, str]) -> Callable[[Path], None]:
-    """A function that saves an object and adds its fingerprint to ``made_from``, for files made from it."""
-
-    def save(path: Path) -> None:
-        made.save(path, dict(made_from))
-        made_from[name] = storage.origin(path)[0]
-
-    return save
+        items: dict[Path, Any] = {self.rollout: rollout}
+        if task.drawn and rollout.motion is not None:
+            items = {self.motion: rollout.motion, **items}
+        with io.atomic_paths(list(items), [self.rollout, *self.results]) as temporaries:
+            for item, temporary in zip(items.values(), temporaries, strict=True):
+                item.save(temporary)
+        return list(items)

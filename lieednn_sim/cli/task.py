@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer import ImportOptions
 from lieednn_sim.errors import FileError
@@ -62,23 +62,18 @@ class Task:
         """Whether the network generates the motion by itself, in the task's duration."""
         return self.planner in (CERTIFIED, TRAINED) and not self.options.get("fastest", False)
 
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of all values; see `storage.fingerprint`."""
-        return storage.fingerprint({}, asdict(self))
-
     def load_arm(self) -> Arm:
         """The arm among its obstacles; raises as `Arm.load`."""
         return Arm.load(self.arm, self.scene, self.scene_seed, **self.imported)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, atomically."""
-        storage.save_json(path, asdict(self))
+        io.save_json(path, asdict(self))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Task:
         """Read a file of `save`; `FileError` says what is wrong with it."""
-        value = storage.load_json(path, "task")
+        value = io.load_json(path, "task")
         try:
             texts = {name: value[name] for name in ("arm", "scene", "planner", "reason", "model")}
             if not all(isinstance(text, str) for text in texts.values()):

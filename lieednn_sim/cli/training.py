@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import Goal
 from lieednn_sim.cli.arms import print_import_report
@@ -68,7 +69,7 @@ def train(*, goal: Goal, learning: Learning, output: Directory = "results/run", 
         plots: format of the plot: png, pdf or svg.
     """
     run = RunDirectory(output, plots)
-    with run.made():
+    with run.at_work():
         return _train(run, *_begin(goal, learning))
 
 
@@ -117,7 +118,7 @@ def _choose(learners: Candidates, run: RunDirectory, arm: Arm, task: Task) -> tu
             best = result, refusal
             if result.success and isinstance(result.network, LieEDNN):
                 run.save_network(task, result.network, history=result.history)
-                with run.manifest.writing(run.training_plot) as temporary:
+                with io.atomic_path(run.training_plot) as temporary:
                     plot_training.plot_training(result.history, xi, result.tolerance, temporary)
         if result.success and refusal is None:
             break

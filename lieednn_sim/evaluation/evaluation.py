@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from rich.console import Group
 from rich.table import Table
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim.evaluation.display import as_text, rounded, table
 from lieednn_sim.evaluation.frame_errors import FrameErrors
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics
@@ -161,22 +160,17 @@ class Evaluation:
                 return f"arrival: {frame.name} ends {frame.final_mm:.3g} mm and {frame.final_deg:.3g} deg off"
         return ""
 
-    def save_json(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
-        """Write all metrics and conditions as JSON; unlimited joints have limit null.
-
-        Args:
-            path: of the file.
-            made_from: fingerprints of the files that were evaluated, by name.
-        """
-        value = {**asdict(self), "versions": versions(), "made_from": dict(made_from or {})}
+    def save_json(self, path: str | os.PathLike[str]) -> None:
+        """Write all metrics and conditions as JSON; unlimited joints have limit null."""
+        value = {**asdict(self), "versions": versions()}
         for joint in value["joints"]:
             for name in ("velocity_limit", "force_limit"):
                 joint[name] = joint[name] if np.isfinite(joint[name]) else None
-        storage.save_json(path, value)
+        io.save_json(path, value)
 
     def save_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the errors of the frames as CSV, a row for each frame."""
-        with filesystem.atomic_text(path) as stream:
+        with io.atomic_text(path) as stream:
             rows = [asdict(frame) for frame in self.frames]
             writer = csv.DictWriter(stream, fieldnames=list(rows[0]), lineterminator="\n")
             writer.writeheader()

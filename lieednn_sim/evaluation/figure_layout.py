@@ -9,7 +9,7 @@ import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 
 # Okabe and Ito's palette, distinguishable for colour-blind readers, without the yellow that is invisible on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -43,5 +43,5 @@ def fix_layout(figure: Figure, dpi: float) -> None:
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Lay out a figure and write it atomically."""
     fix_layout(figure, _DPI)
-    with filesystem.atomic_path(path) as temporary:
+    with io.atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=_DPI)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
@@ -60,7 +60,7 @@ def plot(
         InputError: the network is not the motion's.
         FileError: the directory cannot be written.
     """
-    folder = filesystem.make_directory(directory)
+    folder = io.make_directory(directory)
     made = [folder / "tracking.png", folder / "joints.png"]
     plot_tracking(rollout, made[0])
     plot_joints(rollout, made[1])

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.errors import InputError
-from lieednn_sim.manifest import Manifest
 from lieednn_sim.planning.motion import steps_of_rate
 from lieednn_sim.registry import FORMATS
 from lieednn_sim.simulation import Rollout
@@ -58,7 +57,7 @@ def export(
 
     Raises:
         InputError: an argument is malformed, or a source does not suit the format.
-        FileError: the files cannot be written, or one of that name is there that this package did not make.
+        FileError: the files cannot be written, or the directory holds anything but exports of this package.
         LieEDNNError: a library that the format needs is not installed.
     """
     chosen = FORMATS.find(format)
@@ -98,19 +97,18 @@ def exporting(directory: str | os.PathLike[str]) -> Iterator[tuple[Path, list[Pa
     """Yield a folder for files, and the list to which their final paths are added when the block succeeds.
 
     Raises:
-        FileError: the files cannot be written, or one of that name is there that this package did not make.
+        FileError: the files cannot be written, or the directory holds anything but exports of this package.
     """
     written: list[Path] = []
     # Libraries choose names in a folder of their own; only complete files are moved to where they are asked for.
-    with tempfile.TemporaryDirectory() as scratch:
+    with io.output_folder(directory, "export") as target, tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         yield folder, written
         made = sorted(path for path in folder.rglob("*") if path.is_file())
-        with filesystem.created(directory) as target, filesystem.locked(target):
-            paths = [target / path.relative_to(folder) for path in made]
-            for parent in sorted({path.parent for path in paths}):
-                filesystem.make_directory(parent)
-            with Manifest(target).replacing(paths) as temporaries:
-                for path, temporary in zip(made, temporaries, strict=True):
-                    shutil.copyfile(path, temporary)
+        paths = [target / path.relative_to(folder) for path in made]
+        for parent in sorted({path.parent for path in paths}):
+            io.make_directory(parent)
+        with io.atomic_paths(paths) as temporaries:
+            for path, temporary in zip(made, temporaries, strict=True):
+                shutil.copyfile(path, temporary)
         written += paths

@@ -9,14 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from lieednn_sim import filesystem
 from lieednn_sim.arm import Arm
 from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.exports.formats import Episode, exporting
-from lieednn_sim.manifest import Manifest
 from lieednn_sim.registry import FORMATS
 from lieednn_sim.validation import Seed, as_count, as_seed
 from lieednn_sim.values import Floats
@@ -65,7 +63,7 @@ def record(
 
     Raises:
         InputError: an argument is malformed.
-        FileError: the files cannot be written, or one of that name is there that this package did not make.
+        FileError: the files cannot be written, or the directory holds anything but exports of this package.
         NoSolutionError: too few episodes succeed.
         LieEDNNError: pyarrow is not installed.
     """
@@ -75,10 +73,7 @@ def record(
     task = make_task("reach", arm, scene=scene, scene_seed=scene_seed)
     expert = Expert(task, planner=planner)
     made: list[Episode] = []
-    with filesystem.created(directory) as target:
-        # Before the work, which takes long.
-        paths = [target / name for name in dataset.FILES]
-        Manifest(target).check(path for path in paths if os.path.lexists(path))
+    with exporting(directory) as (folder, written):
         for attempt in range(_ATTEMPTS * wanted):
             if (episode := _episode(task, expert, first + attempt)) is not None:
                 made.append(episode)
@@ -97,9 +92,8 @@ def record(
             ],
             "action": list(joints),
         }
-        with exporting(directory) as (folder, written):
-            about = {"fps": 1.0 / task.control_timestep, "robot": task.arm.name}
-            dataset.write_dataset(folder, made, names, task="Come to rest at the target.", **about)
+        about = {"fps": 1.0 / task.control_timestep, "robot": task.arm.name}
+        dataset.write_dataset(folder, made, names, task="Come to rest at the target.", **about)
     return written
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import fields
 
 import numpy as np
 from scipy.linalg.lapack import dlange
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, check_fields, frozen
@@ -52,17 +51,17 @@ class History:
     def __len__(self) -> int:
         return len(self.error)
 
-    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
-        """Write to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to an ``.npz`` file, atomically."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)}
-        storage.save_arrays(path, "training-history", columns, {}, made_from)
+        io.save_arrays(path, "training-history", columns, {})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> History:
         """Read a file of `save`; `FileError` says what is wrong with it."""
-        arrays, _ = storage.load_arrays(path, "training-history")
+        arrays, _ = io.load_arrays(path, "training-history")
         names = [field.name for field in fields(cls)]
-        columns = storage.take(arrays, path, *names)
+        columns = io.take(arrays, path, *names)
         try:
             return cls(*columns)
         except InputError as error:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lieednn_sim import stability, storage
+from lieednn_sim import io, stability
 from lieednn_sim.errors import FileError, InputError, NotCertifiedError
 from lieednn_sim.network.dynamics import Equilibrium, Trajectory, find_equilibrium, integrate
 from lieednn_sim.validation import as_floats, as_path, as_positive
@@ -347,9 +347,9 @@ class BlockNetwork(ABC):
         network: Self = replace(self, lyapunov_diagonal=diagonal)  # type: ignore[type-var]
         return network
 
-    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
-        """Write the network to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
-        storage.save_arrays(path, self._kind, *self.stored(), made_from)
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the network to an ``.npz`` file, atomically."""
+        io.save_arrays(path, self._kind, *self.stored())
 
     def stored(self) -> tuple[dict[str, Floats], dict[str, Any]]:
         """The arrays and the metadata that a file holds, by name."""
@@ -365,7 +365,7 @@ class BlockNetwork(ABC):
         """
         if inspect.isabstract(cls):
             raise InputError(f"a {cls.__name__} is read by its own class, such as LieEDNN.load")
-        return cls.restored(*storage.load_arrays(path, cls._kind), path)
+        return cls.restored(*io.load_arrays(path, cls._kind), path)
 
     @classmethod
     def restored(cls, arrays: Mapping[str, Floats], meta: Mapping[str, Any], path: str | os.PathLike[str]) -> Self:
@@ -373,7 +373,7 @@ class BlockNetwork(ABC):
         path = as_path("path", path)
         kept = cls._stored("Floats", "NDArray")
         names = [field.name for field in kept if field.name in arrays or not field.type.endswith("None")]
-        values = dict(zip(names, storage.take(arrays, path, *names), strict=True))
+        values = dict(zip(names, io.take(arrays, path, *names), strict=True))
         try:
             network = cls(**values, **cls._from_meta(meta))
             certificate = network.certificate

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.filesystem import atomic_paths, make_directory
+from lieednn_sim.io import atomic_paths, make_directory
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.filesystem import atomic_path
+from lieednn_sim.io import atomic_path
 from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.values import Floats
 

@@ -7,7 +7,7 @@ import os
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import continued
@@ -183,7 +183,7 @@ class MotionLibrary:
             np.array([entry[k] for entry in self._motions.values()]).reshape(-1, *shape)
             for k, shape in enumerate((self.universal.hidden_start.shape, (2, self.universal.n_visible, 6)))
         )
-        storage.save_arrays(path, _KIND, {**arrays, "codes": codes, "ends": ends}, {**meta, "names": self.names})
+        io.save_arrays(path, _KIND, {**arrays, "codes": codes, "ends": ends}, {**meta, "names": self.names})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> MotionLibrary:
@@ -192,9 +192,9 @@ class MotionLibrary:
         Raises:
             FileError: the file cannot be read, is no library, or its certificate does not hold.
         """
-        arrays, meta = storage.load_arrays(path, _KIND)
+        arrays, meta = io.load_arrays(path, _KIND)
         network = LieEDNN.restored(arrays, meta, path)
-        codes, ends = storage.take(arrays, path, "codes", "ends")
+        codes, ends = io.take(arrays, path, "codes", "ends")
         library = cls(network.n_visible, network.activation)
         if network != library.universal:
             library.universal = network

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
@@ -74,17 +73,17 @@ class Motion:
         """Sampling period [s]."""
         return float(self.t[1] - self.t[0])
 
-    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
-        """Write to an ``.npz`` file, atomically; ``made_from`` as in `storage.save_arrays`."""
-        storage.save_arrays(path, "motion", vars(self), {}, made_from)
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to an ``.npz`` file, atomically."""
+        io.save_arrays(path, "motion", vars(self), {})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Motion:
         """Read a file of `save`; raise `FileError` if it is not one."""
-        arrays, _ = storage.load_arrays(path, "motion")
+        arrays, _ = io.load_arrays(path, "motion")
         names = tuple(cls.__dataclass_fields__)
         try:
-            return cls(**dict(zip(names, storage.take(arrays, path, *names), strict=True)))
+            return cls(**dict(zip(names, io.take(arrays, path, *names), strict=True)))
         except InputError as error:
             raise FileError(f"{path} is not a valid motion: {error}") from None
 

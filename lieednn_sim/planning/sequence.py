@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE
@@ -90,14 +90,14 @@ class PlanSequence:
         """The plans of the moves, in order."""
         return tuple(part.plan for part in self.parts if part.plan is not None)
 
-    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write t, qpos and qvel, and what the steps are, to an ``.npz`` file, atomically."""
         steps = [
             {"name": part.step.name, "begin": self.t[part.first], "end": self.t[part.last], "proof": str(part)}
             for part in self.parts
         ]
         arrays = {"t": self.t, "qpos": self.qpos, "qvel": self.qvel}
-        storage.save_arrays(path, "sequence", arrays, {"steps": steps}, made_from)
+        io.save_arrays(path, "sequence", arrays, {"steps": steps})
 
 
 def plan_sequence(

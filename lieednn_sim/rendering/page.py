@@ -8,7 +8,7 @@ from collections.abc import Callable
 from html import escape
 from pathlib import Path
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.errors import InputError
 from lieednn_sim.rendering import stage, viser_scene
 from lieednn_sim.rendering.overlay import KEY
@@ -97,7 +97,7 @@ def render_page(
         style=_STYLE.replace("RATIO", f"{recording.ratio:.3f}"),
         header="<header>" + "".join(f"<span>{text}</span>" for text in texts) + "</header>",
     )
-    with filesystem.atomic_text(path) as stream:
+    with io.atomic_text(path) as stream:
         stream.write(page)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image as Picture
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
 from lieednn_sim.rendering import stage
@@ -53,7 +53,7 @@ def render_still(
     if as_path("path", path).suffix != ".png":
         raise InputError(f"a picture's name must end in .png, got {Path(path).name!r}")
     image = still(rollout, camera=camera, size=size, preset=preset)
-    with filesystem.atomic_path(path) as temporary:
+    with io.atomic_path(path) as temporary:
         Picture.fromarray(image).save(temporary, format="PNG")
 
 

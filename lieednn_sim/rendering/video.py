@@ -16,10 +16,10 @@ import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lieednn_sim import filesystem
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
+from lieednn_sim.io import atomic_path
 from lieednn_sim.rendering import ffmpeg, opengl, stage
 from lieednn_sim.rendering.overlay import Overlay, write_caption
 from lieednn_sim.simulation import ModelRun, Rollout
@@ -190,7 +190,7 @@ def render_video(
     overlay = Overlay.of(rollout, stage.scale(shown, points))
     names, rows, end = [title] if title else [], stage.positions(rollout), rollout.t[-1]
     view = Camera(shown, camera=camera, size=size, preset=preset, target=stage.target(rollout), points=points)
-    with view, filesystem.atomic_path(path) as temporary:
+    with view, atomic_path(path) as temporary:
         # A picture is captioned and encoded while the next one is rendered.
         with _writer(temporary, size, rate) as append, ThreadPoolExecutor(1) as encoder:
 

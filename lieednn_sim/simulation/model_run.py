@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer.compiled import named_frame, shared_addresses
@@ -114,12 +114,12 @@ class ModelRun:
         # By name: whoever only simulates needs no renderer.
         importlib.import_module("lieednn_sim.rendering.page").render_page(self, path, title=title)
 
-    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
-        """Write the arrays and the steps to an ``.npz`` file, atomically; ``made_from`` as of `storage.save_arrays`."""
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the arrays and the steps to an ``.npz`` file, atomically."""
         names = ("t", "qpos", "qvel", "ctrl", "planned", "tracking_error")
         meta = {"joint_names": list(self.joint_names), "motion_end": self.motion_end, "tip": self.tip}
         meta["steps"] = [list(step) for step in self.steps]
-        storage.save_arrays(path, "model run", {name: getattr(self, name) for name in names}, meta, made_from)
+        io.save_arrays(path, "model run", {name: getattr(self, name) for name in names}, meta)
 
     def poses(self, name: str, *, planned: bool = False) -> RigidTransform:
         """Poses of shape ``(K,)`` of a body or site in the world, as simulated or as planned.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
@@ -149,8 +149,8 @@ class Rollout:
         # By name: whoever only simulates needs no renderer.
         importlib.import_module("lieednn_sim.rendering.page").render_page(self, path, title=title)
 
-    def save(self, path: str | os.PathLike[str], made_from: Mapping[str, str] | None = None) -> None:
-        """Write to an ``.npz`` file, atomically; ``made_from`` as for `storage.save_arrays`."""
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to an ``.npz`` file, atomically."""
         meta = {
             "arm": self.arm.name,
             "scene": self.arm.scene,
@@ -164,7 +164,7 @@ class Rollout:
         }
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         arrays |= {_CHANNEL + name: values for name, values in self.channels.items()}
-        storage.save_arrays(path, "rollout", arrays, meta, made_from)
+        io.save_arrays(path, "rollout", arrays, meta)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], arm: Arm, motion: Motion | None = None) -> Rollout:
@@ -178,18 +178,18 @@ class Rollout:
         Raises:
             FileError: it is no such file, or it was made with another arm, scene or motion.
         """
-        arrays, meta = storage.load_arrays(path, "rollout")
+        arrays, meta = io.load_arrays(path, "rollout")
         units = meta.get("channel_units")
         if not isinstance(units, dict):
             raise FileError(f"{path} was written by an older version, without channels; simulate again")
         if meta.get("model") != arm.fingerprint:
             raise FileError(
                 f"{path} is of arm {meta.get('arm')!r} in scene {meta.get('scene')!r} (fingerprint "
-                f"{storage.short(meta.get('model'))}), not of {arm.name!r} in scene {arm.scene!r} "
-                f"({storage.short(arm.fingerprint)}); load it with its own arm, or simulate it again"
+                f"{io.short(meta.get('model'))}), not of {arm.name!r} in scene {arm.scene!r} "
+                f"({io.short(arm.fingerprint)}); load it with its own arm, or simulate it again"
             )
-        values = dict(zip(_ARRAYS, storage.take(arrays, path, *_ARRAYS), strict=True))
-        channels = dict(zip(units, storage.take(arrays, path, *(_CHANNEL + name for name in units)), strict=True))
+        values = dict(zip(_ARRAYS, io.take(arrays, path, *_ARRAYS), strict=True))
+        channels = dict(zip(units, io.take(arrays, path, *(_CHANNEL + name for name in units)), strict=True))
         try:
             rate = meta["reference_rate"]
             return cls(

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from rich.console import Console
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.studies.rows import TableRow
 from lieednn_sim.studies.table import Table
@@ -91,7 +91,7 @@ def compute(
         LieEDNNError: a worker process died, or the executor gave up.
     """
     workers = as_workers("jobs", jobs)
-    record_files(filesystem.make_directory(directory), study.user_files)
+    record_files(io.make_directory(directory), study.user_files)
     table = study.open(directory)
     todo = study.todo(table)
     if not todo:

@@ -11,9 +11,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.manifest import Manifest
 from lieednn_sim.studies.rows import TableRow
 from lieednn_sim.versions import versions
 
@@ -48,8 +47,7 @@ class Table(Generic[R]):
         settings: Mapping[str, Any],
         part: Mapping[str, Any] | None = None,
     ) -> None:
-        self.directory = filesystem.make_directory(directory)
-        self.manifest = Manifest(self.directory)
+        self.directory = io.make_directory(directory)
         self.csv, self.json = self.directory / f"{name}.csv", self.directory / f"{name}.json"
         self.versions = versions(code=True)
         self.settings, self._kind = settings, kind
@@ -64,15 +62,14 @@ class Table(Generic[R]):
         if os.path.lexists(self.csv):
             self._check()
             self._rows = None
-        with self.manifest.writing(self.json, self.fingerprint) as temporary:
-            storage.save_json(temporary, self._description)
+        io.save_json(self.json, self._description)
         # Removes a line that a killed process left unfinished.
         self.save()
 
     @property
     def fingerprint(self) -> str:
         """Fingerprint of how the rows are made: settings, versions and code."""
-        return storage.fingerprint({}, self._description)
+        return io.fingerprint({}, self._description)
 
     @property
     def rows(self) -> dict[tuple[Any, ...], R]:
@@ -94,7 +91,7 @@ class Table(Generic[R]):
     def save(self, rows: dict[tuple[Any, ...], R] | None = None) -> None:
         """Write all rows, or the given ones in their place, sorted and atomically."""
         self._rows = self.rows if rows is None else rows
-        with filesystem.atomic_text(self.csv) as stream:
+        with io.atomic_text(self.csv) as stream:
             writer = self._writer(stream)
             writer.writeheader()
             writer.writerows(map(_with_checksum, self.sorted_rows()))
@@ -121,7 +118,7 @@ class Table(Generic[R]):
 
 def how_made(path: Path, kind: str) -> dict[str, Any]:
     """The description in a table's JSON file; `FileError` if it is invalid."""
-    found = storage.load_json(path, kind)
+    found = io.load_json(path, kind)
     if (found.get("kind"), found.get("format")) != (kind, 1) or not all(
         isinstance(found.get(name, {}), dict) for name in _DESCRIBED
     ):

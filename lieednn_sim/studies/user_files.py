@@ -8,13 +8,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.models import is_arm_file
 from lieednn_sim.arm.obstacles import check_home, describe, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
-from lieednn_sim.manifest import Manifest
 
 FILE = "user_files.json"
 ARM, SCENE = "arm", "scene"
@@ -96,13 +95,12 @@ def record_files(directory: str | os.PathLike[str], user_files: Iterable[UserFil
         if old.fingerprint != file.fingerprint:
             raise FileError(
                 f"rows in {folder} belong to another {file.kind} {file.name!r} (fingerprint "
-                f"{storage.short(old.fingerprint)}, that of {file.source} is {storage.short(file.fingerprint)}); "
+                f"{io.short(old.fingerprint)}, that of {file.source} is {io.short(file.fingerprint)}); "
                 "choose another --output, or another name for the file"
             )
         known[file[:2]] = file
     if known:
-        with Manifest(folder).writing(folder / FILE) as temporary:
-            storage.save_json(temporary, {"user_files": [list(known[key]) for key in sorted(known)]})
+        io.save_json(folder / FILE, {"user_files": [list(known[key]) for key in sorted(known)]})
 
 
 def recorded_files(directory: str | os.PathLike[str]) -> tuple[UserFile, ...]:
@@ -111,7 +109,7 @@ def recorded_files(directory: str | os.PathLike[str]) -> tuple[UserFile, ...]:
     if not path.exists() or not any(Path(directory).glob("*.csv")):
         return ()
     try:
-        found = tuple(UserFile(*file) for file in storage.load_json(path, "list of user files")["user_files"])
+        found = tuple(UserFile(*file) for file in io.load_json(path, "list of user files")["user_files"])
         if not all(isinstance(value, str) for file in found for value in file):
             raise TypeError("all values must be strings")
     except (KeyError, TypeError) as error:

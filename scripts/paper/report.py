@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from paper.checks import CHECKS
 from paper.claims import judge
 from paper.measures import FAILS, FEW, HOLDS, MOST, PART, UNKNOWN
@@ -64,7 +64,7 @@ def write(results: Results, figures: dict[str, str], run: Run, directory: Path) 
     """Write ``report.md`` and ``claims.json``; returns the report's path."""
     claims = judge(results)
     verdicts = {claim.text: {"verdict": claim.verdict, "measured": claim.measured} for claim in claims}
-    storage.save_json(directory / "claims.json", {"plan": results.plan.name, "claims": verdicts})
+    io.save_json(directory / "claims.json", {"plan": results.plan.name, "claims": verdicts})
     parts = [
         "# What of the paper reproduces\n",
         _made(results, run),
@@ -93,7 +93,7 @@ def write(results: Results, figures: dict[str, str], run: Run, directory: Path) 
     for name, caption in figures.items():
         parts.append(f"![{Path(name).stem}]({name})\n\n{caption} ([PDF]({Path(name).stem}.pdf))\n")
     path = directory / "report.md"
-    with filesystem.atomic_text(path) as stream:
+    with io.atomic_text(path) as stream:
         stream.write("\n".join(parts))
     return path
 

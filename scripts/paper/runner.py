@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.errors import FileError
 from lieednn_sim.studies.workers import run_each
 from paper import experiments
@@ -52,7 +52,7 @@ def run(job: Job) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 def load(job: Job, directory: Path) -> Record | None:
     """Read the result of a job; None when there is none that can be read."""
     try:
-        arrays, meta = storage.load_arrays(directory / f"{job.key}.npz", _KIND)
+        arrays, meta = io.load_arrays(directory / f"{job.key}.npz", _KIND)
         values = {k: float("nan") if v is None else v for k, v in meta["values"].items()}
     except (FileError, KeyError, AttributeError):
         return None
@@ -77,7 +77,7 @@ def run_all(
     def keep(task: tuple[Job], result: Any, error: Exception | None) -> None:
         (job,) = task
         if error is None:
-            storage.save_arrays(directory / f"{job.key}.npz", _KIND, *result)
+            io.save_arrays(directory / f"{job.key}.npz", _KIND, *result)
         else:
             failures.append(f"{job.name} {job.parameters}: {type(error).__name__}: {error}")
             console.print(f"[red]failed:[/red] {failures[-1]}", highlight=False)

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.evaluation.figure_layout import fix_layout
 from paper.plan import TOLERANCE
 
@@ -69,9 +69,9 @@ def save(drawn: Figure, directory: Path, name: str) -> str:
     """Write a PDF for print and a PNG for the report; returns the PNG's name."""
     fix_layout(drawn, drawn.dpi)  # the layout is the same for both
     # No dates in the files: the same results give the same bytes.
-    with filesystem.atomic_path(directory / f"{name}.pdf") as path:
+    with io.atomic_path(directory / f"{name}.pdf") as path:
         drawn.savefig(path, metadata={"CreationDate": None})
-    with filesystem.atomic_path(directory / f"{name}.png") as path:
+    with io.atomic_path(directory / f"{name}.png") as path:
         drawn.savefig(path, dpi=150, metadata={"Software": None})
     return f"{name}.png"
 

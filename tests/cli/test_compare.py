@@ -22,7 +22,7 @@ def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys,
     with in_this_process():
         assert main(["compare", *words]) == 0
     printed = capsys.readouterr().out
-    names = {"comparison.csv", "comparison.json", "comparison.md", "comparison.html", "made.json"}
+    names = {"comparison.csv", "comparison.json", "comparison.md", "comparison.html", "lieednn_sim.json"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
     assert "no video of se3-geodesic:telescopic_pr:free:0: the table has no case" in printed
     settings = json.loads((tmp_path / "out" / "comparison.json").read_text("utf-8"))["settings"]

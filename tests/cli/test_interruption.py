@@ -7,7 +7,6 @@ import os
 import resource
 import signal
 import sys
-import time
 import weakref
 
 import pytest
@@ -29,25 +28,18 @@ DEMO = [
 ]
 
 
-@pytest.mark.parametrize("again", [True, False])
-def test_a_signal_that_is_swallowed_ends_the_command_all_the_same(tmp_path, capsys, monkeypatch, again):
-    """It is raised again a moment later, and where even that is lost, before the next step."""
+def test_a_signal_that_is_swallowed_ends_the_command_before_its_next_step(tmp_path, capsys, monkeypatch):
     progress = commands.progress
 
     @contextlib.contextmanager
     def interrupted(what):
         with progress(what) as report:
             if what == "simulate":
-                if not again:
-                    sys.unraisablehook = lambda *_: None
                 # It arrives in a callback of a weak reference, where Python swallows exceptions.
                 thing = set()
                 kept = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGTERM))
                 del thing
                 assert kept() is None
-                if again:
-                    time.sleep(20.0)
-                    pytest.fail("it is not raised again")
             yield report
 
     monkeypatch.setattr(commands, "progress", interrupted)
@@ -168,10 +160,10 @@ def test_an_ffmpeg_that_does_not_exist_is_named(run, capsys, monkeypatch):
 @pytest.mark.rendering
 def test_a_disk_that_is_full_is_one_line_with_the_name_that_was_asked_for(run, tmp_path, start):
     film = tmp_path / "film.gif"
-    words = ["render", str(run), "--size", "320x240", "--preset", "draft", "--fps", "5", "--output", str(film)]
+    words = ["render", str(run), "--size", "64x48", "--preset", "draft", "--fps", "2", "--output", str(film)]
 
     def limited():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))
 
     process = start("-m", "lieednn_sim", *words, preexec_fn=limited)
     assert process.communicate()[1] == f"lieednn-sim: error: cannot write {film}: File too large\n"
@@ -199,6 +191,6 @@ def test_a_full_standard_error_changes_no_exit_code(tmp_path, monkeypatch):
 
 
 def test_signals_have_their_handlers_back(capsys):
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)]
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     assert main(["arms"]) == 0
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)] == before
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before

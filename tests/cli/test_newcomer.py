@@ -89,7 +89,7 @@ def test_a_planner_without_a_network_goes_the_whole_road(tmp_path, capsys):
     assert main(["plan", "--target", "extended", "--option", "n_networks=2", "--output", str(directory)]) == 0
     words = ["demo", "--no-page", "--no-video", "--planner", "minimum-jerk", "--duration", "2", "--hold", "0.2"]
     assert main([*words, "--output", str(directory)]) == 0
-    expected = {"made.json", "task.json", "motion.npz", "rollout.npz", "metrics.json", "metrics.csv"}
+    expected = {"lieednn_sim.json", "task.json", "motion.npz", "rollout.npz", "metrics.json", "metrics.csv"}
     expected |= {"network.png", "tracking.png", "joints.png"}
     assert {path.name for path in directory.iterdir() if path.suffix} == expected
     assert Task.load(directory / "task.json").planner == "minimum-jerk"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
@@ -10,7 +11,7 @@ import shutil
 import numpy as np
 import pytest
 
-from lieednn_sim import filesystem, storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
@@ -58,16 +59,10 @@ def save(path, made, **changes):
     task, network, motion, rollout = made
     task = dataclasses.replace(task, **changes)
     run = RunDirectory(path)
-    path.mkdir(parents=True, exist_ok=True)
-    run.save_network(task, network, motion)
-    run.save_rollout(task, dataclasses.replace(rollout, motion=motion))
+    with run.at_work():
+        run.save_network(task, network, motion)
+        run.save_rollout(task, dataclasses.replace(rollout, motion=motion))
     return run, task
-
-
-def make(run, path):
-    """A file of a run, whatever it holds."""
-    with run.manifest.writing(path) as temporary:
-        temporary.write_text(path.name)
 
 
 def names(directory):
@@ -89,7 +84,7 @@ def test_the_fastest_run_is_kept_and_simulated(tmp_path, planner):
     directory, words = str(tmp_path), ["--target", "extended", "--planner", planner, "--fastest"]
     assert main(["plan", *words, "--output", directory]) == 0
     task, arm = RunDirectory(directory).load_task()
-    motion = RunDirectory(directory).load_motion(task)
+    motion = RunDirectory(directory).load_motion(task, arm)
     assert motion.t[-1] < 0.8 * task.duration
     np.testing.assert_allclose(motion.q[-1], arm.keyframe("extended"), atol=1e-6)
     assert main(["simulate", directory, "--hold", "0"]) == 0
@@ -99,10 +94,11 @@ def test_the_fastest_run_is_kept_and_simulated(tmp_path, planner):
 def test_what_was_made_from_each_other_is_read_back(tmp_path, made):
     run, task = save(tmp_path, made)
     assert run.load_task()[0] == task
-    np.testing.assert_array_equal(run.load_network(task).bias, made[1].bias)
-    np.testing.assert_array_equal(run.load_motion(task).q, made[2].q)
-    np.testing.assert_array_equal(run.load_rollout(task, made[3].arm).q, made[3].q)
-    assert list(run.check(task, "network", "motion", "rollout")) == ["task", "network", "motion", "rollout"]
+    arm = made[3].arm
+    assert (run.load_network(), run.load_motion(task, arm)) == made[1:3]
+    rollout = run.load_rollout(task, arm)
+    np.testing.assert_array_equal(rollout.q, made[3].q)
+    assert rollout.motion == made[2]
 
 
 def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsys, monkeypatch):
@@ -120,18 +116,18 @@ def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsy
     assert main(["plan", *words, "--output", directory]) == 0
     assert "globally stable" in capsys.readouterr().out
     run = RunDirectory(directory)
-    task, _ = run.load_task()
-    network = run.load_network(task)
+    task, arm = run.load_task()
+    network = run.load_network()
     assert (network.n_visible, network.n_hidden, network.n_clock) == (4, 3, 1)
     assert main(["simulate", directory, "--hold", "0"]) == 0
     assert main(["evaluate", directory]) == 0
-    planned = run.load_motion(task)
+    planned = run.load_motion(task, arm)
     assert planned.xi.shape[1:] == (4, 6)
     drawn = dataclasses.replace(task, planner="lieednn-certified")
     run.save_network(drawn, network)
     assert main(["simulate", directory, "--hold", "0"]) == 0
     assert main(["evaluate", directory]) == 0
-    np.testing.assert_array_equal(run.load_motion(drawn).q, planned.q)
+    np.testing.assert_array_equal(Motion.load(run.motion).q, planned.q)
     assert seen == [network, network]
 
 
@@ -140,54 +136,35 @@ def test_a_network_of_another_class_is_read_back(tmp_path, made):
     plain = HopfieldNetwork(network.weight, network.bias)
     run = RunDirectory(tmp_path)
     run.save_network(task, plain, motion)
-    assert run.load_network(task) == plain
+    assert run.load_network() == plain
 
 
-@pytest.mark.parametrize("changes", [{"arm": "telescopic_rrp"}, {"scene": "poles"}, {"seed": 1}], ids=str)
-@pytest.mark.parametrize("name", ["network", "motion", "rollout"])
-def test_files_of_different_runs_are_refused_and_both_named(tmp_path, made, changes, name):
-    run, task = save(tmp_path / "run", made)
-    other, _ = save(tmp_path / "other", made, **changes)
-    shutil.copy(getattr(other, name), getattr(run, name))
-    source = "task"
-    with pytest.raises(FileError, match=rf"{name}\.npz was made from another {source} than .*task\.json \(fingerprint"):
-        run.load_rollout(task, made[3].arm)
-
-
-def test_a_motion_of_another_network_and_a_rollout_of_another_motion_are_refused(tmp_path, made):
-    run, task = save(tmp_path / "run", made)
-    _, network, motion, rollout = made
-    later = dataclasses.replace(motion, tau=motion.tau + 1.0)
-    other, _ = save(tmp_path / "other", (task, network, later, rollout))
-    shutil.copy(other.motion, run.motion)
-    with pytest.raises(FileError, match=r"rollout\.npz was made from another motion than .*motion\.npz"):
-        run.load_rollout(task, made[3].arm)
-    other.save_network(task, network.retarget(motion.xi[0]), motion)
-    shutil.copy(other.motion, run.motion)
-    with pytest.raises(FileError, match=r"motion\.npz was made from another network than .*network\.npz"):
-        run.load_motion(task)
-    # One that says nothing of where it is from belongs to no run, though anybody may load it.
-    motion.save(run.motion)
-    np.testing.assert_array_equal(Motion.load(run.motion).q, motion.q)
-    with pytest.raises(FileError, match=r"motion\.npz was made from another task .* \(fingerprint none, not"):
-        run.load_motion(task)
-
-
-def test_every_command_asks_whether_the_files_belong_together(tmp_path, made, capsys):
+def test_files_of_different_runs_are_refused_and_both_named(tmp_path, made, capsys):
+    task, network, motion, rollout = made
     run, _ = save(tmp_path / "run", made)
-    other, _ = save(tmp_path / "other", made, seed=1)
-    shutil.copy(other.motion, run.motion)
-    for command in ("simulate", "evaluate", "render"):
-        assert f"{run.motion} was made from another task than {run.task}" in fails(capsys, command, run.path)
-    run, _ = save(tmp_path / "second", made)
-    value = json.loads(run.task.read_text())
-    run.task.write_text(json.dumps(value | {"duration": 0.7}))
-    for command in ("simulate", "evaluate", "render"):
-        assert f"{run.network} was made from another task than {run.task}" in fails(capsys, command, run.path)
-    run, _ = save(tmp_path / "third", made)
-    run.rollout.write_bytes(run.rollout.read_bytes() + b"more")
+    # A motion to another target, or from another start.
+    for other in (
+        dataclasses.replace(motion, q=motion.q + 0.002 * np.linspace(0.0, 1.0, len(motion.q))[:, None]),
+        dataclasses.replace(motion, q=motion.q + 0.002 * np.linspace(1.0, 0.0, len(motion.q))[:, None]),
+        dataclasses.replace(motion, q=motion.q[:, :2], qd=motion.qd[:, :2]),
+    ):
+        other.save(run.motion)
+        for command in ("simulate", "evaluate", "render"):
+            assert f"{run.motion} is of another run than {run.task}" in fails(capsys, command, run.path)
+    # A rollout that followed another motion between the same ends.
+    detour = 1e-6 * np.sin(np.linspace(0.0, np.pi, len(motion.q)))[:, None]
+    dataclasses.replace(motion, q=motion.q + detour).save(run.motion)
     for command in ("evaluate", "render"):
-        assert f"{run.rollout} is not a readable" in fails(capsys, command, run.path)
+        line = fails(capsys, command, run.path)
+        assert f"{run.rollout} is not a valid rollout: the motion is another one than the rollout followed" in line
+    # A network that generates the motion, for another target.
+    drawn = dataclasses.replace(task, planner="lieednn-certified")
+    run.save_network(drawn, network.retarget(motion.xi[0]))
+    assert f"{run.network} is of another run than {run.task}" in fails(capsys, "simulate", run.path)
+    # Of another arm.
+    run, _ = save(tmp_path / "second", made, scene="poles")
+    rollout.save(run.rollout)
+    assert "is not the one for which" in fails(capsys, "evaluate", run.path)
 
 
 def test_an_arm_that_changed_since_is_refused(tmp_path, made, capsys):
@@ -195,8 +172,9 @@ def test_an_arm_that_changed_since_is_refused(tmp_path, made, capsys):
     path.write_text(OWN)
     arm = Arm.load(str(path))
     task = Task(str(path), (0.0, 0.0), (0.1, 0.1), 1.0, model=arm.fingerprint)
-    run = RunDirectory(tmp_path)
-    task.save(run.task)
+    run = RunDirectory(tmp_path / "run")
+    with run.at_work():
+        task.save(run.task)
     assert run.load_task()[0] == task
     # Looks do not count.
     path.write_text(OWN.replace("1 0 0 1", "0 1 0 1"))
@@ -207,7 +185,7 @@ def test_an_arm_that_changed_since_is_refused(tmp_path, made, capsys):
         ('"b"', '"c"'),
     ):
         path.write_text(OWN.replace(old, new))
-        assert f"is not the one for which {run.task} was made" in fails(capsys, "simulate", tmp_path)
+        assert f"is not the one for which {run.task} was made" in fails(capsys, "simulate", run.path)
 
 
 def test_obstacles_belong_to_the_arm():
@@ -221,16 +199,14 @@ def test_a_new_simulation_leaves_nothing_of_the_first(tmp_path, made, capsys):
     run, _ = save(tmp_path, made)
     assert main(["evaluate", str(tmp_path)]) == 0
     for path in (run.video, run.divergence):
-        make(run, path)
+        path.touch()
     first = json.loads(run.metrics_json.read_text())
     assert main(["simulate", str(tmp_path), "--payload", "2", "--hold", "0.05"]) == 0
-    assert names(tmp_path) == {"made.json", "task.json", "network.npz", "motion.npz", "rollout.npz"}
+    assert names(tmp_path) == {"lieednn_sim.json", "task.json", "network.npz", "motion.npz", "rollout.npz"}
     assert main(["evaluate", str(tmp_path)]) == 0
     second = json.loads(run.metrics_json.read_text())
     assert [value["disturbances"]["payload"] for value in (first, second)] == [0.0, 2.0]
     assert second["frames"][-1]["tracking_rms_mm"] > 2.0 * first["frames"][-1]["tracking_rms_mm"]
-    assert first["made_from"]["motion"] == second["made_from"]["motion"]
-    assert second["made_from"]["rollout"] == storage.origin(run.rollout)[0] != first["made_from"]["rollout"]
 
 
 class _Killed(BaseException):
@@ -240,14 +216,14 @@ class _Killed(BaseException):
 def test_a_run_that_is_killed_while_it_replaces_another_leaves_no_mixture(tmp_path, made, monkeypatch):
     """Killed before its k-th step on the disk, whatever k is."""
     task, network, motion, rollout = made
+    new, longer = dataclasses.replace(task, seed=1), dataclasses.replace(motion, tau=motion.tau + 1.0)
     real = {name: getattr(type(tmp_path), name) for name in ("unlink", "replace")}
     outcomes = []
+    run, _ = save(tmp_path / "old", made)
+    for path in run.results:
+        path.write_text("old")
     for deadly in range(100):
-        run, old = save(tmp_path / str(deadly), made)
-        with run.manifest.replacing(run.results) as temporaries:
-            for temporary in temporaries:
-                temporary.write_text("old")
-        new = dataclasses.replace(task, seed=1)
+        run = RunDirectory(shutil.copytree(tmp_path / "old", tmp_path / str(deadly)))
         steps = iter(range(deadly))
 
         def mortal(name, steps=steps):
@@ -258,30 +234,27 @@ def test_a_run_that_is_killed_while_it_replaces_another_leaves_no_mixture(tmp_pa
 
             return call
 
-        with monkeypatch.context() as patch:
+        finished = False
+        with monkeypatch.context() as patch, contextlib.suppress(_Killed):
             for name in real:
                 patch.setattr(type(tmp_path), name, mortal(name))
-            try:
-                run.save_network(new, network, motion)
-                run.save_rollout(new, rollout)
-                finished = True
-            except _Killed:
-                finished = False
-        now = Task.load(run.task)
-        assert now in (old, new)
-        # Either what is there is of one run, or the check says that it is not.
-        try:
-            found = run.check(now, "network", "motion", "rollout")
-            outcomes.append("whole" if "rollout" in found else "begun")
-        except FileError:
-            outcomes.append("refused")
-        if now == new:
+            run.save_network(new, network, longer)
+            run.save_rollout(new, rollout)
+            finished = True
+        if not run.task.exists():
+            outcomes.append("none")
+        elif (now := Task.load(run.task)) == task:
+            assert run.load_rollout(now, rollout.arm).motion == motion
+            outcomes.append("old")
+        else:
+            assert now == new
+            assert run.load_motion(now, rollout.arm) == longer
             assert not any(path.exists() for path in run.results)
+            outcomes.append("new")
         if finished:
             break
     assert finished
-    assert outcomes[0] == outcomes[-1] == "whole"
-    assert {"begun", "refused"} <= set(outcomes)
+    assert sorted(set(outcomes), key=outcomes.index) == ["old", "none", "new"]
 
 
 def command_line(task, metrics):
@@ -382,7 +355,8 @@ def test_every_output_is_looked_at_before_the_work(tmp_path, made, capsys):
     for output, words in ((run.joints_plot, "it is a directory"), (tmp_path / "no" / "x.gif", "there is no directory")):
         assert words in fails(capsys, "render", run.path, "--output", output)
     assert {path.name: path.stat().st_mtime_ns for path in run.path.iterdir()} == before
-    (tmp_path / "table" / "comparison.html").mkdir(parents=True)
+    with io.output_folder(tmp_path / "table", "table") as folder:
+        (folder / "comparison.html").mkdir()
     assert "comparison.html: it is a directory" in fails(capsys, "compare", "--output", tmp_path / "table")
 
 
@@ -396,21 +370,9 @@ def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, mad
     # A video takes minutes; the plots may be made meanwhile, another rollout may not.
     with run.at_work(shared=True), run.at_work(shared=True):
         assert busy in fails(capsys, "simulate", run.path)
-    with filesystem.locked(tmp_path):
+    with io.locked(tmp_path):
         assert f"at work in {tmp_path}" in fails(capsys, "compare", "--output", tmp_path)
     run.load_rollout(task, made[3].arm)
-
-
-def test_what_a_killed_command_left_half_written_is_removed_by_the_next(tmp_path, made):
-    run, _ = save(tmp_path, made)
-    (tmp_path / ".rollout.unfinished-a1b2c3d4.npz").write_bytes(b"half")
-    mine = {".mine.npz", ".rollout.a1b2c3d4.npz"}
-    for name in mine:
-        (tmp_path / name).write_bytes(b"of somebody else")
-    with run.at_work(shared=True):
-        assert (tmp_path / ".rollout.unfinished-a1b2c3d4.npz").exists()
-    with run.at_work():
-        assert {name for name in names(tmp_path) if name.startswith(".")} == mine
 
 
 @pytest.mark.parametrize(
@@ -443,21 +405,3 @@ def test_a_task_without_its_values_is_named(tmp_path, made):
         path.write_text(json.dumps({key: value for key, value in dataclasses.asdict(made[0]).items() if key != name}))
         with pytest.raises(FileError, match=f"it has no '{name}'"):
             Task.load(path)
-
-
-@pytest.mark.parametrize(
-    ("command", "names"),
-    [
-        ("simulate", sorted({path.name for path in RunDirectory(".").results})),
-        ("evaluate", ["metrics.json", "metrics.csv", "network.png", "tracking.png", "joints.png"]),
-        ("render", ["video.mp4"]),
-    ],
-)
-def test_files_of_others_in_a_run_survive(tmp_path, made, capsys, command, names):
-    run, _ = save(tmp_path, made)
-    for name in names:
-        (tmp_path / name).write_bytes(b"mine")
-        assert f"{tmp_path / name} was not made by a command" in fails(capsys, command, tmp_path)
-        assert (tmp_path / name).read_bytes() == b"mine"
-        (tmp_path / name).unlink()
-    run.load_rollout(*run.load_task())

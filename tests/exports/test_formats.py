@@ -35,15 +35,15 @@ def test_csv_holds_every_number_with_its_name_and_unit(rollout, tmp_path):
 
 
 def test_files_of_others_are_never_replaced(rollout, tmp_path):
-    (path,) = export(rollout, tmp_path)
-    export({"motion": rollout}, tmp_path, rate=50.0)
-    path.write_text("mine")
-    with pytest.raises(FileError, match="was changed after this package made it"):
-        export(rollout, tmp_path)
-    (tmp_path / "other.csv").write_text("mine")
-    with pytest.raises(FileError, match="was not made by a command of this package"):
-        export({"new": rollout, "other": rollout}, tmp_path)
-    assert {one.name: one.read_text() for one in tmp_path.glob("*.csv")} == {"motion.csv": "mine", "other.csv": "mine"}
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "motion.csv").write_text("mine")
+    with pytest.raises(FileError, match=r"holds files that no command of this package made \(motion\.csv\)"):
+        export(rollout, tmp_path / "mine")
+    assert [(path.name, path.read_text()) for path in (tmp_path / "mine").iterdir()] == [("motion.csv", "mine")]
+    (path,) = export(rollout, tmp_path / "ours")
+    length = path.stat().st_size
+    export({"other": rollout, "motion": rollout}, tmp_path / "ours", rate=50.0)
+    assert path.stat().st_size < length
 
 
 @pytest.mark.parametrize(

@@ -124,6 +124,6 @@ def test_what_makes_no_data_set_is_refused(rollout, tmp_path, monkeypatch):
         record(tmp_path / "new", 1)
     (tmp_path / "mine" / "meta").mkdir(parents=True)
     (tmp_path / "mine" / "meta" / "info.json").write_text("{}")
-    with pytest.raises(FileError, match="was not made by a command of this package"):
+    with pytest.raises(FileError, match="no command of this package made"):
         record(tmp_path / "mine", 1)
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.dynamics import runge_kutta_step
@@ -214,10 +214,10 @@ def test_wrong_parts_are_named_also_in_a_file(tmp_path, change, words):
     with pytest.raises(InputError, match=words):
         dataclasses.replace(network, **change)
     network.save(tmp_path / "n.npz")
-    arrays, meta = storage.load_arrays(tmp_path / "n.npz", "network")
+    arrays, meta = io.load_arrays(tmp_path / "n.npz", "network")
     for name, value in change.items():
         (arrays if name in arrays else meta)[name] = value
-    storage.save_arrays(tmp_path / "n.npz", "network", arrays, meta)
+    io.save_arrays(tmp_path / "n.npz", "network", arrays, meta)
     with pytest.raises(FileError, match=f"not a valid network: {words}"):
         LieEDNN.load(tmp_path / "n.npz")
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import adjoint
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
@@ -257,20 +257,20 @@ def test_save_and_load_are_bit_exact(tmp_path, certified):
 def test_tampered_files_are_refused(tmp_path, change, words):
     path = tmp_path / "n.npz"
     certified_network(6).save(path)
-    arrays, meta = storage.load_arrays(path, "network")
+    arrays, meta = io.load_arrays(path, "network")
     for name, function in change.items():
         values = arrays if name in arrays else meta
         if function is None:
             del values[name]
         else:
             values[name] = function(values[name])
-    storage.save_arrays(path, "network", arrays, meta)
+    io.save_arrays(path, "network", arrays, meta)
     with pytest.raises(FileError, match=words):
         LieEDNN.load(path)
 
 
 def test_other_files_are_refused(tmp_path):
-    storage.save_arrays(tmp_path / "m.npz", "motion", {"alpha": np.eye(3)}, {})
+    io.save_arrays(tmp_path / "m.npz", "motion", {"alpha": np.eye(3)}, {})
     with pytest.raises(FileError, match="holds 'motion', expected 'network'"):
         LieEDNN.load(tmp_path / "m.npz")
     with pytest.raises(FileError, match="no such file"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.planning import MotionLibrary, plan
@@ -82,12 +82,12 @@ def test_a_library_is_kept_in_one_file_and_its_proof_is_verified(library, tmp_pa
     assert not np.array_equal(loaded.start("wave"), library.start("wave"))
     MotionLibrary(1).save(path)
     assert MotionLibrary.load(path).names == ()
-    arrays, meta = storage.load_arrays(path, "motion library")
+    arrays, meta = io.load_arrays(path, "motion library")
     for change, message in (
         ({"alpha": 3.0 * np.eye(len(arrays["alpha"]))}, "carries a certificate that does not hold"),
         ({"codes": np.zeros((1, 2, 6))}, "is not a valid motion library"),
     ):
-        storage.save_arrays(path, "motion library", {**arrays, **change}, meta)
+        io.save_arrays(path, "motion library", {**arrays, **change}, meta)
         with pytest.raises(FileError, match=message):
             MotionLibrary.load(path)
 

@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, SimulationError
@@ -145,9 +145,9 @@ def test_channels_are_saved_and_files_without_them_are_refused(small_arms, trave
     assert rollout.channels["weld_force"].min() > 1.0
     rollout.save(path)
     assert_equal(Rollout.load(path, arm, motion), rollout)
-    arrays, meta = storage.load_arrays(path, "rollout")
+    arrays, meta = io.load_arrays(path, "rollout")
     del meta["channel_units"]
-    storage.save_arrays(path, "rollout", arrays, meta)
+    io.save_arrays(path, "rollout", arrays, meta)
     with pytest.raises(FileError, match="written by an older version, without channels; simulate again"):
         Rollout.load(path, arm)
     with pytest.raises(InputError, match="channels and channel_units must have the same names"):

@@ -288,7 +288,7 @@ def test_interrupting_keeps_what_is_done(tmp_path, start):
     assert process.returncode == 130
     assert "Traceback" not in message
     assert 0 < len(read_rows(tmp_path / "comparison.csv", Row)) < 999
-    assert {path.name for path in tmp_path.iterdir()} == {"comparison.csv", "comparison.json", "made.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {"comparison.csv", "comparison.json", "lieednn_sim.json"}
 
 
 @given(radius=st.floats(0.1, 10.0), speed=st.floats(0.1, 2.0), tilt=st.floats(0.0, 3.0))

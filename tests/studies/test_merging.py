@@ -43,7 +43,7 @@ def made(invented, tmp_path_factory):
     for number in (1, 2, 3):
         folder = directory / f"shard{number}"
         assert main(["compare", *WORDS, str(folder), "--shard", f"{number}/3"]) == 0
-        assert {path.name for path in folder.iterdir()} == {"comparison.csv", "comparison.json", "made.json"}
+        assert {path.name for path in folder.iterdir()} == {"comparison.csv", "comparison.json", "lieednn_sim.json"}
     return directory
 
 
@@ -97,7 +97,7 @@ def test_shards_merge_to_the_table_of_one_machine_and_always_to_the_same_bytes(s
     assert merge(out, *shards) == 0
     assert content(out) == first
     # In another order, and with a shard that was also begun elsewhere, where it was slower.
-    begun, words = tmp_path / "begun", ("comparison.html", "made.json")
+    begun, words = tmp_path / "begun", ("comparison.html", "lieednn_sim.json")
     assert main(["compare", *WORDS, str(begun), "--shard", "2/3"]) == 0
     for name, folders in (("first", (begun, *reversed(shards))), ("last", (*shards, begun))):
         assert merge(tmp_path / name, *folders) == 0

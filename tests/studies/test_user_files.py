@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm, targets
 from lieednn_sim.cli import main
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.storage import load_description
+from lieednn_sim.io import load_description
 from lieednn_sim.studies import Case, Comparison, Row, Settings, compute, read_rows, replay
 from lieednn_sim.studies.comparison.merging import merge
 from lieednn_sim.studies.comparison.study import Shard
@@ -72,7 +72,7 @@ def test_the_file_of_a_scene_is_read_once_for_its_arm(folder, monkeypatch):
     (folder / "post.json").write_text(json.dumps({"obstacles": [{**POST, "position": [2.0, 2.0, 1.2]}]}))
     _, (file,) = resolve(SCENE, ["post.json"], ())
     expected, read = Arm.load("telescopic_pr", "post.json"), []
-    monkeypatch.setattr(storage, "load_description", lambda *given: read.append(given) or load_description(*given))
+    monkeypatch.setattr(io, "load_description", lambda *given: read.append(given) or load_description(*given))
     arm = load("telescopic_pr", "post", 0, (file,))
     assert (arm.fingerprint, arm.scene, len(read)) == (expected.fingerprint, "post", 1)
     (folder / "post.json").write_text(json.dumps({"obstacles": [POST]}))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim import stability, storage
+from lieednn_sim import io, stability
 from lieednn_sim.errors import FileError, InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.theory import GroupLieEDNN
@@ -158,14 +158,14 @@ def test_groups_that_a_file_cannot_name_are_refused(tmp_path):
 def test_tampered_files_are_refused(tmp_path, change, words):
     path = tmp_path / "n.npz"
     random_network(2, strength=0.01).certify().save(path)
-    arrays, meta = storage.load_arrays(path, "group-network")
+    arrays, meta = io.load_arrays(path, "group-network")
     for name, function in change.items():
         values = arrays if name in arrays else meta
         if function is None:
             del values[name]
         else:
             values[name] = function(values[name])
-    storage.save_arrays(path, "group-network", arrays, meta)
+    io.save_arrays(path, "group-network", arrays, meta)
     with pytest.raises(FileError, match=words):
         GroupLieEDNN.load(path)
 

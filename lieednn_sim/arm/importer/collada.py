@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from lieednn_sim.errors import FileError
-from lieednn_sim.reading import opened
+from lieednn_sim.io import opened
 from lieednn_sim.values import Floats
 
 # Bytes of a file.

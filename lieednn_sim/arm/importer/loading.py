@@ -13,8 +13,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import check_numbers
 from lieednn_sim.arm.importer.collada import read_points
 from lieednn_sim.errors import FileError
-from lieednn_sim.filesystem import is_file
-from lieednn_sim.reading import opened
+from lieednn_sim.io import is_file, opened
 from lieednn_sim.validation import as_path
 
 _PACKAGE = "package://"

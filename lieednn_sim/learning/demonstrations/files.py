@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.io import Archive, opened, read_array
 from lieednn_sim.learning.demonstrations.recording import QUATERNIONS, Demonstration
-from lieednn_sim.reading import Archive, opened, read_array
 from lieednn_sim.validation import as_choice, as_path, as_positive, quoted
 
 # Samples, and their times if the file has them.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.studies.comparison.cases import Settings
 from lieednn_sim.studies.comparison.rows import TIMING, Case, Row
@@ -77,7 +77,7 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
             if Shard.holding(row.case, shard.of) != shard:
                 raise FileError(f"{folder} is shard {shard}, but holds the case {row.case} of another")
             rows[row.key] = _agreed(row, folder, *rows.get(row.key, (row, folder)))
-    record_files(filesystem.make_directory(target), study.user_files)
+    record_files(io.make_directory(target), study.user_files)
     table = study.open(target)
     table.save({key: row for key, (row, _) in rows.items()})
     lacking: dict[Shard, list[Case]] = {}

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.studies.comparison.cases import Settings
@@ -58,7 +58,7 @@ def write_summary(path: str | os.PathLike[str], table: Table[Row], missing: Mapp
         lines.append(f"- {failure.total} x {failure.step}, as: {escaped(failure.example)} ({escaped(counts)})")
     if lines[-1] == "":
         lines.append("- none")
-    with filesystem.atomic_text(path) as stream:
+    with io.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")
 
 

@@ -21,12 +21,12 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from lieednn_sim import storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer import import_arm
 from lieednn_sim.arm.obstacles import shapes
 from lieednn_sim.errors import FileError
-from lieednn_sim.reading import LARGEST_FILE, LARGEST_TEXT, opened
+from lieednn_sim.io import LARGEST_FILE, LARGEST_TEXT, opened
 from lieednn_sim.validation import as_floats, as_path
 from lieednn_sim.values import Floats
 
@@ -85,7 +85,7 @@ class ProblemSets:
         """Fingerprint of all files that the problems are read from."""
         texts = {f"{key}": text for key, text in self._texts.items()}
         texts |= {path.suffix: _content(path) for path in (self.model, self.semantics) if path}
-        return storage.fingerprint({key: np.frombuffer(text, np.uint8) for key, text in texts.items()}, {})
+        return io.fingerprint({key: np.frombuffer(text, np.uint8) for key, text in texts.items()}, {})
 
     def selection(self, count: int | None = None) -> list[tuple[str, int]]:
         """Choose ``count`` problems, by default all, from each set in turn and spread evenly over it.
@@ -191,7 +191,7 @@ class ProblemSets:
         content = self._texts.get((name, number, kind))
         if content is None:
             raise FileError(f"{self.folder} has no {kind} {number} in the problem set {name!r}")
-        return storage.parse_object(content, f"{self.folder.name}/{name}/{kind}{number:04}.yaml", kind)
+        return io.parse_object(content, f"{self.folder.name}/{name}/{kind}{number:04}.yaml", kind)
 
 
 def _moved(joint: ElementTree.Element) -> str:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.studies.markdown import escaped, table_head, table_line
 from lieednn_sim.studies.problems.study import MEASURED, Solution, Statistic
 from lieednn_sim.studies.statistics import pattern_of, wilson
@@ -61,7 +61,7 @@ def write_problems(path: str | os.PathLike[str], robot: str, rows: Sequence[Solu
         lines.append(f"- {len(members)} x {name}, as: {escaped(members[0].reason)} ({escaped(which)})")
     if not alike:
         lines.append("- none")
-    with filesystem.atomic_text(path) as stream:
+    with io.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.studies.markdown import escaped, table_head, table_line
 from lieednn_sim.studies.reactions.cases import (
     COMPARED,
@@ -147,5 +147,5 @@ def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> Non
         escaped(f"- {row.policy}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}")
         for row in failed
     ]
-    with filesystem.atomic_text(path) as stream:
+    with io.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")

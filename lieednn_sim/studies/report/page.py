@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import jinja2
 
-from lieednn_sim import filesystem
+from lieednn_sim import io
 from lieednn_sim.errors import InputError
 from lieednn_sim.rendering.page import player
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
@@ -139,7 +139,7 @@ def write_page(
             reaction_method=METHOD,
         )
     )
-    with filesystem.atomic_text(path) as stream:
+    with io.atomic_text(path) as stream:
         stream.write(page)
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from lieednn_sim import filesystem
 from lieednn_sim.errors import InputError
+from lieednn_sim.io import atomic_path, make_directory, short
 from lieednn_sim.rendering.ffmpeg import count_frames, read_frame
 from lieednn_sim.rendering.video import render_video
 from lieednn_sim.studies.comparison.cases import Settings, replay
@@ -85,7 +85,7 @@ def film(
     """Plan and simulate a case of a table again and render it; a video that was made from this table is reused.
 
     Raises:
-        FileError: there is a file of its name that this package did not make.
+        FileError: it cannot be written.
         InputError: the table has no such case, or it has no motion.
         RenderingUnavailableError: there is no working OpenGL.
     """
@@ -94,11 +94,10 @@ def film(
         raise InputError(f"the table has no case {quoted(str(case))} with {quoted(controller)}; compare it first")
     if row.tracking_rms_mm is None:
         raise InputError(f"case {case} has nothing to show: {row.reason}")
-    directory = filesystem.make_directory(table.directory / "videos")
-    path = directory / f"{case.planner}-{case.arm}-{case.scene}-{case.seed}-{controller}.mp4"
-    table.manifest.check([path])
-    if not (path.is_file() and table.manifest.made_from(path) == table.fingerprint):
-        with table.manifest.writing(path, table.fingerprint) as temporary:
+    directory = make_directory(table.directory / "videos")
+    path = directory / f"{case.planner}-{case.arm}-{case.scene}-{case.seed}-{controller}-{short(table.fingerprint)}.mp4"
+    if not path.is_file():
+        with atomic_path(path) as temporary:
             render_video(
                 replay(case, controller, Settings(**table.settings), user_files=recorded_files(table.directory)),
                 temporary,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 import re
 import stat
 import zipfile
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import IO, Any
@@ -17,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError
+from lieednn_sim.validation import as_path
 
 # Bytes of a file, and of the arrays of one once they are unpacked.
 LARGEST_FILE = LARGEST_ARRAYS = 2**30
@@ -27,6 +30,27 @@ _MOST_VALUES, _DEEPEST = 1_000_000, 100
 _MOST_ARRAYS = 1000
 # Versions of the npy format that describe plain arrays of numbers and texts.
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+# Format of the files of `save_arrays`, and the array that holds their metadata as JSON.
+FORMAT, META_KEY = 3, "meta_json"
+# Characters of the names in a message.
+_LONGEST = 500
+
+
+@contextlib.contextmanager
+def raising_file_error(what: str) -> Iterator[None]:
+    """Turn an `OSError` of the system into a `FileError` whose message begins with ``what``."""
+    try:
+        yield
+    except FileError:
+        raise
+    except OSError as error:
+        raise FileError(f"{what}: {error.strerror or error}") from None
+
+
+def is_file(path: Path) -> bool:
+    """Whether ``path`` is a file; `FileError` if the system does not permit the check."""
+    with raising_file_error(f"cannot look for {path}"):
+        return path.is_file()
 
 
 @contextlib.contextmanager
@@ -91,6 +115,35 @@ def _count(value: Any, known: dict[int, float]) -> float:
     return known[id(value)]
 
 
+def load_json(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+    """Read a JSON object; `FileError` says what is wrong with the file."""
+    return _load_object(path, what, json.loads)
+
+
+def load_description(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+    """Read a hand-written object, JSON by its suffix or else YAML; raises as `load_json`."""
+    return load_json(path, what) if Path(path).suffix.lower() == ".json" else _load_object(path, what, parse_yaml)
+
+
+def _load_object(path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any]) -> dict[str, Any]:
+    with raising_file_error(f"cannot read {path}"), opened(as_path("path", path), LARGEST_TEXT) as stream:
+        content = stream.read()
+    return parse_object(content, path, what, parse)
+
+
+def parse_object(
+    content: bytes, path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any] = parse_yaml
+) -> dict[str, Any]:
+    """Parse the content of a file, YAML by default; `FileError` if it is not a mapping."""
+    try:
+        value = parse(content)
+        if not isinstance(value, dict):
+            raise TypeError(f"it holds a {type(value).__name__}, not values by name")
+        return value
+    except (TypeError, ValueError, RecursionError) as error:
+        raise FileError(f"{path} is not a valid {what} ({type(error).__name__}: {error})") from None
+
+
 class Archive:
     """The arrays of an ``.npz`` file, each checked before memory is taken for it.
 
@@ -141,3 +194,59 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
     stream.seek(0)
     array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
     return array
+
+
+def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Read a file of `save_arrays`.
+
+    Args:
+        path: the file.
+        kinds: what it may hold.
+
+    Returns:
+        The arrays by name, and the metadata, with the ``kind``.
+
+    Raises:
+        FileError: the file is missing, invalid, damaged, or of another kind or format.
+    """
+    source, what = as_path("path", path), f"{kinds[0]} file"
+    try:
+        with opened(source) as stream:
+            archive = Archive(stream)
+            # NumPy stores four bytes a character.
+            meta = json.loads(str(archive.read(META_KEY, 4 * LARGEST_TEXT)))
+            _check_meta(meta, source, kinds)
+            return {name: archive.read(name) for name in archive.names if name != META_KEY}, meta
+    except FileNotFoundError:
+        raise FileError(f"no such file: {source}") from None
+    except PermissionError:
+        raise FileError(f"cannot read {source}: permission denied") from None
+    except FileError:
+        raise
+    # All that reading a damaged archive raises.
+    except (
+        *(OSError, EOFError, LookupError, ValueError, TypeError, AttributeError, RuntimeError),
+        *(zipfile.BadZipFile, zlib.error),
+    ) as error:
+        raise FileError(f"{source} is not a readable {what} ({type(error).__name__}: {error})") from None
+
+
+def _check_meta(meta: Any, source: Path, kinds: tuple[str, ...]) -> None:
+    found = meta.get("kind") if isinstance(meta, dict) else None
+    if found not in kinds:
+        raise FileError(f"{source} holds {found!r}, expected {kinds[0]!r}")
+    if meta.get("format") != FORMAT:
+        raise FileError(
+            f"{source} was written by another version of this package (format {meta.get('format')!r}, not {FORMAT}); "
+            "make it again"
+        )
+
+
+def take(arrays: Mapping[str, NDArray[Any]], source: str | os.PathLike[str], *names: str) -> list[NDArray[Any]]:
+    """Return the named arrays of a loaded file, or raise `FileError` naming the first that is missing."""
+    for name in names:
+        if name not in arrays:
+            held = ", ".join(sorted(arrays)) or "nothing"
+            shown = held if len(held) < _LONGEST else f"{len(arrays)} others"
+            raise FileError(f"{source} has no array {name!r}; it holds: {shown}")
+    return [arrays[name] for name in names]

@@ -1,15 +1,21 @@
-"""Directories, locks, and files that appear only when they are complete."""
+"""Files that appear only when they are complete, and folders of results."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import json
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError
+from lieednn_sim.io.reading import FORMAT, META_KEY, load_json, raising_file_error
 from lieednn_sim.validation import as_path
 
 try:
@@ -19,6 +25,8 @@ except ImportError:  # on Windows
 else:
     _LOCKS = True
 
+# The file that says that a folder is ours, and what it holds.
+MARK = "lieednn_sim.json"
 # Between the name of a file and the random end of its temporary name; nobody else's files are called so.
 _UNFINISHED = ".unfinished-"
 
@@ -26,37 +34,23 @@ _UNFINISHED = ".unfinished-"
 def make_directory(path: str | os.PathLike[str]) -> Path:
     """Create ``path`` with its parents, or raise `FileError` that says why not."""
     directory = as_path("the name of a directory", path)
-    try:
+    with raising_file_error(f"cannot create directory {directory}"):
         directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"cannot create directory {directory}: {error.strerror or error}") from None
     if not os.access(directory, os.W_OK):
         raise FileError(f"cannot write into {directory}: permission denied; choose another --output")
     return directory
 
 
-def is_file(path: Path) -> bool:
-    """Whether ``path`` is a file; `FileError` if the system does not permit the check."""
-    try:
-        return path.is_file()
-    except OSError as error:
-        raise FileError(f"cannot look for {path}: {error.strerror or error}") from None
-
-
 def check_outputs(paths: Iterable[Path]) -> None:
     """Raise `FileError` if one of the files could not be written, before the work for it begins."""
     for path in paths:
-        try:
+        with raising_file_error(f"cannot write {path}"):
             if path.is_dir():
                 raise FileError(f"cannot write {path}: it is a directory; remove it or choose another name")
             if path.exists() and not path.is_file():
                 raise FileError(f"cannot write {path}: it is not a regular file; choose another name")
             if not path.parent.is_dir():
                 raise FileError(f"cannot write {path}: there is no directory {path.parent}")
-        except OSError as error:
-            if isinstance(error, FileError):
-                raise
-            raise FileError(f"cannot write {path}: {error.strerror or error}") from None
         if not os.access(path.parent, os.W_OK):
             raise FileError(f"cannot write {path}: {path.parent} is read-only")
 
@@ -93,16 +87,63 @@ def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterat
 
 
 @contextlib.contextmanager
-def created(directory: str | os.PathLike[str]) -> Iterator[Path]:
-    """Create a directory with its parents, and remove what was created if it is empty when the block ends."""
-    wanted = as_path("the name of a directory", directory)
-    absent = [path for path in (wanted, *wanted.parents) if not os.path.lexists(path)]
+def output_folder(
+    directory: str | os.PathLike[str], holds: str, *, outputs: Iterable[str] = (), shared: bool = False
+) -> Iterator[Path]:
+    """A folder for results, locked while the block runs.
+
+    It must be new, empty, or ours for the same purpose, which its file `MARK` says; in such a folder the block may
+    replace and remove its own files, whatever they hold. What a killed process left half written there is removed. If
+    nothing is in the folder when the block ends, what was created is removed again.
+
+    Args:
+        directory: the folder; it is created with its parents if it is missing.
+        holds: what it is for, such as "run", in the message to whoever would mix two things in one folder.
+        outputs: names of the files that the block will write.
+        shared: allow other shared locks, for a block that replaces nothing that others read.
+
+    Raises:
+        FileError: the folder holds anything else, another process is at work there, or it cannot be written.
+    """
+    folder = as_path("the name of a directory", directory)
+    absent = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
+    make_directory(folder)
     try:
-        yield make_directory(wanted)
+        with locked(folder, shared=shared):
+            marked = _claim(folder, holds, remove_unfinished=not shared)
+            try:
+                check_outputs(folder / name for name in outputs)
+                yield folder
+            finally:
+                if marked and [path.name for path in folder.iterdir()] == [MARK]:
+                    (folder / MARK).unlink()
     finally:
         with contextlib.suppress(OSError):
             for path in absent:
                 path.rmdir()
+
+
+def _claim(folder: Path, holds: str, *, remove_unfinished: bool) -> bool:
+    """Mark a folder as ours, or raise `FileError`; returns whether it was not marked before."""
+    with raising_file_error(f"cannot read {folder}"):
+        there = list(folder.iterdir())
+    unfinished = [path for path in there if path.name.startswith(".") and _UNFINISHED in path.name]
+    mark = folder / MARK
+    if mark in there:
+        found = load_json(mark, "mark of a folder of results").get("holds")
+        if found != holds:
+            raise FileError(f"{folder} is for another purpose ({found}, not {holds}); choose another directory")
+    elif others := sorted(path.name for path in there if path not in unfinished):
+        more = "" if len(others) == 1 else f" and {len(others) - 1} more"
+        raise FileError(
+            f"{folder} holds files that no command of this package made ({others[0]}{more}); choose a new or empty "
+            "directory"
+        )
+    else:
+        save_json(mark, {"holds": holds})
+    for path in unfinished if remove_unfinished else ():
+        path.unlink(missing_ok=True)
+    return mark not in there
 
 
 @contextlib.contextmanager
@@ -119,11 +160,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def atomic_paths(
-    targets: Sequence[Path],
-    outdated: Iterable[Path] = (),
-    prepare: Callable[[Sequence[Path]], None] = lambda temporaries: None,
-) -> Iterator[list[Path]]:
+def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iterator[list[Path]]:
     """As `atomic_path`, for files that belong together.
 
     When the block succeeds, the outdated files are removed first, then the new ones appear in the given order. So a
@@ -133,7 +170,6 @@ def atomic_paths(
     Args:
         targets: the files to write.
         outdated: files to remove.
-        prepare: called with the complete temporary files before any target is replaced or removed.
     """
     temporaries: list[Path] = []
     target = targets[0]
@@ -152,7 +188,6 @@ def atomic_paths(
             # Before a umask can forbid to open it.
             _sync(temporary)
             temporary.chmod(0o666 & ~umask)
-        prepare(temporaries)
         for target in outdated:
             target.unlink(missing_ok=True)
         for target, temporary in zip(targets, temporaries, strict=True):
@@ -161,15 +196,13 @@ def atomic_paths(
             _sync(folder)
     except OSError as error:
         said = str(error) if isinstance(error, FileError) else f"cannot write {target}: {error.strerror or error}"
-        raise FileError(_named_as_asked(said, targets, temporaries)) from None
+        # The files that were asked for, in place of their temporary names.
+        for asked, temporary in zip(targets, temporaries, strict=False):
+            said = said.replace(temporary.name, asked.name)
+        raise FileError(said) from None
     finally:
         for temporary in temporaries:
             temporary.unlink(missing_ok=True)
-
-
-def unfinished(path: Path) -> Iterator[Path]:
-    """Temporary files of `atomic_path` beside ``path``, which a killed process left."""
-    return path.parent.glob(f".{path.stem}{_UNFINISHED}????????{path.suffix}")
 
 
 def _sync(path: Path) -> None:
@@ -187,15 +220,49 @@ def _sync(path: Path) -> None:
             raise
 
 
-def _named_as_asked(message: str, targets: Sequence[Path], temporaries: Sequence[Path]) -> str:
-    """A message about the files that were asked for, in place of their temporary names."""
-    for target, temporary in zip(targets, temporaries, strict=False):
-        message = message.replace(temporary.name, target.name)
-    return message
-
-
 @contextlib.contextmanager
 def atomic_text(path: str | os.PathLike[str]) -> Iterator[IO[str]]:
     """Open ``path`` for text; the file appears only when the block succeeds."""
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
         yield stream
+
+
+def save_json(path: str | os.PathLike[str], value: Any) -> None:
+    """Write ``value`` as indented JSON, atomically."""
+    text = json.dumps(value, indent=2, allow_nan=False)
+    with atomic_text(path) as stream:
+        stream.write(text + "\n")
+
+
+def save_arrays(
+    path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]
+) -> None:
+    """Write arrays and JSON metadata into one ``.npz``.
+
+    Args:
+        path: file to write; the suffix must be ``.npz``.
+        kind: what the file holds (``"network"``, ``"motion"`` ...), checked by `load_arrays`.
+        arrays: named arrays; string arrays are allowed, object arrays are not.
+        meta: JSON-serialisable values.
+    """
+    target = as_path("path", path)
+    if target.suffix != ".npz":
+        raise FileError(f"cannot write {target}: the file name must end in .npz")
+    header = json.dumps({**meta, "kind": kind, "format": FORMAT}, allow_nan=False)
+    with atomic_path(target) as temporary, temporary.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **arrays, **{META_KEY: np.array(header)})
+
+
+def fingerprint(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
+    """SHA-256 of the names, types, shapes and bytes of arrays and of JSON values, independent of their order."""
+    digest = hashlib.sha256(json.dumps(meta, sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name])
+        digest.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def short(fingerprint: object) -> str:
+    """The beginning of a fingerprint, for messages; "none" for anything else."""
+    return fingerprint[:12] if isinstance(fingerprint, str) else "none"

@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
+import pickle
 import tarfile
 import zipfile
+from io import BytesIO
 
 import numpy as np
 import pytest
 import yaml
 
-from lieednn_sim import reading, storage
+from lieednn_sim import io
 from lieednn_sim.arm import Arm, import_arm
 from lieednn_sim.arm.obstacles import load_obstacles
 from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.io import reading
 from lieednn_sim.learning.demonstrations import Demonstration, align, load_demonstrations
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.validation import as_count, as_floats, as_positive
 
-META = {"kind": "thing", "format": storage.FORMAT_VERSION, "fingerprint": "none"}
+META = {"kind": "thing", "format": reading.FORMAT}
+ARRAYS = {"x": np.array([0.5, -0.0, np.nan]), "names": np.array(["Gelenk ä", "b"])}
 
 
 def npy(shape, content=b"", dtype="<f8"):
-    stream = io.BytesIO()
+    stream = BytesIO()
     np.lib.format.write_array_header_1_0(stream, {"shape": shape, "fortran_order": False, "descr": dtype})
     return stream.getvalue() + content
 
@@ -37,9 +40,112 @@ def archive(path, members, meta=META):
 
 
 def np_text(text):
-    stream = io.BytesIO()
+    stream = BytesIO()
     np.save(stream, np.array(text))
     return stream.getvalue()
+
+
+@pytest.fixture
+def saved(tmp_path):
+    path = tmp_path / "x.npz"
+    io.save_arrays(path, "thing", ARRAYS, {})
+    return path
+
+
+@pytest.mark.parametrize("content", [b"", b"not an archive", b"PK\x03\x04", b"\x93NUMPY garbage", b"\x00" * 1000])
+def test_what_is_no_archive_is_refused(tmp_path, content):
+    path = tmp_path / "x.npz"
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=r"x\.npz is not a readable thing file"):
+        io.load_arrays(path, "thing")
+
+
+def test_truncated_files_are_refused(saved):
+    content = saved.read_bytes()
+    for length in range(0, len(content), 53):
+        saved.write_bytes(content[:length])
+        with pytest.raises(FileError, match="is not a readable thing file"):
+            io.load_arrays(saved, "thing")
+
+
+def test_any_flipped_byte_is_refused_or_harmless(saved):
+    content = saved.read_bytes()
+    refused = 0
+    for position in range(len(content)):
+        flipped = bytearray(content)
+        flipped[position] ^= 0x55
+        saved.write_bytes(flipped)
+        try:
+            arrays, meta = io.load_arrays(saved, "thing")
+        except FileError:
+            refused += 1
+        else:  # time stamps and the like
+            assert meta == META
+            assert {name: array.tobytes() for name, array in arrays.items()} == {
+                name: array.tobytes() for name, array in ARRAYS.items()
+            }
+    assert refused > len(content) / 2
+
+
+def test_pickles_are_never_opened(tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "exploded"),)
+
+    pickled, inside = tmp_path / "pickle.npz", tmp_path / "inside.npz"
+    pickled.write_bytes(pickle.dumps(Bomb()))
+    np.savez(inside, meta_json=np.array(json.dumps(META)), x=np.array([Bomb()]))
+    for path in (pickled, inside):
+        with pytest.raises(FileError, match="is not a readable thing file"):
+            io.load_arrays(path, "thing")
+    assert not (tmp_path / "exploded").exists()
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ('{"kind": "motion", "format": 1}', "holds 'motion', expected 'thing'"),
+        ("[1]", "holds None, expected 'thing'"),
+        ("{", "not a readable thing file"),
+        ("[" * 100_000, "not a readable thing file"),
+        *((f'{{"kind": "thing", "format": {other}}}', "by another version") for other in ("2", "4", '"two"', "null")),
+        (None, "meta_json"),
+    ],
+)
+def test_foreign_headers_are_refused(tmp_path, header, words):
+    np.savez(tmp_path / "x.npz", x=np.zeros(3), **({} if header is None else {"meta_json": np.array(header)}))
+    with pytest.raises(FileError, match=words):
+        io.load_arrays(tmp_path / "x.npz", "thing")
+
+
+def test_missing_file_and_directory_and_array_are_named(tmp_path):
+    with pytest.raises(FileError, match=r"no such file: .*nowhere\.npz"):
+        io.load_arrays(tmp_path / "nowhere.npz", "thing")
+    with pytest.raises(FileError, match="is a directory, not a file"):
+        io.load_arrays(tmp_path, "thing")
+    np.save(tmp_path / "x.npy", np.zeros(3))
+    with pytest.raises(FileError, match="is not a readable thing file"):
+        io.load_arrays(tmp_path / "x.npy", "thing")
+    arrays = {"a": np.zeros(1), "b": np.ones(1)}
+    assert io.take(arrays, "f.npz", "b", "a") == [arrays["b"], arrays["a"]]
+    with pytest.raises(FileError, match=r"f\.npz has no array 'c'; it holds: a, b"):
+        io.take(arrays, "f.npz", "a", "c")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"[1]", "it holds a list, not values by name"),
+        (b"[" * 100_000, "RecursionError"),
+        (b'{"a": ' + b"9" * 5000 + b"}", "ValueError"),
+        (b'{"a": "' + b"x" * 1_000_000 + b'"}', "at most 1000000 are read"),
+        (b"\xff\xfe\x00", "not a valid thing"),
+    ],
+)
+def test_broken_json_is_named(tmp_path, content, words):
+    (tmp_path / "x.json").write_bytes(content)
+    with pytest.raises(FileError, match=words):
+        io.load_json(tmp_path / "x.json", "thing")
 
 
 @pytest.mark.parametrize("shape", [(10**12,), (10**6, 10**6), (2**62, 4), (-1,), (3, 5)])
@@ -52,7 +158,7 @@ def test_a_shape_that_the_content_has_not(tmp_path, shape, suffix):
             load_demonstrations([path])
         return
     archive(path, {"x": npy(shape, bytes(80))})
-    for read in (lambda: storage.load_arrays(path, "thing"), lambda: load_demonstrations([path])):
+    for read in (lambda: io.load_arrays(path, "thing"), lambda: load_demonstrations([path])):
         with pytest.raises(FileError, match="claims the shape"):
             read()
 
@@ -63,30 +169,29 @@ def test_what_unpacks_to_more_than_is_read(tmp_path, monkeypatch):
     archive(path, {"x": npy((2 * 10**5,), bytes(16 * 10**5))})
     assert path.stat().st_size < 10**4
     with pytest.raises(FileError, match=r"unpacks to \d+ bytes; at most 1000000 are read"):
-        storage.load_arrays(path, "thing")
+        io.load_arrays(path, "thing")
     monkeypatch.undo()
     archive(path, {}, {**META, "text": "x" * 2 * 10**6})
-    for read in (lambda: storage.load_arrays(path, "thing"), lambda: storage.origin(path)):
-        with pytest.raises(FileError, match=r"meta_json unpacks to \d+ bytes; at most 4000000 are read"):
-            read()
+    with pytest.raises(FileError, match=r"meta_json unpacks to \d+ bytes; at most 4000000 are read"):
+        io.load_arrays(path, "thing")
 
 
 def test_an_archive_of_another_kind_is_not_unpacked(tmp_path, monkeypatch):
     path, read = tmp_path / "x.npz", []
-    storage.save_arrays(path, "thing", {"x": np.zeros(1000)}, {})
+    io.save_arrays(path, "thing", {"x": np.zeros(1000)}, {})
     monkeypatch.setattr(
         reading, "read_array", lambda *given, real=reading.read_array: (read.append(1), real(*given))[1]
     )
     with pytest.raises(FileError, match="holds 'thing', expected 'network'"):
-        storage.load_arrays(path, "network")
+        io.load_arrays(path, "network")
     assert len(read) == 1
 
 
 @pytest.mark.parametrize("name", ["x.npz", "x.json", "x.yaml", "x.csv", "x.xml"])
 def test_devices_and_pipes_are_not_opened(tmp_path, name):
     read = {
-        "x.npz": lambda path: storage.load_arrays(path, "thing"),
-        "x.json": lambda path: storage.load_json(path, "task"),
+        "x.npz": lambda path: io.load_arrays(path, "thing"),
+        "x.json": lambda path: io.load_json(path, "task"),
         "x.csv": lambda path: load_demonstrations([path]),
     }.get(name, load_obstacles)
     path = tmp_path / name
@@ -164,7 +269,7 @@ def test_archives_of_problems_are_unpacked_by_name_and_size(tmp_path):
         with tarfile.open(tmp_path / "problems.tar", "w") as made:
             member = tarfile.TarInfo(name)
             member.size = size
-            made.addfile(member, io.BytesIO(bytes(size)))
+            made.addfile(member, BytesIO(bytes(size)))
 
     (tmp_path / "a.urdf").write_text("<robot name='a'/>")
     packed("movie.mp4", 3 * 10**6)
