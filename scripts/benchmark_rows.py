@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from pathlib import Path
@@ -36,7 +35,7 @@ def _rows(
 
 
 class _Made(Comparison):
-    """A comparison of many cases that take no time, and whose table is not sorted."""
+    """A comparison of many cases that take no time."""
 
     count = 0
 
@@ -49,21 +48,15 @@ class _Made(Comparison):
         cases = [Case("telescopic_pr", "free", names[k % len(names)], k // len(names)) for k in range(self.count)]
         return [(case, list(DEFAULT_CONTROLLERS), self.common) for case in cases]
 
-    def open(self, directory: str | os.PathLike[str]) -> Table[Row]:
-        table = super().open(directory)
-        table.save = lambda *_: None  # type: ignore[method-assign]
-        return table
-
 
 def collect(folder: Path, rows: int) -> None:
-    """Run a comparison, except for sorting its table."""
+    """Run a comparison."""
     _Made.count = rows // 2
     compute(_Made(), folder, executor=_Here())
 
 
 def finish(folder: Path) -> None:
-    """Sort the table, and write summary and page."""
+    """Write summary and page."""
     table = Comparison().open(folder)
-    table.save()
     write_summary(folder / "comparison.md", table)
     write_page(folder / "comparison.html", table)

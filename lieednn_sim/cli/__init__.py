@@ -39,8 +39,8 @@ COMMANDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
 
-    0: success; 1: ``doctor`` found a problem, ``train`` learned no network, or ``compare --merge`` lacks cases; 2:
-    error; 130: interrupted; 141: the reader of the output closed it; 143: terminated.
+    0: success; 1: ``doctor`` found a problem, or ``train`` learned no network; 2: error; 130: interrupted; 141: the
+    reader of the output closed it; 143: terminated.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     # Paths and messages may hold characters that the output's encoding lacks.

@@ -1,10 +1,10 @@
-"""The commands ``compare`` and ``merge``, which write a table and a page."""
+"""The command ``compare``, which writes a table and a page."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
@@ -16,16 +16,15 @@ from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS
 from lieednn_sim.studies import Case, Comparison, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
-from lieednn_sim.studies.comparison.merging import merge as merge_shards
 from lieednn_sim.studies.comparison.study import Shard
+from lieednn_sim.studies.comparison.study import merge as merge_tables
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
 from lieednn_sim.studies.report import choose_cases, choose_problems, film, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
 
-# The files of a comparison.
-_OUTPUTS = ("comparison.csv", "comparison.json", "comparison.md", "comparison.html", "reactions.md")
-
+# What is written beside the table.
+_OUTPUTS = ("comparison.csv", "comparison.md", "comparison.html", "reactions.csv", "reactions.md")
 _Wanted = TypeVar("_Wanted")
 _Shown = TypeVar("_Shown")
 
@@ -61,84 +60,71 @@ def compare(
         dict[str, Any], Comparison, "planners", "arms", "scenes", "controllers", "seeds", "slow_seeds", "common"
     ],
     shard: str | None = None,
-    shown: Shown,
+    merge: list[File] | None = None,
     output: Directory = "results/comparison",
     jobs: int | None = None,
     scheduler: str | None = None,
-    merge: list[File] | None = None,
+    shown: Shown,
     line: CommandLine,
-) -> int:
+) -> None:
     """Compare planners on arms, scenes, controllers and seeds, in a table and a page.
 
     After an interruption, the same command continues. The defaults take a quarter of an hour of CPU time.
 
     Args:
         cases: the cases.
-        shard: run only the K-th of N parts of the cases, K/N; --merge joins the parts.
-        shown: the page.
+        shard: run only the K-th of N parts of the cases, K/N.
+        merge: run nothing, but add the rows of the tables in other directories, such as those of --shard.
         output: directory of the table.
         jobs: number of worker processes (default: one for each core).
         scheduler: address of the scheduler of a Dask cluster, whose workers run the cases instead of --jobs.
-        merge: join the tables of --shard in these directories instead, and make the page; the exit code is 1 if cases
-            are missing.
+        shown: the page.
         line: the words of the command, which the page shows.
     """
-    if merge is not None:
-        return _merge(output, merge, line)
     study = Comparison(**cases, shard=None if shard is None else Shard.parse(shard))
     workers = as_count("jobs", os.cpu_count() or 1 if jobs is None else jobs)
     # Check values before any work.
     chosen = shown.check()
-    if study.shard is not None and (shown.videos or chosen or shown.reactive):
-        raise InputError("--shard makes only a part of the table; it cannot take --videos, --video or --reactive")
+    if study.shard is not None and (shown.videos or chosen or shown.reactive or merge):
+        raise InputError("--shard makes only a part of the table; it takes no --videos, --video, --reactive or --merge")
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
     cluster = contextlib.nullcontext() if scheduler is None else dask_executor(scheduler)
-    with cluster as executor, io.output_folder(output, "table", outputs=_OUTPUTS) as directory:
+    # Several shards may grow one table.
+    folder = io.output_folder(output, "table", outputs=_OUTPUTS, shared=study.shard is not None)
+    with cluster as executor, folder as directory:
         how: dict[str, Any] = {"jobs": workers, "executor": executor, "console": to_stderr()}
         if executor is not None:
-            console.print(f"{executor.n_workers} workers at {scheduler}; cases wait for the first one")
-        summary, page = directory / "comparison.md", directory / "comparison.html"
-        _print_found(study)
-        table = compute(study, directory, **how)
+            console.print(f"cases wait for workers at {scheduler}")
+        if merge:
+            table = merge_tables(directory, merge)
+        else:
+            _print_found(study)
+            table = compute(study, directory, **how)
         if study.shard is not None:
-            wrote(table.csv)
-            return 0
-        with io.atomic_path(summary) as temporary:
-            write_summary(temporary, table, study.absent)
+            wrote(table.path)
+            return
+        reactions = None
+        if shown.reactive:
+            reactions = compute(
+                Reactions(study.arms, study.scenes, shown.reactive, user_files=study.user_files), directory, **how
+            )
         controller = study.controllers[0]
         problems = choose_problems(table, shown.views, controller)
         places = {f"{some[0].arm}, {some[0].scene}": some for some in problems}
         views = _shown("view", places, lambda some, **told: view(table, some, controller, **told))
         filmed = {str(case): case for case in chosen + choose_cases(table, shown.videos)}
         clips = _shown("video", filmed, lambda case, **told: film(table, case, controller, **told))
-        reactions, more = None, []
-        if shown.reactive:
-            disturbed = Reactions(study.arms, study.scenes, shown.reactive, user_files=study.user_files)
-            reactions = compute(disturbed, directory, **how)
-            more = [reactions.csv, directory / "reactions.md"]
-            with io.atomic_path(more[1]) as temporary:
-                write_reactions(temporary, reactions)
         head = {"command": line, "date": shown.date}
-        with io.atomic_path(page) as temporary:
-            write_page(temporary, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)
-    wrote(table.csv, summary, *more, page)
-    return 0
-
-
-def _merge(output: Directory, folders: Sequence[File], line: CommandLine) -> int:
-    """Merge the tables of shards, and write summary and page; returns 1 if cases are missing."""
-    with io.output_folder(output, "table", outputs=_OUTPUTS) as directory:
-        outputs = [directory / "comparison.md", directory / "comparison.html"]
-        merged = merge_shards(directory, folders)
-        with io.atomic_paths(outputs) as (summary, page):
-            write_summary(summary, merged.table, merged.absent)
-            write_page(page, merged.table, missing=merged.absent, command=line)
-    wrote(merged.table.csv, *outputs)
-    for shard, cases in sorted(merged.missing.items(), key=lambda one: one[0].number):
-        where = ", ".join(str(folder) for folder, there in merged.shards.items() if there == shard) or "in no folder"
-        console.print(f"shard {shard} ({where}) lacks {len(cases)} cases, such as {cases[0]}")
-    return 1 if merged.missing else 0
+        outputs = [directory / name for name in _OUTPUTS if reactions is not None or not name.startswith("reactions")]
+        with io.atomic_paths(outputs) as (rows, summary, page, *more):
+            table.write_csv(rows)
+            write_summary(summary, table, study.absent)
+            write_page(page, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)
+            if reactions is not None:
+                reactions.write_csv(more[0])
+                write_reactions(more[1], reactions)
+    wrote(table.path, *outputs)
 
 
 def _print_found(study: Comparison) -> None:

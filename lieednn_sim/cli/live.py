@@ -84,7 +84,7 @@ def view(
 
 def _recorded(directory: str) -> tuple[dict[str, Rollout], Floats]:
     """The rollout of a run, or those of several planners of a comparison, by the planners' names; and their start."""
-    if (Path(directory) / "comparison.json").exists():
+    if (Path(directory) / "comparison.sqlite").exists():
         with progress("plan"):
             rollouts = replay_together(directory)
     else:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import importlib
-import json
 
 import pytest
 
 from lieednn_sim.cli import main
-from lieednn_sim.studies import Row, read_rows
+from lieednn_sim.studies import Comparison
 from lieednn_sim.studies.reactions import study
 from lieednn_sim.studies.reactions.cases import COMPARED, DISTURBANCES, Reaction
 
@@ -22,12 +21,12 @@ def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys,
     with in_this_process():
         assert main(["compare", *words]) == 0
     printed = capsys.readouterr().out
-    names = {"comparison.csv", "comparison.json", "comparison.md", "comparison.html", "lieednn_sim.json"}
+    names = {"comparison.sqlite", "comparison.csv", "comparison.md", "comparison.html", "lieednn_sim.json"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
     assert "no video of se3-geodesic:telescopic_pr:free:0: the table has no case" in printed
-    settings = json.loads((tmp_path / "out" / "comparison.json").read_text("utf-8"))["settings"]
-    assert settings == {"duration": 1.0, "hold": 0.1, "mass_scale": 1.2, "time_budget": 50.0}
-    (row,) = read_rows(tmp_path / "out" / "comparison.csv", Row).values()
+    table = Comparison.read(tmp_path / "out")
+    assert table.settings == {"duration": 1.0, "hold": 0.1, "mass_scale": 1.2, "time_budget": 50.0}
+    (row,) = table.rows.values()
     assert (row.planner, row.controller, row.mass_scale) == ("minimum-jerk", "computed-torque", 1.2)
     assert "lieednn-sim compare --planners minimum-jerk" in (tmp_path / "out" / "comparison.html").read_text("utf-8")
     # The study script is the same command; with another option it must not go on.

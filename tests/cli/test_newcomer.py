@@ -69,7 +69,12 @@ sys.exit(main(["plan", "--planner", "dmp", "--output", {output!r}]))
     ("module", "number", "code", "said"),
     [
         ("numpy", signal.SIGINT, 130, "interrupted"),
-        ("lieednn_sim.planning.baselines.primitives", signal.SIGTERM, 143, "interrupted; files already reported are complete"),
+        (
+            "lieednn_sim.planning.baselines.primitives",
+            signal.SIGTERM,
+            143,
+            "interrupted; files already reported are complete",
+        ),
     ],
 )
 def test_a_signal_during_an_import_ends_the_command_cleanly(module, number, code, said, tmp_path, start):

@@ -7,12 +7,13 @@ import os
 import signal
 import socket
 import sys
+from dataclasses import replace
 
 import pytest
 
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError
-from lieednn_sim.studies import Row, Table, cluster, read_rows
+from lieednn_sim.studies import Comparison, Table, cluster
 
 WORDS = ["--arms", "telescopic_pr", "--scenes", "free", "--planners", "minimum-jerk,se3-geodesic", "--seeds", "3"]
 WORDS += ["--controllers", "position-servo", "--duration", "1.5", "--hold", "0.2", "--shard", "1/1", "--output"]
@@ -32,8 +33,7 @@ def scheduler():
 
 
 def table(directory):
-    rows = read_rows(directory / "comparison.csv", Row).values()
-    return [{**row.as_texts(), "planning_s": ""} for row in rows]
+    return [replace(row, planning_s=None) for row in Comparison.read(directory).sorted_rows()]
 
 
 def test_a_worker_that_is_killed_in_the_middle_changes_no_row(scheduler, tmp_path, monkeypatch, in_this_process):
@@ -58,10 +58,10 @@ def test_a_worker_that_is_killed_in_the_middle_changes_no_row(scheduler, tmp_pat
 
 
 def test_workers_with_other_code_are_refused(scheduler, tmp_path, monkeypatch, capsys):
-    here = cluster.versions(code=True)
-    monkeypatch.setattr(cluster, "versions", lambda **_: {**here, "code": "0123456789ab"})
+    here = cluster.commit() or "none"
+    monkeypatch.setattr(cluster, "commit", lambda: "0123456789ab")
     assert main(["compare", *WORDS, str(tmp_path), "--scheduler", scheduler.scheduler.address]) == 2
-    assert f"has code {here['code']}, here 0123456789ab; finished work is kept" in capsys.readouterr().err
+    assert f"has commit {here}, here 0123456789ab; finished work is kept" in capsys.readouterr().err
     assert table(tmp_path) == []
 
 

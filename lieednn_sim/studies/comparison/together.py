@@ -7,12 +7,10 @@ import os
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.studies.comparison.cases import Settings, replay
-from lieednn_sim.studies.comparison.rows import Row
+from lieednn_sim.studies.comparison.cases import replay
+from lieednn_sim.studies.comparison.study import Comparison, settings_of
 from lieednn_sim.studies.statistics import grouped
-from lieednn_sim.studies.table import how_made, read_rows
-from lieednn_sim.studies.user_files import recorded_files
-from lieednn_sim.validation import as_count, as_path
+from lieednn_sim.validation import as_count
 
 
 def replay_together(directory: str | os.PathLike[str], count: int = 4) -> dict[str, Rollout]:
@@ -30,14 +28,15 @@ def replay_together(directory: str | os.PathLike[str], count: int = 4) -> dict[s
         InputError: no planner solved anything, or the count is not positive.
         LieEDNNError: a case cannot be planned or simulated again.
     """
-    most, folder = as_count("count", count), as_path("the name of a comparison's directory", directory)
-    settings = Settings(**how_made(folder / "comparison.json", "comparison")["settings"])
-    solved = [row for row in read_rows(folder / "comparison.csv", Row).values() if row.success]
+    most, table = as_count("count", count), Comparison.read(directory)
+    solved = [row for row in table.sorted_rows() if row.success]
     if not solved:
-        raise InputError(f"no planner solved a problem of {folder}: there is nothing to show")
-    places = grouped(sorted(solved, key=lambda row: row.key), ("arm", "scene", "controller", "seed"))
+        raise InputError(f"no planner solved a problem of {table.directory}: there is nothing to show")
+    places = grouped(solved, ("arm", "scene", "controller", "seed"))
     rows = max(places, key=lambda place: len(place.rows)).rows
     networks = [name for name, entry in PLANNERS.items() if entry.network]
     ranked = sorted(rows, key=lambda row: (row.planner not in networks, row.tracking_rms_mm or 0.0))
-    files = recorded_files(folder)
-    return {row.planner: replay(row.case, row.controller, settings, user_files=files) for row in ranked[:most]}
+    settings = settings_of(table)
+    return {
+        row.planner: replay(row.case, row.controller, settings, user_files=table.user_files) for row in ranked[:most]
+    }

@@ -83,7 +83,6 @@ class Solution(TableRow):
     """
 
     _key = ("problem", "number", "planner")
-    _digits = 6
 
     problem: str
     number: int
@@ -92,7 +91,9 @@ class Solution(TableRow):
     reason: str = ""
     teacher: str = ""
     solve_time: float | None = column(
-        "solve time [s]", "CPU time of the planner, stopped at its budget; the one column that differs between runs"
+        "solve time [s]",
+        "CPU time of the planner, stopped at its budget; the one column that differs between runs",
+        timed=True,
     )
     motion_time: float | None = column("motion time [s]", "that the motion takes")
     cspace_path_length: float | None = column(

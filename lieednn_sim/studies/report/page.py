@@ -100,7 +100,7 @@ def write_page(
     """
     rows, reacted = table.sorted_rows(), [] if reactions is None else reactions.sorted_rows()
     if not rows:
-        raise InputError(f"the table {table.csv} is empty; there is nothing to show")
+        raise InputError(f"the table {table.path} is empty; there is nothing to show")
     if not all(isinstance(row, Reaction) for row in reacted):
         raise InputError("reactions must be a table of the reactive benchmark, got one of another kind")
     names = in_order(row.planner for row in rows)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.rendering.recording import Recording, record
-from lieednn_sim.studies.comparison.cases import Settings, replay
+from lieednn_sim.studies.comparison.cases import replay
 from lieednn_sim.studies.comparison.rows import Case, Row
+from lieednn_sim.studies.comparison.study import settings_of
 from lieednn_sim.studies.report.style import in_order
 from lieednn_sim.studies.statistics import grouped
 from lieednn_sim.studies.table import Table
-from lieednn_sim.studies.user_files import recorded_files
 from lieednn_sim.validation import as_count
 
 # Planners in a view: more would be too small to see.
@@ -88,6 +88,6 @@ def view(
     found = tuple(row for row in rows if row is not None)
     if len(found) < len(rows) or len({(row.arm, row.scene, row.seed) for row in found}) != 1:
         raise InputError("a view is of one problem that the table has, by one planner or more")
-    settings, files = Settings(**table.settings), recorded_files(table.directory)
-    rollouts = [replay(case, controller, settings, user_files=files) for case in cases]
+    settings = settings_of(table)
+    rollouts = [replay(case, controller, settings, user_files=table.user_files) for case in cases]
     return View(found, record(rollouts, [case.planner for case in cases], progress=progress))

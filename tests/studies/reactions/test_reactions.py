@@ -11,7 +11,7 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.planning import Plan, plan
-from lieednn_sim.policies import Fabric, FilteredPolicy, NetworkPolicy, registry
+from lieednn_sim.policies import Fabric, FilteredPolicy, NetworkPolicy, networks
 from lieednn_sim.simulation import Disturbances, Push
 from lieednn_sim.studies import compute
 from lieednn_sim.studies.reactions import cases, study
@@ -195,7 +195,7 @@ def test_networks_run_as_fast_as_the_linear_attractor_decays(monkeypatch, gantry
         made.append((network, speed))
         return NetworkPolicy(arm, network, rate, speed=speed, **others)
 
-    monkeypatch.setattr(registry, "NetworkPolicy", kept)
+    monkeypatch.setattr(networks, "NetworkPolicy", kept)
     task.policy("lieednn-certified")
     network, speed = made.pop()
     modes = np.linalg.eigvals(network.jacobian(gantry.encode(task.target))).real

@@ -32,7 +32,6 @@ def table(tmp_path_factory, in_this_process):
             made.add([replace(row, arm=arm, scene=scene, seed=3, **values)])
     reason = "plan: <b>no</b> way past 'link4' & co after 3.5 s"
     made.add([Row("another_arm", "free", "rrt-connect", row.controller, row.seed, row.mass_scale, reason)])
-    made.save()
     return made
 
 
