@@ -27,7 +27,7 @@ def export(
 ) -> None:
     """Write runs or comparisons in the file formats of other tools, or episodes of an expert.
 
-    Runs must have been simulated. Files that this package did not write are never replaced.
+    Runs must have been simulated. The directory must be new, empty, or one of exports.
 
     Args:
         runs: run directories, or for plannerarena directories of 'compare'; none with --episodes.
