@@ -52,14 +52,14 @@ IMPORTING = """
 import builtins, os, signal, sys
 from lieednn_sim.cli import main
 original = builtins.__import__
-def hook(name, *rest):
+def hook(name, *rest, **named):
     if name.partition(".")[0] == {module!r} or name == {module!r}:
         builtins.__import__ = original
         try:
             os.kill(os.getpid(), {number})
         except BaseException:
             raise ImportError("cannot load the library") from None
-    return original(name, *rest)
+    return original(name, *rest, **named)
 builtins.__import__ = hook
 words = "demo --no-page --no-video --target random:3 --planner minimum-jerk --hold 0 --output"
 sys.exit(main([*words.split(), {output!r}]))

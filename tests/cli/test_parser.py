@@ -134,44 +134,6 @@ def test_options_go_to_the_parameters_that_they_are_of(monkeypatch):
     assert given_to(monkeypatch, "export", "a", "b", "--format", "csv")["runs"] == ["a", "b"]
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (
-            "demo --duration 1_000",
-            "argument --duration: must be a finite decimal number, such as 0.25 or 1e-3, got '1_000'",
-        ),
-        ("demo --seed 1.5", "argument --seed: must be a whole number, such as 12, got '1.5'"),
-        ("plan --targt home", "--targt is not understood, did you mean --target? (lieednn-sim plan --help)"),
-        ("plan --duration", "argument --duration: expected one argument"),
-        ("simulate", "the following arguments are required: RUN (lieednn-sim simulate --help)"),
-        ("simulate a b", "b is not understood (lieednn-sim simulate --help)"),
-        ("export a", "the following arguments are required: --format"),
-        ("simulte a", "no command 'simulte', did you mean simulate?; commands: demo, plan, train, learn, simulate,"),
-        ("", "no command ''; commands: demo, plan,"),
-        ("plan --option rate", "'rate' must be NAME=VALUE with a name of activation, n_networks, "),
-        ("plan --option n_networks=2.5", "option n_networks must be a whole number, such as 12, got '2.5'"),
-        ("plan --option n_networks=0", "n_networks must be at least 1"),
-        ("plan --planner minimum-jerk --option a=1", "the planner minimum-jerk has no options, got 'a=1'"),
-        ("plan --target home --position 1,2,3", "give one of --target, --position and --pose"),
-        ("arms x.xml --home c", "argument --home: must look like NAME=0.3,OTHER=-1, got 'c'"),
-    ],
-)
-def test_wrong_words_are_one_line_that_says_what_is_right(words, message, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(words.split()) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("lieednn-sim: error: ")
-    assert message in line
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("option", ["duration", "hold", "payload", "mass-scale", "position-noise", "reference-rate"])
-def test_only_a_budget_may_be_infinite(option, capsys, tmp_path):
-    assert main(["demo", f"--{option}", "inf", "--output", str(tmp_path / "run")]) == 2
-    assert option.replace("-", "_") in capsys.readouterr().err
-
-
 def test_the_options_of_a_planner_are_those_of_its_class(capsys):
     options = read_options(
         ShapedOptions(), ["rate=0.5", "teacher.search.spacings=0.1,0.05", "neurons=8", "encoded=false"]
