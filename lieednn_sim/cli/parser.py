@@ -7,7 +7,6 @@ import difflib
 import importlib
 import re
 import shlex
-import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -53,12 +52,9 @@ def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
     taken = parameters(source)
     parser = make_parser(source)
     parser.epilog = _planner_help(words)
-    space, unknown = parser.parse_known_args(words)
-    given = vars(space) | {
-        parameter.option: shlex.join([_PROGRAM, source.name, *words])
-        for parameter in taken
-        if parameter.kind == "CommandLine"
-    }
+    space, unknown = parser.parse_known_args(_join_negative_numbers(words))
+    line = shlex.join([_PROGRAM, source.name, *words])
+    given = vars(space) | {each.option: line for each in taken if each.kind == "CommandLine"}
     if unknown:
         known = [name for action in parser._actions for name in action.option_strings]
         parser.error(f"{unknown[0]} is not understood{near(unknown[0].partition('=')[0], known)}")
@@ -96,12 +92,10 @@ def make_parser(source: Definition) -> argparse.ArgumentParser:
     """The parser of a command: its function's parameters, those in groups under a title of their own."""
     taken = parameters(source)
     summary, _, more = source.docstring.partition("Args:")[0].partition("\n")
+    words = [(each.option.upper(), each.required) for each in taken if each.positional]
     parser = _Parser(
         prog=f"{_PROGRAM} {source.name}",
-        usage="%(prog)s [OPTIONS] "
-        + " ".join(
-            each.option.upper() if each.required else f"[{each.option.upper()}]" for each in taken if each.positional
-        ),
+        usage=" ".join(["%(prog)s [OPTIONS]", *(word if required else f"[{word}]" for word, required in words)]),
         description=" ".join([summary, *more.split()]),
         formatter_class=_Help,
         argument_default=argparse.SUPPRESS,
@@ -126,12 +120,12 @@ def _add_option(group: Any, taken: Parameter) -> None:
     how: dict[str, Any] = {"dest": taken.option, "metavar": kind.metavar, "type": kind.read}
     if taken.positional:
         name, how["metavar"] = how.pop("dest"), taken.option.upper()
-        how["nargs"] = ("+" if taken.required else "*") if kind.words else None if taken.required else "?"
+        several, one = ("+", None) if taken.required else ("*", "?")
+        how["nargs"] = several if kind.words else one
     elif taken.kind == "bool":
         name = f"--no-{taken.option}" if taken.default else f"--{taken.option}"
         text = f"do not {text}" if taken.default else text
         how = {"dest": taken.option, "action": "store_false" if taken.default else "store_true"}
-        how["default"] = argparse.SUPPRESS
     else:
         name = f"--{taken.option}"
         how |= {"required": taken.required, "action": kind.action} | ({"nargs": "+"} if kind.words else {})
@@ -180,10 +174,7 @@ def _arguments(taken: Iterable[Parameter], given: Mapping[str, Any]) -> dict[str
 
 
 class _Parser(argparse.ArgumentParser):
-    """Takes numbers with a leading minus for values, and raises `InputError`."""
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        return super().parse_known_args(_join_negative_numbers(sys.argv[1:] if args is None else args), namespace)
+    """Raises `InputError` for wrong words."""
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message} ({self.prog} --help)")

@@ -89,14 +89,15 @@ def parameters(source: Definition) -> list[Parameter]:
 
     Those that are neither of a kind of `kinds.KINDS`, nor a dataclass, nor ``Annotated``, are left out.
     """
-    texts = _texts(source.docstring)
-    found = (_parameter(source.module, entry, texts) for entry in _entries(source.node))
-    inherited: list[Parameter] = []
-    if isinstance(source.node, ast.ClassDef):
-        for base in source.node.bases:
-            if isinstance(base, ast.Name) and (parent := find(source.module, base.id)) is not None:
-                inherited += parameters(parent)
-    return inherited + [each for each in found if each is not None]
+    found: dict[str, Parameter] = {}
+    for base in source.node.bases if isinstance(source.node, ast.ClassDef) else ():
+        if isinstance(base, ast.Name) and (parent := find(source.module, base.id)) is not None:
+            found |= {each.name: each for each in parameters(parent)}
+    texts = {name: each.help for name, each in found.items()} | _texts(source.docstring)
+    for entry in _entries(source.node):
+        if (own := _parameter(source.module, entry, texts)) is not None:
+            found[own.name] = own
+    return list(found.values())
 
 
 class _Entry(NamedTuple):
