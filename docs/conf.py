@@ -109,7 +109,7 @@ EXAMPLES = (
         "moving_obstacle",
     ),
     *("task_boom", "task_harvester", "task_crane"),
-    *("demonstrations_fan", "motion_library", "payload_and_friction", "batch_of_256", "planner_figure", "environment"),
+    *("demonstrations_fan", "blending", "payload_and_friction", "batch_of_256", "planner_figure", "environment"),
     *("own_certificate", "paper_figure", "algorithm_1", "*"),
 )
 # Examples that need models which are not the project's: they are shown, not run, beside a page that is kept.

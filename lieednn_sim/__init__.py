@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from lieednn_sim.network import LieEDNN
     from lieednn_sim.planning import (
         Actuate,
-        MotionLibrary,
         Move,
         Plan,
         plan,
@@ -57,7 +56,6 @@ __all__ = [
     "Feedback",
     "LieEDNN",
     "LieEDNNError",
-    "MotionLibrary",
     "Move",
     "NetworkPolicy",
     "Plan",
@@ -100,7 +98,7 @@ _ROOMS = {
     "learning": ("train",),
     "live": ("view",),
     "network": ("LieEDNN",),
-    "planning": ("Actuate", "MotionLibrary", "Move", "Plan", "plan", "plan_in", "plan_sequence", "register_planner"),
+    "planning": ("Actuate", "Move", "Plan", "plan", "plan_in", "plan_sequence", "register_planner"),
     "policies": ("Feedback", "NetworkPolicy", "Policy", "control_loop", "make_policy"),
     "rendering.page": ("render_page",),
     "rendering.still": ("render_still",),

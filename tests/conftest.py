@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
@@ -202,6 +202,38 @@ def pytest_runtest_makereport(
                 report.outcome = "failed"
                 report.longrepr = f"{variable} is set, so this must not be skipped.\n{reason}"
     return report
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """A headless Chromium that draws with the processor and logs what pages say and ask for; see `opened`."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium")
+    for argument in ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    driver.set_script_timeout(300)
+    try:
+        yield driver
+    finally:
+        driver.quit()
+
+
+@pytest.fixture(scope="session")
+def opened(chromium: Any) -> Callable[[str, int, int], Any]:
+    """A function that opens an address in a window of a width and a height, without the logs of other pages."""
+
+    def opened(address: str, width: int, height: int) -> Any:
+        chromium.get("about:blank")
+        for log in ("browser", "performance"):
+            chromium.get_log(log)
+        chromium.set_window_size(width, height)
+        chromium.get(address)
+        return chromium
+
+    return opened
 
 
 @pytest.fixture

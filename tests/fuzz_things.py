@@ -97,12 +97,6 @@ def _equivariant() -> Any:
     return theory.EquivariantLieEDNN(0.1 * np.eye(2), turns, np.zeros((2, 2, 3)), np.zeros((2, 6)))
 
 
-def _library() -> Any:
-    library = ls.MotionLibrary(thing("Arm").n_links)
-    library.add("a", thing("Motion"))
-    return library
-
-
 def _instant() -> Any:
     log = fresh("Log")
     log.step()
@@ -139,7 +133,6 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "ShapingOptions": lambda: synthesis.ShapingOptions(neurons=(1,), placed_neurons=(2,), iterations=2),
     "Shaping": lambda: thing("ShapedMotion").shaping,
     "CurveEncoder": lambda: synthesis.CurveEncoder(2),
-    "MotionLibrary": _library,
     "Demonstration": _demonstration,
     "Demonstrations": lambda: demonstrations.align([thing("Demonstration")] * 2, samples=9),
     "ShapedMotion": lambda: demonstrations.ShapedMotion.fit(thing("Demonstrations"), 0.1, thing("ShapingOptions")),

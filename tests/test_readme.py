@@ -28,7 +28,7 @@ OPTIONAL = {
     "gymnasium": r"^import gymnasium",
     "dm_control": r"^import dm_control",
     "ompl": r"lieednn-guided",
-    "viser": r"\.to_html\(",
+    "viser": r"render_page\(",
 }
 
 

@@ -27,7 +27,7 @@ IDENTITIES = {
 def dataclasses_of_the_package():
     for module in pkgutil.walk_packages(ls.__path__, "lieednn_sim."):
         # These two are dm_control's, which is not everywhere; they have no dataclasses.
-        if not module.name.endswith(("__main__", "_opengl_probe", "environments.suite")):
+        if not module.name.endswith(("__main__", "environments.suite")):
             with warnings.catch_warnings(action="ignore"):
                 found = vars(importlib.import_module(module.name)).values()
             yield from (

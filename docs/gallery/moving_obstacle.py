@@ -45,7 +45,7 @@ for name in ("tracker", "lieednn-replanning"):
     print(f"{name}: contact force {force:.0f} N, ends {away:.1f} mm off")
 print(f"paths taken: {shown.channels['changes'][-1]:.0f}")
 shown = replace(shown, arm=arm.placed({"obstacle_pole": places[-1]}))
-shown.to_html("pole.html")
+ls.render_page(shown, "pole.html")
 
 # %%
 # Both arms go the same way at first. With replanning the arm slows down while it searches, then goes around the pole.

@@ -53,4 +53,4 @@ box = run.poses("box").translation
 print(f"largest tracking error: {np.abs(run.tracking_error).max():.2g} rad or m")
 print(f"the box was lifted to {box[:, 2].max():.2f} m, over a wall of 0.48 m")
 print(f"it stands {1e3 * np.linalg.norm(box[-1] - [0.62, 0.45, 0.32]):.1f} mm from its place")
-run.to_html("motion.html")
+ls.render_page(run, "motion.html")

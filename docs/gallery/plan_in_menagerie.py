@@ -66,4 +66,4 @@ print(found)
 
 run = ls.run_in(model, data, found)
 print(f"largest tracking error: {np.rad2deg(np.abs(run.tracking_error).max()):.2f} degrees")
-run.to_html("plan_in_menagerie.html", title="A shelf")
+ls.render_page(run, "plan_in_menagerie.html", title="A shelf")

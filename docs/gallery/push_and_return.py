@@ -31,7 +31,7 @@ for name, policy in (("network", network), ("tracker", tracker)):
 # The page shows how the arm with the network gives way and returns.
 
 following, rollout = runs["network"], runs["network"].rollout
-rollout.to_html("motion.html")
+ls.render_page(rollout, "motion.html")
 
 # %%
 # The bound holds from the moment at which the arm no longer pulls the network's state, that is, when it is within the

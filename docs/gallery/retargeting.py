@@ -41,7 +41,7 @@ def target(t):
 
 following = ls.follow(policy, target, duration=12.0)
 rollout = following.rollout
-rollout.to_html("motion.html")
+ls.render_page(rollout, "motion.html")
 
 # %%
 # The distance rises when the target jumps, and falls again. The last target stays, and the arm arrives.

@@ -30,7 +30,7 @@ print(kept.network.certificate)
 
 load = ls.Disturbances(payload=1.0)
 rollout = ls.simulate(arm, kept, controller="computed-torque", disturbances=load)
-rollout.to_html("motion.html")
+ls.render_page(rollout, "motion.html")
 
 # %%
 # How far the end effector is off the line, and turned: planned with the region, simulated, and planned without it.

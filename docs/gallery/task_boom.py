@@ -40,4 +40,4 @@ print(found.plan.network.certificate)
 
 run = ls.run_in(model, data, found, hold=2.0)
 print(f"largest tracking error: {1e3 * abs(run.tracking_error).max():.2g} mm or mrad")
-run.to_html("motion.html", title="boom")
+ls.render_page(run, "motion.html", title="boom")

@@ -52,7 +52,7 @@ for name, plan in (("as planned", found), ("trapezoidal speed", trapezoidal)):
     print(f"{name}: {angle[run.t > run.motion_end].max():.1f} degrees of swing left")
     ax.plot(run.t, angle, label=name)
     if plan is found:
-        run.to_html("motion.html", title="crane")
+        ls.render_page(run, "motion.html", title="crane")
 ax.axvline(found.t[-1], color="0.6", lw=1)
 ax.set(title="Swing of the log, and the end of the motion", xlabel="time [s]", ylabel="angle [degrees]")
 ax.legend()

@@ -40,6 +40,6 @@ for goal, hold in ((before, 0.0), (at, 1.0), (home, 0.5)):
     data.qpos[:] = run.qpos[-1]
     taken.append(found.t[-1])
     if goal is before:
-        run.to_html("motion.html", title="harvester")
+        ls.render_page(run, "motion.html", title="harvester")
 print("moving: " + ", ".join(f"{time:.2f} s" for time in taken))
 print(f"a fruit in {sum(taken) + 1.0:.2f} s, with a second for the vacuum")

@@ -23,7 +23,7 @@ print(planned.network.certificate)
 
 load = ls.Disturbances(payload=1.0)
 rollout = ls.simulate(arm, planned, controller="computed-torque", disturbances=load)
-rollout.to_html("motion.html")
+ls.render_page(rollout, "motion.html")
 
 # %%
 # ``find_tube`` proves how far all links may be off the planned path, anywhere on the way, and still end at the target

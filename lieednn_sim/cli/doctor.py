@@ -58,7 +58,7 @@ def doctor(*, json: bool = False) -> int:
     except FileError as error:
         arms, models = [], str(error)
     backend = opengl.configure()
-    packages = opengl.missing_packages()
+    packages = backend.missing_packages
     missing = [name for name, version in versions.items() if version is None]
     healthy = bool(arms) and not missing and backend.renders
     if json:

@@ -18,8 +18,6 @@ from lieednn_sim.versions import versions
 CERTIFIED, TRAINED = "lieednn-certified", "train"
 # The planner of the command ``learn --arm``, whose motion is stored.
 DEMONSTRATED = "learn"
-# The planner of the command ``library``, whose motion is stored.
-LIBRARY = "library"
 
 
 @dataclass(frozen=True)
@@ -34,8 +32,8 @@ class Task:
         scene: the obstacles around the arm, see `Arm.load`.
         scene_seed: seed of the obstacles' positions.
         imported: import options of a model file, see `Arm.load`.
-        planner: a name of `planning.PLANNERS`, `TRAINED` for ``train``, `DEMONSTRATED` for ``learn``, or `LIBRARY` for
-            ``library``. The motion is stored unless the network generates it by itself.
+        planner: a name of `planning.PLANNERS`, `TRAINED` for ``train``, or `DEMONSTRATED` for ``learn``.
+            The motion is stored unless the network generates it by itself.
         reason: why this planner was chosen.
         seed: seed of its random draws.
         options: its other options by name, as JSON values.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,22 +27,8 @@ GOALS = ("end-effector", "links")
 _MAX_TIME_LIMIT = 1000.0
 
 
-class Transition(NamedTuple):
-    """The result of an action in a task.
-
-    Attributes:
-        observation: arrays by name, those of `ArmTask.bounds`.
-        reward: reward in [0, 1].
-        terminated: whether the simulation failed, so that there is no state to continue from.
-        truncated: whether the time limit is reached.
-        info: ``success``, ``distance`` [m], ``angle`` [rad]; and ``failure``, the reason if the simulation failed.
-    """
-
-    observation: Observation
-    reward: float
-    terminated: bool
-    truncated: bool
-    info: dict[str, Any]
+# What `ArmTask.step` returns, as Gymnasium's environments do.
+Stepped = tuple[Observation, float, bool, bool, dict[str, Any]]
 
 
 class Commands:
@@ -293,8 +279,12 @@ class ArmTask(ABC):
         self.episode += 1
         return self.observe()
 
-    def step(self, action: ArrayLike) -> Transition:
+    def step(self, action: ArrayLike) -> Stepped:
         """Do one control step with an action ``(n,)``.
+
+        Returns:
+            The observation, those of `bounds`; the reward in [0, 1]; whether the simulation failed, so that there is
+            no state to continue from; whether the time limit is reached; and `State.info`.
 
         Raises:
             InputError: the action is malformed or not finite, or no episode is running.
@@ -310,7 +300,7 @@ class ArmTask(ABC):
         else:
             state = self._look(before.steps + 1, command)
         truncated = not failure and self.over
-        return Transition(self.observe(), float(state.reward), bool(failure), truncated, state.info())
+        return self.observe(), float(state.reward), bool(failure), truncated, state.info()
 
     def simulate(self, controls: Floats) -> str:
         """Do the physics steps of a control step with controls ``(substeps, nu)``; the reason if one fails."""
@@ -330,7 +320,3 @@ class ArmTask(ABC):
     def observe(self) -> Observation:
         """Present observations, as new arrays; after a failure, those before it."""
         return self.observations.split(self.state.row.copy())
-
-    def info(self) -> dict[str, Any]:
-        """Success and errors at the present time; see `Transition`."""
-        return self.state.info()

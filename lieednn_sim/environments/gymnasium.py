@@ -94,7 +94,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         """Begin an episode; see Gymnasium, and `Reach` for the option ``target``."""
         super().reset(seed=None if seed is None else as_seed("seed", seed))
         observation = self.task.begin(self.np_random, options)
-        return self._shown(observation), self.task.info()
+        return self._shown(observation), self.task.state.info()
 
     def step(self, action: Floats) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Do one control step; terminated when the simulation failed, truncated at the time limit.
@@ -102,8 +102,8 @@ class Environment(gymnasium.Env[Any, Floats]):
         Raises:
             InputError: the action is malformed or not finite, or the episode is over.
         """
-        after = self.task.step(action)
-        return self._shown(after.observation), after.reward, after.terminated, after.truncated, after.info
+        observation, *others = self.task.step(action)
+        return self._shown(observation), *others
 
     def render(self) -> Any:
         """Frame ``(height, width, 3)`` at the present time with a marker at the target, or None without a mode.

@@ -90,7 +90,7 @@ class State(NamedTuple):
         return (self.failure != "") | (self.steps >= steps)
 
     def info(self) -> dict[str, Any]:
-        """Success and errors of one episode; see `Transition`."""
+        """Of one episode: ``success``, ``distance`` [m], ``angle`` [rad]; and ``failure``, the reason if it failed."""
         info = {"success": bool(self.success), "distance": float(self.distance), "angle": float(self.angle)}
         return info | {"failure": self.failure} if self.failure else info
 

@@ -84,13 +84,12 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
         """Do one control step with an action ``(n,)``, or begin an episode if the last one is over."""
         if self._task.over:
             return self.reset()
-        after = self._task.step(action)
-        observation = OrderedDict(after.observation)
-        if after.terminated:
-            return dm_env.termination(after.reward, observation)
+        observation, reward, terminated, truncated, _ = self._task.step(action)
+        if terminated:
+            return dm_env.termination(reward, OrderedDict(observation))
         # As after dm_control's own steps, values derived from positions and velocities are up to date.
         mujoco.mj_step1(self._task.simulation.model, self._task.simulation.data)
-        return (dm_env.truncation if after.truncated else dm_env.transition)(after.reward, observation)
+        return (dm_env.truncation if truncated else dm_env.transition)(reward, OrderedDict(observation))
 
     def action_spec(self) -> specs.BoundedArray:
         """Signed square roots of joint velocities as fractions of their limits."""

@@ -105,21 +105,20 @@ def _episode(task: ArmTask, expert: Expert, seed: int) -> Episode | None:
             action = expert.act()
         except (PlanError, NotCertifiedError):
             return None
-        after = task.step(action)
-        steps.append((observation, action, after))
-        observation = after.observation
-    if not steps[-1][2].info["success"]:
+        before, (observation, reward, _, _, info) = observation, task.step(action)
+        steps.append((before, action, reward, info["success"]))
+    if not task.state.success:
         return None
 
     def joined(*names: str) -> Floats:
-        return np.array([np.concatenate([seen[name].ravel() for name in names]) for seen, _, _ in steps])
+        return np.array([np.concatenate([seen[name].ravel() for name in names]) for seen, *_ in steps])
 
     frames = {
         "observation.state": joined("position", "velocity", "command"),
         "observation.environment_state": joined("position_error", "approach", "pose_error"),
-        "action": np.array([action for _, action, _ in steps]),
-        "next.reward": np.array([after.reward for *_, after in steps]),
+        "action": np.array([action for _, action, _, _ in steps]),
+        "next.reward": np.array([reward for *_, reward, _ in steps]),
         "next.done": np.arange(len(steps)) == len(steps) - 1,
-        "next.success": np.array([after.info["success"] for *_, after in steps]),
+        "next.success": np.array([success for *_, success in steps]),
     }
     return Episode(frames, {"seed": seed, "target": task.target(0.0).tolist(), "certificate": expert.certificate})

@@ -3,10 +3,9 @@
 `view` opens it. A `Session` is the simulation without a page, and a `Page` shows a session.
 """
 
-from lieednn_sim.live.page import Page
+from lieednn_sim.live.page import Page, view
 from lieednn_sim.live.session import Session
 from lieednn_sim.live.settings import Settings
-from lieednn_sim.live.viewing import view
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = ["Page", "Session", "Settings", "view"]

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.live.making import Made
-from lieednn_sim.live.proof import Progress
+from lieednn_sim.live.making import Made, Progress
 from lieednn_sim.live.settings import Settings
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.policies import MotionTracker, Policy

@@ -1,23 +1,115 @@
-"""What the workers of a session make: policies, and the path ahead of one."""
+"""Policies of a session: made by its workers, what is proved about them, and the path ahead of one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.live.proof import Progress, network_policy, unfiltered
+from lieednn_sim.errors import NotCertifiedError
 from lieednn_sim.live.settings import PLANNED, Settings
+from lieednn_sim.network import BlockNetwork
 from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.safety_filter import FilterOptions
-from lieednn_sim.policies import MotionTracker, Policy, make_policy
-from lieednn_sim.values import Floats
+from lieednn_sim.policies import FilteredPolicy, MotionTracker, NetworkPolicy, Policy, make_policy
+from lieednn_sim.stability import Certificate
+from lieednn_sim.stability.decay import Decay
+from lieednn_sim.values import Floats, frozen
 
 # Network time for which a path is foreseen, its tolerance, and the number of its points.
 _HORIZON, _TOLERANCE, _POINTS = 12.0, 1e-4, 60
+
+
+def unfiltered(policy: Policy) -> Policy:
+    """The policy itself, without a safety filter around it."""
+    return policy.inner if isinstance(policy, FilteredPolicy) else policy
+
+
+def network_policy(policy: Policy) -> NetworkPolicy | None:
+    """The network policy in a policy, which may be behind a safety filter; None if there is none."""
+    inner = unfiltered(policy)
+    return inner if isinstance(inner, NetworkPolicy) else None
+
+
+def certificate_of(policy: Policy) -> Certificate | None:
+    """The certificate of the network of a policy, whatever class the policy has; None without one."""
+    inner = unfiltered(policy)
+    network = getattr(inner, "network", None) if inner.certified else None
+    return network.certificate if isinstance(network, BlockNetwork) else None
+
+
+@frozen
+class Progress:
+    """A network's way to its target.
+
+    The bound begins again whenever the target moves, or the measured joints pull the state. Its time is the network's
+    own: a policy that slows down is slower on the same orbit.
+
+    Attributes:
+        certificate: the network's certificate.
+        rate: proved rate of convergence at full speed [1/s].
+        decay: the proved bound on the distance of the visible neurons; None if none was found.
+        xi: ``(N, 6)`` present state.
+        goal: ``(N, 6)`` state to arrive at.
+        begun: value of `Decay.begin` when the target last moved.
+        time: network time since then.
+    """
+
+    certificate: Certificate
+    rate: float
+    decay: Decay | None
+    xi: Floats
+    goal: Floats
+    begun: Floats
+    time: float = 0.0
+
+    @classmethod
+    def of(cls, policy: NetworkPolicy, target: Floats) -> Progress:
+        """The beginning of the way of a policy to a joint target ``(n,)``."""
+        network, certificate = policy.network, policy.network.certificate
+        assert certificate is not None
+        try:
+            bounds = network.robustness(np.arange(len(network.weight)))
+            decay: Decay | None = Decay(bounds, 6 * network.n_visible)
+        except NotCertifiedError:
+            decay = None
+        rate = certificate.rate * policy.speed
+        blank = cls(certificate, rate, decay, policy.xi, policy.xi, np.empty(0))
+        return blank.towards(policy, target)
+
+    def towards(self, policy: Policy, target: Floats) -> Progress:
+        """The way begins again: the policy has another joint target ``(n,)``, or another state."""
+        inner = network_policy(policy)
+        assert inner is not None
+        goal = inner.network.goal(inner.arm.encode(target))
+        return self._begun(inner.xi, goal)
+
+    def after(self, policy: Policy) -> Progress:
+        """The way after one more control period."""
+        inner = network_policy(policy)
+        assert inner is not None
+        if inner.pulled:
+            return self._begun(inner.xi, self.goal)
+        return replace(self, xi=inner.xi, time=self.time + inner.pace * inner.speed * inner.period)
+
+    def _begun(self, xi: Floats, goal: Floats) -> Progress:
+        begun = np.empty(0) if self.decay is None else self.decay.begin((xi - goal).ravel())
+        return replace(self, xi=xi, goal=goal, begun=begun, time=0.0)
+
+    @property
+    def distance(self) -> float:
+        """Distance of the visible neurons from the target [rad, m / unit]."""
+        visible = self.goal.shape[0] if self.decay is None else self.decay.watched // 6
+        return float(np.linalg.norm((self.xi - self.goal)[:visible]))
+
+    @property
+    def bound(self) -> float:
+        """The proved bound on `distance`; infinite if none was found."""
+        return np.inf if self.decay is None else self.decay.bound(self.begun, self.time)
 
 
 class Made(NamedTuple):

@@ -1,4 +1,4 @@
-"""The page of a live view: a server for browsers, and the thread that shows a session in it."""
+"""`view`, and the page that it opens: a server for browsers, and the thread that shows a session in it."""
 
 from __future__ import annotations
 
@@ -6,20 +6,26 @@ import contextlib
 import ipaddress
 import threading
 import time
+import warnings
 import webbrowser
-from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
 
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.targets import draw_target, goes_to_extended
+from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.live.panel import Panel
-from lieednn_sim.live.playback import Track
 from lieednn_sim.live.scene import ArmScene
 from lieednn_sim.live.session import Session
+from lieednn_sim.live.settings import Settings
 from lieednn_sim.live.snapshot import Observer
+from lieednn_sim.registry import optional_module
 from lieednn_sim.rendering import viser_scene
-from lieednn_sim.validation import as_count
+from lieednn_sim.validation import Seed, as_count, as_seed
+from lieednn_sim.values import Floats
 
 # Instants shown per second, and how many of them between two refreshed tables and plots.
 _RATE, _TABLE = 30.0, 5
@@ -34,8 +40,6 @@ class Page:
         session: the session; the page runs it, and closes it.
         host: address to listen at; only the loopback address keeps other machines out.
         port: port to listen at; 0 for a free one.
-        tracks: up to four motions to play beside the live arm.
-        dark: whether the page is dark at first.
 
     Attributes:
         session: the session.
@@ -45,15 +49,7 @@ class Page:
         LieEDNNError: viser, of the extra ``view``, is not installed.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        *,
-        host: str = "127.0.0.1",
-        port: int = 0,
-        tracks: Sequence[Track] = (),
-        dark: bool = False,
-    ) -> None:
+    def __init__(self, session: Session, *, host: str = "127.0.0.1", port: int = 0) -> None:
         self.session, self._closed, self._resources = session, threading.Event(), contextlib.ExitStack()
         server = viser_scene.quiet_server(host, as_count("port", port, 0, 65535))
         self._server: Any = self._resources.enter_context(server)
@@ -61,7 +57,7 @@ class Page:
         self.url = f"http://{shown}:{self._server.get_port()}"
         aimed = session.aimed
         self._scene = ArmScene(self._server, session.arm, (aimed.position, aimed.quaternion))
-        self._panel = Panel(self._server, session, self._scene, tracks=tracks, dark=dark)
+        self._panel = Panel(self._server, session, self._scene)
         self._dragged = -_DRAG_ENDS
         self._scene.handle.on_update(self._drag)
         for node, body in self._scene.surfaces:
@@ -98,7 +94,6 @@ class Page:
             return
         self._closed.set()
         self.session.close()
-        self._panel.player.close()
         self._thread.join()
         self._resources.close()
 
@@ -118,16 +113,14 @@ class Page:
         return pull
 
     def _show(self) -> None:
-        aimed, count, shown = self.session.aimed, 0, time.monotonic()
+        aimed, count = self.session.aimed, 0
         while not self._closed.wait(1.0 / _RATE):
             snapshot = self._observer.look()
-            before, shown = shown, time.monotonic()
             with self._server.atomic():
                 self._scene.show(snapshot, self.session.path)
                 if snapshot.aimed is not aimed and time.monotonic() - self._dragged > _DRAG_ENDS:
                     aimed = snapshot.aimed
                     self._scene.place_handle(aimed.position, aimed.quaternion)
-                self._panel.player.show(shown - before)
                 if count % _TABLE == 0:
                     self._panel.show(snapshot)
             count += 1
@@ -140,3 +133,65 @@ def warning(host: str) -> str:
     except ValueError:
         private = host == "localhost"
     return "" if private else f"anybody who can reach this machine at {host} can see the page and move its arm"
+
+
+def view(
+    arm: Arm | str = "telescopic_pr",
+    *,
+    target: ArrayLike | str | None = None,
+    start: ArrayLike | str = "home",
+    seed: Seed = 0,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    browser: bool = True,
+    **settings: Any,
+) -> Page:
+    """Show a simulated arm in the browser: drag its target, push its links, change policy, controller and load.
+
+    ::
+
+        with ls.view("telescopic_pr") as page:
+            page.wait()    # until Ctrl-C
+
+    Args:
+        arm: an arm in its scene, or what `Arm.load` takes.
+        target: ``(n,)`` the first joint target, or a keyframe's name; by default ``extended``, or a random one among
+            obstacles or where there is no such keyframe.
+        start: ``(n,)`` joint coordinates at the beginning, or a keyframe's name.
+        seed: seed of random draws.
+        host: address to listen at; any but the loopback address is for others, too, with a warning.
+        port: port to listen at; 0 for a free one.
+        browser: whether to open the page in a browser, if there is one.
+        settings: fields of `Settings`, such as ``policy`` and ``payload``.
+
+    Returns:
+        The page, which runs until it is closed.
+
+    Raises:
+        InputError: a value is malformed or unknown, or the controller cannot drive the arm.
+        LieEDNNError: viser, of the extra ``view``, is not installed.
+    """
+    optional_module("mjviser.conversions")  # before the work
+    shown = arm if isinstance(arm, Arm) else Arm.load(arm)
+    chosen = Settings().changed(**settings)
+    first = _usual_target(shown, as_seed("seed", seed)) if target is None else target
+    session = Session(shown, settings=chosen, target=first, start=start, seed=seed)
+    if said := warning(host):
+        warnings.warn(said, stacklevel=2)
+    try:
+        page = Page(session, host=host, port=port)
+    except BaseException:
+        session.close()
+        raise
+    if browser:
+        page.open()
+    return page
+
+
+def _usual_target(arm: Arm, seed: int) -> Floats | str:
+    if goes_to_extended(arm):
+        return "extended"
+    try:
+        return draw_target(arm, seed)
+    except NoSolutionError:
+        return "home"

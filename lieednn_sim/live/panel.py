@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from lieednn_sim.live.playback import Track
-from lieednn_sim.live.player import Player
-from lieednn_sim.live.plots import Plots
 from lieednn_sim.live.scene import ArmScene
 from lieednn_sim.live.session import SPEEDS, Session
-from lieednn_sim.live.settings import PLANNED, ready_planners
-from lieednn_sim.live.snapshot import Snapshot
-from lieednn_sim.live.status import status
-from lieednn_sim.registry import CONTROLLERS, POLICIES
+from lieednn_sim.live.settings import PLANNED
+from lieednn_sim.live.snapshot import Snapshot, status
+from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, optional_module
 from lieednn_sim.values import Floats
 
 _DIRECTIONS = {
@@ -26,6 +23,11 @@ _DIRECTIONS = {
     "+z": (0.0, 0.0, 1.0),
     "-z": (0.0, 0.0, -1.0),
 }
+# Time that the plots show [s], and the least time between two samples.
+_SPAN, _STEP = 10.0, 0.1
+# Least value on a logarithmic scale [mm], [1].
+_LEAST = 1e-3
+_BLUE, _GREEN, _ORANGE, _GREY = "#1f77b4", "#2f9e44", "#e67700", "#868e96"
 # Largest force [N], and the distance of the mouse at which a dragged link feels the force of the slider [m].
 _STRONGEST, _STRETCH = 500.0, 0.3
 
@@ -37,21 +39,14 @@ class Panel:
         server: a `viser.ViserServer`.
         session: the session that they control.
         scene: the scene beside them.
-        tracks: motions to play at first.
-        dark: whether the page is dark at first.
-
-    Attributes:
-        player: plays motions beside the live arm.
     """
 
-    def __init__(
-        self, server: Any, session: Session, scene: ArmScene, *, tracks: Sequence[Track] = (), dark: bool = False
-    ) -> None:
+    def __init__(self, server: Any, session: Session, scene: ArmScene) -> None:
         self._server, self._session, self._scene, self._draws = server, session, scene, 0
         gui = server.gui
         gui.main_panel.dock_right()
         gui.set_panel_label(f"{session.arm.name}" + ("" if session.arm.scene == "free" else f", {session.arm.scene}"))
-        self._theme(dark)
+        self._theme(dark=False)
         self._status = gui.add_html("")
         self._run = gui.add_button_group("", ("pause", "reset"))
         self._run.on_click(lambda event: self._clicked(event.target.value))
@@ -62,7 +57,6 @@ class Panel:
         )
         speed = gui.add_slider("speed", *SPEEDS, step=0.1, initial_value=1.0)
         speed.on_update(lambda _: setattr(session, "speed", float(speed.value)))
-        self.player = Player(server, session, scene, tracks)
         with gui.add_folder("Push"):
             self._link = gui.add_dropdown("link", session.arm.link_names, initial_value=session.arm.link_names[-1])
             self._along = gui.add_dropdown("along", tuple(_DIRECTIONS))
@@ -75,8 +69,8 @@ class Panel:
         with gui.add_folder("View", expand_by_default=False):
             frames = gui.add_checkbox("link frames", True, hint="of the reference")
             frames.on_update(lambda _: scene.show_frames(frames.value))
-            shade = gui.add_checkbox("dark", dark)
-            shade.on_update(lambda _: self._theme(shade.value))
+            shade = gui.add_checkbox("dark", False)
+            shade.on_update(lambda _: self._theme(dark=shade.value))
 
     @property
     def holds_direction(self) -> bool:
@@ -93,7 +87,7 @@ class Panel:
         self._status.content = status(snapshot)
         self._plots.add(snapshot)
 
-    def _theme(self, dark: bool) -> None:
+    def _theme(self, *, dark: bool) -> None:
         self._server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
     def _menus(self) -> None:
@@ -102,7 +96,7 @@ class Panel:
             "policy": gui.add_dropdown("policy", tuple(POLICIES), initial_value=wanted.policy),
             "planner": gui.add_dropdown(
                 "planner",
-                ready_planners(),
+                tuple(name for name, entry in PLANNERS.items() if not entry.install),
                 initial_value=wanted.planner,
                 hint=f"for the policies {' and '.join(PLANNED)}",
             ),
@@ -131,3 +125,52 @@ class Panel:
         else:
             self._draws += 1
             session.aim_randomly(self._draws)
+
+
+class Plots:
+    """Three plots: the distance from the target, the network's own under its bound, tracking error and clearance.
+
+    Args:
+        gui: viser's ``server.gui``; the plots are placed where its present container is.
+    """
+
+    def __init__(self, gui: Any) -> None:
+        self._uplot = optional_module("viser.uplot")
+        self._rows: deque[tuple[float, ...]] = deque()
+        self._distance = self._plot(gui, "from the target [mm]", (("distance", _BLUE),))
+        self._network = self._plot(gui, "network and proved bound", (("distance", _GREEN), ("bound", _GREY)))
+        self._tracking = self._plot(gui, "tracking error [mm]", (("error", _ORANGE),))
+
+    def _plot(self, gui: Any, title: str, series: tuple[tuple[str, str], ...]) -> Any:
+        made, empty = self._uplot, np.array([0.0, 1.0])
+        lines = [made.Series(label=name, stroke=colour, width=1.6) for name, colour in series]
+        axis = {"stroke": _GREY, "grid": made.Axis_Grid(stroke="#86868633", width=1)}
+        axis["ticks"] = made.Axis_Ticks(show=False)
+        return gui.add_uplot(
+            data=(empty, *[np.full(2, np.nan) for _ in series]),
+            series=(made.Series(label="s"), *lines),
+            title=title,
+            scales={"x": made.Scale(time=False), "y": made.Scale(distr=3, log=10)},
+            axes=(made.Axis(size=34, **axis), made.Axis(size=50, **axis)),
+            legend=made.Legend(show=False),
+            height=140,
+        )
+
+    def add(self, snapshot: Snapshot) -> None:
+        """Add an instant to the plots; one that is not later than the last one begins them again."""
+        tick, progress = snapshot.tick, snapshot.tick.progress
+        if self._rows and tick.time < self._rows[-1][0]:
+            self._rows.clear()
+        if self._rows and tick.time - self._rows[-1][0] < _STEP:
+            return
+        network = (np.nan, np.nan) if progress is None else (progress.distance, progress.bound)
+        values = (1e3 * snapshot.distance, *network, 1e3 * snapshot.tracking)
+        self._rows.append((tick.time, *(max(value, _LEAST) for value in values)))
+        while tick.time - self._rows[0][0] > _SPAN:
+            self._rows.popleft()
+        if len(self._rows) > 1:
+            t, distance, own, bound, tracking = np.array(self._rows).T
+            bound = np.where(np.isfinite(bound), bound, np.nan)
+            self._distance.data = (t, distance)
+            self._network.data = (t, own, bound)
+            self._tracking.data = (t, tracking)

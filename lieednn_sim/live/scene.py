@@ -1,4 +1,4 @@
-"""The 3D scene of a live view: arm, target, paths, frames and ghosts."""
+"""The 3D scene of a live view: arm, target, paths and frames."""
 
 from __future__ import annotations
 
@@ -15,14 +15,12 @@ from lieednn_sim.rendering import stage, viser_scene
 from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
 from lieednn_sim.values import Floats
 
-# Colours of a target that the arm cannot reach, of the force on a link, and of ghosts [RGB].
-_REFUSED, _FORCE = (222, 45, 38), (222, 45, 38)
-GHOSTS = ((31, 119, 180), (214, 39, 140), (230, 126, 34), (44, 140, 60))
+# Colour of a target that the arm cannot reach, and of the force on a link [RGB].
+_RED = (222, 45, 38)
 # Most points of the travelled path, and the distance between two of them [m].
 _TRAVELLED, _SPACING = 600, 2e-3
 # Length of a force's arrow [m/N], and its largest length [m].
 _METRES_PER_NEWTON, _LONGEST = 3e-3, 0.8
-_GHOST_OPACITY = 0.35
 # Width / height of a picture in which all that the arm reaches is seen at first.
 _RATIO = 1.0
 # How far the arm is above the middle of a narrow screen, as a fraction of its height.
@@ -45,10 +43,11 @@ class ArmScene:
     """
 
     def __init__(self, server: Any, arm: Arm, pose: tuple[Floats, Floats]) -> None:
-        self._server, self._arm, scene = server, arm, server.scene
+        self._scene, self._arm = server.scene, arm
+        scene = self._scene
         points = stage.reached(arm)
         model, self._marker = stage.staged(arm, points)
-        self._shapes = shapes = viser_scene.Shapes(model)
+        shapes = viser_scene.Shapes(model)
         self._scale = stage.scale(arm, points)
         home = kinematics_at(model, arm.qpos(arm.keyframe("home")))
         seen = viser_scene.viewpoint(model, home, stage.camera(arm, None, points), points)
@@ -69,7 +68,6 @@ class ArmScene:
             for node in nodes
             if body in moving and model.body(body).name and model.body_mocapid[model.body_rootid[body]] < 0
         ]
-        self._moving = [node for node, _ in (*self.surfaces, *self._nodes.tendons, *self._glass)]
         self.handle = scene.add_transform_controls(
             "/target handle",
             scale=0.28 * self._scale,
@@ -92,8 +90,6 @@ class ArmScene:
         )  # fmt: skip
         self._arrow: Any = None
         self._refused: bool | None = None
-        self._shown = True
-        self._ghosts: list[tuple[viser_scene.ModelNodes, list[Any]]] = []
 
     async def _make_room(self, client: Any) -> None:
         """On a narrow screen, where the controls take the lower part, show the arm in the upper one."""
@@ -110,12 +106,14 @@ class ArmScene:
         """Move everything to an instant, with the path ahead ``(P, 3)``, or None if it is not known."""
         tick, aimed = snapshot.tick, snapshot.aimed
         self._data.mocap_pos[self._marker], self._data.mocap_quat[self._marker] = aimed.position, aimed.quaternion
-        self._pose(self._nodes, tick.q)
+        self._data.qpos[:] = self._arm.qpos(tick.q)
+        mujoco.mj_kinematics(self._nodes.model, self._data)
+        self._nodes.show(self._data)
         refused = bool(aimed.problem)
         if refused != self._refused:
             self._refused = refused
             for node, colour in self._glass:
-                node.color = _REFUSED if refused else colour
+                node.color = _RED if refused else colour
             self._refusal.visible = refused
         if refused:
             self._refusal.position = aimed.position
@@ -127,7 +125,7 @@ class ArmScene:
             self._travelled.points = _segments(self._trace)
         if path is not self._path:
             self._path = path
-            self._planned.visible = self._shown and path is not None
+            self._planned.visible = path is not None
             if path is not None:
                 self._planned.points = _segments(path)
         self._show_force(tick.force, tick.pushed)
@@ -144,54 +142,6 @@ class ArmScene:
         """Move the handle to where somebody else put the target."""
         self.handle.position, self.handle.wxyz = position, quaternion
 
-    def show_arm(self, visible: bool) -> None:
-        """Show or hide the live arm with its target and paths, and never what stands around it."""
-        self._shown = visible
-        for node in (*self._moving, self.handle, self._planned, self._travelled, self._frames):
-            node.visible = visible
-
-    def set_ghosts(self, paths: list[Floats], *, solid: bool = False) -> None:
-        """Replace all ghosts by one for each path of the end effector ``(P, 3)``.
-
-        Args:
-            paths: the paths.
-            solid: whether they look like the arm itself, not each in a colour of its own.
-        """
-        for nodes, others in self._ghosts:
-            for surfaces in nodes.surfaces.values():
-                for surface in surfaces:
-                    surface.remove()
-            for other in (*(node for node, _ in nodes.tendons), *others):
-                other.remove()
-        self._ghosts = []
-        scene = self._server.scene
-        for k, path in enumerate(paths):
-            colour = GHOSTS[k % len(GHOSTS)]
-            opacity = 1.0 if solid else _GHOST_OPACITY
-            nodes = viser_scene.ModelNodes(scene, self._shapes, f"/ghost {k}", opacity=opacity)
-            moving = {name for _, name in self.surfaces}
-            for body, surfaces in nodes.surfaces.items():
-                for surface in surfaces:
-                    surface.visible = nodes.model.body(body).name in moving
-                    if not solid and hasattr(surface, "color"):
-                        surface.color = colour
-            if not solid:
-                for node, _ in nodes.tendons:
-                    node.colors = np.array(colour, dtype=np.uint8)
-            radius = 0.7 * PLANNED_RADIUS * self._scale
-            line = viser_scene.add_path(scene, f"/ghost path {k}", path, tuple(c / 255 for c in colour), radius)
-            self._ghosts.append((nodes, [line]))
-
-    def show_ghosts(self, configurations: list[Floats]) -> None:
-        """Move the ghosts to joint coordinates ``(n,)``, one for each."""
-        for (nodes, _), q in zip(self._ghosts, configurations, strict=True):
-            self._pose(nodes, q)
-
-    def _pose(self, nodes: viser_scene.ModelNodes, q: Floats) -> None:
-        self._data.qpos[:] = self._arm.qpos(q)
-        mujoco.mj_kinematics(nodes.model, self._data)
-        nodes.show(self._data)
-
     def _show_force(self, force: Floats, place: Floats) -> None:
         if not force.any():
             if self._arrow is not None:
@@ -203,8 +153,8 @@ class ArmScene:
         points = np.array([[place, end]], dtype=np.float32)
         if self._arrow is None:
             size = {"shaft_radius": 0.012, "head_radius": 0.03, "head_length": 0.06}
-            self._arrow = self._server.scene.add_arrows(
-                "/force", points, _FORCE, **{name: value * self._scale for name, value in size.items()}
+            self._arrow = self._scene.add_arrows(
+                "/force", points, _RED, **{name: value * self._scale for name, value in size.items()}
             )
         else:
             self._arrow.points = points

@@ -12,7 +12,6 @@ import copy
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
@@ -96,7 +95,7 @@ class Session:
         seed: Seed = 0,
     ) -> None:
         self.arm, self._rate, self.seed = arm, as_positive("rate", rate), as_seed("seed", seed)
-        self.wanted = Settings() if settings is None else settings
+        self.wanted = (settings or Settings()).chosen(arm)
         self.start = arm.check_position(start, "start")
         first = self.start if target is None else arm.check_position(target, "target")
         self._requests: SimpleQueue[Callable[[], object]] = SimpleQueue()
@@ -181,7 +180,7 @@ class Session:
         Raises:
             InputError: a value is malformed or unknown.
         """
-        self.wanted = replace(self.wanted, **settings)
+        self.wanted = self.wanted.changed(**settings).chosen(self.arm)
         self._requests.put(self._remake)
 
     def reset(self) -> None:

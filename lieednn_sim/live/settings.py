@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
+from lieednn_sim.arm import Arm
+from lieednn_sim.planning import default_planner
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
 from lieednn_sim.simulation import Disturbances
-from lieednn_sim.validation import as_positive
+from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import check_fields
 
 # Policies that follow or imitate a planned motion.
 PLANNED = ("tracker", "dmp")
-
-
-def ready_planners() -> tuple[str, ...]:
-    """Names of the planners whose libraries are installed, for menus."""
-    return tuple(name for name in PLANNERS if not PLANNERS[name].install)
 
 
 @dataclass(frozen=True)
@@ -24,9 +22,10 @@ class Settings:
 
     Attributes:
         policy: a name of `POLICIES`.
-        planner: a name of `PLANNERS`, which plans the motions of the policies in `PLANNED`.
+        planner: a name of `PLANNERS`, which plans the motions of the policies in `PLANNED`; None for the
+            `default_planner` of the arm.
         rho: rate of the clock of ``lieednn-shaped``, see `ShapedOptions`.
-        filtered: whether the policy is behind the safety filter.
+        filtered: whether the policy is behind the safety filter; None if it is among obstacles.
         controller: a name of `CONTROLLERS`.
         payload: mass at the end effector that policy and controller do not know [kg].
         mass_scale: true masses relative to those that the controller knows.
@@ -36,19 +35,31 @@ class Settings:
     """
 
     policy: str = "lieednn-shaped"
-    planner: str = "minimum-jerk"
+    planner: str | None = None
     rho: float = 1.0
-    filtered: bool = False
+    filtered: bool | None = None
     controller: str = "inverse-dynamics"
     payload: float = 0.0
     mass_scale: float = 1.0
 
     def __post_init__(self) -> None:
         POLICIES.find(self.policy)
-        PLANNERS.find(self.planner)
+        if self.planner is not None:
+            PLANNERS.find(self.planner)
         CONTROLLERS.find(self.controller)
         check_fields(self, as_positive, "rho")
         self.disturbances  # noqa: B018 (checks the numbers)
+
+    def changed(self, **values: Any) -> Settings:
+        """The settings with other values of some fields; `InputError` as for new ones, or if there is no such field."""
+        for name in values:
+            as_choice("setting", name, [field.name for field in fields(self)])
+        return replace(self, **values)
+
+    def chosen(self, arm: Arm) -> Settings:
+        """The settings with what is left open chosen for an arm."""
+        planner = default_planner(arm)[0] if self.planner is None else self.planner
+        return replace(self, planner=planner, filtered=arm.scene != "free" if self.filtered is None else self.filtered)
 
     @property
     def disturbances(self) -> Disturbances:

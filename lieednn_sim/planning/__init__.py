@@ -13,7 +13,6 @@ from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.filtered_planners import FilteredOptions, GuidedOptions
 from lieednn_sim.planning.in_model import ModelPlan, plan_in
 from lieednn_sim.planning.joint_space import joint_motion
-from lieednn_sim.planning.library import MotionLibrary
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_planners import (
     RetargetedOptions,
@@ -42,7 +41,6 @@ __all__ = [
     "GuidedOptions",
     "ModelPlan",
     "Motion",
-    "MotionLibrary",
     "Move",
     "OptimisationOptions",
     "Plan",

@@ -16,17 +16,11 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Literal
 
 from lieednn_sim.errors import RenderingUnavailableError
 
-__all__ = ["Backend", "choose_backend", "configure", "missing_packages", "require"]
-
-BackendName = Literal["egl", "osmesa", "cgl", "glfw", "disable"]
-
 # What MuJoCo and dm_control understand; MuJoCo ignores case and blanks, dm_control does not.
-_SYNONYMS: Mapping[str, BackendName] = {
+_SYNONYMS: Mapping[str, str] = {
     "egl": "egl",
     "osmesa": "osmesa",
     "cgl": "cgl",
@@ -35,19 +29,25 @@ _SYNONYMS: Mapping[str, BackendName] = {
 }
 
 # What is tried, best first, by `sys.platform`; CGL needs no window, which GLFW may open in the main thread alone.
-_ORDER: Mapping[str, tuple[BackendName, ...]] = {"linux": ("egl", "osmesa"), "darwin": ("cgl", "glfw")}
+_ORDER: Mapping[str, tuple[str, ...]] = {"linux": ("egl", "osmesa"), "darwin": ("cgl", "glfw")}
 
 # Of Debian and Ubuntu: EGL uses a GPU where there is one, else llvmpipe. Mesa 25.1 dropped OSMesa.
 _PACKAGES: Mapping[str, list[str]] = {"egl": ["libegl1", "libgl1"], "osmesa": ["libosmesa6"]}
 
-_PROBE = Path(__file__).with_name("_opengl_probe.py")
+# Draws a frame where a crash or a hang of the driver does no harm, and prints the name of the renderer. It leaves
+# without the drivers' clean-up at exit, in which some hang or crash.
+_PROBE = """
+import mujoco, os
+with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16) as renderer:
+    renderer.render()
+    from OpenGL import GL
+    print(GL.glGetString(GL.GL_RENDERER).decode(errors="replace"), flush=True)
+    os._exit(0)
+"""
 _PROBE_TIMEOUT = 60.0  # [s]; takes about 1 s, or more with a cold disk or a sleeping GPU
 
 # Passes the result of `configure` to child processes, so that they neither probe again nor take it for the user's own.
 _INHERITED = "LIEEDNN_SIM_GL"
-
-# The module in which MuJoCo decides which OpenGL context its renderer makes.
-_CONTEXTS = "mujoco.rendering.classic.gl_context"
 
 _configured: Backend | None = None
 
@@ -62,7 +62,7 @@ class Backend:
         requested: the user's ``MUJOCO_GL``, or empty.
     """
 
-    name: BackendName
+    name: str
     detail: str
     requested: str = ""
 
@@ -76,17 +76,35 @@ class Backend:
         """Who chose it: the user's ``MUJOCO_GL``, or the probe."""
         return "MUJOCO_GL" if self.requested else "probe"
 
+    @property
+    def missing_packages(self) -> list[str]:
+        """Debian or Ubuntu packages that make rendering work; empty when installing would not help."""
+        if self.renders or not sys.platform.startswith("linux"):
+            return []
+        return list(_PACKAGES.get(_SYNONYMS.get(self.requested.lower(), "") if self.requested else "egl", []))
+
+    @property
+    def remedy(self) -> str:
+        """What the user can do about a backend that does not render."""
+        packages = self.missing_packages
+        install = [f"On Debian or Ubuntu: apt-get install {' '.join(packages)}"] if packages else []
+        return ". ".join(install + (["Unset MUJOCO_GL to let lieednn_sim choose"] if self.requested else []))
+
 
 def choose_backend() -> Backend:
-    """Find a backend that works, without importing MuJoCo or changing the environment.
+    """Find a backend that works by trying each once, without importing MuJoCo or changing the environment.
 
     The user's own ``MUJOCO_GL`` is taken if it works. If not, the result is ``disable`` rather than another backend,
     and ``detail`` says why. Without it the order is EGL, OSMesa on Linux; CGL, GLFW on macOS; GLFW elsewhere; and
     last ``disable``.
     """
-    inherited = _inherited()
-    if inherited is not None:
-        return inherited
+    try:
+        inherited = Backend(**json.loads(os.environ[_INHERITED]))
+    except (KeyError, TypeError, ValueError):
+        pass
+    else:
+        if _variables(inherited.name)["MUJOCO_GL"] == os.environ.get("MUJOCO_GL"):
+            return inherited
     requested = os.environ.get("MUJOCO_GL", "").strip()
     asked = _SYNONYMS.get(requested.lower())
     if requested and asked is None:
@@ -96,10 +114,10 @@ def choose_backend() -> Backend:
         return Backend("disable", f"MUJOCO_GL={requested} turns rendering off", requested)
     failures = []
     for name in _ORDER.get(sys.platform, ("glfw",)) if asked is None else (asked,):
-        report = _probe(name)
-        if "error" not in report:
-            return Backend(name, report["GL_RENDERER"], requested)
-        failures.append(f"{name}: {report['error']}")
+        renderer, failure = _probe(name)
+        if not failure:
+            return Backend(name, renderer, requested)
+        failures.append(f"{name}: {failure}")
     verdict = f"MUJOCO_GL={requested} is unusable" if requested else "no OpenGL library works here"
     return Backend("disable", f"{verdict} ({'; '.join(failures)})", requested)
 
@@ -114,7 +132,8 @@ def configure() -> Backend:
         _configured = choose_backend()
         os.environ.update(_variables(_configured.name))
         os.environ[_INHERITED] = json.dumps(asdict(_configured))
-        contexts = sys.modules.get(_CONTEXTS)
+        # The module in which MuJoCo decides which OpenGL context its renderer makes.
+        contexts = sys.modules.get("mujoco.rendering.classic.gl_context")
         if contexts is not None and _configured.renders:
             # It was imported before, with other settings.
             importlib.reload(contexts)
@@ -129,37 +148,20 @@ def require() -> Backend:
     """
     backend = configure()
     if not backend.renders:
-        raise RenderingUnavailableError(f"cannot render: {backend.detail}. {_remedy(backend)}")
+        raise RenderingUnavailableError(f"cannot render: {backend.detail}. {backend.remedy}")
     return backend
-
-
-def missing_packages() -> list[str]:
-    """Debian or Ubuntu packages that make rendering work; empty when installing would not help."""
-    backend = configure()
-    if backend.renders or not sys.platform.startswith("linux"):
-        return []
-    return list(_PACKAGES.get(_SYNONYMS.get(backend.requested.lower(), "") if backend.requested else "egl", []))
 
 
 def main() -> int:
     """Print the backend and succeed, or print the packages to install and fail; the reason goes to stderr."""
     backend = configure()
     print(f"OpenGL: {backend.name}, by {backend.source}: {backend.detail}", file=sys.stderr)
-    packages = missing_packages()
+    packages = backend.missing_packages
     if backend.renders or packages:
         print(*(packages or [backend.name]))
     else:
-        print(_remedy(backend), file=sys.stderr)
+        print(backend.remedy, file=sys.stderr)
     return 0 if backend.renders else 1
-
-
-def _inherited() -> Backend | None:
-    """The result of `configure` in the parent process, if ``MUJOCO_GL`` has not changed since."""
-    try:
-        backend = Backend(**json.loads(os.environ[_INHERITED]))
-    except (KeyError, TypeError, ValueError):
-        return None
-    return backend if _variables(backend.name)["MUJOCO_GL"] == os.environ.get("MUJOCO_GL") else None
 
 
 def _variables(name: str) -> dict[str, str]:
@@ -170,18 +172,11 @@ def _variables(name: str) -> dict[str, str]:
     return {"MUJOCO_GL": "on" if name == "cgl" else name, **({"PYOPENGL_PLATFORM": name} if name in _PACKAGES else {})}
 
 
-def _remedy(backend: Backend) -> str:
-    """What the user can do about it."""
-    packages = missing_packages()
-    install = [f"On Debian or Ubuntu: apt-get install {' '.join(packages)}"] if packages else []
-    return ". ".join(install + (["Unset MUJOCO_GL to let lieednn_sim choose"] if backend.requested else []))
-
-
-def _probe(name: str) -> dict[str, str]:
-    """Draw a frame in a child process: ``GL_RENDERER`` and the like, or ``error``, also after a crash or hang."""
+def _probe(name: str) -> tuple[str, str]:
+    """Draw a frame in a child process: the renderer, or why there is none, also after a crash or hang."""
     try:
         done = subprocess.run(
-            [sys.executable, "-P", str(_PROBE)],
+            [sys.executable, "-P", "-c", _PROBE],
             env={**os.environ, **_variables(name)},
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -191,17 +186,14 @@ def _probe(name: str) -> dict[str, str]:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return {"error": f"no answer within {_PROBE_TIMEOUT:g} s"}
+        return "", f"no answer within {_PROBE_TIMEOUT:g} s"
     except (OSError, ValueError) as error:
-        return {"error": f"cannot start {sys.executable or 'python'}: {error}"}
+        return "", f"cannot start {sys.executable or 'python'}: {error}"
+    if done.returncode == 0:
+        return done.stdout.strip(), ""
     if done.returncode < 0:
-        return {"error": f"crashed (signal {-done.returncode})"}
-    try:
-        report: dict[str, str] = json.loads(done.stdout.splitlines()[-1])
-    except (IndexError, ValueError):
-        last_words = done.stderr.strip().splitlines()[-1:] or ["nothing"]
-        return {"error": f"failed (exit status {done.returncode}): {last_words[0]}"}
-    return report
+        return "", f"crashed (signal {-done.returncode})"
+    return "", (done.stderr.strip().splitlines() or [f"failed (exit status {done.returncode})"])[-1]
 
 
 if __name__ == "__main__":

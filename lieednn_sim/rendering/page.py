@@ -10,7 +10,8 @@ from pathlib import Path
 
 from lieednn_sim import io
 from lieednn_sim.errors import InputError
-from lieednn_sim.rendering import stage, viser_scene
+from lieednn_sim.registry import optional_module
+from lieednn_sim.rendering import stage
 from lieednn_sim.rendering.overlay import KEY
 from lieednn_sim.rendering.recording import record
 from lieednn_sim.rendering.video import check_camera
@@ -44,7 +45,7 @@ def player(recording: str, *, title: str = "Motion", style: str = "", header: st
     Raises:
         LieEDNNError: viser is not installed.
     """
-    (viser,) = viser_scene.require("viser")
+    viser = optional_module("viser")
     page = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8")
     # The two names are how viser's own pages give their player a recording; see `viser.infra.StateSerializer.as_html`.
     given = (

@@ -6,7 +6,6 @@ viser (https://viser.studio) is optional; its modules are imported when they are
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats, frozen
 
 # Faces that meet at less than this angle [rad] are shaded as one smooth surface, such as the sides of a cylinder.
@@ -27,21 +26,6 @@ _RESOLUTION = 2.0**-13
 _FLOOR, _FLOOR_CELL = (158, 162, 168), 0.5
 
 
-def require(*modules: str) -> list[Any]:
-    """Import modules of the extra ``view``.
-
-    Raises:
-        LieEDNNError: one of them is not installed.
-    """
-    try:
-        return [importlib.import_module(name) for name in modules]
-    except ImportError as error:
-        raise LieEDNNError(
-            f"to show motions in a browser needs viser and mjviser, which are not installed ({error}): "
-            "pip install 'lieednn_sim[view]'"
-        ) from None
-
-
 @contextlib.contextmanager
 def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
     """A `viser.ViserServer` without its messages, by default at a free port of this machine.
@@ -49,7 +33,7 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
     Raises:
         LieEDNNError: viser is not installed.
     """
-    (viser,) = require("viser")
+    viser = optional_module("viser")
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, verbose=False)
     try:
@@ -89,7 +73,7 @@ class Shapes:
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        conversions, trimesh_graph = require("mjviser.conversions", "trimesh.graph")
+        conversions, trimesh_graph = optional_module("mjviser.conversions"), optional_module("trimesh.graph")
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         _find_tendons(model, data)
@@ -143,18 +127,15 @@ class ModelNodes:
         shapes: the model's geometry.
         root: name of the node above all others, such as ``/arm``.
         offset: ``(3,)`` translation of everything [m].
-        opacity: 0 to 1, below 1 for ghosts, which throw no shadow.
 
     Attributes:
         model: the model.
         bodies: the node of each body that has a geometry, by its id; nodes of the target and others can be moved alone.
-        surfaces: the nodes of surfaces by the id of their body, whose ``color`` and ``opacity`` can be set.
+        surfaces: the nodes of surfaces by the id of their body, whose ``color`` can be set.
         tendons: the nodes of tendons, which are lines, with the tendons' ids.
     """
 
-    def __init__(
-        self, scene: Any, shapes: Shapes, root: str, *, offset: ArrayLike = (0.0, 0.0, 0.0), opacity: float = 1.0
-    ) -> None:
+    def __init__(self, scene: Any, shapes: Shapes, root: str, *, offset: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         self.model = model = shapes.model
         scene.add_frame(root, show_axes=False, position=np.asarray(offset))
         self.bodies: dict[int, Any] = {}
@@ -166,11 +147,11 @@ class ModelNodes:
             made = self.surfaces.setdefault(shape.body, [])
             name = f"{name}/{len(made)}"
             if shape.rgba is None:
-                made.append(scene.add_mesh_trimesh(name, shape.mesh, cast_shadow=opacity >= 1.0))
+                made.append(scene.add_mesh_trimesh(name, shape.mesh))
                 continue
-            alpha = opacity * shape.rgba[3]
+            *colour, alpha = shape.rgba
             solid = alpha >= 1.0
-            given = {"color": shape.rgba[:3], "opacity": None if solid else alpha, "cast_shadow": solid}
+            given = {"color": tuple(colour), "opacity": None if solid else alpha, "cast_shadow": solid}
             made.append(scene.add_mesh_simple(name, shape.mesh.vertices, shape.mesh.faces, **given))
         self.tendons: list[tuple[Any, list[int]]] = []
         for (rgba, radius), tendons in shapes.tendons.items():

@@ -24,7 +24,7 @@ from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
-from lieednn_sim.simulation.tracking import as_hold, as_motion, as_reference, joined, scaled, simulate
+from lieednn_sim.simulation.tracking import as_hold, as_motion, as_reference, joined, simulate
 from lieednn_sim.validation import as_count, as_positive, as_workers
 from lieednn_sim.values import Floats, frozen
 
@@ -79,7 +79,6 @@ def simulate_many(
     *,
     controller: str = "position-servo",
     hold: float = 1.0,
-    mass_scale: float = 1.0,
     reference_rate: float | None = None,
     disturbances: Disturbances | None = None,
     threads: int | None = None,
@@ -91,7 +90,6 @@ def simulate_many(
         motions: plans, or motions sampled at the model's time step.
         controller: name of a controller whose controls follow from the reference alone.
         hold: time simulated after the end of the longest motion [s]; the others are held longer.
-        mass_scale: as for `simulate`.
         reference_rate: as for `simulate`.
         disturbances: disturbances of each rollout.
         threads: number of threads; by default, the number of processors.
@@ -105,7 +103,7 @@ def simulate_many(
         raise InputError("motions must hold at least one motion or plan")
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
-    bare, changes = arm.without_visuals, scaled(disturbances, mass_scale)
+    bare, changes = arm.without_visuals, Disturbances() if disturbances is None else disturbances
     CONTROLLERS.find(controller)  # before the work
     settings = {"controller": controller, "reference_rate": rate, "disturbances": changes}
     q = np.full((len(chosen), total, arm.n_joints), np.nan)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Mapping
 from dataclasses import field
@@ -108,11 +107,6 @@ class ModelRun:
     def step_at(self, time: float) -> str:
         """Name of the step of a sequence that was being done at a time [s]; empty for a single plan."""
         return next((name for begin, name in reversed(self.steps) if begin <= time + 1e-9), "")
-
-    def to_html(self, path: str | os.PathLike[str], *, title: str = "") -> None:
-        """Write a page that plays the run in 3D; as `lieednn_sim.render_page`, with its errors."""
-        # By name: whoever only simulates needs no renderer.
-        importlib.import_module("lieednn_sim.rendering.page").render_page(self, path, title=title)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the arrays and the steps to an ``.npz`` file, atomically."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Mapping
 from dataclasses import field
@@ -143,11 +142,6 @@ class Rollout:
         """Simulated link frames as poses of shape ``(K, N)``."""
         rotation = Rotation.from_quat(self.link_quaternion, scalar_first=True)
         return RigidTransform.from_components(self.link_position, rotation)
-
-    def to_html(self, path: str | os.PathLike[str], *, title: str = "") -> None:
-        """Write a page that plays the rollout in 3D; as `lieednn_sim.render_page`, with its errors."""
-        # By name: whoever only simulates needs no renderer.
-        importlib.import_module("lieednn_sim.rendering.page").render_page(self, path, title=title)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to an ``.npz`` file, atomically."""

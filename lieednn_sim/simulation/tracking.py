@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -72,12 +71,6 @@ def as_reference(arm: Arm, motion: Motion, extra: int, rate: float | None) -> Re
     )
 
 
-def scaled(disturbances: Disturbances | None, mass_scale: float) -> Disturbances:
-    """Disturbances, by default none, with their mass scale multiplied, or `InputError`."""
-    changes = Disturbances() if disturbances is None else disturbances
-    return dataclasses.replace(changes, mass_scale=as_positive("mass_scale", mass_scale) * changes.mass_scale)
-
-
 def simulate(
     arm: Arm,
     motion: Plan | Motion,
@@ -85,7 +78,6 @@ def simulate(
     target: ArrayLike | None = None,
     controller: str = "position-servo",
     hold: float = 1.0,
-    mass_scale: float = 1.0,
     reference_rate: float | None = None,
     disturbances: Disturbances | None = None,
     log: Sequence[ChannelSource] = (),
@@ -103,7 +95,6 @@ def simulate(
         target: ``(n,)`` joint position to reach; by default the plan's, or the motion's end.
         controller: a name of `CONTROLLERS`.
         hold: time after the end of the motion [s].
-        mass_scale: factor by which `Disturbances.mass_scale` is multiplied.
         reference_rate: rate of the samples of the motion that the controller sees, held in between [Hz]; a divisor of
             the simulation's rate. By default it sees every step.
         disturbances: disturbances unknown to the controller.
@@ -121,7 +112,7 @@ def simulate(
     extra = round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
     reference = as_reference(arm, motion, extra, rate)
-    changes = scaled(disturbances, mass_scale)
+    changes = Disturbances() if disturbances is None else disturbances
     meta: dict[str, Any] = {"motion": motion, "controller": controller, "reference_rate": rate, "disturbances": changes}
     if target is not None:
         meta["target"] = arm.check_position(target, "target")

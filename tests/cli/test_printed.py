@@ -129,7 +129,7 @@ def test_doctor_is_content_where_nothing_is_missing(monkeypatch, capsys, what):
     )
     backend = Backend("disable", "no GPU") if what == "rendering" else Backend("egl", "a renderer")
     monkeypatch.setattr(doctor.opengl, "configure", lambda: backend)
-    monkeypatch.setattr(doctor.opengl, "missing_packages", lambda: ["libegl1"] if what == "rendering" else [])
+    monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.setattr(doctor, "arm_names", lambda: [] if what == "the arms" else ["one", "two"])
     well = what == "nothing"
     assert main(["doctor"]) == (0 if well else 1)
@@ -143,5 +143,5 @@ def test_doctor_is_content_where_nothing_is_missing(monkeypatch, capsys, what):
     report = json.loads(capsys.readouterr().out)
     assert report["healthy"] == well
     assert report["python_packages_to_install"] == (["daqp"] if what == "a package" else [])
-    assert report["debian_packages_to_install"] == (["libegl1"] if what == "rendering" else [])
+    assert report["debian_packages_to_install"] == (["libegl1", "libgl1"] if what == "rendering" else [])
     assert report["extras"]["ompl"]["install"] == "pip install 'lieednn_sim[rivals]'"

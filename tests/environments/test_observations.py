@@ -82,7 +82,7 @@ def test_tracking_knows_the_velocity_of_now_and_is_within_half_a_degree():
     assert (task.position_tolerance, np.rad2deg(task.rotation_tolerance)) == (0.005, pytest.approx(0.5))
     task.begin(np.random.default_rng(0))
     for _ in range(5):
-        seen = task.step(np.zeros(task.arm.n_joints)).observation
+        seen, *_ = task.step(np.zeros(task.arm.n_joints))
     numeric = (task.target(task.time + 1e-5) - task.target(task.time - 1e-5)) / 2e-5
     np.testing.assert_allclose(seen["target_velocity"], numeric, atol=1e-6)
 

@@ -43,8 +43,8 @@ def run(task, seed, steps=5):
     rng = np.random.default_rng(seed)
     seen = [*task.begin(rng).values()]
     for _ in range(steps):
-        after = task.step(rng.uniform(-1.0, 1.0, task.arm.n_joints))
-        seen += [*after.observation.values(), np.array([after.reward])]
+        observation, reward, *_ = task.step(rng.uniform(-1.0, 1.0, task.arm.n_joints))
+        seen += [*observation.values(), np.array([reward])]
     return np.concatenate([np.ravel(value) for value in seen])
 
 
@@ -61,15 +61,14 @@ def test_expert_reaches_targets_with_every_arm_and_random_actions_do_not(arm, mo
         while not over:
             action = expert.act() if policy == "expert" else rng.uniform(-1.0, 1.0, arm.n_joints)
             assert np.abs(action).max() <= 1.0
-            after = task.step(action)
-            over = after.truncated
-            rewards[policy] += after.reward
-        assert not after.terminated
+            observation, reward, terminated, over, info = task.step(action)
+            rewards[policy] += reward
+        assert not terminated
         if policy == "expert":
-            assert after.info["success"]
-            assert after.reward == 1.0
+            assert info["success"]
+            assert reward == 1.0
             # Independently of what the task says: forward kinematics of the observed posture.
-            position = after.observation["position"]
+            position = observation["position"]
             to_go = arm.link_poses(position)[-1].inv() * arm.link_poses(task.target(task.time))[-1]
             assert np.linalg.norm(to_go.translation) < 1e-3
             assert np.rad2deg(to_go.rotation.magnitude()) < 0.1
@@ -84,7 +83,7 @@ def test_expert_keeps_up_with_moving_targets_with_every_arm(arm):
     for _ in range(task.steps):
         action = expert.act()
         assert np.abs(action).max() <= 1.0
-        rewards.append(task.step(action).reward)
+        rewards.append(task.step(action)[1])
     assert min(rewards) == 1.0
     # The target moved: standing still would not have done.
     assert np.abs(task.target(2.0) - arm.keyframe("home")).max() > 0.02
@@ -96,8 +95,7 @@ def test_observations_keep_their_bounds_and_say_where_the_target_is(arm, name):
     rng = np.random.default_rng(0)
     task.begin(rng)
     for _ in range(task.steps):
-        after = task.step(rng.uniform(-2.0, 2.0, arm.n_joints))
-        seen = after.observation
+        seen, reward, terminated, truncated, _ = task.step(rng.uniform(-2.0, 2.0, arm.n_joints))
         assert list(seen) == list(task.bounds)
         for key, (low, high) in task.bounds.items():
             assert seen[key].shape == low.shape
@@ -107,10 +105,10 @@ def test_observations_keep_their_bounds_and_say_where_the_target_is(arm, name):
         assert_allclose(target, task.target(task.time), atol=1e-12)
         reached = arm.link_poses(seen["position"]) * exp(seen["pose_error"])
         assert_allclose(reached.as_matrix(), arm.link_poses(target).as_matrix(), atol=1e-9)
-        assert 0.0 <= after.reward <= 1.0
+        assert 0.0 <= reward <= 1.0
         assert arm.limit_excess(seen["command"]).max() <= 1e-12
-    assert after.truncated
-    assert not after.terminated
+    assert truncated
+    assert not terminated
     with pytest.raises(InputError, match="reset first"):
         task.step(np.zeros(arm.n_joints))
 
@@ -133,7 +131,7 @@ def test_signed_squares_of_actions_are_velocities_as_fractions_of_their_limits(r
     before = reach.command
     fraction = np.linspace(-0.2, 0.2, 8)
     for _ in range(10):
-        seen = reach.step(np.sign(fraction) * np.sqrt(np.abs(fraction))).observation
+        seen, *_ = reach.step(np.sign(fraction) * np.sqrt(np.abs(fraction)))
     assert_allclose(seen["command"] - before, 0.2 * fraction * reach.arm.velocity_limits, atol=1e-12)
     assert_allclose(seen["position"], seen["command"], atol=1e-3)
     assert_allclose(seen["velocity"], fraction * reach.arm.velocity_limits, atol=0.02)
@@ -166,9 +164,9 @@ def test_success_needs_rest(reach):
     assert reach.state.success
     assert reach.state.reward == 1.0
     # As fast as twice what counts as rest.
-    after = reach.step(np.eye(8)[0] * np.sqrt(2.0 * REST))
-    assert not after.info["success"]
-    assert 0.5 < after.reward < 1.0
+    _, reward, _, _, info = reach.step(np.eye(8)[0] * np.sqrt(2.0 * REST))
+    assert not info["success"]
+    assert 0.5 < reward < 1.0
 
 
 def test_the_approach_is_the_action_that_leads_to_the_target(reach):
@@ -176,7 +174,7 @@ def test_the_approach_is_the_action_that_leads_to_the_target(reach):
     near = 0.3 * reach.control_timestep * reach.arm.velocity_limits
     seen = reach.begin(np.random.default_rng(0), {"target": home + near * np.resize([1.0, -1.0], 8)})
     assert_allclose(np.abs(seen["approach"]), np.sqrt(0.3))
-    assert_allclose(reach.step(seen["approach"]).observation["command"], reach.target(0.0), atol=1e-15)
+    assert_allclose(reach.step(seen["approach"])[0]["command"], reach.target(0.0), atol=1e-15)
     # Far away it leads there at the velocity limits.
     seen = reach.begin(np.random.default_rng(0), {"target": home + 0.06 * np.resize([1.0, -1.0], 8)})
     assert_array_equal(seen["approach"], np.resize([1.0, -1.0], 8))
@@ -186,7 +184,7 @@ def test_the_preview_is_where_the_target_will_be(track):
     seen = track.begin(np.random.default_rng(0))
     rows = [seen["preview"]]
     for _ in range(track.preview):
-        now = track.step(np.zeros(8)).observation
+        now, *_ = track.step(np.zeros(8))
         rows.append(now["preview"])
         target = now["position"] + now["position_error"]
         assert_allclose(target, rows[len(rows) - 2][0], atol=1e-12)
@@ -275,11 +273,10 @@ def test_a_policy_by_name_is_an_expert(arm):
     expert, over = Expert(task, policy="linear-attractor"), False
     assert_array_equal(expert.act(), expert.act())  # asked twice, it has not moved
     while not over:
-        after = task.step(expert.act())
-        over = after.truncated
+        _, _, _, over, info = task.step(expert.act())
     assert expert._policy.certified
     # A rate of 2/s, less for servos that lag and for which the network waits.
-    assert after.info["distance"] < 0.02
+    assert info["distance"] < 0.02
 
 
 def test_an_expert_catches_up_when_others_act(reach):
@@ -318,12 +315,10 @@ def test_a_step_in_contact_depends_on_nothing_but_the_state(gantry):
 def test_a_failed_simulation_terminates(reach):
     seen = reach.begin(np.random.default_rng(0))
     reach.simulation.data.qvel[0] = np.nan
-    after = reach.step(np.zeros(8))
-    assert after.terminated
-    assert not after.truncated
-    assert after.reward == 0.0
-    assert "failed at t = 0.0000 s" in after.info["failure"]
-    for name, value in after.observation.items():
+    observation, reward, terminated, truncated, info = reach.step(np.zeros(8))
+    assert (terminated, truncated, reward) == (True, False, 0.0)
+    assert "failed at t = 0.0000 s" in info["failure"]
+    for name, value in observation.items():
         assert_array_equal(value, seen[name])
     assert_array_equal(run(reach, 7), run(make_task("reach", time_limit=0.4), 7))
 
@@ -396,7 +391,7 @@ def test_distances_are_in_metres_and_angles_in_radians():
     for target, expected in ((slid, (0.01, 0.0)), (turned, (None, 0.2))):
         for either in (task, links):
             seen = either.begin(np.random.default_rng(0), {"target": target})
-            info = either.info()
+            info = either.state.info()
             assert info["angle"] == pytest.approx(expected[1], abs=1e-7)
             if expected[0] is not None:
                 assert info["distance"] == pytest.approx(expected[0], abs=1e-9)

@@ -91,9 +91,8 @@ def test_episodes_of_the_expert_become_a_data_set_that_can_be_replayed(tmp_path,
         seen = np.concatenate([observation[name] for name in ("position", "velocity", "command")])
         np.testing.assert_allclose(state, seen, atol=1e-4)
         np.testing.assert_allclose(left[:8], observation["position_error"], atol=1e-4)
-        after = task.step(action.astype(float))
-        observation = after.observation
-        assert reward == pytest.approx(after.reward, abs=1e-3)
+        observation, again, *_ = task.step(action.astype(float))
+        assert reward == pytest.approx(again, abs=1e-3)
     assert info["features"]["observation.state"]["names"][8] == "turn velocity"
     numbers, found = read_by_rerun(tmp_path / "out")
     assert numbers == [0, 1]

@@ -8,11 +8,9 @@ import pytest
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.live.playback import Playback, Track, plan_tracks
 from lieednn_sim.live.session import Session
 from lieednn_sim.live.settings import Settings
-from lieednn_sim.live.snapshot import Observer
-from lieednn_sim.live.status import status
+from lieednn_sim.live.snapshot import Observer, status
 from lieednn_sim.live.worker import Worker
 from lieednn_sim.planning import plan
 from lieednn_sim.policies import MotionTracker
@@ -92,6 +90,8 @@ def test_a_target_out_of_reach_is_refused_with_the_joint_or_the_contact(begin):
     fenced = begin(Arm.load("telescopic_pr", "window"))
     fenced.aim([1.88, 0.474256, 1.47846])
     fenced.settle()
+    assert fenced.wanted.filtered
+    assert not session.wanted.filtered
     assert fenced.aimed.problem.endswith("'link4' touches 'obstacle_window'")
 
 
@@ -145,6 +145,8 @@ def test_menus_change_the_plant_and_the_policy_without_a_jump(begin):
     assert np.abs(session.tick.q - session.tick.q_ref).max() > 1e-3
     with pytest.raises(InputError, match="no policy 'guess'; allowed: dmp, fabric"):
         session.choose(policy="guess")
+    with pytest.raises(InputError, match="no setting 'load'; allowed: controller, filtered"):
+        session.choose(load=1.0)
     assert session.wanted.policy == "fabric"
     # What cannot be made is told, and the arm goes on as before.
     session.choose(policy="lieednn-shaped", rho=2.0)
@@ -175,7 +177,7 @@ def test_menus_change_the_plant_and_the_policy_without_a_jump(begin):
 def test_a_planned_motion_begins_where_the_arm_stopped_and_is_made_again_for_each_target(arm, begin):
     session = begin(target="extended")
     session.advance(50)
-    session.choose(policy="tracker")
+    session.choose(policy="tracker", planner="minimum-jerk")
     # The arm brakes before there is a motion, within its limits.
     references = [session.tick.q_ref]
     session.advance(1)
@@ -255,38 +257,3 @@ def test_a_worker_does_the_newest_job_and_tells_what_failed():
     assert done == []  # the first was told that there was a newer one, the second was replaced
     assert isinstance(failed[0], ZeroDivisionError)
     worker.close()
-
-
-def test_motions_are_played_on_one_clock():
-    ramp = np.full((3, 8), 0.1) * np.arange(3)[:, None]
-    slow, fast = (Track("some", np.arange(3) * step, ramp) for step in (1.0, 0.5))
-    clock = Playback()
-    assert not clock.advance(1.0)
-    clock.load([slow, fast])
-    assert clock.playing
-    assert clock.advance(1.0)
-    np.testing.assert_allclose([q[0] for q in clock.configurations()], [0.1, 0.2])
-    clock.advance(0.5)
-    np.testing.assert_allclose([q[0] for q in clock.configurations()], [0.1, 0.2])  # the fast one waits at its end
-    clock.advance(1.0)
-    assert clock.time == 0.0  # again
-    clock.loop = False
-    clock.advance(5.0)
-    assert (clock.time, clock.playing) == (2.0, False)
-    clock.step(-1)
-    assert clock.time == 1.0
-    clock.seek(-3.0)
-    assert clock.time == 0.0
-    with pytest.raises(InputError, match="at most 4 motions"):
-        clock.load([slow] * 5)
-
-
-def test_planners_compared_start_and_end_alike_and_a_failure_is_told(arm):
-    start, target = arm.keyframe("home"), arm.keyframe("retracted")
-    names = ["minimum-jerk", "linear-attractor", "guess"]
-    tracks, failures = plan_tracks(arm, names, start, target, seed=0, check=lambda: None)
-    assert [track.name for track in tracks] == names[:2]
-    for track in tracks:
-        np.testing.assert_allclose(track.q[[0, -1]], [start, target], atol=1e-6)
-        np.testing.assert_allclose(track.path(arm)[-1], tip(arm, target), atol=1e-6)
-    assert failures["guess"].startswith("no planner 'guess'")

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rollouts import make_rollout
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.planning.motion import Motion
@@ -60,7 +61,7 @@ def test_an_overlay_is_the_planned_way_what_is_travelled_and_the_frames_of_now()
 
 
 def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_path):
-    """Half a second of motion and half of rest, at 4 frames a second and 100 samples."""
+    """Half a second of motion and half of rest, at 4 frames a second and 100 samples; frame k is of time k / fps."""
     t = 0.01 * np.arange(51)
     (sigma, slope), way = minimum_jerk_law(t / 0.5), np.array([0.05, 0.1, 0.2, 0.3])
     none = np.zeros((51, 2))
@@ -69,7 +70,7 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
     )
     rollout = simulate(gantry, motion, hold=0.5)
     assert np.abs(rollout.q - rollout.q_ref).max() > 1e-6
-    shown, samples, captions, overlays = [], [], [], []
+    shown, samples, captions, overlays, targets, rates = [], [], [], [], [], []
 
     class Pictures(contextlib.nullcontext):
         def picture(self, q, draw):
@@ -77,14 +78,20 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
             draw("a scene")
             return np.zeros((90, 160, 3), np.uint8)
 
-    monkeypatch.setattr(video, "Camera", lambda *_, **__: Pictures())
+    def writer(path, size, rate):
+        rates.append(rate)
+        path.touch()
+        return contextlib.nullcontext(lambda _: None)
+
+    monkeypatch.setattr(video, "Camera", lambda *_, **given: targets.append(given["target"]) or Pictures())
     overlay = SimpleNamespace(draw=lambda _, k: samples.append(k))
     monkeypatch.setattr(video, "Overlay", SimpleNamespace(of=lambda *given: overlays.append(given) or overlay))
-    monkeypatch.setattr(video, "_writer", lambda path, *_: path.touch() or contextlib.nullcontext(lambda _: None))
+    monkeypatch.setattr(video, "_writer", writer)
     monkeypatch.setattr(video, "_check_complete", lambda *_: None)
     monkeypatch.setattr(video, "write_caption", lambda _, lines: captions.append(lines))
     assert video.render_video(rollout, tmp_path / "v.mp4", fps=4, title="a planner") == 5
     assert samples == [0, 25, 50, 75, 100]
+    np.testing.assert_array_equal(targets, [rollout.target])
     np.testing.assert_array_equal(shown, rollout.q[::25])
     names = ["a planner", gantry.name, "position-servo"]
     assert captions == [[*names, f"{0.25 * k:.2f} s of 1.00 s"] for k in range(5)]
@@ -95,6 +102,13 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
     np.testing.assert_array_equal(traced, rollout.link_position[:, 1])
     video.render_video(replace(rollout, arm=replace(gantry, scene="poles")), tmp_path / "v.mp4", fps=4)
     assert captions[5] == ["gantry, poles", "position-servo", "0.00 s of 1.00 s"]
+    # Every third of a second is shown to the nearest step.
+    for fps, steps, expected in ((25, 22, [0, 4, 8, 12, 16, 20]), (30, 12, [0, 3, 7, 10])):
+        samples.clear()
+        assert video.render_video(make_rollout(gantry, np.zeros((steps, 4))), tmp_path / "v.mp4", fps=fps) == len(
+            expected
+        )
+        assert (samples, rates[-1]) == (expected, fps)
 
 
 def test_the_marker_is_put_at_the_target_of_the_end_effector(gantry):

@@ -13,8 +13,10 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.simulation import CONTROLLERS, simulate
 from lieednn_sim.simulation.controllers.base import ComputedTorque, PositionServo
-from lieednn_sim.simulation.disturbances import Noise
+from lieednn_sim.simulation.disturbances import Disturbances, Noise
 from lieednn_sim.simulation.reference import Reference
+
+HEAVIER = Disturbances(mass_scale=1.2)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +102,7 @@ def test_the_position_servo_leads_by_the_velocity_a_step_ahead(gantry):
 def test_wrong_masses_leave_a_small_error_that_feedback_bounds(arm, seeded, controller):
     target, motion = seeded.motion(1)
     _, right = seeded.run(1, controller)
-    wrong = evaluate(simulate(arm, motion, target=target, controller=controller, mass_scale=1.2))
+    wrong = evaluate(simulate(arm, motion, target=target, controller=controller, disturbances=HEAVIER))
     assert wrong.end_effector.tracking_rms_mm > right.end_effector.tracking_rms_mm
     for frame in wrong.frames:
         assert frame.final_mm < 2.0
@@ -115,7 +117,7 @@ def test_controllers_are_deterministic_and_leave_the_arm_s_model_alone(arm, trav
     motion = travel(arm, home, home + 0.05 * (arm.keyframe("extended") - home), 0.4)
     before = arm.model.actuator_gainprm.copy(), arm.model.body_mass.copy(), arm.model.opt.enableflags
     for controller in CONTROLLERS:
-        one, two = (simulate(arm, motion, controller=controller, mass_scale=1.1, hold=0.1) for _ in range(2))
+        one, two = (simulate(arm, motion, controller=controller, disturbances=HEAVIER, hold=0.1) for _ in range(2))
         np.testing.assert_array_equal(one.q, two.q)
     np.testing.assert_array_equal(arm.model.actuator_gainprm, before[0])
     np.testing.assert_array_equal(arm.model.body_mass, before[1])
@@ -223,7 +225,7 @@ def test_bad_input(arm, small_arms, travel):
     with pytest.raises(InputError, match=f"no controller 'pid'; allowed: {known}"):
         simulate(arm, motion, controller="pid")
     with pytest.raises(InputError, match="mass_scale must be positive"):
-        simulate(arm, motion, mass_scale=0.0)
+        Disturbances(mass_scale=0.0)
     with pytest.raises(InputError, match="reference_rate must divide the simulation's 500 Hz, got 120 Hz"):
         simulate(arm, motion, reference_rate=120.0)
     with pytest.raises(InputError, match=r"mocap-deadbeat follows every jump .* held for 5 steps; use mocap"):

@@ -71,6 +71,7 @@ def test_each_of_many_is_as_it_is_alone(name, controller, travel):
         np.testing.assert_array_equal(many.qd[k], alone.qd)
         np.testing.assert_array_equal(many.ctrl[k], alone.ctrl)
         assert alone.motion == motions[k]
+        assert alone.disturbances == CHANGES
 
 
 def test_what_fails_among_many_says_why_and_leaves_the_others(travel):

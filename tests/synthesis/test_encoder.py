@@ -120,6 +120,16 @@ def test_many_curves_at_once_and_again_are_the_same(encoder):
     np.testing.assert_allclose(ways[0], ways[1], atol=1e-3)
 
 
+def test_the_path_of_a_code_between_two_codes_is_between_their_paths(encoder):
+    curves, w = [curve_of(1), curve_of(2)], np.linspace(0.0, 1.0 - 1e-6, 60)
+    paths = [encoder.path(encoder.encode(curve), curve[0])(w) for curve in curves]
+    mixed = 0.7 * curves[0] + 0.3 * curves[1]
+    codes = encoder.codes(np.array(curves))
+    network = encoder.with_code(0.7 * codes[0] + 0.3 * codes[1], mixed[-1])
+    assert network.certified
+    np.testing.assert_allclose(encoder.path(network, mixed[0])(w), 0.7 * paths[0] + 0.3 * paths[1], atol=1e-4)
+
+
 def test_what_cannot_be_encoded_is_refused(encoder, tmp_path):
     with pytest.raises(InputError, match=r"the curve's code must stay below 0\.05, .* would reach 0\.\d+"):
         encoder.encode(curve_of(1) * 40.0)

@@ -17,7 +17,7 @@ from lieednn_sim.evaluation.evaluation import Evaluation
 from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
 from lieednn_sim.planning import Plan, find_tube, plan, reference_network
-from lieednn_sim.simulation import Rollout, simulate
+from lieednn_sim.simulation import Disturbances, Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.studies.comparison.rows import COLUMNS, TUBE, Case, Row
 from lieednn_sim.studies.user_files import SCENE, UserFile, load
@@ -166,7 +166,8 @@ def replay(case: Case, controller: str, settings: Settings, *, user_files: tuple
 
 
 def _simulate(arm: Arm, made: Plan, controller: str, settings: Settings) -> Rollout:
-    return simulate(arm, made, controller=controller, hold=settings.hold, mass_scale=settings.mass_scale)
+    heavier = Disturbances(mass_scale=settings.mass_scale)
+    return simulate(arm, made, controller=controller, hold=settings.hold, disturbances=heavier)
 
 
 def _stability(network: Any) -> dict[str, Any]:

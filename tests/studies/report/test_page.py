@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -146,9 +145,8 @@ def test_views_are_of_one_problem_by_the_best_of_lieednn_and_others_in_turn():
 
 
 @pytest.fixture(scope="module")
-def browser(table, figures_kept, tmp_path_factory):
-    """The page with a video, open in a headless Chromium."""
-    webdriver = pytest.importorskip("selenium.webdriver")
+def browser(table, figures_kept, tmp_path_factory, opened):
+    """The page with a video, open in the browser."""
     path = tmp_path_factory.mktemp("page") / "page.html"
     with figures_kept(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(videos, "FPS", 10)
@@ -157,18 +155,7 @@ def browser(table, figures_kept, tmp_path_factory):
         shown = view(table, cases, "position-servo")
         write_page(path, table, views=[shown, shown], clips=[clip, replace(clip)])
     assert path.stat().st_size < 3e6
-    options = webdriver.ChromeOptions()
-    options.binary_location = shutil.which("chromium")
-    for argument in ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"):
-        options.add_argument(argument)
-    options.add_argument("--window-size=1280,1000")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
-    try:
-        driver.get(path.as_uri())
-        yield driver
-    finally:
-        driver.quit()
+    return opened(path.as_uri(), 1280, 1000)
 
 
 def column(driver, index):

@@ -1,0 +1,41 @@
+"""
+A blend of two motions
+======================
+
+Motions that nobody has planned, between two that somebody has. One certified network holds every curve of an arm as a
+*code*, which is the start of its hidden neurons. Halfway between two codes lies a code of the same network, under the
+same proof of arrival. Here an arm reaches to ten and to two o'clock of a clock face, and in between by blends.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import lieednn_sim as ls
+
+arm = ls.Arm.load("telescopic_pr")
+encoder = ls.synthesis.CurveEncoder(arm.n_links)
+codes, ends = [], []
+for hour in (10, 2):
+    angle = np.pi * hour / 6
+    place = (1.6, 0.3 - 0.6 * np.sin(angle), 1.4 + 0.6 * np.cos(angle))
+    motion = ls.plan(arm, ls.solve_ik(arm, place), planner="minimum-jerk").motion
+    codes.append(encoder.codes(motion.xi))
+    ends.append(motion.xi[[0, -1]])
+
+# %%
+# States are nearly linear in codes, so the path of a blend is nearly the blend of the paths. ``encoder.path`` has it in
+# closed form; the arm decodes it to joint positions.
+
+fig, ax = plt.subplots(figsize=(7, 5), layout="constrained")
+for part in np.linspace(0.0, 1.0, 6):
+    code = (1.0 - part) * codes[0] + part * codes[1]
+    start, target = (1.0 - part) * ends[0] + part * ends[1]
+    network = encoder.with_code(code, target)
+    states = encoder.path(network, start)(np.linspace(0.0, 1.0 - 1e-6, 200))
+    places = arm.tip(arm.decode(states, start=arm.keyframe("home")).q)
+    print(f"{part:.0%} of the way: certified {network.certified}, arrives at {places[-1].round(3)}")
+    ax.plot(*places[:, 1:].T, color="0.7" if 0.0 < part < 1.0 else "tab:red")
+    ax.annotate({0.0: "10 h", 1.0: "2 h"}.get(part, f"{part:.0%}"), places[-1, 1:], ha="center")
+ax.set(title="Paths of the end effector, as the arm sees them", aspect="equal")
+ax.set(xlabel="y [m]", ylabel="z [m]")
+ax.invert_xaxis()
