@@ -51,7 +51,7 @@ LIBRARIES: Mapping[str, Library] = {
     "gymnasium": Library("gymnasium", "Gymnasium environments"),
     "onnx": Library("onnx", "a network as a graph, network.to_onnx"),
     "rosbags": Library("ros2"),
-    "pyarrow": Library("lerobot", "record"),
+    "pyarrow": Library("lerobot"),
     "rerun": Library("rerun", distribution="rerun-sdk"),
     "distributed": Library("cluster", "comparisons on a Dask cluster"),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentTypeError
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from inspect import formatannotation
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +18,7 @@ from lieednn_sim.arm.models import chosen, is_arm_file
 from lieednn_sim.arm.obstacles import is_scene_file
 from lieednn_sim.arm.targets import draw_target, goes_to_extended
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
-from lieednn_sim.cli.kinds import KINDS, Force, Joints, Point, Pose, Setting, numbers
+from lieednn_sim.cli.kinds import KINDS, Force, Joints, Point, Pose, Setting, kind_of, numbers
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
@@ -240,8 +241,12 @@ def read_options(options: Any, texts: Sequence[str]) -> Any:
         if dot:
             inner.setdefault(head, []).append(f"{rest}={value}")
             continue
+        told = known[head].type
+        kind = kind_of(told if isinstance(told, str) else formatannotation(told))
+        if not kind:
+            raise InputError(f"option {head} cannot be read from a text, since it is of type {told}")
         try:
-            changes[head] = KINDS[str(known[head].type).removesuffix(" | None")].read(value)
+            changes[head] = KINDS[kind].read(value)
         except ArgumentTypeError as error:
             raise InputError(f"option {head} {error}") from None
     for head, more in inner.items():

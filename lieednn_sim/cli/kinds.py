@@ -148,3 +148,9 @@ KINDS = {
     "tuple[Pose, ...]": Kind(lambda text: numbers(text, 6), "X,Y,Z,RX,RY,RZ", action="append"),
     "tuple[Force, ...]": Kind(force, "BODY,FX,FY,FZ,START,DURATION", action="append"),
 }
+
+
+def kind_of(annotation: str) -> str:
+    """The name in `KINDS` of an annotation without None, or of the first part of a union; empty if there is none."""
+    alone = annotation.removesuffix(" | None")
+    return next((name for name in (alone, alone.partition(" | ")[0]) if name in KINDS), "")

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lieednn_sim.cli.kinds import KINDS
+from lieednn_sim.cli.kinds import kind_of
 
 _ROOT = Path(__file__).resolve().parents[2]
 
@@ -127,10 +127,8 @@ def _entries(node: ast.AST) -> Iterator[_Entry]:
 def _parameter(module: str, entry: _Entry, texts: dict[str, str]) -> Parameter | None:
     name, annotation, help_text = entry.name, entry.annotation, texts.get(entry.name, "")
     option = name.replace("_", "-")
-    kind = ast.unparse(annotation).removesuffix(" | None")
-    # Of a union of other kinds the first is what a text is read as.
-    kind = kind if kind in KINDS else kind.partition(" | ")[0]
-    if kind in KINDS:
+    kind = kind_of(ast.unparse(annotation))
+    if kind:
         required = entry.default is None
         default = None if entry.default is None else _value(module, entry.default)
         return Parameter(name, kind, help_text, option, entry.positional, required, default)

@@ -7,6 +7,7 @@ import shlex
 import subprocess
 import sys
 from argparse import ArgumentTypeError
+from dataclasses import make_dataclass
 from importlib import metadata
 from typing import get_type_hints
 
@@ -145,6 +146,11 @@ def test_the_options_of_a_planner_are_those_of_its_class(capsys):
     for text in ("teacher=1", "rate.x=1", "teacher.speed=1", "encoded=yes"):
         with pytest.raises(InputError, match=r"NAME=VALUE with a name of|option encoded must be true or false"):
             read_options(ShapedOptions(), [text])
+    # Of another package, where annotations may be the types themselves.
+    own = make_dataclass("Own", [("gain", float, 1.0), ("sizes", tuple[int, ...], (1,)), ("call", object, None)])
+    assert read_options(own(), ["gain=2", "sizes=3,4"]) == own(2.0, (3, 4))
+    with pytest.raises(InputError, match="option call cannot be read from a text"):
+        read_options(own(), ["call=1"])
     # The help of a planner says so without loading it, and tells every option that there is.
     for planner, entry in registry.PLANNERS.entries.items():
         with pytest.raises(SystemExit):
