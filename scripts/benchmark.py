@@ -2,7 +2,8 @@
 
     python scripts/benchmark.py [--quick] [--output results/benchmark]
 
-Writes a JSON file and Markdown tables. Absolute times depend on the machine; the last table has ratios within the run.
+Writes a JSON file and Markdown tables. Absolute times depend on the machine; the table of rows has ratios within the
+run, see `benchmark_rows`.
 """
 
 from __future__ import annotations
@@ -10,24 +11,31 @@ from __future__ import annotations
 import argparse
 import os
 import platform
-from collections.abc import Iterable
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from benchmark_c import code_rows
-from benchmark_floors import floor_rows, memory
-from benchmark_networks import epoch_costs, network_rows, start_rows
-from benchmark_stepping import stepping_rows
-from benchmark_timing import HEADINGS
+from benchmark_rows import HEADINGS, epoch_costs, ratio_rows, seconds
 from threadpoolctl import threadpool_info
 
 from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.planning import plan
-from lieednn_sim.simulation import simulate
-from lieednn_sim.synthesis import Synthesis, synthesize
+from lieednn_sim.planning import PLANNERS
+from lieednn_sim.studies import Comparison, Row, write_summary
+from lieednn_sim.studies.comparison.rows import COLUMNS
+from lieednn_sim.studies.markdown import table
+from lieednn_sim.studies.report import write_page
+from lieednn_sim.synthesis import ShapingOptions, Synthesis, shape, synthesize
+
+# Numbers of neurons between which costs are compared.
+SIZES = (2, 4, 8, 16, 32)
 
 
 def random_targets(neurons: int, count: int, seed: int = 0) -> list[np.ndarray]:
@@ -58,93 +66,137 @@ def arm_targets(arm: Arm, kind: str, count: int, seed: int = 0) -> list[np.ndarr
     return targets
 
 
-def summarise(name: str, outcomes: list[Synthesis]) -> dict[str, object]:
-    """One row of the table."""
-    good = [outcome for outcome in outcomes if outcome.success]
-    milliseconds = 1e3 * np.array([outcome.cpu_time for outcome in outcomes])
+def summarise(name: str, results: list[Synthesis]) -> dict[str, object]:
+    """One row of the table of syntheses."""
+    good = [result for result in results if result.success]
+    milliseconds = 1e3 * np.array([result.cpu_time for result in results])
     return {
         "targets": name,
-        "certified": f"{len(good)} of {len(outcomes)}",
+        "certified": f"{len(good)} of {len(results)}",
         "median [ms]": round(float(np.median(milliseconds)), 2),
         "95 % [ms]": round(float(np.percentile(milliseconds, 95)), 2),
         "max [ms]": round(float(milliseconds.max()), 1),
-        "largest residual": f"{max((outcome.residual for outcome in good), default=np.nan):.1e}",
-        "largest t": round(max((outcome.largest_translation for outcome in good), default=float("nan")), 2),
-        "smallest margin": f"{min((o.certificate.margin for o in good if o.certificate), default=np.nan):.1e}",
-        "proved impossible": sum(outcome.impossible for outcome in outcomes),
+        "largest residual": f"{max((result.residual for result in good), default=np.nan):.1e}",
+        "largest t": round(max((result.largest_translation for result in good), default=float("nan")), 2),
+        "smallest margin": f"{min((r.certificate.margin for r in good if r.certificate), default=np.nan):.1e}",
+        "proved impossible": sum(result.impossible for result in results),
     }
 
 
-def blas_threads() -> int:
-    """Number of threads that a product of large matrices may use, as far as known."""
-    return max((pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"), default=1)
-
-
-def table(headings: Iterable[object], rows: Iterable[Iterable[object]]) -> list[str]:
-    """Lines of a Markdown table, after an empty one."""
-    lines = ["| " + " | ".join(str(cell) for cell in cells) + " |" for cells in (headings, *rows)]
-    return ["", lines[0], "|" + " --- |" * len(list(headings)), *lines[1:]]
-
-
-def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
-    parser.add_argument("--output", default="results/benchmark", help="directory (default: %(default)s)")
-    options = parser.parse_args(arguments)
-    directory = io.make_directory(options.output)
-    # BLAS threads that wait for work would count as busy.
-    with one_blas_thread():
-        write(directory, 10 if options.quick else 1, " --quick" if options.quick else "")
-
-
-def write(directory: Path, scale: int, suffix: str = "") -> Path:
-    """Measure a fraction 1 / ``scale`` of all targets and write both files; returns the path of the table."""
-    synthesize(random_targets(4, 1)[0])  # warm up
-
+def synthesis_rows(scale: int) -> list[dict[str, object]]:
+    """The table of syntheses, of a fraction 1 / ``scale`` of all targets."""
     rows = []
     sizes = [(4, 10_000, "uniform"), (4, 10_000, "sign-matched")]
     sizes += [(neurons, count, "uniform") for neurons, count in ((2, 200), (3, 200), (8, 100), (12, 50))]
     for neurons, count, bias in sizes:
         targets = random_targets(neurons, max(count // scale, 1))
-        outcomes = [synthesize(xi, bias=bias, seed=k) for k, xi in enumerate(targets)]
-        rows.append(summarise(f"N = {neurons}, U(-0.8, 0.8), {bias} bias 1/8", outcomes))
+        name = f"N = {neurons}, U(-0.8, 0.8), {bias} bias 1/8"
+        rows.append(summarise(name, [synthesize(xi, bias=bias, seed=k) for k, xi in enumerate(targets)]))
         print(rows[-1], flush=True)
     studies = [(name, "mixed", 1000) for name in arm_names()]
     studies += [("telescopic_pr", "negative", 100), ("telescopic_pr", "zero", 100), ("telescopic_pr", "tiny", 1000)]
     for name, kind, count in studies:
         targets = arm_targets(Arm.load(name), kind, max(count // scale, 1))
-        outcomes = [synthesize(xi, bias="sign-matched", seed=k) for k, xi in enumerate(targets)]
-        rows.append(summarise(f"{name}, {kind} angles, sign-matched", outcomes))
+        results = [synthesize(xi, bias="sign-matched", seed=k) for k, xi in enumerate(targets)]
+        rows.append(summarise(f"{name}, {kind} angles, sign-matched", results))
         print(rows[-1], flush=True)
+    return rows
 
-    arm = Arm.load("telescopic_pr")
+
+def growth(scale: int, sizes: Sequence[int]) -> dict[str, list[str]]:
+    """Median CPU times [ms] of syntheses, and of shaping along 100 samples of a curve, by the number of neurons.
+
+    Last comes the exponent between the two largest sizes.
+    """
+    repeats = max(7 // scale, 1)
+    options = ShapingOptions(neurons=(4,), placed_neurons=(), iterations=20)
+    s = np.linspace(0.0, 1.0, 100)[:, None, None]
+    times: dict[str, list[float]] = {"certified synthesis": [], "shaping": []}
+    for size in sizes:
+        targets = random_targets(size, repeats, seed=size)
+        curve = s * targets[0] + 0.2 * np.sin(np.pi * s) * targets[-1]
+        calls: dict[str, Sequence[Callable[[], object]]] = {
+            "certified synthesis": [partial(synthesize, xi, seed=0) for xi in targets],
+            "shaping": [partial(shape, curve, 1e-9, units=0.5, options=options)] * repeats,
+        }
+        for name, works in calls.items():
+            times[name].append(1e3 * float(np.median([seconds(work) for work in works])))
+    doublings = np.log(sizes[-1] / sizes[-2])
+    exponents = {name: np.log(found[-1] / found[-2]) / doublings for name, found in times.items()}
+    return {name: [f"{value:.3g}" for value in found] + [f"{exponents[name]:.1f}"] for name, found in times.items()}
+
+
+def add_rows(folder: Path, count: int) -> None:
+    """Add made-up rows to the table of a comparison."""
+    rows, names = Comparison().open(folder), list(PLANNERS)
+    for k in range(count):
+        values: dict[str, Any] = {column.name: 0.123456 * (k + i) for i, column in enumerate(COLUMNS)}
+        values |= dict.fromkeys((name for name in values if name.endswith("violations")), 0)
+        case = ("telescopic_pr", "free", names[k % len(names)], "position-servo", k // len(names), 1.0)
+        rows.add([Row(*case, **values)])
+
+
+def show_rows(folder: Path) -> None:
+    """Write summary and page of a comparison."""
+    rows = Comparison().open(folder)
+    write_summary(folder / "comparison.md", rows)
+    write_page(folder / "comparison.html", rows)
+
+
+def peak_memory(code: str) -> int:
+    """Peak resident memory of a fresh Python that runs some code [MB]."""
+    # Not `ru_maxrss`, which starts from the parent's memory when it forked.
+    words = f"{code}\nprint(*(line for line in open('/proc/self/status') if 'VmHWM' in line))"
+    done = subprocess.run([sys.executable, "-c", words], check=True, capture_output=True, text=True)
+    return round(int(done.stdout.split()[-2]) / 1024)
+
+
+def memory(scale: int) -> dict[str, int]:
+    """Peak memory [MB] of a table of many rows, a loaded arm, a long rollout, and the demo without its video."""
+    count, hold = 100_000 // scale, max(600 // scale, 1)
+    load = "import lieednn_sim as ls\narm = ls.Arm.load('telescopic_pr')"
+    plan = "ls.plan(arm, 'extended', planner='minimum-jerk')"
+    with tempfile.TemporaryDirectory() as folder:
+        here = f"import sys, pathlib\nsys.path.insert(0, {str(Path(__file__).parent)!r})\nfrom benchmark import *\n"
+        codes = {
+            f"a table to which {count:,} rows are added": f"{here}add_rows(pathlib.Path({folder!r}), {count})",
+            f"summary and page of {count:,} rows": f"{here}show_rows(pathlib.Path({folder!r}))",
+            "a loaded arm": load,
+            f"a rollout of {hold + 4} s at 500 Hz": f"{load}\nls.simulate(arm, {plan}, hold={hold})",
+            "the demo without its video": "from lieednn_sim.cli import main\n"
+            f"main(['demo', '--no-video', '--output', {folder + '/demo'!r}])",
+        }
+        return {name: peak_memory(code) for name, code in codes.items()}
+
+
+def write(directory: Path, scale: int, suffix: str = "") -> Path:
+    """Measure a fraction 1 / ``scale`` of all targets and write both files; returns the path of the table."""
+    synthesize(random_targets(4, 1)[0])  # warm up
+    rows, grown = synthesis_rows(scale), growth(scale, SIZES)
     epochs = epoch_costs(random_targets(4, min(5, max(1000 // scale, 1))), max(5000 // scale, 1))
-    chosen = plan(arm, arm.keyframe("extended"))
-    rollout = simulate(arm, chosen.motion)
-    ratios = [
-        *network_rows(arm, chosen, random_targets(4, max(20 // scale, 1)), epochs, scale),
-        *start_rows(max(10 // scale, 1)),
-        *stepping_rows(arm, chosen.motion, max(10 // scale, 1), scale),
-        *floor_rows(rollout, random_targets(4, 200, seed=2), scale),
-        *code_rows(scale),
-    ]
+    ratios = ratio_rows(random_targets(4, max(200 // scale, 1), seed=2), epochs, scale)
     memories = memory(scale)
-
     io.save_json(
         directory / "benchmark.json",
         {
             "synthesis": rows,
+            "growth": grown,
             "epoch [us]": {name: float(np.median(costs)) for name, costs in epochs.items()},
             "ratios": {row.what: {**row.spread, "samples": len(row.samples), "aim": row.aim} for row in ratios},
             "memory [MB]": memories,
         },
     )
+    threads = max((pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"), default=1)
     lines = [
         "# Benchmark",
         "",
-        f"`python scripts/benchmark.py{suffix}`, {os.cpu_count()} processors, BLAS threads: {blas_threads()}, "
+        f"`python scripts/benchmark.py{suffix}`, {os.cpu_count()} processors, BLAS threads: {threads}, "
         f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}.",
         *table(rows[0], (row.values() for row in rows)),
+        *table(
+            ["CPU time [ms]", *(f"N = {size}" for size in SIZES), "exponent"],
+            ([name, *values] for name, values in grown.items()),
+        ),
         *table(["learning, N = 4", "one epoch [us]"], ([name, f"{np.median(c):.0f}"] for name, c in epochs.items())),
         "",
         "Ratios of times in this run, each measured several times; what it should be at least or at most is the aim.",
@@ -156,6 +208,17 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         stream.write("\n".join(lines) + "\n")
     print(path.read_text(encoding="utf-8"))
     return path
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
+    parser.add_argument("--output", default="results/benchmark", help="directory (default: %(default)s)")
+    options = parser.parse_args(arguments)
+    directory = io.make_directory(options.output)
+    # BLAS threads that wait for work would count as busy.
+    with one_blas_thread():
+        write(directory, 10 if options.quick else 1, " --quick" if options.quick else "")
 
 
 if __name__ == "__main__":

@@ -1,62 +1,493 @@
-"""A comparison with many made-up rows, to measure the memory that the rows themselves take."""
+"""Rows of the benchmark: costs of the package beside those of its engines, each measured several times in one run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, Future
+import contextlib
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
-from lieednn_sim.planning import PLANNERS
-from lieednn_sim.studies import Case, Comparison, Row, Settings, Table, compute, write_summary
-from lieednn_sim.studies.comparison.rows import COLUMNS
-from lieednn_sim.studies.comparison.study import DEFAULT_CONTROLLERS
-from lieednn_sim.studies.report import write_page
-from lieednn_sim.studies.user_files import UserFile
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv
+from mujoco import rollout
+from scipy.linalg import lapack
+from scipy.spatial.transform import RigidTransform
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.environments.gymnasium import Environment, VectorEnvironment
+from lieednn_sim.errors import LieEDNNError, RenderingUnavailableError
+from lieednn_sim.learning import TrainingOptions, train
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning import PLANNERS, Plan, plan
+from lieednn_sim.planning.certified import CandidateOptions
+from lieednn_sim.planning.motion import Motion, check_motion
+from lieednn_sim.planning.network_path import NetworkPath
+from lieednn_sim.planning.shaped import ShapedOptions
+from lieednn_sim.policies import POLICIES, NetworkPolicy, make_policy
+from lieednn_sim.rendering import ffmpeg
+from lieednn_sim.rendering.overlay import Overlay
+from lieednn_sim.rendering.video import Camera, render_video
+from lieednn_sim.simulation import Disturbances, Rollout, Simulation, follow, simulate, simulate_many
+from lieednn_sim.simulation.controllers import make_controller
+from lieednn_sim.simulation.plant import make_plant
+from lieednn_sim.simulation.reference import Reference
+from lieednn_sim.synthesis import synthesize, synthesize_many
+
+HEADINGS = ("what", "minimum", "median", "maximum", "aim")
+FRAME_SIZE, FRAMES = (640, 360), 60
 
 
-class _Here(Executor):
-    """An executor that runs tasks at once; processes would need memory of their own."""
+@dataclass(frozen=True)
+class Row:
+    """A figure measured several times, and what it should be at least or at most, if anything."""
 
-    def submit(self, function: Any, /, *given: Any, **named: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(function(*given, **named))
-        return future
-
-
-def _rows(
-    case: Case, controllers: Sequence[str], settings: Settings, *, user_files: tuple[UserFile, ...] = ()
-) -> list[Row]:
-    values: dict[str, Any] = {column.name: 0.123456 * (case.seed + i) for i, column in enumerate(COLUMNS)}
-    values |= dict.fromkeys((name for name in values if name.endswith("violations")), 0)
-    return [
-        Row(case.arm, case.scene, case.planner, name, case.seed, settings.mass_scale, **values) for name in controllers
-    ]
-
-
-class _Made(Comparison):
-    """A comparison of many cases that take no time."""
-
-    count = 0
+    what: str
+    samples: Sequence[float] | np.ndarray
+    aim: str = ""
 
     @property
-    def run(self) -> Callable[..., list[Row]]:
-        return _rows
+    def spread(self) -> dict[str, float]:
+        """Minimum, median and maximum."""
+        low, middle, high = np.quantile(self.samples, [0.0, 0.5, 1.0])
+        return {"minimum": float(low), "median": float(middle), "maximum": float(high)}
 
-    def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
-        names = list(PLANNERS)
-        cases = [Case("telescopic_pr", "free", names[k % len(names)], k // len(names)) for k in range(self.count)]
-        return [(case, list(DEFAULT_CONTROLLERS), self.common) for case in cases]
-
-
-def collect(folder: Path, rows: int) -> None:
-    """Run a comparison."""
-    _Made.count = rows // 2
-    compute(_Made(), folder, executor=_Here())
+    def cells(self) -> list[str]:
+        """The row as in the table, under `HEADINGS`."""
+        digits = [0 if abs(value) >= 20.0 else 1 if abs(value) >= 4.0 else 2 for value in self.spread.values()]
+        spread = [f"{value:.{n}f}" for value, n in zip(self.spread.values(), digits, strict=True)]
+        return [self.what, *spread, self.aim]
 
 
-def finish(folder: Path) -> None:
-    """Write summary and page."""
-    table = Comparison().open(folder)
-    write_summary(folder / "comparison.md", table)
-    write_page(folder / "comparison.html", table)
+def seconds(work: Callable[[], object], clock: Callable[[], float] = time.process_time, times: int = 1) -> float:
+    """Time of a call, a mean of several [s]; processor time by default, which other load disturbs less."""
+    start = clock()
+    for _ in range(times):
+        work()
+    return (clock() - start) / times
+
+
+def ratios(
+    one: Callable[[], object],
+    other: Callable[[], object],
+    repeats: int,
+    clock: Callable[[], float] = time.process_time,
+    times: int = 1,
+) -> list[float]:
+    """Ratios of the time of one call to that of another, measured in turns, so that other load affects both."""
+    return [seconds(one, clock, times) / seconds(other, clock, times) for _ in range(repeats)]
+
+
+def epoch_costs(targets: list[np.ndarray], epochs: int) -> dict[str, list[float]]:
+    """Microseconds per epoch of each learning algorithm, for each target."""
+    algorithms = {
+        "literal Algorithm 1": TrainingOptions.literal(max_epochs=max(epochs // 10, 1)),
+        "repaired Algorithm 1": TrainingOptions.repaired(max_epochs=epochs),
+        "repaired, no projection": TrainingOptions.repaired(max_epochs=epochs, projection="none"),
+        "tracked": TrainingOptions.tracked(),
+    }
+    costs: dict[str, list[float]] = {name: [] for name in algorithms}
+    for seed, xi in enumerate(targets):
+        for name, options in algorithms.items():
+            result = train(xi, options, seed=seed)
+            costs[name].append(1e6 * result.cpu_time / result.epochs)
+    return costs
+
+
+def learning_rows(targets: list[np.ndarray], epochs: dict[str, list[float]]) -> Iterator[Row]:
+    """Epochs of Algorithm 1 in each other and in linear solves, and learning and retargeting in syntheses."""
+    literal, repaired = np.array(epochs["literal Algorithm 1"]), np.array(epochs["repaired Algorithm 1"])
+    matrix, right = np.random.default_rng(0).normal(size=(24, 24)), np.ones(24)
+    solve = np.median([1e6 * seconds(partial(np.linalg.solve, matrix, right), times=1000) for _ in repaired])
+    yield Row("epoch of the literal Algorithm 1, in epochs of the repaired", literal / repaired, ">= 50")
+    yield Row("epoch of the repaired Algorithm 1, in LU solves of its size by NumPy", repaired / solve, "<= 5")
+    learned, retargeted = [], []
+    for seed, xi in enumerate(targets):
+        synthesis = synthesize(xi, seed=seed)
+        learned.append(train(xi, TrainingOptions.tracked(), seed=seed).cpu_time / synthesis.cpu_time)
+        retargeted.append(synthesis.cpu_time / seconds(partial(synthesis.unwrap().retarget, 0.5 * xi), times=200))
+    yield Row("tracked learning of a network, in certified syntheses", learned)
+    yield Row("certified synthesis of a network, in retargetings", retargeted)
+
+
+def plan_rows(arm: Arm, goal: np.ndarray, motion: Motion, synthesis: float, repeats: int) -> Iterator[Row]:
+    """Times of plans in that of a synthesis [s], and of simulations in that which they simulate."""
+    plans = [seconds(partial(plan, arm, goal), time.perf_counter) / synthesis for _ in range(repeats)]
+    yield Row("planning with 24 candidates, in syntheses", plans)
+    simulated = [simulate(arm, motion).t[-1] / seconds(partial(simulate, arm, motion)) for _ in range(repeats)]
+    yield Row("real time, in simulations of it", simulated)
+
+
+def control_step_rows(arm: Arm) -> Iterator[Row]:
+    """Time of a control step of `follow` with feedback and 12 neurons, and in evaluations of the vector field.
+
+    Over a run with its simulation, which empties the processor's caches between steps.
+    """
+    target = draw_target(arm, 0)
+    network = plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(encoded=False, neurons=(8,))).network
+    assert isinstance(network, LieEDNN)
+    assert network.n_neurons == 12
+    times = follow(NetworkPolicy(arm, network), target, 7.0).step_time
+    x = network.start(arm.encode(arm.keyframe("home"))).ravel()
+    field = np.median([seconds(partial(network.flat_vector_field, x), times=200) for _ in range(5)])
+    name = f"control step of follow with feedback, 12 neurons, {arm.name}"
+    yield Row(f"{name} [us]", 1e6 * times)
+    yield Row(f"{name}, in evaluations of the field", times / field)
+
+
+def policy_rows(arm: Arm) -> Iterator[Row]:
+    """Time of a step of every policy, over a run with its simulation."""
+    target = draw_target(arm, 0)
+    for name in POLICIES:
+        times = follow(make_policy(name, arm, target), target, 4.0).step_time
+        yield Row(f"step of policy {name}, {arm.name} [us]", 1e6 * times)
+
+
+def evaluation_rows(arm: Arm, network: LieEDNN, instants: int, repeats: int) -> Iterator[Row]:
+    """Time to retarget, in that of a product W phi(x); and that of xi(t) and joints in that of exponentials alone."""
+    xi, weight = 0.5 * network.visible(network.equilibrium().xi), network.weight
+    product = lambda: weight @ network.phi(xi).ravel()  # noqa: E731
+    samples = ratios(partial(network.retarget, xi), product, repeats, times=500)
+    yield Row("retargeting, in products W phi(x)", samples, "<= 5")
+    path = NetworkPath.integrate(arm, network, arm.keyframe("home"))
+    assert path.trajectory is not None
+    tau = np.linspace(0.0, path.trajectory[0].t[-1], instants)
+    twists = network.visible(path.state(tau)).reshape(-1, 6)
+    samples = ratios(
+        lambda: arm.decode(network.visible(path.state(tau))), partial(RigidTransform.from_exp_coords, twists), repeats
+    )
+    yield Row(f"xi(t) and q(t) at {instants:,} instants, in SciPy's exponentials", samples, "<= 3")
+
+
+def start_rows(repeats: int) -> Iterator[Row]:
+    """Start-up times in those of the libraries that they need; processor times of a fresh Python."""
+
+    def children() -> float:
+        return sum(os.times()[2:4])
+
+    def python(*arguments: str) -> Any:
+        return partial(subprocess.run, [sys.executable, *arguments], check=True, capture_output=True)
+
+    for what, ours, floor in (
+        ("lieednn-sim --help, in starts of Python with NumPy", ("-m", "lieednn_sim", "--help"), "import numpy"),
+        ("import of lieednn_sim.arm, in imports of mujoco", ("-c", "import lieednn_sim.arm"), "import mujoco"),
+    ):
+        yield Row(what, ratios(python(*ours), python("-c", floor), repeats, children), "<= 1.5")
+
+
+def floor(arm: Arm, controller: str, followed: Rollout, bare: bool) -> Simulation:
+    """A plant at the start of a rollout, with the controls of its first step, with or without visual geoms."""
+    arm = arm.without_visuals if bare else arm
+    driver = make_controller(controller, arm, Reference.of(arm, followed.q_ref, followed.qd_ref))
+    plant = make_plant(arm, None, driver.add_bodies if driver.adds_bodies else None)
+    driver.equip(plant)
+    simulation = Simulation(arm, plant)
+    simulation.reset(followed.q[0])
+    driver.act(simulation.data, 0, simulation.noise)
+    return simulation
+
+
+# The package simulates no visual geoms, which do not change the motion, so there are two floors; aims are of the first.
+_WHOLE, _BARE = " on the whole model", " without visual geoms"
+_FLOORS = {_WHOLE: False, _BARE: True}
+
+
+def rollout_rows(arm: Arm, motion: Motion, repeats: int) -> Iterator[Row]:
+    """Steps/s of rollouts with their log, in those of bare ones of the same arm."""
+
+    def step_by_step(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> None:
+        for _ in range(steps):
+            mujoco.mj_step(model, data)
+
+    call, loop = "a bare call of mj_step with nstep", "a bare Python loop of mj_step"
+    noise = Disturbances(position_noise=1e-4, velocity_noise=1e-3)
+    cases = [(name, Disturbances(), call) for name in ("position-servo", "inverse-dynamics", "mocap")]
+    cases += [("computed-torque", Disturbances(), loop), ("computed-torque", noise, loop)]
+    cases += [("position-servo", noise, loop)]
+    for controller, changes, rival in cases:
+        ours = partial(simulate, arm, motion, controller=controller, disturbances=changes)
+        followed = ours()
+        for label, bare in _FLOORS.items():
+            simulation = floor(arm, controller, followed, bare)
+            run = partial(mujoco.mj_step if rival == call else step_by_step, simulation.model, simulation.data)
+            name = f"{controller}{' with noise' if changes == noise else ''}, in those of {rival}{label}"
+            samples = ratios(partial(run, len(followed.t)), ours, repeats)
+            aim = "" if bare else ">= 0.8" if rival == call else ">= 0.6"
+            yield Row(f"steps/s of a rollout by {name}", samples, aim)
+
+
+def many_rows(arm: Arm, count: int, repeats: int) -> Iterator[Row]:
+    """Steps/s of many rollouts at once, in those of `mujoco.rollout` with as many threads."""
+    motions = [plan(arm, draw_target(arm, k), planner="minimum-jerk").motion for k in range(count)]
+    threads = os.cpu_count() or 1
+    ours = partial(simulate_many, arm, motions, hold=0.0, threads=threads)
+    result = ours()
+    for label, bare in _FLOORS.items():
+        simulation = floor(arm, "position-servo", result.rollout(0), bare)
+        model, data = simulation.model, [mujoco.MjData(simulation.model) for _ in range(threads)]
+        states = np.tile(full_state(model, simulation.data), (count, 1))
+        rival = partial(rollout.rollout, model, data, states, np.ascontiguousarray(result.ctrl))
+        name = f"steps/s of {count} rollouts by simulate_many, in those of mujoco.rollout{label}"
+        yield Row(name, ratios(rival, ours, repeats), "" if bare else ">= 0.9")
+
+
+def full_state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """The state from which `mujoco.rollout` starts, ``(size,)``."""
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    state = np.zeros(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, data, state, kind)
+    return state
+
+
+def environment_rows(arm: Arm, repeats: int, actions: int) -> Iterator[Row]:
+    """Time that environments add to bare substeps, in both interfaces."""
+    own = Environment(arm=arm)
+    substeps = own.task.substeps
+    # The environment, how it is reset, and the models of its bare substeps; dm_control simulates what it renders.
+    environments: dict[str, tuple[Any, Callable[[], object], dict[str, mujoco.MjModel]]] = {
+        "Gymnasium": (own, partial(own.reset, seed=0), {"": arm.model, _BARE: arm.without_visuals.model})
+    }
+    # dm_control does not support MuJoCo 4.
+    if importlib.util.find_spec("dm_control") is not None:
+        suite = importlib.import_module("lieednn_sim.environments.suite").load(arm, "reach", random=0)
+        environments["dm_control"] = (suite, partial(suite.reset, seed=0), {"": arm.model})
+    given = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (actions, arm.n_joints))
+    for name, (environment, reset, models) in environments.items():
+        for label, model in models.items():
+            data, added, shares = mujoco.MjData(model), [], []
+            for _ in range(repeats):
+                reset()
+                mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+                every = iter(given)
+                ours = seconds(lambda step=environment.step, rows=every: step(next(rows)), times=actions)  # type: ignore[misc]
+                alone = seconds(partial(mujoco.mj_step, model, data, substeps), times=actions)
+                added.append(1e6 * (ours - alone))
+                shares.append(ours / alone)
+            step = f"environment step of {name}"
+            yield Row(f"{step}, in its {substeps} bare substeps{label}", shares)
+            yield Row(f"{step}, added to its {substeps} bare substeps{label} [us]", added, "" if label else "<= 10")
+
+
+def vector_rows(arm: Arm, repeats: int, actions: int, count: int) -> Iterator[Row]:
+    """Steps/s of many environments at once, and of their physics alone, in those of Gymnasium's processes."""
+    own, processes = VectorEnvironment(count, arm=arm), AsyncVectorEnv([partial(Environment, arm=arm.name)] * count)
+    some, task = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (count, arm.n_joints)), own.task
+    own.reset(seed=0)
+    processes.reset(seed=0)
+    model = task.simulation.model
+    data = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
+    states = np.tile(full_state(model, task.simulation.data), (count, 1))
+    home = np.tile(arm.keyframe("home"), (count, 1))
+    controls = task.commands.controls(home, task.commands.moved(home, some))
+    # Wall time: processes and threads run on all cores.
+    compared = partial(ratios, partial(processes.step, some), repeats=repeats, clock=time.perf_counter, times=actions)
+    name = f"of {count} environments at once, in those of Gymnasium's AsyncVectorEnv"
+    yield Row(f"steps/s {name}", compared(partial(own.step, some)), ">= 10")
+    with rollout.Rollout(nthread=len(data)) as threads:
+        physics = partial(threads.rollout, model, data, states, controls)
+        yield Row(f"steps/s of the physics alone {name}", compared(physics))
+    own.close()
+    processes.close()
+
+
+# Functions that count as linear algebra in a synthesis, by module.
+_ALGEBRA: tuple[tuple[Any, tuple[str, ...]], ...] = (
+    (np.linalg, ("eigh", "eigvals", "eigvalsh", "solve", "inv", "lstsq", "pinv", "svd", "cholesky", "qr")),
+    (lapack, ("dpotrf", "dpotrs")),
+)
+
+
+@contextlib.contextmanager
+def timed_algebra() -> Iterator[list[float]]:
+    """List of the times of all linear algebra in the block [s]; what NumPy calls within it does not count again."""
+    times: list[float] = []
+
+    def timed(function: Callable[..., Any], *given: Any, **named: Any) -> Any:
+        start = time.perf_counter()
+        try:
+            return function(*given, **named)
+        finally:
+            times.append(time.perf_counter() - start)
+
+    with contextlib.ExitStack() as stack:
+        for module, names in _ALGEBRA:
+            for name in names:
+                stack.enter_context(mock.patch.object(module, name, partial(timed, getattr(module, name))))
+        yield times
+
+
+def synthesis_rows(targets: list[np.ndarray], arms: list[Arm], count: int, repeats: int) -> Iterator[Row]:
+    """Time of a synthesis in that of its linear algebra, and the speed-up of syntheses at once over one by one."""
+    shares = []
+    for seed, xi in enumerate(targets):
+        with timed_algebra() as times:
+            whole = seconds(partial(synthesize, xi, seed=seed), time.perf_counter)
+        shares.append(whole / sum(times))
+    yield Row("certified synthesis, N = 4, in its solves and eigendecompositions", shares, "<= 4")
+
+    def speedups(targets: np.ndarray, magnitudes: list[float], seed: int) -> list[float]:
+        def one_by_one() -> None:
+            generators = np.random.default_rng(seed).spawn(len(targets))
+            for xi, magnitude, rng in zip(targets, magnitudes, generators, strict=True):
+                synthesize(xi, bias="sign-matched", bias_magnitude=magnitude, seed=rng)
+
+        at_once = partial(synthesize_many, targets, bias="sign-matched", bias_magnitude=magnitudes, seed=seed)
+        return ratios(one_by_one, at_once, repeats)
+
+    magnitudes, candidates = list(CandidateOptions().magnitudes()), list[float]()
+    for seed, arm in enumerate(arms):
+        candidates += speedups(np.repeat(arm.encode(draw_target(arm, seed))[None], 24, axis=0), magnitudes, seed)
+    yield Row("24 candidates of a plan at once, times as fast as one by one", candidates, ">= 3")
+    many = np.random.default_rng(0).uniform(-0.8, 0.8, (count, 4, 6))
+    samples = speedups(many, [0.125] * count, 0)
+    yield Row(f"{count} targets at once, N = 4, times as fast as one by one", samples, ">= 3")
+
+
+def check_row(arm: Arm, seed: int, repeats: int) -> Row:
+    """Time of the checks of a motion, in that of `mj_geomDistance` for all pairs at all samples."""
+    motion = plan(arm, draw_target(arm, seed), planner="lieednn-shaped", seed=seed).motion
+    model, pairs, positions = arm.model, Collisions(arm).pairs, arm.qpos(motion.q)
+    data = mujoco.MjData(model)
+
+    def bare() -> None:
+        for position in positions[::10]:
+            data.qpos[:] = position
+            mujoco.mj_kinematics(model, data)
+            for first, second in pairs:
+                mujoco.mj_geomDistance(model, data, first, second, 0.05, None)
+
+    part = len(positions[::10]) / len(positions)
+    samples = part * np.array(ratios(partial(check_motion, arm, motion), bare, repeats))
+    return Row("checks of a motion among poles, in mj_geomDistance over all pairs", samples, "<= 1.5")
+
+
+def rival_rows(arms: list[Arm], seeds: int) -> Iterator[Row]:
+    """Time of plans of ``lieednn-certified`` in free space, in RRT-Connect's median; no row without OMPL."""
+    if "rrt-connect" in PLANNERS.missing():
+        return
+    times: dict[str, list[float]] = {"lieednn-certified": [], "rrt-connect": []}
+    for arm in arms:
+        for seed in range(seeds):
+            target = draw_target(arm, seed)
+            for planner, taken in times.items():
+                with contextlib.suppress(LieEDNNError):
+                    taken.append(seconds(partial(plan, arm, target, planner=planner, seed=seed)))
+    samples = np.array(times["lieednn-certified"]) / np.median(times["rrt-connect"])
+    yield Row("plan of lieednn-certified, in RRT-Connect's median, free space", samples, "<= 1")
+
+
+def video_rows(run: Rollout, repeats: int) -> Iterator[Row]:
+    """Frames per second of wall time of a video, in those of rendering all pictures first and then encoding them.
+
+    A first run warms OpenGL up, and the two take turns to begin, since the first one may take a tenth longer. No row
+    without OpenGL.
+    """
+    fps, samples = round(FRAMES / float(run.t[-1])), []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "video.mp4"
+        ours = partial(render_video, run, path, size=FRAME_SIZE, fps=fps, preset="draft")
+        try:
+            frames = ours()
+        except RenderingUnavailableError:
+            return
+        bare = partial(render_then_encode, run, path, fps, frames)
+        for k in range(repeats):
+            taken = {work: seconds(work, time.perf_counter) for work in ((ours, bare) if k % 2 else (bare, ours))}
+            samples.append(taken[bare] / taken[ours])
+    yield Row("frames/s of a video, in those of rendering and encoding one after the other", samples, ">= 1")
+
+
+def render_then_encode(run: Rollout, path: Path, fps: int, frames: int) -> None:
+    """The same video as `render_video`, one after the other."""
+    overlay = Overlay(run.arm.link_poses(run.q_ref).as_matrix(), run.link_position[:, -1], 1.0)
+    with Camera(run.arm, size=FRAME_SIZE, preset="draft", target=run.target) as camera:
+        shown = np.linspace(0, len(run.t) - 1, frames).astype(int)
+        pictures = [camera.picture(run.q[k], partial(overlay.draw, k=int(k))) for k in shown]
+    with ffmpeg.mp4_writer(path, FRAME_SIZE, fps) as append:
+        for picture in pictures:
+            append(picture)
+
+
+# The thread's own clock stands still while another program has the processor.
+_MAIN = """
+#define _POSIX_C_SOURCE 199309L
+#include <stdio.h>
+#include <time.h>
+#include "lieednn.h"
+
+static lieednn net;
+
+static double now(void)
+{
+    struct timespec time;
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
+    return 1e6 * (double)time.tv_sec + 1e-3 * (double)time.tv_nsec;
+}
+
+int main(void)
+{
+    lieednn_init(&net);
+    for (int k = 0; k < LIEEDNN_SIZE; k++) net.x[k] = 0.0;
+    for (long step = 0; step < STEPS; step++) {
+        double start = now();
+        lieednn_step(&net, 0.01);
+        printf("%.3f\\n", now() - start);
+    }
+    return 0;
+}
+"""
+
+
+def code_rows(steps: int, neurons: int = 16) -> Iterator[Row]:
+    """Time of steps of a network in C, the longest one included; no row where there is no C compiler."""
+    compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    if compiler is None:
+        return
+    target = np.random.default_rng(0).uniform(-0.8, 0.8, (neurons, 6))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        synthesize(target).unwrap().to_c(folder)
+        (folder / "main.c").write_text(_MAIN, encoding="utf-8")
+        sources = [folder / "main.c", folder / "lieednn.c"]
+        words: list[Any] = [compiler, "-std=c99", "-O2", f"-DSTEPS={steps}", *sources, "-o", folder / "main", "-lm"]
+        subprocess.run(words, check=True)
+        times = subprocess.run([folder / "main"], check=True, capture_output=True, text=True).stdout.split()
+    yield Row(f"step of a network of {neurons} neurons in C [us]", list(map(float, times)), "<= 20")
+
+
+def ratio_rows(targets: list[np.ndarray], epochs: dict[str, list[float]], scale: int) -> list[Row]:
+    """All rows, with a fraction 1 / ``scale`` of the repetitions; ``epochs`` are the costs of `epoch_costs`."""
+    arms, arm = [Arm.load(name) for name in arm_names()], Arm.load("telescopic_pr")
+    few, repeats, often = (max(count // scale, 1) for count in (5, 10, 20))
+    chosen: Plan = plan(arm, arm.keyframe("extended"))
+    assert isinstance(chosen.network, LieEDNN)
+    synthesis = float(np.median([synthesize(xi, seed=seed).cpu_time for seed, xi in enumerate(targets[:20])]))
+    return [
+        *learning_rows(targets[:20], epochs),
+        *plan_rows(arm, arm.keyframe("extended"), chosen.motion, synthesis, often),
+        *(row for each in arms for row in control_step_rows(each)),
+        *policy_rows(arm),
+        *evaluation_rows(arm, chosen.network, max(10_000 // scale, 10), often),
+        *start_rows(repeats),
+        *rollout_rows(arm, chosen.motion, repeats),
+        *many_rows(arm, max(256 // scale, 2), min(few, 3)),
+        *environment_rows(arm, repeats, max(50 // scale, 2)),
+        *vector_rows(arm, few, max(20 // scale, 2), max(64 // scale, 2)),
+        *synthesis_rows(targets, arms, max(1000 // scale, 1), few),
+        check_row(Arm.load("telescopic_pr", "poles", 1), 1, few),
+        *rival_rows(arms, max(10 // scale, 1)),
+        *video_rows(simulate(arm, chosen.motion), max(6 // scale, 1)),
+        *code_rows(max(100_000 // scale, 10)),
+    ]

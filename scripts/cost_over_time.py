@@ -16,117 +16,97 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
-from csv_rows import read_rows, write_rows
+from kept_rows import kept_rows
 from matplotlib.figure import Figure
 
+import lieednn_sim as ls
 from lieednn_sim import io
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import arm_names
 from lieednn_sim.budget import cpu_time
-from lieednn_sim.errors import FileError, LieEDNNError, NoSolutionError
+from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE, save_figure
-from lieednn_sim.planning import PLANNERS, plan
+from lieednn_sim.planning import PLANNERS
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.studies.comparison.cases import arm_and_target
-from lieednn_sim.validation import as_choice, as_count
+from lieednn_sim.studies.markdown import table
 
 SCENE, FIRST_SEED = "poles", 2000
 _CHECKS = "max_collision_checks"
 # The work allowed in each run, by the option that counts it.
-LADDERS: dict[str, tuple[str, tuple[object, ...]]] = {
-    "rrt-connect": (_CHECKS, ((120_000,),)),
-    **dict.fromkeys(("rrt-star", "informed-rrt-star", "aorrtc"), (_CHECKS, tuple((2_500 * 2**k,) for k in range(6)))),
-    "bit-star": (_CHECKS, tuple((625 * 2**k,) for k in range(8))),
+LADDERS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "rrt-connect": (_CHECKS, (120_000,)),
+    **dict.fromkeys(("rrt-star", "informed-rrt-star", "aorrtc"), (_CHECKS, tuple(2_500 * 2**k for k in range(6)))),
+    "bit-star": (_CHECKS, tuple(625 * 2**k for k in range(8))),
     "trajectory-optimisation": ("guesses", (1, 2, 4, 8)),
     "stomp": ("steps", tuple(2**k for k in range(9))),
 }
 # CPU times of the table [s], and of the curves.
 TIMES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 CURVE = np.geomspace(0.02, 16.0, 160)
-FIELDS = ("planner", "arm", "seed", "work", "length", "cpu_s", "reason")
 
 
-@dataclass(frozen=True)
-class Run:
-    """A row of the table; the length of the joint path is infinite if there is none, for the ``reason``."""
-
-    planner: str
-    arm: str
-    seed: int
-    work: str
-    length: float
-    cpu_s: float
-    reason: str = ""
-
-
-def measured(planner: str, name: str, seed: int, work: object) -> Run:
-    """One run."""
-    arm, target = arm_and_target(name, SCENE, seed)
-    kind = PLANNERS[planner].options
+def measured(planner: str, arm: str, seed: int, work: int) -> dict[str, Any]:
+    """One run: its CPU time [s], and the length of its joint path, infinite if there is none for a reason."""
+    room, target = arm_and_target(arm, SCENE, seed)
+    kind, option = PLANNERS[planner].options, LADDERS[planner][0]
     assert kind is not None, "planners without options have no work to be allowed"
-    begun, length, reason = cpu_time(), math.inf, ""
+    options = kind(**{option: (work,) if option == _CHECKS else work})
+    start, length, reason = cpu_time(), math.inf, ""
     try:
-        q = plan(arm, target, planner=planner, seed=seed, options=kind(**{LADDERS[planner][0]: work})).motion.q
-        length = float(np.linalg.norm(np.diff(q / joint_scale(arm), axis=0), axis=1).sum())
+        q = ls.plan(room, target, planner=planner, seed=seed, options=options).motion.q
+        length = float(np.linalg.norm(np.diff(q / joint_scale(room), axis=0), axis=1).sum())
     except NoSolutionError as error:
         reason = str(error)
-    return Run(planner, name, seed, allowed(planner, work), length, cpu_time() - begun, reason)
+    return {"length": length, "cpu_s": cpu_time() - start, "reason": reason}
 
 
-def allowed(planner: str, work: object) -> str:
-    """The work allowed, in words: the option that counts it, and its value."""
-    return f"{LADDERS[planner][0]} {np.ravel([work])[0]}"
-
-
-def best_by(runs: Sequence[Run], times: Sequence[float]) -> dict[str, np.ndarray]:
+def best_by(runs: Sequence[dict[str, Any]], times: Sequence[float]) -> dict[str, np.ndarray]:
     """For each planner, shortest lengths by some times [s], over the best known, ``(problems, times)``."""
-    problems = sorted({(run.arm, run.seed) for run in runs})
-    known = {one: min(run.length for run in runs if (run.arm, run.seed) == one) for one in problems}
-    found = {name: np.full((len(problems), len(times)), np.inf) for name in dict.fromkeys(run.planner for run in runs)}
+    problems = sorted({(run["arm"], run["seed"]) for run in runs})
+    known = {one: min(run["length"] for run in runs if (run["arm"], run["seed"]) == one) for one in problems}
+    result = {run["planner"]: np.full((len(problems), len(times)), np.inf) for run in runs}
     for run in runs:
-        if math.isfinite(run.length):
-            row = found[run.planner][problems.index((run.arm, run.seed))]
-            np.minimum(row, run.length / known[run.arm, run.seed], out=row, where=np.array(times) >= run.cpu_s)
-    return found
+        if math.isfinite(run["length"]):
+            problem = run["arm"], run["seed"]
+            row = result[run["planner"]][problems.index(problem)]
+            np.minimum(row, run["length"] / known[problem], out=row, where=np.array(times) >= run["cpu_s"])
+    return result
 
 
-def longest(runs: Sequence[Run], planner: str) -> float:
+def longest(runs: Sequence[dict[str, Any]], planner: str) -> float:
     """CPU time [s] of the longest run of a planner."""
-    return max(run.cpu_s for run in runs if run.planner == planner)
+    return float(max(run["cpu_s"] for run in runs if run["planner"] == planner))
 
 
-def table(runs: Sequence[Run], command: str) -> str:
+def report(runs: Sequence[dict[str, Any]], command: str) -> str:
     """Medians by the times of `TIMES`, with the problems solved by then."""
-    found = best_by(runs, TIMES)
-    count = len({(run.arm, run.seed) for run in runs})
+    rows = []
+    for name, ratios in best_by(runs, TIMES).items():
+        solved, median = np.isfinite(ratios).sum(axis=0), np.quantile(ratios, 0.5, axis=0, method="higher")
+        cells = [
+            f"{value:.3f} ({number})" if np.isfinite(value) else f"- ({number})"
+            for value, number in zip(median, solved, strict=True)
+        ]
+        rows.append([name, *cells, f"{longest(runs, name):.2g}"])
+    count = len({(run["arm"], run["seed"]) for run in runs})
     lines = [
         "# Cost over time",
         "",
         f"`{command}`: median length of joint paths over the shortest that any planner has for the problem, of {count} "
         "problems, by CPU time; in brackets the number of problems solved by then; a dash where fewer than half are "
         "solved. Beyond its longest run a planner was given no more work.",
-        "",
-        "| planner | " + " | ".join(f"{t:g} s" for t in TIMES) + " | longest run [s] |",
-        "| --- |" + " --- |" * (len(TIMES) + 1),
+        *table(["planner", *(f"{t:g} s" for t in TIMES), "longest run [s]"], rows),
     ]
-    for name, ratios in found.items():
-        solved, median = np.isfinite(ratios).sum(axis=0), np.quantile(ratios, 0.5, axis=0, method="higher")
-        cells = [
-            f"{value:.3f} ({number})" if np.isfinite(value) else f"- ({number})"
-            for value, number in zip(median, solved, strict=True)
-        ]
-        lines.append(f"| {name} | " + " | ".join([*cells, f"{longest(runs, name):.2g}"]) + " |")
     return "\n".join(lines) + "\n"
 
 
-def plot(runs: Sequence[Run], path: Path) -> None:
+def plot(runs: Sequence[dict[str, Any]], path: Path) -> None:
     """The medians over time, as steps."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.5, 4.2), layout="constrained")
@@ -146,58 +126,31 @@ def plot(runs: Sequence[Run], path: Path) -> None:
         save_figure(figure, path)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> None:
     """Measure missing runs, and write all three files."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--planners", default=",".join(name for name in LADDERS if name not in PLANNERS.missing()))
-    parser.add_argument("--arms", default=",".join(arm_names()))
+    able = [name for name in LADDERS if name not in PLANNERS.missing()]
+    parser.add_argument("--planners", nargs="+", choices=LADDERS, default=able, metavar="PLANNER")
+    parser.add_argument("--arms", nargs="+", choices=arm_names(), default=arm_names(), metavar="ARM")
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--output", type=Path, default=Path("results/cost_over_time"))
     options = parser.parse_args(arguments)
-    try:
-        names = [as_choice("planner", name, LADDERS) for name in options.planners.split(",")]
-        arms = [as_choice("arm", name, arm_names()) for name in options.arms.split(",")]
-        seeds = as_count("seeds", options.seeds)
-        path = io.make_directory(options.output) / "cost_over_time.csv"
-        runs = _read(path)
-    except LieEDNNError as error:
-        parser.error(str(error))
-    done = {(run.planner, run.arm, run.seed, run.work) for run in runs}
-    for arm in arms:
-        for seed in range(FIRST_SEED, FIRST_SEED + seeds):
-            for planner, work in [(one, work) for one in names for work in LADDERS[one][1]]:
-                if (planner, arm, seed, allowed(planner, work)) in done:
-                    continue
-                with one_blas_thread():
-                    runs.append(measured(planner, arm, seed, work))
-                print(*vars(runs[-1]).values(), sep=", ", file=sys.stderr)
-                write_rows(path, FIELDS, map(vars, runs))
-    runs.sort(key=lambda run: list(LADDERS).index(run.planner))
-    text = table(runs, f"python scripts/cost_over_time.py --seeds {seeds}")
-    with io.atomic_text(options.output / "cost_over_time.md") as file:
+    folder = io.make_directory(options.output)
+    cases = [
+        {"planner": planner, "arm": arm, "seed": seed, "work": work}
+        for arm in options.arms
+        for seed in range(FIRST_SEED, FIRST_SEED + options.seeds)
+        for planner in options.planners
+        for work in LADDERS[planner][1]
+    ]
+    runs = kept_rows(folder / "cost_over_time.csv", cases, measured)
+    runs.sort(key=lambda run: list(LADDERS).index(run["planner"]))
+    text = report(runs, f"python scripts/cost_over_time.py --seeds {options.seeds}")
+    with io.atomic_text(folder / "cost_over_time.md") as file:
         file.write(text)
-    plot(runs, options.output / "cost_over_time.png")
+    plot(runs, folder / "cost_over_time.png")
     print(text)
-    return 0
-
-
-def _read(path: Path) -> list[Run]:
-    try:
-        return [
-            Run(
-                row["planner"],
-                row["arm"],
-                int(row["seed"]),
-                row["work"],
-                float(row["length"]),
-                float(row["cpu_s"]),
-                row["reason"],
-            )
-            for row in read_rows(path)
-        ]
-    except (KeyError, TypeError, ValueError) as error:
-        raise FileError(f"{path} is no table of this script ({error}); choose another --output") from None
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

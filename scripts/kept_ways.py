@@ -1,28 +1,30 @@
 """How closely planned motions keep a line, or an orientation, and how long planning takes.
 
+    python scripts/kept_ways.py telescopic_pr telescopic_rrp telescopic_compound robot.xml --ways 20
+
 A start is a random target of the arm, and the end effector goes from there into a random direction, by 0.1 to 0.4 m: on
 a straight line, turned as it likes; or by any way, turned as at the start. Ways that the arm cannot follow in small
 steps, because of its limits, its reach or contact, are drawn again.
-
-    python scripts/kept_ways.py telescopic_pr telescopic_rrp telescopic_compound robot.xml --ways 20
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 import lieednn_sim as ls
-from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.planning.kept import followed
+from lieednn_sim.studies.markdown import table
 
+HEADINGS = ("arm", "kept", "drawn", "can be followed", "planned", "off [mm]", "off [degrees]", "CPU [s]", "longest")
 KINDS = ("line", "orientation")
 # Most ways drawn for one that the arm can follow.
-_DRAWN = 40
+DRAWN = 40
 
 
 def drawn(arm: ls.Arm, kind: str, seed: int) -> tuple[np.ndarray, ls.TaskSpaceRegion, ls.TaskSpaceRegion] | None:
@@ -37,43 +39,34 @@ def drawn(arm: ls.Arm, kind: str, seed: int) -> tuple[np.ndarray, ls.TaskSpaceRe
     return None if target is None or arm.near_contacts(target) else (start, goal, keep)
 
 
-def row(arm: ls.Arm, kind: str, ways: int) -> str:
+def row(arm: ls.Arm, kind: str, ways: int) -> list[Any]:
     """A row of the table."""
-    seed, tried, deviations, times = 0, 0, [], []
-    while tried < ways and seed < _DRAWN * ways:
+    seed, problems = 0, list[Any]()
+    while len(problems) < ways and seed < DRAWN * ways:
         seed += 1
-        problem = drawn(arm, kind, seed)
-        if problem is None:
-            continue
-        tried, begun = tried + 1, cpu_time()
-        start, goal, keep = problem
+        problems += [(seed, problem) for problem in [drawn(arm, kind, seed)] if problem is not None]
+    times, deviations = [np.nan], [np.zeros(2)]
+    for number, (start, goal, keep) in problems:
         try:
-            motion = ls.plan(arm, goal, start=start, keep=keep, seed=seed).motion
+            plan = ls.plan(arm, goal, start=start, keep=keep, seed=number)
         except NoSolutionError as error:
-            print(f"{arm.name}, {kind}, seed {seed}: {error}")
-        else:
-            times.append(cpu_time() - begun)
-            ends = RigidTransform.from_matrix(arm.link_poses(motion.q).as_matrix()[:, -1])
-            deviations.append(np.max(keep.distance(ends), axis=1))
-    if not times:
-        return f"| {arm.name} | {kind} | {seed} | {tried} | 0 | | | | |"
+            print(f"{arm.name}, {kind}, seed {number}: {error}")
+            continue
+        ends = RigidTransform.from_matrix(arm.link_poses(plan.motion.q).as_matrix()[:, -1])
+        deviations.append(np.max(keep.distance(ends), axis=1))
+        times.append(plan.cpu_time)
     distance, angle = np.max(deviations, axis=0)
-    return (
-        f"| {arm.name} | {kind} | {seed} | {tried} | {len(times)} | {1e3 * distance:.2g} | {np.rad2deg(angle):.2g} "
-        f"| {np.median(times):.2f} | {np.max(times):.2f} |"
-    )
+    cells = [arm.name, kind, seed, len(problems), len(times) - 1, f"{1e3 * distance:.2g}", f"{np.rad2deg(angle):.2g}"]
+    return [*cells, f"{np.nanmedian(times):.2f}", f"{np.nanmax(times):.2f}"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("arms", nargs="+", help="names of arms or model files")
     parser.add_argument("--ways", type=int, default=20, help="ways of each kind that the arm can follow")
     options = parser.parse_args(arguments)
-    print("| arm | kept | drawn | can be followed | planned | off [mm] | off [degrees] | CPU [s], median | longest |")
-    print("| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
-    for name in options.arms:
-        for kind in KINDS:
-            print(row(ls.Arm.load(name), kind, options.ways), flush=True)
+    arms = [ls.Arm.load(name) for name in options.arms]
+    print(*table(HEADINGS, (row(arm, kind, options.ways) for arm in arms for kind in KINDS)), sep="\n")
 
 
 if __name__ == "__main__":

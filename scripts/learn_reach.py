@@ -18,13 +18,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module, metadata
 from itertools import pairwise
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +36,7 @@ from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.gymnasium import ENVIRONMENTS, Environment
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.figure_layout import STYLE, save_figure
+from lieednn_sim.studies.markdown import table
 from lieednn_sim.values import Floats
 
 NAME = next(iter(ENVIRONMENTS))
@@ -171,32 +171,22 @@ def run(learner: str, seed: int, folder: Path) -> None:
         result = {"last": evaluate(lambda _: rng.uniform(-1.0, 1.0, size), MANY)}
     else:
         import_module("torch").set_num_threads(1)
-        spent, begun, curve, act = 0.0, time.process_time(), [], None
+        spent, start, curve, act = 0.0, time.process_time(), [], None
         data = folder / "demonstrations.npz"
         for steps, act in cloned(seed, data) if learner == "behaviour cloning" else reinforced(learner, seed):
-            spent += time.process_time() - begun
+            spent += time.process_time() - start
             curve.append((steps, float(np.mean(evaluate(act, FEW)["success"]))))
             print(f"{learner} {seed}: {steps} steps, {spent:.0f} s, success {curve[-1][1]:.2f}", flush=True)
-            begun = time.process_time()
+            start = time.process_time()
         if act is None:
             raise LieEDNNError(f"{learner} made no policy")
         result = {"curve": curve, "cpu_s": spent, "last": evaluate(act, MANY)}
     io.save_json(folder / f"{learner}-{seed}.json", result)
 
 
-def table(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
+def report(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
     """Markdown table of all learners; rates as means with their range over the seeds."""
-    lines = [
-        "# Learning to reach",
-        "",
-        f"`{NAME}` with ten actions a second, {MANY} fixed episodes for each of {max(map(len, runs.values()))} "
-        "seeds. Success: within 1 mm and 0.1 degrees and at rest at the end of 6 s. Errors at the end and, as medians, "
-        f"the jerk of the joints in their ranges, and the time until success for good{libraries}.",
-        "",
-        "| | steps | success % (range) | mm, median | mm, 95 % | deg, median | deg, 95 % | jerk [1/s^3] | goal [s] "
-        "| CPU min per seed |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    rows = []
     for learner, found in runs.items():
         rates = [100.0 * float(np.mean(one["last"]["success"])) for one in found]
         keys = ("mm", "deg", "jerk", "goal_s")
@@ -206,8 +196,16 @@ def table(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
         cells += [f"{np.quantile(every[key], part):.3g}" for key in ("mm", "deg") for part in (0.5, 0.95)]
         times = every["goal_s"][np.isfinite(every["goal_s"])]
         cells += [f"{np.median(every['jerk']):.3g}", f"{np.median(times):.1f}" if len(times) else ""]
-        cells.append(f"{np.mean([one['cpu_s'] for one in found]) / 60.0:.1f}" if "cpu_s" in found[0] else "")
-        lines.append("| " + " | ".join(cells) + " |")
+        rows.append([*cells, f"{np.mean([one['cpu_s'] for one in found]) / 60.0:.1f}" if "cpu_s" in found[0] else ""])
+    headings = ["", "steps", "success % (range)", "mm, median", "mm, 95 %", "deg, median", "deg, 95 %", "jerk [1/s^3]"]
+    lines = [
+        "# Learning to reach",
+        "",
+        f"`{NAME}` with ten actions a second, {MANY} fixed episodes for each of {max(map(len, runs.values()))} "
+        "seeds. Success: within 1 mm and 0.1 degrees and at rest at the end of 6 s. Errors at the end and, as medians, "
+        f"the jerk of the joints in their ranges, and the time until success for good{libraries}.",
+        *table([*headings, "goal [s]", "CPU min per seed"], rows),
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -232,43 +230,31 @@ def plot(runs: dict[str, list[dict[str, Any]]], path: Path) -> None:
         save_figure(figure, path)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Do the runs that are missing, each in a process of its own, and write table and picture."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=2, help="runs at once")
     parser.add_argument("--output", type=Path, default=Path("results/learning"))
-    parser.add_argument("--one", nargs=2, metavar=("LEARNER", "SEED"), help="do this run alone")
     options = parser.parse_args(arguments)
     folder = io.make_directory(options.output / "runs")
-    if options.one:
-        run(options.one[0], int(options.one[1]), folder)
-        return 0
-    wanted = [(EXPERT, 0), *((learner, seed) for seed in range(options.seeds) for learner in (*LEARNERS, RANDOM))]
-
-    def start(one: tuple[str, int]) -> int:
-        if (folder / f"{one[0]}-{one[1]}.json").exists():
-            return 0
-        words = [sys.executable, __file__, "--output", str(options.output), "--one", one[0], str(one[1])]
-        return subprocess.run(words, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=False).returncode
-
-    # All clones learn from the same demonstrations, which the first run makes.
+    files = {EXPERT: [folder / f"{EXPERT}-0.json"]}
+    files |= {name: [folder / f"{name}-{seed}.json" for seed in range(options.seeds)] for name in (*LEARNERS, RANDOM)}
+    # All clones learn from the same demonstrations, which are made first.
     demonstrations(folder / "demonstrations.npz")
-    with ThreadPoolExecutor(options.jobs) as pool:
-        if any(pool.map(start, wanted)):
-            return 1
-    runs: dict[str, list[dict[str, Any]]] = {}
-    for learner in (EXPERT, *LEARNERS, RANDOM):
-        paths = [folder / f"{learner}-{seed}.json" for name, seed in wanted if name == learner]
-        runs[learner] = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+    missing = [(name, seed) for name, paths in files.items() for seed, path in enumerate(paths) if not path.exists()]
+    os.environ["OMP_NUM_THREADS"] = "1"  # of the processes
+    with ProcessPoolExecutor(options.jobs, get_context("spawn"), max_tasks_per_child=1) as pool:
+        for done in [pool.submit(run, name, seed, folder) for name, seed in missing]:
+            done.result()
+    runs = {name: [json.loads(path.read_text(encoding="utf-8")) for path in paths] for name, paths in files.items()}
     used = [f"{name} {metadata.version(name)}" for name in ("stable-baselines3", "torch", "gymnasium")]
-    text = table(runs, f"; {', '.join(used)}")
+    text = report(runs, f"; {', '.join(used)}")
     with io.atomic_text(options.output / "learning.md") as file:
         file.write(text)
     plot(runs, options.output / "learning.png")
     print(text)
-    return 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

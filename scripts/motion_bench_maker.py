@@ -18,7 +18,7 @@ from pathlib import Path
 from rich.console import Console
 
 from lieednn_sim import io
-from lieednn_sim.studies.markdown import table_line
+from lieednn_sim.studies.markdown import table
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.problems.study import PublishedProblems, Solution, Statistic
 from lieednn_sim.studies.study import compute
@@ -42,34 +42,32 @@ HEADINGS = (
 SHOWN = ("solve_time", "cspace_path_length", "motion_time")
 
 
-def table(rows: dict[str, Sequence[Solution]]) -> str:
+def report(rows: dict[str, Sequence[Solution]]) -> str:
     """The statistics of all robots, and what failed."""
+    cells, failures = [], []
+    for robot, found in rows.items():
+        for planner in dict.fromkeys(row.planner for row in found):
+            own = [row for row in found if row.planner == planner]
+            asked = [row for row in own if not row.skipped]
+            solved = [row for row in asked if row.success]
+            statistics = [Statistic.of([getattr(row, name) for row in solved]) for name in SHOWN]
+            cells.append([robot, f"`{planner}`", len(own), len(own) - len(asked), f"{len(solved)} of {len(asked)}"])
+            for one in statistics:
+                shown = (one.mean, one.median, one.percent_75, one.percent_98) if one else ()
+                cells[-1].append(" / ".join(f"{value:.3g}" for value in shown) or "-")
+            lost = [f"{row.problem} {row.number}" for row in asked if not row.success]
+            if lost and planner != "minimum-jerk":
+                failures.append(f"- {robot}, `{planner}`: {', '.join(lost)}")
     lines = [
         "# MotionBenchMaker's problems",
         "",
         METHOD.format(budget=BUDGET)
         + " Four numbers are mean / median / 75 % / 98 %. [How the problems are posed, and "
         "what others publish](../../docs/howto/published_problems.md).",
-        "",
-        table_line(HEADINGS),
-        "|" + " --- |" * len(HEADINGS),
+        *table(HEADINGS, cells),
+        *("", "What searching planners did not solve:", ""),
+        *(failures or ["- nothing that could be posed"]),
     ]
-    failures = []
-    for robot, found in rows.items():
-        for planner in dict.fromkeys(row.planner for row in found):
-            own = [row for row in found if row.planner == planner]
-            asked = [row for row in own if not row.skipped]
-            solved = [row for row in asked if row.success]
-            cells = [robot, f"`{planner}`", len(own), len(own) - len(asked), f"{len(solved)} of {len(asked)}"]
-            for name in SHOWN:
-                one = Statistic.of([getattr(row, name) for row in solved])
-                shown = (one.mean, one.median, one.percent_75, one.percent_98) if one else ()
-                cells.append(" / ".join(f"{value:.3g}" for value in shown) or "-")
-            lines.append(table_line(list(map(str, cells))))
-            lost = [f"{row.problem} {row.number}" for row in asked if not row.success]
-            if lost and planner != "minimum-jerk":
-                failures.append(f"- {robot}, `{planner}`: {', '.join(lost)}")
-    lines += ["", "What searching planners did not solve:", "", *(failures or ["- nothing that could be posed"])]
     return "\n".join(lines) + "\n"
 
 
@@ -92,7 +90,7 @@ def main(arguments: list[str] | None = None) -> int:
             rows[robot] = compute(study, given.output / robot, jobs=given.jobs, console=console).sorted_rows()
         path = given.output / "motion_bench_maker.md"
         with io.atomic_text(path) as stream:
-            stream.write(table(rows))
+            stream.write(report(rows))
         return path
 
     return exit_code(work, console, "problems")

@@ -11,26 +11,19 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from robot_reports import wrong_in_report
 
+import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.importer.loading import load_spec
-from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.evaluation.evaluation import Evaluation
-from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.simulation import simulate
+from lieednn_sim.studies.markdown import table
 
 # Models of MuJoCo Menagerie, then URDFs with meshes of ROS packages; with the base or links of one of two arms.
 ROBOTS: dict[str, dict[str, Any]] = {
@@ -81,88 +74,48 @@ _CONFIGURATIONS = 100  # number of configurations at which the forward maps are 
 
 def try_robot(file: Path, options: dict[str, Any], targets: int) -> dict[str, Any]:
     """The results for a robot: a row of the table, with details."""
-    begun = time.process_time()
-    row: dict[str, Any] = {}
+    start = time.process_time()
     try:
-        arm = Arm.load(file, **options)
-    except LieEDNNError as error:
-        return row | {"failures": [f"load: {error}"]}
-    assert arm.import_report is not None
+        arm = ls.Arm.load(file, **options)
+    except ls.LieEDNNError as error:
+        return {"failures": [f"load: {error}"]}
     original = _Original(arm, file)
-    row |= {"links": arm.n_links, "joints": arm.n_joints, "load_s": time.process_time() - begun}
-    report = str(arm.import_report).splitlines()
-    row |= {"forward_map_m": original.forward_error(), "report": report, "wrong": original.wrong(file)}
-    made: dict[str, list[float]] = {planner: [] for planner in PLANNERS}
-    arrived, failures = dict.fromkeys(CONTROLLERS, 0), list[str]()
-    unexplained: list[str] = []
-    deepest = 0.0
+    row = {"links": arm.n_links, "joints": arm.n_joints, "forward_map_m": original.forward_error()}
+    times: dict[str, list[float]] = {planner: [] for planner in PLANNERS}
+    arrived, failures, deepest = dict.fromkeys(CONTROLLERS, 0), list[str](), 0.0
     for seed in range(targets):
-        try:
-            target = draw_target(arm, seed)
-        except LieEDNNError as error:
-            failures.append(f"target {seed}: {error}")
-            continue
         for planner in PLANNERS:
             try:
-                found = plan(arm, target, planner=planner, seed=seed)
-            except LieEDNNError as error:
+                plan = ls.plan(arm, ls.draw_target(arm, seed), planner=planner, seed=seed)
+            except ls.LieEDNNError as error:
                 failures.append(f"{planner} {seed}: {error}")
-                unexplained += _unexplained_plan(f"{planner} {seed}", str(error), report)
                 continue
-            made[planner].append(found.cpu_time)
-            deepest = max(deepest, original.penetration(found.motion))
-            if planner != PLANNERS[0]:
-                continue
-            for controller in CONTROLLERS:
+            times[planner].append(plan.cpu_time)
+            deepest = max(deepest, original.penetration(plan.motion))
+            for controller in CONTROLLERS if planner == PLANNERS[0] else ():
                 try:
-                    evaluation = evaluate(simulate(arm, found, controller=controller), clearance=False)
-                except LieEDNNError as error:
-                    failures.append(f"{controller} {seed}: {error}")
-                    unexplained.append(failures[-1])
-                    continue
-                if not evaluation.shortfall:
-                    arrived[controller] += 1
-                else:
-                    failures.append(f"{controller} {seed}: {evaluation.shortfall}; {'; '.join(evaluation.causes[:2])}")
-                    unexplained += _unexplained_error(f"{controller} {seed}", evaluation, report)
-    row |= {f"plans {planner}": len(times) for planner, times in made.items()}
-    row |= {f"planning_s {planner}": float(np.median(times)) if times else None for planner, times in made.items()}
-    row |= {"targets": targets, "penetration_mm": 1e3 * deepest, "failures": failures, "unexplained": unexplained}
-    row |= arrived
-    return row | {"seconds": time.process_time() - begun}
-
-
-def _unexplained_plan(name: str, failure: str, report: list[str]) -> list[str]:
-    """The failure of a plan, unless the import report mentions its bodies or limit; at most one entry."""
-    pair = re.search(r"'([^']+)' would come within 2 mm of '([^']+)'", failure)
-    fast = re.search(r"joint '([^']+)' would (?:move|accelerate) at .*, its limit is ([0-9.e+-]+)", failure)
-    limits = [line for line in report if "velocity limits" in line or "acceleration limits" in line]
-    if fast and any(f"{fast[1]} {fast[2]}" in line for line in limits):
-        return []
-    if pair is None:
-        return [f"{name}: {failure}"]
-    lines = [line for line in report if "straight paths from home" in line or "random configurations" in line]
-    known = any({*pair.groups()} == {*both} for line in lines for both in re.findall(r"'([^']+)' and '([^']+)'", line))
-    return [] if known else [f"{name}: {pair.group()}"]
-
-
-def _unexplained_error(name: str, evaluation: Evaluation, report: list[str]) -> list[str]:
-    """Joints that keep an arm from arriving, by friction, load or slow servos, that the report does not mention."""
-    told = [line.removeprefix("note: ") for line in report]
-    words = {"dry friction": "dry friction", "load of": "sags", "slow": "slow", "force limit": "force"}
-    lines = []
-    for cause in evaluation.causes:
-        joint = re.match(r"joint '([^']+)' ends", cause)
-        kinds = [kind for said, kind in words.items() if said in cause]
-        if joint and not any(line.startswith(f"{joint[1]}: ") and kind in line for kind in kinds for line in told):
-            lines.append(f"{name}: {cause}")
-    return lines if evaluation.causes else [f"{name}: {evaluation.shortfall}"]
+                    evaluation = ls.evaluate(ls.simulate(arm, plan, controller=controller), clearance=False)
+                    arrived[controller] += not evaluation.shortfall
+                    wrong = [evaluation.shortfall, *evaluation.causes[:2]] if evaluation.shortfall else []
+                except ls.LieEDNNError as error:
+                    wrong = [str(error)]
+                failures += [f"{controller} {seed}: {'; '.join(wrong)}"] if wrong else []
+    return {
+        **row,
+        "targets": targets,
+        "counts": [*map(len, times.values()), *arrived.values()],
+        "penetration_mm": 1e3 * deepest,
+        "planning_s": [float(np.median(taken)) if taken else None for taken in times.values()],
+        "failures": failures,
+        "notes": [line for line in str(arm.import_report).splitlines() if line.startswith("note: ")],
+        "seconds": time.process_time() - start,
+    }
 
 
 class _Original:
     """The original model, with the arm's joints as in the arm and all others as at home."""
 
-    def __init__(self, arm: Arm, file: Path) -> None:
+    def __init__(self, arm: ls.Arm, file: Path) -> None:
         self._arm = arm
         spec = load_spec(file)
         for body in spec.bodies:
@@ -200,10 +153,6 @@ class _Original:
             worst = max(worst, float(np.abs(away).max()))
         return worst
 
-    def wrong(self, file: Path) -> list[str]:
-        """Wrong statements of the report."""
-        return wrong_in_report(self._arm, self._model, self._qpos, file)
-
     def penetration(self, motion: Motion) -> float:
         """Deepest penetration during a motion in the original model, without contacts that the report ignores [m]."""
         deepest = 0.0
@@ -223,37 +172,30 @@ class _Original:
 
 def as_markdown(rows: list[dict[str, Any]], folder: str) -> str:
     """The table, and the import reports' remarks on each robot with a failure."""
-    heads = ["robot", "links", "joints", "report right", "forward map [m]", *PLANNERS, *CONTROLLERS]
-    heads += ["deepest [mm]", "times minimum jerk's", "failures not in the report", "seconds"]
-    lines = [f"Models: {folder}", "", f"| {' | '.join(heads)} |", "| --- |" + " ---: |" * (len(heads) - 1)]
+    headings = ["robot", "links", "joints", "forward map [m]", *PLANNERS, *CONTROLLERS]
+    headings += ["deepest [mm]", "times minimum jerk's", "seconds"]
+    cells = []
     for row in rows:
-        if "links" not in row:
-            lines.append(f"| {row['robot']} | not loaded |" + " |" * (len(heads) - 2))
-            continue
-        counts = [f"{row[name]} of {row['targets']}" for name in (*(f"plans {p}" for p in PLANNERS), *CONTROLLERS)]
-        right = "yes" if not row["wrong"] else f"{len(row['wrong'])} wrong"
-        cells = [row["robot"], row["links"], row["joints"], right, f"{row['forward_map_m']:.1e}", *counts]
-        times = [row[f"planning_s {planner}"] for planner in PLANNERS]
-        ratio = f"{times[0] / times[1]:.1f}" if all(times) else "-"
-        cells += [f"{row['penetration_mm']:.2g}", ratio, len(row["unexplained"]), f"{row['seconds']:.0f}"]
-        lines.append(f"| {' | '.join(map(str, cells))} |")
-    lines += [
+        cells.append([row["robot"], "not loaded", *[""] * (len(headings) - 2)])
+        if "links" in row:
+            counts = [f"{count} of {row['targets']}" for count in row["counts"]]
+            ours, theirs = row["planning_s"]
+            ratio = f"{ours / theirs:.1f}" if ours and theirs else "-"
+            cells[-1] = [row["robot"], row["links"], row["joints"], f"{row['forward_map_m']:.1e}", *counts]
+            cells[-1] += [f"{row['penetration_mm']:.2g}", ratio, f"{row['seconds']:.0f}"]
+    lines = [
+        f"Models: {folder}",
+        *table(headings, cells),
         "",
         "Plans are from home to random targets, then followed; a controller counts where every link ends within 1 mm "
-        "and 0.1 degrees. Report right: joints, ranges, limits of force, velocity and acceleration, gains, dry "
-        "friction and ignored contacts, held against the model by `scripts/robot_reports.py`. Deepest: how deep any "
-        "plan is in anything in the model as it came, but for the contacts that the report names as ignored. Times: "
-        "median CPU time of planning with the first planner over that of minimum jerk. Not in the report: failures "
-        "whose bodies or joints the report did not name before planning. Seconds: CPU time.",
+        "and 0.1 degrees. Deepest: how deep any plan is in anything in the model as it came, but for the contacts that "
+        "the report names as ignored. Times: median CPU time of planning with the first planner over that of minimum "
+        "jerk. Seconds: CPU time.",
     ]
     for row in rows:
-        for what, found in (("The report is wrong", row.get("wrong")), ("Not in the report", row.get("unexplained"))):
-            if found:
-                lines += ["", f"## {row['robot']}: {what.lower()}", "", *(f"- {line}" for line in found)]
         if row["failures"]:
             lines += ["", f"## {row['robot']}", "", *(f"- {failure}" for failure in row["failures"])]
-            notes = [line for line in row.get("report", []) if line.startswith("note: ")]
-            lines += ["", "The report before planning:", "", *(f"- {note}" for note in notes)]
+            lines += ["", "The report before planning:", "", *(f"- {note}" for note in row.get("notes", []))]
     return "\n".join(lines) + "\n"
 
 

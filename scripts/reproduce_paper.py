@@ -2,7 +2,7 @@
 
     python scripts/reproduce_paper.py [--quick] [--output results/paper] [--jobs N] [--fresh]
 
-The same command continues an interrupted run.
+The same command continues an interrupted run; --fresh starts over, as after a change of the code.
 """
 
 from __future__ import annotations
@@ -11,39 +11,31 @@ import argparse
 import os
 import sys
 import time
-from concurrent.futures import Executor
 from pathlib import Path
 
 # Set before NumPy loads, and inherited by the workers: the matrices are far too small for threads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from paper import figures, report, runner
+from paper import figures, report
 from paper.plan import FULL, QUICK, Plan, jobs
-from paper.results import Results
+from paper.results import Results, load, run_all
 from rich.console import Console
 
 from lieednn_sim import io
 from lieednn_sim.studies.workers import exit_code
 
 
-def reproduce(
-    plan: Plan,
-    directory: str | os.PathLike[str],
-    workers: int,
-    command: str,
-    console: Console,
-    executor: Executor | None = None,
-) -> Path:
-    """Run missing jobs on processes or an executor; write figures and report, and return the report's path."""
-    begun = time.perf_counter()
+def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, command: str, console: Console) -> Path:
+    """Run missing jobs on processes; write figures and report, and return the report's path."""
+    start = time.perf_counter()
     output = io.make_directory(directory)
     cache = io.make_directory(output / "jobs")
     work = jobs(plan)
-    count, failures = runner.run_all(work, cache, workers, console, executor)
-    results = Results.collect(plan, work, lambda job: runner.load(job, cache))
+    count, failures = run_all(work, cache, workers, console)
+    results = Results.collect(plan, work, lambda job: load(job, cache))
     console.print("figures and report")
     drawn = figures.draw(results, output)
-    run = report.Run(command, time.perf_counter() - begun, count, workers, tuple(failures))
+    run = report.Run(command, time.perf_counter() - start, count, workers, tuple(failures))
     return report.write(results, drawn, run, output)
 
 

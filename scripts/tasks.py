@@ -25,6 +25,7 @@ from task_shelf import Shelf
 import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.studies.markdown import table
 
 TASKS: dict[str, type[Task]] = {
     "boom": Boom,
@@ -37,7 +38,6 @@ TASKS: dict[str, type[Task]] = {
 PLANNERS = (
     "lieednn-certified",
     "lieednn-shaped",
-    "lieednn-filtered",
     "minimum-jerk",
     "rrt-connect",
     "sscbirrt",
@@ -109,30 +109,25 @@ def as_markdown(results: dict[str, dict[str, Any]]) -> str:
         "did; CPU seconds are those of planning a case, also where it failed.",
     ]
     for name, rows in results.items():
-        task = TASKS[name]
-        planners = list(dict.fromkeys(row["planner"] for row in rows.values()))
-        lines += ["", f"## {task.title}", "", task.published, ""]
-        lines += [f"| planner | passed | planned | {' | '.join(task.columns.values())} | CPU [s] |"]
-        lines += ["| --- |" + " ---: |" * (3 + len(task.columns))]
-        failures = []
-        for planner in planners:
-            of = [row for row in rows.values() if row["planner"] == planner]
-            made = [row["figures"] for row in of if "figures" in row]
-            missed = [(row["case"] + 1, row.get("failure") or ", ".join(row["missed"])) for row in of]
+        task, cells, failures = TASKS[name], [], []
+        for planner in dict.fromkeys(row["planner"] for row in rows.values()):
+            cases = [row for row in rows.values() if row["planner"] == planner]
+            figures = [row["figures"] for row in cases if "figures" in row]
+            missed = [(row["case"] + 1, row.get("failure") or ", ".join(row["missed"])) for row in cases]
             missed = [(case, why) for case, why in missed if why]
-            means = [_short(np.mean([one[key] for one in made])) if made else "-" for key in task.columns]
-            cpu = np.mean([row["cpu_s"] for row in of])
-            cells = [planner, f"{len(of) - len(missed)} of {len(of)}", len(made), *means, f"{cpu:.2f}"]
-            lines.append(f"| {' | '.join(map(str, cells))} |")
+            means = [float(np.mean([one[key] for one in figures])) for key in task.columns] if figures else []
+            shown = [f"{mean:.0f}" if abs(mean) >= 20.0 else f"{mean:.2f}" for mean in means] or ["-"] * len(
+                task.columns
+            )
+            passed, cpu = f"{len(cases) - len(missed)} of {len(cases)}", np.mean([row["cpu_s"] for row in cases])
+            cells.append([planner, passed, len(figures), *shown, f"{cpu:.2f}"])
             if missed:
                 case, why = missed[0]
-                failures.append(f"- {planner}, {len(missed)} of {len(of)}, such as case {case}: {why}")
+                failures.append(f"- {planner}, {len(missed)} of {len(cases)}, such as case {case}: {why}")
+        headings = ["planner", "passed", "planned", *task.columns.values(), "CPU [s]"]
+        lines += ["", f"## {task.title}", "", task.published, *table(headings, cells)]
         lines += ["", "What failed:", "", *failures] if failures else ["", "Nothing failed."]
-    return "\n".join(lines).rstrip() + "\n"
-
-
-def _short(value: float) -> str:
-    return f"{value:.0f}" if abs(value) >= 20.0 else f"{value:.2f}"
+    return "\n".join(lines) + "\n"
 
 
 def main(words: list[str] | None = None) -> None:

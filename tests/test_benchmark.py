@@ -10,71 +10,74 @@ from functools import partial
 from importlib.util import find_spec
 
 import benchmark
-import benchmark_floors
-import benchmark_networks
 import benchmark_rows
-import benchmark_stepping
 import numpy as np
 import pytest
-from benchmark_timing import Row, time_ratios
-from threadpoolctl import threadpool_limits
+from benchmark_rows import Row, ratios
 
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.learning import projected
 from lieednn_sim.planning import plan
-from lieednn_sim.policies import policies
+from lieednn_sim.policies import POLICIES
 from lieednn_sim.simulation import follow, simulate
-from lieednn_sim.studies import Comparison
 from lieednn_sim.synthesis import attempts
 
+# Words of a row's name, and its aim.
+AIMS = {
+    "in products W": "<= 5",
+    "in SciPy's": "<= 3",
+    "in starts of": "<= 1.5",
+    "in imports of": "<= 1.5",
+    "in its solves": "<= 4",
+    "24 candidates of": ">= 3",
+    "1 targets at once": ">= 3",
+    "in mj_geomDistance": "<= 1.5",
+    "in epochs of": ">= 50",
+    "in LU solves": "<= 5",
+}
 
+
+@pytest.mark.usefixtures("undrawn")
 def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     # What is measured takes as little time as may be.
-    for module in (benchmark, benchmark_networks, benchmark_floors):
-        monkeypatch.setattr(module, "plan", partial(plan, duration=1.5))
-    for module in (benchmark, benchmark_networks, benchmark_stepping):
-        monkeypatch.setattr(module, "simulate", partial(simulate, hold=0.0))
-    monkeypatch.setattr(benchmark_networks, "follow", lambda policy, target, _: follow(policy, target, 0.2))
-    monkeypatch.setattr(benchmark_floors, "_FRAMES", 2)
+    monkeypatch.setattr(benchmark_rows, "plan", partial(plan, duration=1.5))
+    monkeypatch.setattr(benchmark_rows, "simulate", partial(simulate, hold=0.0))
+    monkeypatch.setattr(benchmark_rows, "follow", lambda policy, target, _: follow(policy, target, 0.2))
+    monkeypatch.setattr(benchmark_rows, "FRAMES", 2)
+    monkeypatch.setattr(benchmark, "SIZES", (2, 3))
     for module in (attempts, projected):
         monkeypatch.setattr(module, "cpu_time", time.thread_time)
     codes = []
-    monkeypatch.setattr(benchmark_floors, "peak_memory", lambda code: codes.append(code) or 9)
-    table = benchmark.write(tmp_path, 1000).read_text(encoding="utf-8")
+    monkeypatch.setattr(benchmark, "peak_memory", lambda code: codes.append(code) or 9)
+    text = benchmark.write(tmp_path, 1000).read_text(encoding="utf-8")
     written = json.loads((tmp_path / "benchmark.json").read_text(encoding="utf-8"))
-    rows = written["synthesis"]
+    rows, measured = written["synthesis"], written["ratios"]
     assert len(rows) == 12
-    with threadpool_limits(1, "blas"):
-        assert benchmark.blas_threads() == 1
-    assert f"{os.cpu_count()} processors, BLAS threads: {benchmark.blas_threads()}, " in table
-    assert all(f"| {row['targets']} | {row['certified']} |" in table for row in rows)
-    ratios = written["ratios"]
-    assert len([name for name in ratios if "mj_step" in name and "rollout" in name]) == 12
-    assert len([name for name in ratios if "simulate_many" in name or "environments at once" in name]) == 4
-    assert len([name for name in ratios if "environment step of " in name]) == (8 if find_spec("dm_control") else 4)
-    assert len([name for name in ratios if name.startswith("step of policy ")]) == len(policies())
-    assert len([name for name in ratios if "control step of follow" in name]) == 2 * len(arm_names())
-    assert all(f"| {name} | " in table for name in ratios)
-    assert all(row["minimum"] <= row["median"] <= row["maximum"] for row in ratios.values())
-    assert all(row["minimum"] > 0.0 for name, row in ratios.items() if "added" not in name)
-    others = {
-        "in products W": "<= 5",
-        "in SciPy's": "<= 3",
-        "in starts of": "<= 1.5",
-        "in imports of": "<= 1.5",
-        "in its solves": "<= 4",
-        "24 candidates of": ">= 3",
-        "1 targets at once": ">= 3",
-        "in mj_geomDistance": "<= 1.5",
-        "in epochs of": ">= 50",
-        "in LU solves": "<= 5",
-    }
-    others |= {"in RRT-Connect's": "<= 1"} if find_spec("ompl") else {}
-    others |= {"16 neurons in C": "<= 20"} if any(map(shutil.which, ("cc", "gcc", "clang"))) else {}
-    for part, aim in others.items():
-        assert [row["aim"] for name, row in ratios.items() if part in name] == [aim]
-    assert len(written["memory [MB]"]) == len(codes) == 6
-    assert all(compile(code, "memory", "exec") for code in codes)
+    assert f"{os.cpu_count()} processors, BLAS threads: " in text
+    assert all(f"| {row['targets']} | {row['certified']} |" in text for row in rows)
+    assert text.count("| certified synthesis | ") == text.count("| shaping | ") == 1
+    for parts, count in (
+        (("mj_step", "rollout"), 12),
+        (("simulate_many",), 2),
+        (("environments at once",), 2),
+        (("environment step of ",), 6 if find_spec("dm_control") else 4),
+        (("step of policy ",), len(POLICIES)),
+        (("control step of follow",), 2 * len(arm_names())),
+    ):
+        assert len([name for name in measured if all(part in name for part in parts)]) == count, parts
+    assert all(f"| {name} | " in text for name in measured)
+    assert all(row["minimum"] <= row["median"] <= row["maximum"] for row in measured.values())
+    assert all(row["minimum"] > 0.0 for name, row in measured.items() if "added" not in name)
+    aims = AIMS | ({"in RRT-Connect's": "<= 1"} if find_spec("ompl") else {})
+    aims |= {"16 neurons in C": "<= 20"} if any(map(shutil.which, ("cc", "gcc", "clang"))) else {}
+    for part, aim in aims.items():
+        assert [row["aim"] for name, row in measured.items() if part in name] == [aim]
+    assert len(written["memory [MB]"]) == len(codes) == 5
+    for code in codes:
+        compile(code, "memory", "exec")
+    benchmark.add_rows(tmp_path / "table", 20)
+    benchmark.show_rows(tmp_path / "table")
+    assert {".md", ".html"} <= {path.suffix for path in (tmp_path / "table").iterdir()}
     studied = [row for row in rows if "angles" in row["targets"]]
     assert {row["targets"].split(",")[0] for row in studied} == set(arm_names())
     assert all(row["certified"] == "1 of 1" for row in studied)
@@ -84,19 +87,21 @@ def test_a_row_is_the_minimum_median_and_maximum_of_ratios_taken_in_turns():
     """A clock that says when the first call took 2, 6, 3 seconds and the second 4, 2, 3."""
     ticks = iter([0, 2, 2, 6, 6, 12, 12, 14, 14, 17, 17, 20])
     called = []
-    samples = time_ratios(lambda: called.append("one"), lambda: called.append("other"), 3, lambda: next(ticks))
+    samples = ratios(lambda: called.append("one"), lambda: called.append("other"), 3, lambda: next(ticks))
     assert samples == [0.5, 3.0, 1.0]
     assert called == ["one", "other"] * 3
     assert Row("name", samples, "<= 2").cells() == ["name", "0.50", "1.00", "3.00", "<= 2"]
     assert Row("name", [4.44, 25.6]).cells() == ["name", "4.4", "15.0", "26", ""]
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_made_up_rows_end_as_table_summary_and_page(tmp_path):
-    benchmark_rows.collect(tmp_path, 60)
-    assert len(Comparison.read(tmp_path).rows) == 60
-    benchmark_rows.finish(tmp_path)
-    assert {path.suffix for path in tmp_path.iterdir()} == {".sqlite", ".md", ".html"}
+def test_growth_is_the_exponent_between_the_largest_two_sizes_in_milliseconds(monkeypatch):
+    """Synthesis takes 1, 2, 12 ms and shaping 3 ms whatever the size."""
+    times = iter([0.001, 0.003, 0.002, 0.003, 0.012, 0.003])
+    monkeypatch.setattr(benchmark, "seconds", lambda work: next(times))
+    assert benchmark.growth(7, (2, 3, 6)) == {
+        "certified synthesis": ["1", "2", "12", "2.6"],
+        "shaping": ["3", "3", "3", "0.0"],
+    }
 
 
 @pytest.mark.parametrize("kind", ["mixed", "negative", "tiny", "zero"])
@@ -116,13 +121,13 @@ def test_targets_of_arms_keep_the_limits_and_have_the_angles_that_they_say(kind)
 
 def test_memory_is_that_of_a_fresh_python_at_its_peak():
     """A list of 64 million bytes that is gone at the end."""
-    little, much = (benchmark_floors.peak_memory(code) for code in ("", "b = b'x' * 64_000_000; del b"))
+    little, much = (benchmark.peak_memory(code) for code in ("", "b = b'x' * 64_000_000; del b"))
     assert 50.0 < much - little < 80.0
 
 
 def test_linear_algebra_is_counted_once_and_put_back():
     solve = np.linalg.solve
-    with benchmark_floors.timed_algebra() as times:
+    with benchmark_rows.timed_algebra() as times:
         for _ in range(3):
             np.linalg.solve(np.eye(3), np.ones(3))
         np.linalg.pinv(np.eye(3))

@@ -1,8 +1,7 @@
-"""Figures and tables of the studies of environments, without the libraries that they need."""
+"""Figures and tables of the study of learning, without the libraries that it needs."""
 
 from __future__ import annotations
 
-import environment_overhead
 import learn_reach
 import numpy as np
 import pytest
@@ -38,14 +37,8 @@ def test_the_table_has_means_ranges_and_pooled_quantiles(tmp_path):
         made([True, False], [2.0, 3.0], curve=[[10, 0.5], [20, 1.0]], cpu_s=120.0),
     ]
     runs = {learn_reach.EXPERT: [made([True, True], [0.0, 0.0])], "clone": clones}
-    expert, clone = learn_reach.table(runs).splitlines()[-2:]
+    expert, clone = learn_reach.report(runs).splitlines()[-2:]
     assert expert == "| expert |  | 100 (100 to 100) | 0 | 0 | 0.1 | 0.1 | 2 | 2.0 |  |"
     assert clone == "| clone | 20 | 75 (50 to 100) | 1.5 | 2.85 | 0.1 | 0.1 | 2 | 2.0 | 1.5 |"
     learn_reach.plot(runs, tmp_path / "learning.png")
     assert (tmp_path / "learning.png").stat().st_size > 1000
-
-
-def test_what_a_step_adds_is_subtracted_pair_by_pair():
-    steps, alone = np.array([30.0, 20.0, 25.0]), np.array([10.0, 10.0, 20.0])
-    text = environment_overhead.table([("ours", 10, steps, alone)])
-    assert text.splitlines()[-1] == "| ours | 10 | 25 | 10 | 10 (8 to 15) |"

@@ -62,15 +62,6 @@ for name in ("replace", "rename", "unlink", "remove"):
 
 ROAD = """
 def walk(folder):
-    import importlib, pkgutil
-    import lieednn_sim as ls
-
-    for module in pkgutil.iter_modules(ls.__path__):
-        if module.name != "__main__":
-            importlib.import_module(f"lieednn_sim.{module.name}")
-    arm = ls.Arm.load("telescopic_pr")
-    ls.evaluate(ls.simulate(arm, ls.plan(arm, "extended")))
-
     from matplotlib.figure import Figure
     from lieednn_sim.cli import main
 
@@ -81,6 +72,14 @@ def walk(folder):
     assert main([*demo, "linear-attractor"]) == 0
     few = ["--planners", "minimum-jerk,linear-attractor", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1"]
     assert main(["compare", *few, "--jobs", "1", "--views", "0", "--videos", "0", "--output", f"{folder}/table"]) == 0
+
+    # After the commands, whose worker imports what is imported here.
+    import importlib, pkgutil
+    import lieednn_sim
+
+    for module in pkgutil.iter_modules(lieednn_sim.__path__):
+        if module.name != "__main__":
+            importlib.import_module(f"lieednn_sim.{module.name}")
 
 
 if __name__ == "__main__":

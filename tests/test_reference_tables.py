@@ -12,16 +12,13 @@ from types import SimpleNamespace
 import benchmark
 import evaluate_demonstrations
 import evaluate_pushes
-import growth
 import motion_bench_maker
 import numpy as np
 import pytest
 import robustness
 import shaped
-import tune_rivals
 
 from lieednn_sim.evaluation.paths import PathErrors
-from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.studies.demonstrations.attraction import Attraction
 from lieednn_sim.studies.demonstrations.models import ModelRow
 from lieednn_sim.studies.demonstrations.study import scored
@@ -36,7 +33,8 @@ def test_pushes_that_never_come_back_count_but_have_no_fraction():
     fields = ("fraction", "time_s", "velocity", "force", "deviation", "arrived_mm")
     values = [(0.1, 0.2, 0.5, 0.1, 0.1, 0.5), (0.3, 0.4, 0.6, 0.2, 0.16, 2.5), (0.8, 0.9, 0.9, 0.9, 0.08, 0.1)]
     values += [("", "", 0.7, 0.3, 0.12, 0.2)]
-    rows = [{"arm": "an arm", "rate": "0.1", **dict(zip(fields, map(str, row), strict=True))} for row in values]
+    rows = [{"arm": "an arm", "rate": 0.1, "reason": "", **dict(zip(fields, row, strict=True))} for row in values]
+    rows.append({"arm": "an arm", "rate": 0.1, "reason": "no force"})
     text = evaluate_pushes.summary(rows, "command")
     assert cells(text.splitlines()[-1]) == [
         *("an arm", "0.1", "4", "3", "30%", "80%", "2 of 4", "0.40", "0.65", "0.25", "1", "2.5"),
@@ -46,9 +44,9 @@ def test_pushes_that_never_come_back_count_but_have_no_fraction():
 def test_a_push_is_measured(tmp_path, capsys):
     words = ["--pushes", "1", "--rates", "1", "--arms", "telescopic_pr", "--output", str(tmp_path)]
     evaluate_pushes.main(words)
-    (row,) = evaluate_pushes.read_rows(tmp_path / "pushes.csv")
-    assert 0.08 <= float(row["deviation"]) <= 0.12
-    assert 0.0 < float(row["fraction"]) < 1.0
+    (row,) = evaluate_pushes.kept_rows(tmp_path / "pushes.csv", [], None)
+    assert 0.08 <= row["deviation"] <= 0.12
+    assert 0.0 < row["fraction"] < 1.0
     assert (tmp_path / "pushes.md").read_text() in capsys.readouterr().out
     # What is there is not measured again.
     evaluate_pushes.main(words)
@@ -63,7 +61,7 @@ def test_published_problems_that_are_skipped_are_not_asked_and_lost_ones_are_nam
         Solution("cage", 1, "rrt-connect", reason="skipped: x"),
     ]
     rows += [Solution("box", 1, "minimum-jerk", reason="plan: no")]
-    lines = motion_bench_maker.table({"a robot": rows}).splitlines()
+    lines = motion_bench_maker.report({"a robot": rows}).splitlines()
     assert cells(lines[6]) == [
         *("a robot", "`rrt-connect`", "7", "1", "5 of 6", "2 / 2 / 3 / 3.92", "2 / 2 / 2 / 2", "3 / 3 / 3 / 3"),
     ]
@@ -78,7 +76,7 @@ def test_bounds_and_rates_of_contraction_by_kind_of_network(monkeypatch):
     def case(seed):
         kind = kinds[0] if seed < 11 else kinds[1]
         rate = {0: 0.5, 1: 0.75, 2: 0.0}.get(seed) if kind == kinds[0] else None
-        return kind, {robustness.BOUNDS[0]: 0.01 * (seed + 1) ** 2 if seed < 11 else 0.5}, rate
+        return kind, {"push gain": 0.01 * (seed + 1) ** 2 if seed < 11 else 0.5}, rate
 
     pool = SimpleNamespace(map=lambda function, seeds, chunksize: map(function, seeds))
     monkeypatch.setattr(robustness, "ProcessPoolExecutor", lambda jobs: contextlib.nullcontext(pool))
@@ -88,8 +86,8 @@ def test_bounds_and_rates_of_contraction_by_kind_of_network(monkeypatch):
     assert "Above 1 is broken: 1 of 13." in text
     lines = [cells(line) for line in text.splitlines() if line.startswith("| ")]
     # The 95 % quantile of eleven values is half way between the last two.
-    assert [robustness.BOUNDS[0], kinds[0], "11", "1", "0.36", "1.1", "1.21"] in lines
-    assert [robustness.BOUNDS[0], kinds[1], "2", "0", "0.5", "0.5", "0.5"] in lines
+    assert ["push gain", kinds[0], "11", "1", "0.36", "1.1", "1.21"] in lines
+    assert ["push gain", kinds[1], "2", "0", "0.5", "0.5", "0.5"] in lines
     assert lines[-1] == [kinds[0], "2 of 3", "0.625"]
 
 
@@ -98,21 +96,20 @@ def test_shaped_networks_beside_their_teachers():
     figures += ("teacher_clearance_mm", "encoding_ms", "fit_s", "planning_s")
 
     def row(arm, scene, seed, value):
-        return shaped.Row(
-            arm, scene, seed, "a teacher", **dict.fromkeys(figures, value), certified=value < 4.0, encoded=value < 1.0
-        )
+        case = {"arm": arm, "scene": scene, "seed": float(seed), "teacher": "a teacher", "reason": ""}
+        return case | dict.fromkeys(figures, value) | {"certified": value < 4.0, "encoded": value < 1.0}
 
     rows = [row("an arm", "poles", seed, value) for seed, value in enumerate((0.5, 0.6, 2.0, 9.0))]
-    rows += [row("an arm", "free", 0, 3.0), shaped.Row("an arm", "free", 1, reason="plan: no")]
+    rows += [row("an arm", "free", 0, 3.0), {"arm": "an arm", "scene": "free", "seed": 1.0, "reason": "no plan"}]
     lines = list(shaped.summary(rows))
     high, low = ["1.3 / 9"] * 6, ["1.3 / 0.5"] * 2
-    assert cells(lines[3]) == ["an arm", "poles", "4 of 4", "3", *high, *low, "2", *["1.3 / 9"] * 3]
-    assert cells(lines[2]) == ["an arm", "free", "1 of 2", "1", *["3 / 3"] * 8, "0", *["3 / 3"] * 3]
-    assert cells(lines[4])[:3] == ["all", "obstacles", "4 of 4"]
-    assert cells(lines[5])[:3] == ["all", "free", "1 of 2"]
-    assert "Among obstacles 50.0% stay within 1 mm of the teacher's path, 75.0% within 5 mm." in lines[6]
-    assert lines[7] == "Teachers: a teacher 4."
-    assert lines[8] == "\n- an arm, free, seed 1: plan: no"
+    assert cells(lines[4]) == ["an arm", "poles", "4 of 4", "3", *high, *low, "2", *["1.3 / 9"] * 3]
+    assert cells(lines[3]) == ["an arm", "free", "1 of 2", "1", *["3 / 3"] * 8, "0", *["3 / 3"] * 3]
+    assert cells(lines[5])[:3] == ["all", "obstacles", "4 of 4"]
+    assert cells(lines[6])[:3] == ["all", "free", "1 of 2"]
+    assert "Among obstacles 50.0% stay within 1 mm of the teacher's path, 75.0% within 5 mm." in lines[7]
+    assert lines[8] == "Teachers: a teacher 4."
+    assert lines[9] == "\n- an arm, free, seed 1: no plan"
 
 
 def test_effort_and_clearance_of_a_motion_by_hand(gantry):
@@ -176,28 +173,6 @@ def test_claims_on_letters_compare_means_over_them():
     for part, line, next_line in (("training", *lines[1:3]), ("left out", *lines[3:5])):
         assert line == f"- Mean DTWD [mm], {part}: lieednn-shaped 100, dmp 200, lpv-ds 100."
         assert next_line == "  No more than the primitive's: holds; less than the stable mixture's: **does not hold**."
-
-
-def test_growth_is_in_milliseconds(monkeypatch, tmp_path):
-    ticks = iter([1.0, 3.0, 2.0])
-    monkeypatch.setattr(growth, "seconds", lambda work: next(ticks))
-    assert growth.measured("certified synthesis", 2, 3, tmp_path) == {
-        "series": "certified synthesis",
-        "size": 2,
-        "cpu_ms": 2000.0,
-    }
-
-
-def test_lengths_of_settings_are_in_units_of_the_joints(gantry, monkeypatch):
-    """From rest along x to y, in units of 1 and 2."""
-    q = np.zeros((3, 4))
-    q[1:, 0], q[2, 1] = 0.6, 0.8
-    made = SimpleNamespace(motion=SimpleNamespace(q=q), cpu_time=0.5)
-    monkeypatch.setattr(tune_rivals, "problem", lambda *_: (gantry, q[-1]))
-    monkeypatch.setattr(tune_rivals, "plan", lambda *_, **__: made)
-    np.testing.assert_array_equal(joint_scale(gantry)[:2], [1.0, 2.0])
-    row = tune_rivals.row("dmp", "defaults", None, "an arm", "a scene", 1)
-    assert (row["length"], row["cpu_s"]) == ("1", "0.5")
 
 
 def test_the_speeds_on_the_site_are_those_of_the_benchmark():

@@ -1,5 +1,6 @@
 """The packages hold what they should, and the wheel, in a fresh environment, finds its models and does its work."""
 
+import contextlib
 import json
 import os
 import subprocess
@@ -11,8 +12,10 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from hatchling import build
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from twine.commands.check import check
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -30,13 +33,15 @@ def run(*command, cwd):
 
 @pytest.fixture(scope="module")
 def packages(tmp_path_factory):
-    """The sdist, the wheel built from it, and the wheel built from the checkout."""
-    folder = tmp_path_factory.mktemp("packages")
-    build = (sys.executable, "-m", "build", "--no-isolation")
-    run(*build, "--outdir", folder / "dist", ROOT, cwd=folder)
-    run(*build, "--wheel", "--outdir", folder / "direct", ROOT, cwd=folder)
-    (sdist,), (wheel,), (direct,) = (folder.glob(name) for name in ("dist/*.tar.gz", "dist/*.whl", "direct/*.whl"))
-    return sdist, wheel, direct
+    """The sdist, the wheel built from it, and the wheel built from the checkout, as `python -m build` asks for them."""
+    dist, direct, unpacked = (tmp_path_factory.mktemp(name) for name in ("dist", "direct", "unpacked"))
+    with contextlib.chdir(ROOT):
+        sdist = dist / build.build_sdist(str(dist))
+        wheel = direct / build.build_wheel(str(direct))
+    with tarfile.open(sdist) as archive:
+        archive.extractall(unpacked, filter="data")
+    with contextlib.chdir(next(unpacked.iterdir())):
+        return sdist, dist / build.build_wheel(str(dist)), wheel
 
 
 def names(path):
@@ -75,7 +80,7 @@ def test_wheel_and_sdist_hold_what_they_should(packages):
 
 
 def test_an_index_would_take_the_packages(packages):
-    run(sys.executable, "-m", "twine", "check", "--strict", *packages[:2], cwd=ROOT)
+    assert not check([str(path) for path in packages[:2]], strict=True)
 
 
 def test_the_installed_wheel_works_from_an_empty_directory(packages, tmp_path):

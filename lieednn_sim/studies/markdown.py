@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from lieednn_sim.studies.rows import Column
 
@@ -17,6 +17,13 @@ def table_head(names: Sequence[str], columns: Sequence[Column] = ()) -> list[str
 def table_line(cells: Sequence[str]) -> str:
     """A line of a table in Markdown, whatever its cells hold."""
     return "| " + " | ".join(map(escaped, cells)) + " |"
+
+
+def table(headings: Iterable[object], rows: Iterable[Iterable[object]]) -> list[str]:
+    """The lines of a whole table in Markdown, after an empty one; cells may be Markdown, but for a table's border."""
+    lines = [[str(cell).replace("|", "\\|") for cell in cells] for cells in (headings, *rows)]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return ["", *(f"| {' | '.join(cells)} |" for cells in lines)]
 
 
 def escaped(text: str) -> str:

@@ -10,9 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from lieednn_sim.studies.statistics import wilson
 from paper import network_figures, style
 from paper.plan import INSIDE, OUTSIDE, PERIODS, TOLERANCE
-from paper.results import Results, column, curves, wilson
+from paper.results import Results, column, curves
 
 ALGORITHMS = {
     "no projection": "no projection (ablation)",
@@ -36,7 +37,6 @@ def draw(results: Results, directory: Path) -> dict[str, str]:
         "weights": network_figures.weights,
         "trajectory": network_figures.trajectories,
         "equilibrium": network_figures.equilibria,
-        "spread": network_figures.spread,
         "epochs": epochs,
         "stability": network_figures.stability,
     }

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 
 from lieednn_sim.learning import StopReason
+from lieednn_sim.studies.statistics import wilson
 from paper.plan import INSIDE, OUTSIDE, TOLERANCE
-from paper.results import Results, column, fraction, quantiles, seeds, wilson
-from paper.runner import Record
+from paper.results import Record, Results, column, fraction, quantiles, seeds
 
 HOLDS, PART, FAILS, UNKNOWN = "holds", "holds in part", "does not hold", "not measured"
 # Fractions of targets or networks: from MOST on a claim holds, below FEW it does not.

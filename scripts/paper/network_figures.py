@@ -6,9 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from paper import style
-from paper.experiments import TIMES, target, trajectory
-from paper.plan import TOLERANCE
-from paper.results import Results, column, curves
+from paper.experiments import target, trajectory
+from paper.results import Results, column
 
 _COORDINATES = [rf"$\omega_{a}$" for a in "xyz"] + [rf"$v_{a}$" for a in "xyz"]
 
@@ -76,44 +75,6 @@ def equilibria(results: Results) -> tuple[Figure, str] | None:
     for axis in drawn.axes:
         axis.set(xscale="log", xlabel="epoch")
     return drawn, "The equilibrium of the same network while it is trained; targets dashed."
-
-
-def spread(results: Results) -> tuple[Figure, str] | None:
-    """Distance to the target over time, and loss over epochs, over many targets."""
-    if not results.successes("P=10") or not results.successes("tracked"):
-        return None
-    drawn = style.figure(2.7)
-    left, right = drawn.subplots(1, 2)
-    makers = {
-        "P=10": ("repaired, $P=10$", style.BLUE, "-"),
-        "tracked": ("tracked", style.VERMILION, "--"),
-        "stability-aware": ("stability-aware", style.PURPLE, ":"),
-        "certified synthesis": ("certified synthesis", style.GREEN, "-."),
-    }
-    for name, (label, colour, dash) in makers.items():
-        records = results.successes(name)
-        if records:
-            values = np.array([record.arrays["distance"] for record in records])
-            style.band(left, TIMES, values, colour, levels=(0.1, 0.9), ls=dash, label=label)
-    left.set(yscale="log", xlabel=r"time [$1/\gamma$]", ylabel=r"distance $\|\xi(t)-\xi_d\|_\infty$")
-    left.set_ylim(1e-7, 3.0)
-    left.axhline(TOLERANCE, color="0.3", lw=0.8, ls=(0, (1, 2)))
-    handles, labels = left.get_legend_handles_labels()
-    drawn.legend(handles, labels, loc="outside upper center", ncols=len(labels))
-    grid = np.unique(np.round(np.geomspace(1, results.plan.max_epochs, 200)))
-    for name, (label, colour, dash) in makers.items():
-        if results[name] and "epoch" in results[name][0].arrays:
-            error = curves(results[name], "error_median", grid)
-            style.band(right, grid, error, colour, levels=(0.1, 0.9), ls=dash, label=label)
-    right.axhline(style.SETTLED, color="0.3", lw=0.8, ls=(0, (1, 2)))
-    right.set(xscale="log", yscale="log", xlabel="epoch", ylabel=r"loss $E$")
-    style.letter(left, "a")
-    style.letter(right, "b")
-    return drawn, (
-        "Over all targets, medians with 10 and 90 % quantiles: (a) distance to the target while the finished networks "
-        "run from zero, which ends at the error left by the training; (b) loss of the last start while training, "
-        "whether it converged or not. Dotted: tau in (a), sqrt(24) tau in (b)."
-    )
 
 
 def stability(results: Results) -> tuple[Figure, str] | None:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
-from lieednn_sim import learning
+from lieednn_sim import __version__
 from paper.checks import CHECKS
 
 INSIDE, OUTSIDE = (8, 10, 12, 16), (1, 4, 24, 40)
@@ -37,36 +33,6 @@ RIEMANNIAN: dict[str, dict[str, Any]] = {
     "Riemannian Gauss-Newton": {"method": "gauss-newton", "certified": False},
     "stability-aware": {"method": "gauss-newton", "certified": True},
 }
-
-
-@cache
-def code(kind: str) -> str:
-    """Digest of the code behind the results of a kind of job, so that none outlives a change of it."""
-    package, here = Path(learning.__file__).parents[1], Path(__file__).parent
-    paths = [path for part in _PARTS for path in sorted((package / part).glob("*.py"))]
-    # A new check must not make the trainings stale.
-    paths += sorted((here / "checks").glob("*.py")) if kind == "check" else [here / "experiments.py"]
-    digest = hashlib.sha256(version("lieednn_sim").encode())
-    for path in paths:
-        digest.update(normalised(path.read_text(encoding="utf-8")).encode())
-    return digest.hexdigest()
-
-
-@cache
-def normalised(source: str) -> str:
-    """Python code without comments, docstrings and layout."""
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if not isinstance(body, list) or not body:
-            continue
-        if isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
-            del body[0]
-    return ast.dump(tree)
-
-
-# Subpackages that the experiments use.
-_PARTS = ("lie", "stability", "network", "theory", "synthesis", "learning")
 
 
 @dataclass(frozen=True)
@@ -116,8 +82,8 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Name of the result's file: it changes with the parameters and with the code."""
-        content = [self.kind, self.parameters, code(self.kind)]
+        """Name of the result's file: it changes with the parameters and with the version of the package."""
+        content = [self.kind, self.parameters, __version__]
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
         return f"{self.kind}-{digest[:20]}"
 
@@ -137,10 +103,9 @@ def jobs(plan: Plan) -> list[Job]:
         for seed in range(min(count, plan.targets)):
             options = {"algorithm": algorithm, "changes": {**changes, **limits}, "seed": seed}
             found.append(Job(name, "train", options))
-    if hasattr(learning, "train_riemannian"):
-        for name, settings in RIEMANNIAN.items():
-            steps = {"max_start_epochs": plan.gradient_steps, "restarts": 0} if settings["method"] == "gradient" else {}
-            found += [Job(name, "riemannian", {**settings, **steps, "seed": seed}) for seed in range(plan.targets)]
+    for name, settings in RIEMANNIAN.items():
+        steps = {"max_start_epochs": plan.gradient_steps, "restarts": 0} if settings["method"] == "gradient" else {}
+        found += [Job(name, "riemannian", {**settings, **steps, "seed": seed}) for seed in range(plan.targets)]
     for seed in range(plan.targets):
         found.append(Job("certified synthesis", "synthesis", {"seed": seed}))
         found.append(Job("retargeting", "retarget", {"seed": seed}))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -11,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from lieednn_sim import io
+from lieednn_sim.studies.markdown import table
+from lieednn_sim.studies.statistics import wilson
 from paper.checks import CHECKS
 from paper.claims import judge
 from paper.measures import FAILS, FEW, HOLDS, MOST, PART, UNKNOWN
 from paper.plan import BIAS, PERIODS, TOLERANCE
-from paper.results import Results, column, fraction, quantiles, seeds, wilson
-from paper.runner import Record
+from paper.results import Record, Results, column, fraction, quantiles, seeds
 
 COMPARED = {
     "literal": "Algorithm 1 as printed",
@@ -72,23 +72,23 @@ def write(results: Results, figures: dict[str, str], run: Run, directory: Path) 
         f"Verdicts follow from the numbers: a fraction of {MOST:.0%} or more holds, one below {FEW:.0%} does not, what "
         "lies between, or needs a condition that the paper does not state, holds in part.\n",
         _counted([claim.verdict for claim in claims]),
-        table(
+        *table(
             ("claim", "where", "measured", "verdict"),
             [(claim.text, claim.source, claim.measured, f"**{claim.verdict}**") for claim in claims],
         ),
-        "## Comparison of algorithms\n",
+        "\n## Comparison of algorithms\n",
         "Same random targets for all (the first ones where fewer). Certificate: fraction of the learned networks with "
         "a diagonal Lyapunov proof of global stability. Structure: largest relative distance to weights alpha Ad. "
         "Times are medians over all runs, other medians are over the successful runs.\n",
-        compared(results),
-        "## What makes the tracked variant better\n",
+        *compared(results),
+        "\n## What makes the tracked variant better\n",
         "Each row adds one change to the row above it.\n",
-        _table_of(results, STEPS, "change"),
-        "## Projection periods (repaired)\n",
-        _table_of(results, {f"P={period}": str(period) for period in PERIODS}, "P"),
-        "## Why runs failed\n",
-        reasons(results),
-        "## Figures\n",
+        *_table_of(results, STEPS, "change"),
+        "\n## Projection periods (repaired)\n",
+        *_table_of(results, {f"P={period}": str(period) for period in PERIODS}, "P"),
+        "\n## Why runs failed\n",
+        *reasons(results),
+        "\n## Figures\n",
     ]
     for name, caption in figures.items():
         parts.append(f"![{Path(name).stem}]({name})\n\n{caption} ([PDF]({Path(name).stem}.pdf))\n")
@@ -104,10 +104,10 @@ def _counted(verdicts: list[str]) -> str:
     return f"Of {len(verdicts)} claims {', '.join(counts)}.\n"
 
 
-def compared(results: Results) -> str:
+def compared(results: Results) -> list[str]:
     """Table of all algorithms."""
     head = ("algorithm", "learned (95 %)", "epochs", "CPU time", "certificate", "structure")
-    sizes = ("median / max \\|t\\|", "\\|\\|W\\|\\|_1", "all 100 starts arrive")
+    sizes = ("median / max |t|", "||W||_1", "all 100 starts arrive")
     rows = []
     for name, label in COMPARED.items():
         records = results[name]
@@ -136,7 +136,7 @@ def _compared(label: str, records: list[Record], good: list[Record]) -> tuple[st
     )
 
 
-def _table_of(results: Results, names: dict[str, str], head: str) -> str:
+def _table_of(results: Results, names: dict[str, str], head: str) -> list[str]:
     rows = []
     for name, label in names.items():
         records = results[name]
@@ -148,7 +148,7 @@ def _table_of(results: Results, names: dict[str, str], head: str) -> str:
     return table((head, "learned (95 %)", "epochs, 10 %", "median", "90 %", "time of an epoch [us]"), rows)
 
 
-def reasons(results: Results) -> str:
+def reasons(results: Results) -> list[str]:
     """Table of how the runs that failed ended."""
     names = [name for name in results.groups if name not in CHECKS and any(not r["success"] for r in results[name])]
     kinds = sorted({record["reason"] for name in names for record in results[name] if not record["success"]})
@@ -156,25 +156,17 @@ def reasons(results: Results) -> str:
     for name in names:
         ends = [record["reason"] for record in results[name] if not record["success"]]
         rows.append((COMPARED.get(name, name), *(str(ends.count(kind)) for kind in kinds)))
-    return table(("run", *kinds), rows) if rows else "None did.\n"
+    return table(("run", *kinds), rows) if rows else ["", "None did."]
 
 
 def rate(good: int, count: int) -> str:
     """Successes of all, with the interval in which the rate lies."""
-    low, high = wilson(good, count)
-    return f"{good} of {count} ({low:.0%} to {high:.0%})" if count else "not run"
+    return "{} of {} ({:.0%} to {:.0%})".format(good, count, *wilson(good, count)) if count else "not run"
 
 
 def number(value: float, form: str) -> str:
     """A number, or a dash for none."""
     return form.format(value) if np.isfinite(value) else "-"
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
-    # In a cell a bar would end it.
-    lines = [" | ".join(cell.replace("||", "\\|\\|") if "\\|" not in cell else cell for cell in row) for row in rows]
-    return "\n".join([f"| {' | '.join(head)} |", "|" + " --- |" * len(head), *(f"| {line} |" for line in lines), ""])
 
 
 def _duration(seconds: float) -> str:

@@ -12,34 +12,27 @@ from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
 from lieednn_sim import io
+from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.figure_layout import fix_layout
 from paper.plan import TOLERANCE
 
-# Okabe and Ito's palette, distinguishable by colour-blind readers; the line styles tell the same for print in grey.
-BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
-COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+COLOURS = figure_layout.COLOURS
+BLUE, VERMILION, GREEN, PURPLE, *_ = COLOURS
+# They tell the same as the colours, for print in grey.
 DASHES = ("-", "--", "-.", ":")
 GREY = "0.45"
 # With every one of the 24 coordinates within the tolerance E is below this.
 SETTLED = np.sqrt(24.0) * TOLERANCE
-
-# Text width of a page [inch]; at this width the fonts have the sizes given here [pt].
+# For the width of a page [inch], at which fonts have these sizes [pt].
 WIDTH = 6.75
 STYLE: Any = {
-    "font.size": 8.5,
-    "axes.labelsize": 8.5,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
+    **figure_layout.STYLE,
+    **dict.fromkeys(("font.size", "axes.labelsize"), 8.5),
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8),
     "grid.linewidth": 0.5,
     "lines.linewidth": 1.3,
     "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
     "axes.prop_cycle": cycler(color=COLOURS),
-    "legend.frameon": False,
     "legend.handlelength": 2.2,
     # Text stays text in the PDF.
     "pdf.fonttype": 42,

@@ -1,8 +1,6 @@
-"""``lieednn-sim compare`` and the study script: files, messages, refusals."""
+"""``lieednn-sim compare``: files, messages, refusals."""
 
 from __future__ import annotations
-
-import importlib
 
 from lieednn_sim.cli import main
 from lieednn_sim.studies import Comparison
@@ -27,9 +25,8 @@ def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys,
     (row,) = table.rows.values()
     assert (row.planner, row.controller, row.mass_scale) == ("minimum-jerk", "computed-torque", 1.2)
     assert "lieednn-sim compare --planners minimum-jerk" in (tmp_path / "out" / "comparison.html").read_text("utf-8")
-    # The study script is the same command; with another option it must not go on.
-    script = importlib.import_module("evaluate_tracking")
-    assert script.main([*ARGUMENTS, str(tmp_path / "out"), "--time-budget", "50"]) == 2
+    # With another option it must not go on.
+    assert main(["compare", *ARGUMENTS, str(tmp_path / "out"), "--time-budget", "50"]) == 2
     assert "made with mass_scale 1.2, now 1.0; choose another --output" in capsys.readouterr().err
 
 

@@ -1,14 +1,11 @@
-"""The benchmark of workers' memory, with as few cases as can be, and that workers give memory back."""
+"""Workers give memory back."""
 
 from __future__ import annotations
 
 import gc
-import itertools
 import math
 import weakref
-from types import SimpleNamespace
 
-import benchmark_memory
 import pytest
 
 from lieednn_sim.studies import workers
@@ -22,15 +19,6 @@ def collector_off():
     gc.disable()
     yield
     gc.enable()
-
-
-def test_memory_is_read_after_shares_of_the_cases(tmp_path, capsys):
-    benchmark_memory.main(["--cases", "2", "--studies", "comparison,problems", "--output", str(tmp_path)])
-    (line,) = capsys.readouterr().out.splitlines()
-    name, *figures = (cell.strip() for cell in line.strip("|").split("|"))
-    assert name == "comparison"
-    assert 50 < float(figures[-1]) < 2000
-    assert line in (tmp_path / "memory.md").read_text()
 
 
 def test_memory_is_given_back_after_tasks_even_failed_ones_in_a_twentieth_of_the_time(monkeypatch):
@@ -80,11 +68,3 @@ def test_neither_search_nor_controllers_leave_reference_cycles_that_hold_native_
     # Cycles through a caught exception are Python's own, and short-lived.
     native = ("lieednn_sim.simulation.controllers", "lieednn_sim.planning.baselines.search_space", "nanobind", "mujoco")
     assert not {name for name in left if name.startswith(native)}
-
-
-def test_published_problems_are_asked_for_one_by_one_and_again(monkeypatch):
-    chosen = SimpleNamespace(selection=lambda: [("box", 1), ("box", 2)])
-    monkeypatch.setattr(benchmark_memory, "ProblemSets", lambda folder: chosen)
-    asked = [case.args[1:4] for case in itertools.islice(benchmark_memory.problems("folder"), 7)]
-    planners = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
-    assert asked == [("box", k, name) for k in (1, 2) for name in planners] + [("box", 1, "minimum-jerk")]
