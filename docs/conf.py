@@ -43,6 +43,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "sphinx-mathjax-offline",
     "measured",
+    "registry_table",
     "api_names",
 ]
 exclude_patterns = ["_build", "_templates", "gallery/*.*", "drawings"]

@@ -4,8 +4,7 @@
         ...  # every loop inside calls `check_time`, which raises `OutOfTimeError` once ten seconds are spent
 
 The CPU time is that of the calling thread, so that other load on the machine does not count. Only that error depends on
-the clock: work that ends within its budget has the same result as without one. Searched configurations are limited too,
-by their number, which does not depend on the machine.
+the clock: work that ends within its budget has the same result as without one.
 """
 
 from __future__ import annotations
@@ -22,11 +21,6 @@ from lieednn_sim.validation import as_positive
 # CPU time of a planner [s]; far more than any needs for the arms of the package.
 DEFAULT_TIME_BUDGET = 60.0
 
-# Most states whose nearest configuration is searched for in one piece of work: several times what any planner needs.
-MOST_STATES = 250_000
-
-# States that the present work has searched so far.
-_STATES: ContextVar[list[int] | None] = ContextVar("lieednn_sim states", default=None)
 # Time at which the present work must end, by `cpu_time`, and its budget [s].
 _LIMIT: ContextVar[tuple[float, float] | None] = ContextVar("lieednn_sim time limit", default=None)
 
@@ -46,11 +40,9 @@ def time_limit(seconds: float) -> Iterator[None]:
     """Give the block, in this thread, a budget of CPU time [s]; of nested limits the earlier one counts."""
     mine, outer = (cpu_time() + seconds, seconds), _LIMIT.get()
     token = _LIMIT.set(mine if outer is None else min(mine, outer))
-    counting = _STATES.set([0] if outer is None else _STATES.get())
     try:
         yield
     finally:
-        _STATES.reset(counting)
         _LIMIT.reset(token)
 
 
@@ -72,19 +64,3 @@ def check_time() -> None:
             f"out of time: the budget of {limit[1]:g} s of CPU time is spent and the planner is not done; "
             "allow more (time_budget, --time-budget), or use another planner, target or seed"
         )
-
-
-def count_states(number: int) -> None:
-    """Count states whose nearest configuration is about to be searched for.
-
-    Raises:
-        OutOfTimeError: the present work has a budget, and these are more than `MOST_STATES`.
-    """
-    counted = _STATES.get()
-    if counted is not None:
-        counted[0] += number
-        if counted[0] > MOST_STATES:
-            raise OutOfTimeError(
-                f"out of work: the configurations nearest to more than {MOST_STATES} states would have to be searched "
-                "for; name more links, so that fewer joints move each, or use another planner, target or seed"
-            )

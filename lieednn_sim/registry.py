@@ -304,7 +304,11 @@ PLANNERS: Registry[PlannerEntry] = Registry(
             cost=1.6,
         ),
         "stomp": PlannerEntry("planning.baselines.stomp:stomp", "stochastic trajectory optimisation", "StompOptions"),
-        "qshnn": PlannerEntry("planning.baselines.qshnn:qshnn", "a quaternion Hopfield network", "QshnnOptions"),
+        "qshnn": PlannerEntry(
+            "planning.baselines.qshnn:qshnn",
+            "the quaternion Hopfield network that the paper starts from",
+            "QshnnOptions",
+        ),
         "linear-attractor": PlannerEntry(
             "planning.network_planners:linear_attractor", "a network without weights", network=True
         ),
@@ -312,34 +316,20 @@ PLANNERS: Registry[PlannerEntry] = Registry(
             "planning.certified:certified", "a certified network for the target", "CertifiedOptions", network=True
         ),
         "lieednn-retargeted": PlannerEntry(
-            "planning.network_planners:retargeted", "one network, certified once", "RetargetedOptions", network=True
+            "planning.network_planners:retargeted",
+            "one certified network for all targets, retargeted by its bias",
+            "RetargetedOptions",
+            network=True,
         ),
         "lieednn-trained": PlannerEntry(
             "planning.network_planners:trained", "a learned network", "TrainedOptions", cost=2.7, network=True
         ),
-        "lieednn-unprojected": PlannerEntry(
-            "planning.network_planners:unprojected",
-            "the same without projections",
-            "UnprojectedOptions",
-            network=True,
-        ),
         "lieednn-shaped": PlannerEntry(
-            "planning.shaped:shaped", "a network along another's motion", "ShapedOptions", network=True, keeps=True
-        ),
-        "lieednn-filtered": PlannerEntry(
-            "planning.filtered_planners:filtered",
-            "a network through the safety filter",
-            "FilteredOptions",
-            cost=1.1,
+            "planning.shaped:shaped",
+            "a certified network along the motion of a teacher, around obstacles",
+            "ShapedOptions",
             network=True,
-        ),
-        "lieednn-guided": PlannerEntry(
-            "planning.filtered_planners:guided",
-            "the same along RRT-Connect's path",
-            "GuidedOptions",
-            "ompl",
-            cost=1.1,
-            network=True,
+            keeps=True,
         ),
     },
     make=_added_planner,
@@ -352,19 +342,25 @@ POLICIES: Registry[Entry] = Registry(
     "policy",
     {
         "lieednn-shaped": Entry(
-            "policies.networks:shaped", "a network along the motion of the planner of that name", "ShapedOptions"
+            "policies.networks:shaped", "a certified network shaped for the path of a teacher", "ShapedOptions"
         ),
         "lieednn-certified": Entry(
-            "policies.networks:certified", "a certified network for the target", "CertifiedPolicyOptions"
+            "policies.networks:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
         ),
         "lieednn-replanning": Entry(
-            "policies.replanning:replanning", "a network that is shaped anew on the way", "ReplanningOptions"
+            "policies.replanning:replanning",
+            "a certified network that takes new targets and new paths, among obstacles that move",
+            "ReplanningOptions",
         ),
-        "linear-attractor": Entry("policies.networks:linear", "a network without weights"),
-        "dmp": Entry("policies.primitive:primitive", "a dynamic movement primitive", "PrimitiveOptions"),
-        "fabric": Entry("policies.fabric:fabric", "a geometric fabric", "FabricOptions"),
-        "mppi": Entry("policies.path_integral:path_integral", "model-predictive path integral", "PathIntegralOptions"),
-        "tracker": Entry("policies.tracker:tracker", "a planned motion, as it is"),
+        "linear-attractor": Entry("policies.networks:linear", "the network without weights: straight in se(3)"),
+        "dmp": Entry("policies.primitive:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"),
+        "fabric": Entry("policies.fabric:fabric", "an attractor, and obstacles that repel", "FabricOptions"),
+        "mppi": Entry(
+            "policies.path_integral:path_integral",
+            "model-predictive path integral control, with a model of its own",
+            "PathIntegralOptions",
+        ),
+        "tracker": Entry("policies.tracker:tracker", "a planned motion, whatever the arm does"),
     },
     make=Entry,
     wanted="a function of a PolicyTask",
@@ -375,16 +371,24 @@ POLICIES: Registry[Entry] = Registry(
 CONTROLLERS: Registry[Entry] = Registry(
     "controller",
     {
-        "position-servo": Entry("simulation.controllers.base:PositionServo", "the reference, to the model's servos"),
+        "position-servo": Entry(
+            "simulation.controllers.base:PositionServo", "sends positions and velocities to the arm's position servos"
+        ),
         "inverse-dynamics": Entry(
-            "simulation.controllers.base:InverseDynamicsServo", "the servos, with the forces of the motion fed forward"
+            "simulation.controllers.base:InverseDynamicsServo",
+            "adds the forces that the motion needs according to the model",
         ),
         "computed-torque": Entry(
-            "simulation.controllers.base:ComputedTorque", "forces that make the error decay like a spring and damper"
+            "simulation.controllers.base:ComputedTorque",
+            "feedback from the measured state through the model, instead of servos",
         ),
-        "mocap": Entry("simulation.controllers.mocap:MocapWelds", "soft welds of the links to moving bodies"),
+        "mocap": Entry(
+            "simulation.controllers.mocap:MocapWelds",
+            "leads the link frames by bodies that are welded to them; no actuators, hence no noise",
+        ),
         "mocap-deadbeat": Entry(
-            "simulation.controllers.mocap:DeadbeatWelds", "the same, with the lag of the welds taken out"
+            "simulation.controllers.mocap:DeadbeatWelds",
+            "the same with welds that close the error in one step; needs a reference at every time step",
         ),
     },
     make=Entry,

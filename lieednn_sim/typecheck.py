@@ -167,14 +167,16 @@ def _checks(
 
 def _evaluate(hint: Any, scope: Mapping[str, Any]) -> Any:
     text = hint.__forward_arg__ if isinstance(hint, typing.ForwardRef) else hint
-    return eval(text, {}, _Names(scope, ArrayLike=_Array)) if isinstance(text, str) else text
+    # Twice, if it is the name of an alias that is a text itself.
+    return _evaluate(eval(text, {}, _Names(scope, ArrayLike=_Array)), scope) if isinstance(text, str) else text
 
 
 class _Names(dict[str, Any]):
     """Names in a module; for what it imports for type checkers alone, a class that is recognised by its name."""
 
     def __missing__(self, name: str) -> Any:
-        return getattr(builtins, name, None) or type(name, (), {"__module__": __package__, "__by_name__": True})
+        known = getattr(builtins, name, None) or getattr(typing, name, None)  # an alias of elsewhere may have these
+        return known or type(name, (), {"__module__": __package__, "__by_name__": True})
 
 
 def _accept(_: object) -> None:

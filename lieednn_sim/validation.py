@@ -23,15 +23,10 @@ Seed = int | np.random.SeedSequence | np.random.Generator
 LARGEST = 1e100
 # Most characters of a refused value that are quoted.
 _QUOTED = 80
-_LARGEST_COUNT = 2**53
 # Limits of Linux, in bytes; that of a path counts its final zero.
 _LONGEST_NAME, _LONGEST_PATH = 255, 4096
 # Threads and processes: more than the cores of any machine, and fewer than a system refuses.
 MOST_WORKERS = 1024
-# As many as in NumPy's own seeds.
-_SEED_BITS = 128
-# Axes of an array in the oldest NumPy that is supported.
-_MOST_AXES = 32
 # A gibibyte of float64.
 _LARGEST_SIZE = 2**27
 # OpenBLAS shares the products of longer vectors among threads.
@@ -140,16 +135,19 @@ def _require_shape(name: str, given: tuple[int, ...], shape: Shape, batched: boo
         raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got shape {_describe(given)}")
 
 
-def as_shape(name: str, value: Iterable[Any], entries: int = 1) -> tuple[int, ...]:
-    """Return a shape of items of ``entries`` numbers each, or raise `InputError` if it is invalid or too large."""
+def as_shape(name: str, value: Iterable[Any], entries: int = 1, axes: int = 32) -> tuple[int, ...]:
+    """Return a shape of items of ``entries`` numbers each, or raise `InputError` if it is invalid or too large.
+
+    It has at most ``axes`` axes, by default as many as an array in the oldest NumPy that is supported.
+    """
     try:
         if isinstance(value, str | bytes):
             raise TypeError
-        shape = tuple(as_count(name, size, 0) for size in islice(value, _MOST_AXES + 1))
+        shape = tuple(as_count(name, size, 0) for size in islice(value, axes + 1))
     except TypeError:
         raise InputError(f"{name} must be a tuple of whole numbers, got {quoted(value)}") from None
-    if len(shape) > _MOST_AXES:
-        raise InputError(f"{name} must have at most {_MOST_AXES} axes, got {quoted(value)}")
+    if len(shape) > axes:
+        raise InputError(f"{name} must have at most {axes} axes, got {quoted(value)}")
     if math.prod(shape) * entries > _LARGEST_SIZE:
         raise InputError(f"{name} {_describe(shape)} is too large: more than {_LARGEST_SIZE} numbers")
     return shape
@@ -213,7 +211,7 @@ def as_ratio(gamma: float, mu: float) -> float:
     return as_positive("gamma/mu", as_positive("gamma", gamma) / as_positive("mu", mu))
 
 
-def as_count(name: str, value: int, least: int = 1, most: int = _LARGEST_COUNT) -> int:
+def as_count(name: str, value: int, least: int = 1, most: int = 2**53) -> int:
     """Return ``value`` as an integer from ``least`` to ``most``, or raise `InputError`."""
     try:
         if isinstance(value, bool):
@@ -233,14 +231,17 @@ def as_workers(name: str, value: int) -> int:
     return as_count(name, value, most=MOST_WORKERS)
 
 
-def as_seed(name: str, seed: Seed) -> int:
-    """Return ``seed`` as a whole number >= 0 of at most 128 bits, or raise `InputError`; a generator draws it."""
+def as_seed(name: str, seed: Seed, bits: int = 128) -> int:
+    """Return ``seed`` as a whole number >= 0, or raise `InputError`; a generator draws it.
+
+    It has at most ``bits`` bits, by default as many as NumPy's own seeds.
+    """
     if isinstance(seed, np.random.Generator | np.random.SeedSequence):
         return int(np.random.default_rng(seed).integers(2**63))
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(f"{name} must be a whole number >= 0, got {quoted(seed)}")
-    if int(seed).bit_length() > _SEED_BITS:
-        raise InputError(f"{name} must be below 2^{_SEED_BITS}, got {quoted(seed)}")
+    if int(seed).bit_length() > bits:
+        raise InputError(f"{name} must be below 2^{bits}, got {quoted(seed)}")
     return int(seed)
 
 

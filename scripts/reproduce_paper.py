@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import time
 from pathlib import Path
 
 # Set before NumPy loads, and inherited by the workers: the matrices are far too small for threads.
@@ -27,16 +26,14 @@ from lieednn_sim.studies.workers import exit_code
 
 def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, command: str, console: Console) -> Path:
     """Run missing jobs on processes; write figures and report, and return the report's path."""
-    start = time.perf_counter()
     output = io.make_directory(directory)
     cache = io.make_directory(output / "jobs")
     work = jobs(plan)
-    count, failures = run_all(work, cache, workers, console)
+    failures = run_all(work, cache, workers, console)
     results = Results.collect(plan, work, lambda job: load(job, cache))
     console.print("figures and report")
     drawn = figures.draw(results, output)
-    run = report.Run(command, time.perf_counter() - start, count, workers, tuple(failures))
-    return report.write(results, drawn, run, output)
+    return report.write(results, drawn, command, failures, output)
 
 
 def main(arguments: list[str] | None = None) -> int:

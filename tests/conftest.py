@@ -50,7 +50,7 @@ gc.set_threshold(100_000, 50, 50)
 budget.cpu_time = lambda: 0.0
 
 # What Windows has not: signals between processes, limits of a process, named pipes, and a shell.
-_POSIX = ("cli/test_interruption", "test_ensure_env", "test_faults", "test_reference", "test_signal_campaign")
+_POSIX = ("cli/test_interruption", "test_ensure_env", "test_faults", "test_reference")
 collect_ignore = [f"{name}.py" for name in _POSIX] if sys.platform == "win32" else []
 
 _BACKEND = opengl.configure()

@@ -1,18 +1,8 @@
-"""Calls of everything public with any arguments: who is called, what is drawn, and what must hold.
-
-`test_fuzz.py` makes some of them. A campaign makes many, in processes of their own, so that a crash is told with its
-call and a hang ends:
-
-    python tests/fuzz_public.py 20000                # calls 0 to 19999
-    python tests/fuzz_public.py 1 --first 1234       # call 1234 again
-    python tests/fuzz_public.py 500 --only lie.exp   # of one name
-"""
+"""Calls of everything public with any arguments: who is called, what is drawn, and what must hold."""
 
 from __future__ import annotations
 
-import argparse
 import enum
-import faulthandler
 import functools
 import importlib
 import inspect
@@ -20,10 +10,7 @@ import io
 import os
 import pkgutil
 import random
-import subprocess
 import sys
-import tempfile
-import time
 import traceback
 import types
 import typing
@@ -40,9 +27,6 @@ import lieednn_sim
 from lieednn_sim import typecheck
 from lieednn_sim.errors import LieEDNNError
 
-# Seconds and bytes that no call may take.
-LONGEST, LARGEST = 20.0, 2 * 2**30
-_BATCH = 500
 # What NumPy may say to a function that its docstring calls unchecked: those of inner loops.
 _UNCHECKED = (TypeError, ValueError, AttributeError, LookupError, OverflowError, MemoryError, Warning)
 
@@ -299,72 +283,11 @@ def shown(target: Target, arguments: Mapping[str, Any]) -> str:
     return f"{target.name}({', '.join(f'{name}={one(value)}' for name, value in arguments.items())})"
 
 
-def attempt(number: int, only: Collection[str] = (), say: Callable[[str], object] = lambda _: None) -> str:
-    """Make a call by its number, having said which, and tell what is wrong with it, if anything."""
+def attempt(number: int) -> str:
+    """Make a call by its number, and tell what is wrong with it, if anything."""
     from fuzz_things import fresh
 
-    known = [target for target in targets() if not only or target.name in only]
-    target = known[number % len(known)]
+    target = targets()[number % len(targets())]
     arguments = Draw(number, fresh).arguments(target)
-    told = f"{number} {shown(target, arguments)}"
-    say(told)
     fault = fault_of(target, arguments, fresh)
-    return f"{told}\n{fault}" if fault else ""
-
-
-def _batch(first: int, count: int, only: Collection[str]) -> None:
-    """Calls in this process, each announced on standard error before it is made."""
-    import resource  # which Windows has not
-
-    from fuzz_things import furnish
-
-    furnish()
-    for number in range(first, first + count):
-        faulthandler.dump_traceback_later(LONGEST, exit=True)
-        begun = time.monotonic()
-        if wrong := attempt(number, only, lambda told: print(f"call {told}", file=sys.stderr, flush=True)):
-            print(f"WRONG {wrong}", flush=True)
-        if (taken := time.monotonic() - begun) > LONGEST / 4:
-            print(f"slow: {taken:.0f} s, call {number}", flush=True)
-        faulthandler.cancel_dump_traceback_later()
-        if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 > LARGEST:
-            sys.exit("more than 2 GiB")
-
-
-def main() -> int:
-    """Make calls in batches, each a process in a directory of its own; exit code 1 if anything is wrong."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("count", type=int, help="number of calls")
-    parser.add_argument("--first", type=int, default=0, help="number of the first one")
-    parser.add_argument("--only", nargs="*", default=[], help="names to call")
-    parser.add_argument("--here", action="store_true", help="in this process and directory")
-    given = parser.parse_args()
-    if given.here:
-        _batch(given.first, given.count, given.only)
-        return 0
-    number, last, faults = given.first, given.first + given.count, 0
-    paths = os.pathsep.join([str(Path(__file__).parents[1]), str(Path(__file__).parent)])
-    environment = {**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    while number < last:
-        count = min(_BATCH, last - number)
-        command = [sys.executable, __file__, str(count), "--first", str(number), "--here", "--only", *given.only]
-        with tempfile.TemporaryDirectory() as folder:
-            done = subprocess.run(
-                command, cwd=folder, env=environment, capture_output=True, text=True, errors="replace"
-            )
-        print(done.stdout, end="", flush=True)
-        faults += done.stdout.count("WRONG ")
-        number += count
-        if done.returncode:
-            before, _, ended = done.stderr.rpartition("\ncall ")
-            if not before.startswith("call "):
-                sys.exit(done.stderr)
-            number = int(ended.split()[0]) + 1
-            faults += 1
-            print(f"WRONG: the process ended with {done.returncode} in call {ended}", flush=True)
-        print(f"{number - given.first} calls, {faults} faults", file=sys.stderr, flush=True)
-    return int(faults > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return f"{number} {shown(target, arguments)}\n{fault}" if fault else ""

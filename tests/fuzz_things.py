@@ -151,7 +151,6 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "FilterOptions": safety_filter.FilterOptions,
     "SafetyFilter": lambda: safety_filter.SafetyFilter(thing("Arm"), 0.01),
     "FilterStep": lambda: thing("SafetyFilter").step(home(), 0.0 * home(), 0.0 * home()),
-    "FilteredRun": lambda: safety_filter.run_filtered(thing("Arm"), thing("LieEDNN"), home(), 1.0, timestep=0.05),
     "Limit": lambda: thing("SafetyFilter").limits[0],
     "Barrier": lambda: thing("SafetyFilter").barriers[0],
     "ModelPlan": lambda: ls.plan_in(

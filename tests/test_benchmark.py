@@ -22,20 +22,6 @@ from lieednn_sim.policies import POLICIES
 from lieednn_sim.simulation import follow, simulate
 from lieednn_sim.synthesis import attempts
 
-# Words of a row's name, and its aim.
-AIMS = {
-    "in products W": "<= 5",
-    "in SciPy's": "<= 3",
-    "in starts of": "<= 1.5",
-    "in imports of": "<= 1.5",
-    "in its solves": "<= 4",
-    "24 candidates of": ">= 3",
-    "1 targets at once": ">= 3",
-    "in mj_geomDistance": "<= 1.5",
-    "in epochs of": ">= 50",
-    "in LU solves": "<= 5",
-}
-
 
 @pytest.mark.usefixtures("undrawn")
 def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
@@ -68,10 +54,11 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     assert all(f"| {name} | " in text for name in measured)
     assert all(row["minimum"] <= row["median"] <= row["maximum"] for row in measured.values())
     assert all(row["minimum"] > 0.0 for name, row in measured.items() if "added" not in name)
-    aims = AIMS | ({"in RRT-Connect's": "<= 1"} if find_spec("ompl") else {})
-    aims |= {"16 neurons in C": "<= 20"} if any(map(shutil.which, ("cc", "gcc", "clang"))) else {}
-    for part, aim in aims.items():
-        assert [row["aim"] for name, row in measured.items() if part in name] == [aim]
+    for part, there in (
+        ("in RRT-Connect's", find_spec("ompl")),
+        ("16 neurons in C", any(map(shutil.which, ("cc", "gcc", "clang")))),
+    ):
+        assert sum(part in name for name in measured) == bool(there)
     assert len(written["memory [MB]"]) == len(codes) == 5
     for code in codes:
         compile(code, "memory", "exec")

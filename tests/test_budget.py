@@ -191,22 +191,11 @@ def test_the_least_duration_is_that_of_full_speed():
     assert least(0.0, 6.0) == 3.5
 
 
-def test_states_that_are_searched_for_are_counted_whatever_the_clock_says(monkeypatch):
+def test_configurations_that_are_searched_for_take_a_look_at_the_clock(looks):
     arm = Arm.load("telescopic_rrp")
     home = arm.encode(arm.keyframe("home"))
-    monkeypatch.setattr(budget, "MOST_STATES", 100)
-    with time_limit(60.0):
-        arm.decode(np.tile(home, (60, 1, 1)))
-        with (
-            time_limit(60.0),
-            pytest.raises(OutOfTimeError, match=r"nearest to more than 100 states .* name more links"),
-        ):
-            # Within another limit they count on; of another arm each link has a closed form.
-            arm.decode(np.tile(home, (3, 20, 1, 1)))
-        ARM.decode(np.tile(ARM.encode(ARM.keyframe("home")), (200, 1, 1)))
-    arm.decode(np.tile(home, (101, 1, 1)))
-    with pytest.raises(OutOfTimeError, match="out of work"):
-        plan(arm, arm.keyframe("extended"), planner="linear-attractor")
+    with time_limit(0.5), pytest.raises(OutOfTimeError):
+        arm.decode(home)
 
 
 def test_one_network_is_drawn_first_where_links_are_screws_and_the_others_where_it_cannot_be_used(monkeypatch):

@@ -1,7 +1,6 @@
 """Any input at all: a finite result or an error of the package, never a traceback from the depths, NaN or a hang.
 
-Bounded here; open-ended by ``pytest tests/test_fuzz.py --hypothesis-profile=fuzz`` (see conftest), and of everything
-public by ``python tests/fuzz_public.py 20000``.
+Bounded here; open-ended by ``pytest tests/test_fuzz.py --hypothesis-profile=fuzz`` (see conftest).
 """
 
 from __future__ import annotations
@@ -9,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-import warnings
 
 import fuzz_public
 import fuzz_things
@@ -25,7 +23,6 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.safety_filter.filter import SafetyFilter
 from lieednn_sim.registry import BIAS_RULES
 from lieednn_sim.synthesis.bias import bias_for
@@ -265,24 +262,6 @@ def test_checks_of_input_refuse_without_taking_memory_or_time(value):
         assert len(said) < 3000
 
 
-@bounded(40)
-@given(st.data())
-def test_damaged_files(tmp_path_factory, data):
-    path = tmp_path_factory.getbasetemp() / "fuzz.npz"
-    LieEDNN(0.1 * np.eye(2), np.tile(np.eye(3), (2, 2, 1, 1)), np.zeros((2, 2, 3)), np.zeros((2, 6))).save(path)
-    content = bytearray(path.read_bytes())
-    for _ in range(data.draw(st.integers(1, 4))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path.write_bytes(bytes(content[: data.draw(st.integers(0, len(content)))] if data.draw(st.booleans()) else content))
-    for kind in (LieEDNN, Motion):
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")
-                kind.load(path)
-        except FileError:
-            pass
-
-
 # What JSON can hold; of a whole number Python writes at most 4300 digits.
 scalars = st.one_of(
     WORDS, st.integers(), st.sampled_from([10**400, 10**4000, -1]), st.floats(), st.none(), st.booleans()
@@ -312,15 +291,6 @@ def test_task_files(tmp_path_factory, changed, removed):
 
 
 @bounded(40)
-@given(st.binary(max_size=40))
-def test_files_that_are_no_json(tmp_path_factory, content):
-    path = tmp_path_factory.getbasetemp() / "fuzz.json"
-    path.write_bytes(content)
-    with pytest.raises(FileError):
-        Task.load(path)
-
-
-@bounded(40)
 @given(st.data(), st.sampled_from([2, 3, 7]))
 def test_demonstrations(data, columns):
     samples = data.draw(arrays(5, columns))
@@ -346,7 +316,9 @@ def test_everything_public(part, tmp_path, monkeypatch):
         target.name.removeprefix("planning.") for target in known
     }
     left_out = ("rendering.", "live.")
-    calls = (number for number in range(part, len(known), 4) if not known[number].name.startswith(left_out))
+    most = settings.default.max_examples
+    numbers = range(part, len(known) if most <= 100 else most, 4)
+    calls = (number for number in numbers if not known[number % len(known)].name.startswith(left_out))
     assert [wrong for wrong in map(fuzz_public.attempt, calls) if wrong] == []
 
 

@@ -27,7 +27,7 @@ ELSEWHERE = {"docs/howto/own_planner.md", "docs/howto/own_controller.md"}
 OPTIONAL = {
     "gymnasium": r"^import gymnasium",
     "dm_control": r"^import dm_control",
-    "ompl": r"lieednn-guided",
+    "ompl": r"rrt-connect",
     "viser": r"render_page\(",
 }
 

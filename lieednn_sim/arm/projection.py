@@ -10,7 +10,6 @@ coordinate, such as coupled stages in several links, are retracted together.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Hashable
 from dataclasses import field, replace
 from functools import cached_property, partial
@@ -23,7 +22,7 @@ from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, OneScrew, SixD
 from lieednn_sim.arm.deviations import Deviations, Group, spread_of_nearest
 from lieednn_sim.arm.kinematics import CompoundJoints, Factor
 from lieednn_sim.arm.nearest import NearestPose
-from lieednn_sim.budget import count_states
+from lieednn_sim.budget import check_time
 from lieednn_sim.values import Floats, frozen
 
 
@@ -104,7 +103,7 @@ class Retractor:
                 `nearest.NearestPose.follow`; or guesses ``(K, ..., n)`` of the result.
         """
         if self._searching:
-            count_states(math.prod(xi.shape[:-2]))
+            check_time()
         near = None if start is None else start - self._joints.reference
         given = MovingPoses(xi, xi_dot)
         reference = self._joints.reference

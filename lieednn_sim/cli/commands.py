@@ -93,7 +93,7 @@ def simulate(run: Directory, *, simulating: Simulating) -> None:
         simulating: the simulation.
     """
     directory = RunDirectory(run).existing()
-    with directory.at_work(outputs=[directory.rollout, *directory.results]):
+    with directory.at_work():
         _simulate(directory, simulating)
 
 
@@ -107,7 +107,7 @@ def evaluate(run: Directory, *, plots: str = "png") -> None:
         plots: format of the plots: png, pdf or svg.
     """
     directory = RunDirectory(run, plots).existing()
-    with directory.at_work(shared=True, outputs=directory.evaluated):
+    with directory.at_work(shared=True):
         _evaluate(directory)
 
 
@@ -126,7 +126,7 @@ def render(run: Directory, *, output: File | None = None, still: File | None = N
     given = [as_path("the name of an output", name) for name in (still, output) if name is not None]
     paths = given or [directory.video]
     io.check_outputs(paths)
-    with directory.at_work(shared=True, outputs=[path for path in paths if path in (directory.video, directory.page)]):
+    with directory.at_work(shared=True):
         for path in paths:
             _render(directory, path, look, still=still is not None and path == given[0])
 
@@ -135,7 +135,7 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
     task, arm = run.load_task()
     changes = simulating.all_disturbances(arm)
     with progress("check"):
-        motion = run.load_motion(task, arm)
+        motion = run.load_motion(task)
         check_motion(arm, motion)
     end = motion.t[-1] + simulating.hold
     for push in changes.pushes:
@@ -156,7 +156,8 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
             dump_directory=run.path,
             progress=report,
         )
-    wrote(*run.save_rollout(task, rollout))
+    run.save_rollout(rollout)
+    wrote(run.rollout)
 
 
 def _evaluate(run: RunDirectory) -> None:

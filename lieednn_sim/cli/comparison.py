@@ -91,7 +91,7 @@ def compare(
         console.print(f"not compared: {name} is not installed ({reason})")
     cluster = contextlib.nullcontext() if scheduler is None else dask_executor(scheduler)
     # Several shards may grow one table.
-    folder = io.output_folder(output, "table", outputs=_OUTPUTS, shared=study.shard is not None)
+    folder = io.output_folder(output, "table", shared=study.shard is not None)
     with cluster as executor, folder as directory:
         how: dict[str, Any] = {"jobs": workers, "executor": executor, "console": to_stderr()}
         if executor is not None:

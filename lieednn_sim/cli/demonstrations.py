@@ -95,9 +95,8 @@ def learn(
     apart = goal_distance(shown)
     if demonstrations.extent <= 0.0:
         raise InputError("the mean of the demonstrations does not move")
-    names = ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")
-    with io.output_folder(output, "demonstrations", outputs=names) as directory:
-        outputs = [directory / name for name in names]
+    with io.output_folder(output, "demonstrations") as directory:
+        outputs = [directory / name for name in ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")]
         shaped = ShapedMotion.fit(demonstrations, fitting.deviation, options, seed, family=fitting.family)
         with progress("learn") as bar:
             rows, models = compare_models(

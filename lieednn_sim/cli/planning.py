@@ -57,8 +57,7 @@ def make_plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) 
             planner=planner,
             start=start,
             duration=planning.duration,
-            # If the run stores only the network, this generates the motion again in the task's duration.
-            max_time_scale=1.0 if task.drawn else 3.0,
+            max_time_scale=1.0 if planner == CERTIFIED and not planning.fastest else 3.0,
             seed=planning.seed,
             time_budget=planning.time_budget,
             options=options,
@@ -67,7 +66,7 @@ def make_plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) 
             progress=report,
         )
     task = replace(task, target=tuple(result.target.tolist()))
-    written = run.save_network(task, result.network, None if task.drawn else result.motion)
+    written = run.save_network(task, result.network, result.motion)
     print_import_report(arm)
     print_outcome(result)
     wrote(*written)

@@ -1,19 +1,17 @@
 """The directory of a run.
 
 Task, network, motion, rollout and metrics are made from each other in that order. Task, network and motion replace
-those of an older run together, and its other results go. A motion must lead from the task's start to its target, and a
-rollout must have followed the motion, so that files of different runs are never mixed.
+those of an older run together, and its other results go. The task knows the motion that was made for it, and a rollout
+the motion that it followed, so that files of different runs are never mixed.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Iterable
+from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from lieednn_sim import io
 from lieednn_sim.arm import Arm
@@ -23,7 +21,6 @@ from lieednn_sim.learning.history import History
 from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
 from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.validation import as_choice, as_path
 from lieednn_sim.versions import versions
@@ -34,8 +31,6 @@ PLOT_KINDS = ("png", "pdf", "svg")
 _PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints", "channels")
 # Classes of networks by the kind of their files.
 _NETWORKS: dict[str, type[ComponentwiseNetwork]] = {network._kind: network for network in (LieEDNN, HopfieldNetwork)}
-# A stored motion may miss the start and the target of its task by this much [rad, m].
-_OFF = 1e-3
 
 
 class RunDirectory:
@@ -86,21 +81,13 @@ class RunDirectory:
     def _plots_of(self, *names: str) -> list[Path]:
         return [self.path / f"{name}.{kind}" for name in names for kind in PLOT_KINDS]
 
-    def at_work(
-        self, *, shared: bool = False, outputs: Iterable[Path] | None = None
-    ) -> contextlib.AbstractContextManager[Path]:
-        """Create the directory if needed, and lock the run against other commands; see `io.output_folder`.
+    def at_work(self, *, shared: bool = False) -> AbstractContextManager[Path]:
+        """Create the directory if needed, and lock the run against other commands; raises as `io.output_folder`.
 
         Args:
             shared: let other commands in that only write results, as this one does.
-            outputs: the files that the command writes; by default all files of the run.
-
-        Raises:
-            FileError: another command is at work there, it is no directory of runs, or one of ``outputs`` cannot be
-                written.
         """
-        names = [path.name for path in (self.files if outputs is None else outputs)]
-        return io.output_folder(self.path, "run", outputs=names, shared=shared)
+        return io.output_folder(self.path, "run", shared=shared)
 
     def existing(self) -> RunDirectory:
         """Return self, or raise `FileError` if there is no such run."""
@@ -134,37 +121,23 @@ class RunDirectory:
         arrays, meta = io.load_arrays(self.network, *_NETWORKS)
         return _NETWORKS[meta["kind"]].restored(arrays, meta, self.network)
 
-    def load_motion(self, task: Task, arm: Arm, *, stored: bool | None = None) -> Motion:
-        """The motion from the task's start to its target.
-
-        Args:
-            task: the task of the run.
-            arm: its arm.
-            stored: whether to read it, rather than to generate it by the network; by default as the task says.
-
-        Raises:
-            FileError: there is no such motion, or it is of another task.
-        """
-        if task.drawn if stored is None else not stored:
-            source, motion = self.network, self._generated(task, arm)
-        else:
-            source, motion = self.motion, Motion.load(self.motion)
-        ends = np.array([task.start, task.target])
-        if motion.q.shape[1:] != ends.shape[1:] or np.abs(motion.q[[0, -1]] - ends).max() > _OFF:
+    def load_motion(self, task: Task) -> Motion:
+        """The motion of the task; `FileError` if there is none, or it was made for another task."""
+        if not io.is_file(self.motion):
+            raise FileError(f"no such file: {self.motion}; the arm cannot follow the network of this run, make another")
+        motion = Motion.load(self.motion)
+        if (found := task.fingerprint(motion)) != task.motion:
             raise FileError(
-                f"{source} is of another run than {self.task}: its motion does not lead from that start to that "
-                "target; 'lieednn-sim plan' makes it again"
+                f"{self.motion} and {self.task} are of different runs, or one was changed (fingerprint "
+                f"{io.short(found)}, not {io.short(task.motion)}); 'lieednn-sim plan' makes both again"
             )
         return motion
-
-    def _generated(self, task: Task, arm: Arm) -> Motion:
-        return make_motion(arm, self.load_network(), task.start, task.duration, arm.timestep)
 
     def load_rollout(self, task: Task, arm: Arm) -> Rollout:
         """The rollout with its motion, which must belong together and to the task."""
         if not io.is_file(self.rollout):
             raise FileError(f"no such file: {self.rollout}; make it with 'lieednn-sim simulate {self.path}'")
-        return Rollout.load(self.rollout, arm, self.load_motion(task, arm, stored=True))
+        return Rollout.load(self.rollout, arm, self.load_motion(task))
 
     def save_network(
         self, task: Task, network: BlockNetwork | None, motion: Motion | None = None, history: History | None = None
@@ -177,6 +150,8 @@ class RunDirectory:
         Returns:
             The files written.
         """
+        if motion is not None:
+            task = replace(task, motion=task.fingerprint(motion))
         given: dict[Path, Any] = {self.network: network, self.motion: motion, self.history: history, self.task: task}
         items = {path: item for path, item in given.items() if item is not None}
         with io.atomic_paths(list(items), [self.task, *self.files]) as temporaries:
@@ -184,16 +159,7 @@ class RunDirectory:
                 item.save(temporary)
         return [self.task, *(path for path in items if path != self.task)]
 
-    def save_rollout(self, task: Task, rollout: Rollout) -> list[Path]:
-        """Write a rollout, with its motion if the network generated that, and remove results of an older one.
-
-        Returns:
-            The files written.
-        """
-        items: dict[Path, Any] = {self.rollout: rollout}
-        if task.drawn and rollout.motion is not None:
-            items = {self.motion: rollout.motion, **items}
-        with io.atomic_paths(list(items), [self.rollout, *self.results]) as temporaries:
-            for item, temporary in zip(items.values(), temporaries, strict=True):
-                item.save(temporary)
-        return list(items)
+    def save_rollout(self, rollout: Rollout) -> None:
+        """Write a rollout, and remove results of an older one."""
+        with io.atomic_paths([self.rollout], self.results) as (temporary,):
+            rollout.save(temporary)

@@ -11,13 +11,14 @@ from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer import ImportOptions
 from lieednn_sim.errors import FileError
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.validation import as_floats, as_positive, as_seed
 from lieednn_sim.versions import versions
 
-# Planners whose network generates the motion by itself (`network_path.make_motion`).
-CERTIFIED, TRAINED = "lieednn-certified", "train"
-# The planner of the command ``learn --arm``, whose motion is stored.
-DEMONSTRATED = "learn"
+# The planner of certified networks.
+CERTIFIED = "lieednn-certified"
+# What the tasks of other commands have for a planner: of ``train`` and of ``learn --arm``.
+TRAINED, DEMONSTRATED = "train", "learn"
 
 
 @dataclass(frozen=True)
@@ -33,11 +34,11 @@ class Task:
         scene_seed: seed of the obstacles' positions.
         imported: import options of a model file, see `Arm.load`.
         planner: a name of `planning.PLANNERS`, `TRAINED` for ``train``, or `DEMONSTRATED` for ``learn``.
-            The motion is stored unless the network generates it by itself.
         reason: why this planner was chosen.
         seed: seed of its random draws.
         options: its other options by name, as JSON values.
         model: `Arm.fingerprint` of the arm.
+        motion: `fingerprint` with the motion that was made for the task; empty without one.
         versions: versions of the packages with which the task was made.
     """
 
@@ -53,12 +54,12 @@ class Task:
     seed: int = 0
     options: Mapping[str, Any] = field(default_factory=dict)
     model: str = ""
+    motion: str = ""
     versions: Mapping[str, str] = field(default_factory=lambda: versions(optional=True))
 
-    @property
-    def drawn(self) -> bool:
-        """Whether the network generates the motion by itself, in the task's duration."""
-        return self.planner in (CERTIFIED, TRAINED) and not self.options.get("fastest", False)
+    def fingerprint(self, motion: Motion) -> str:
+        """Fingerprint of all values and of a motion for them; see `io.fingerprint`."""
+        return io.fingerprint(vars(motion), {**asdict(self), "motion": ""})
 
     def load_arm(self) -> Arm:
         """The arm among its obstacles; raises as `Arm.load`."""
@@ -73,7 +74,7 @@ class Task:
         """Read a file of `save`; `FileError` says what is wrong with it."""
         value = io.load_json(path, "task")
         try:
-            texts = {name: value[name] for name in ("arm", "scene", "planner", "reason", "model")}
+            texts = {name: value[name] for name in ("arm", "scene", "planner", "reason", "model", "motion")}
             if not all(isinstance(text, str) for text in texts.values()):
                 raise TypeError("names must be strings")
             if not all(isinstance(value[name], dict) for name in ("imported", "options", "versions")):

@@ -23,7 +23,7 @@ from lieednn_sim.learning import RiemannianOptions, TrainingResult, train_rieman
 from lieednn_sim.learning import train as projected_train
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.planning.goals import candidates
-from lieednn_sim.planning.motion import check_motion
+from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.registry import ALGORITHMS
 from lieednn_sim.synthesis import bias_for
@@ -95,7 +95,7 @@ def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int
         # A run's previous files stay as they are.
         console.print("no network was written; try another --seed, more --epochs, or --algorithm stability-aware")
         return 1
-    wrote(run.task, run.network, run.history, run.training_plot)
+    wrote(*(path for path in (run.task, run.network, run.motion, run.history, run.training_plot) if path.exists()))
     if refusal is not None:
         console.print(f"the network is learned, but its motion will be rejected: {refusal}")
     return 0
@@ -113,11 +113,11 @@ def _choose(learners: Candidates, run: RunDirectory, arm: Arm, task: Task) -> tu
         if result.success and isinstance(result.network, LieEDNN):
             # Learning does not need a proof; the network is saved and reported with one where it is found.
             result = replace(result, network=result.network.try_certify())
-        refusal = _refusal(result, arm, task)
+        motion, refusal = _motion(result, arm, task)
         if best is None or not best[0].success or (result.success and refusal is None):
             best = result, refusal
             if result.success and isinstance(result.network, LieEDNN):
-                run.save_network(task, result.network, history=result.history)
+                run.save_network(task, result.network, motion, result.history)
                 with io.atomic_path(run.training_plot) as temporary:
                     plot_training.plot_training(result.history, xi, result.tolerance, temporary)
         if result.success and refusal is None:
@@ -127,15 +127,16 @@ def _choose(learners: Candidates, run: RunDirectory, arm: Arm, task: Task) -> tu
     return best
 
 
-def _refusal(result: TrainingResult, arm: Arm, task: Task) -> str | None:
-    """Why the arm cannot use the network's motion; None if it can, or without a network."""
-    if not result.success or not isinstance(result.network, LieEDNN):
-        return None
-    try:
-        check_motion(arm, make_motion(arm, result.network, task.start, task.duration, arm.timestep))
-    except PlanError as error:
-        return str(error)
-    return None
+def _motion(result: TrainingResult, arm: Arm, task: Task) -> tuple[Motion | None, str | None]:
+    """The motion of the network, if there is one, and why the arm cannot use it, or None."""
+    motion = None
+    if result.success and isinstance(result.network, LieEDNN):
+        try:
+            motion = make_motion(arm, result.network, task.start, task.duration, arm.timestep)
+            check_motion(arm, motion)
+        except PlanError as error:
+            return motion, str(error)
+    return motion, None
 
 
 def _learner(asked: Learning, xi: Floats) -> Learner:
@@ -146,8 +147,10 @@ def _learner(asked: Learning, xi: Floats) -> Learner:
     learn: Callable[..., TrainingResult]
     if not isinstance(make(), RiemannianOptions):
         learn = functools.partial(projected_train, xi, make(**given))
-    elif len(given) > 1:
-        raise InputError(f"--period and --epochs are for the algorithms of the paper, not for {asked.algorithm}")
+    elif asked.period is not None or asked.epochs is not None:
+        raise InputError(
+            f"--period and --epochs are for the algorithms literal, repaired and tracked, not for {asked.algorithm}"
+        )
     else:
         learn = functools.partial(train_riemannian, xi, make(**given))
     if asked.bias == "solved":

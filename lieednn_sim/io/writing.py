@@ -87,9 +87,7 @@ def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterat
 
 
 @contextlib.contextmanager
-def output_folder(
-    directory: str | os.PathLike[str], holds: str, *, outputs: Iterable[str] = (), shared: bool = False
-) -> Iterator[Path]:
+def output_folder(directory: str | os.PathLike[str], holds: str, *, shared: bool = False) -> Iterator[Path]:
     """A folder for results, locked while the block runs.
 
     It must be new, empty, or ours for the same purpose, which its file `MARK` says; in such a folder the block may
@@ -99,7 +97,6 @@ def output_folder(
     Args:
         directory: the folder; it is created with its parents if it is missing.
         holds: what it is for, such as "run", in the message to whoever would mix two things in one folder.
-        outputs: names of the files that the block will write.
         shared: allow other shared locks, for a block that replaces nothing that others read.
 
     Raises:
@@ -112,7 +109,6 @@ def output_folder(
         with locked(folder, shared=shared):
             marked = _claim(folder, holds, remove_unfinished=not shared)
             try:
-                check_outputs(folder / name for name in outputs)
                 yield folder
             finally:
                 if marked and [path.name for path in folder.iterdir()] == [MARK]:

@@ -1,7 +1,7 @@
 """Planning: from a joint target to a motion that is checked for limits, contact and clearance.
 
-`plan` runs any planner by its name: certified networks, alone or behind the safety filter, and the planners with which
-they are compared. Each planner has a class of options here.
+`plan` runs any planner by its name: certified networks, and the planners with which they are compared. Each planner has
+a class of options here.
 """
 
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
@@ -10,14 +10,12 @@ from lieednn_sim.planning.baselines.qshnn import QshnnOptions
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, RrtStarOptions
 from lieednn_sim.planning.baselines.stomp import StompOptions
 from lieednn_sim.planning.certified import CertifiedOptions
-from lieednn_sim.planning.filtered_planners import FilteredOptions, GuidedOptions
 from lieednn_sim.planning.in_model import ModelPlan, plan_in
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_planners import (
     RetargetedOptions,
     TrainedOptions,
-    UnprojectedOptions,
     reference_network,
 )
 from lieednn_sim.planning.planners import OBSTACLE_PLANNER, default_planner, plan, register_planner
@@ -37,8 +35,6 @@ __all__ = [
     "Actuate",
     "CertifiedOptions",
     "DmpOptions",
-    "FilteredOptions",
-    "GuidedOptions",
     "ModelPlan",
     "Motion",
     "Move",
@@ -56,7 +52,6 @@ __all__ = [
     "TeacherOptions",
     "TrainedOptions",
     "Tube",
-    "UnprojectedOptions",
     "default_planner",
     "find_tube",
     "joint_motion",

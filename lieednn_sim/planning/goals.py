@@ -21,7 +21,7 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-# One goal, or a set of them.
+#: A goal, as of `plan`, or a set of goals; the type of whoever takes any.
 Goal: TypeAlias = "ArrayLike | str | RigidTransform | TaskSpaceRegion | Sequence[Any]"
 Single: TypeAlias = "Floats | str | RigidTransform | TaskSpaceRegion"
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, TaskSpaceRegion
@@ -16,7 +16,7 @@ from lieednn_sim.arm.importer.compiled import shared_addresses
 from lieednn_sim.arm.importer.holding import Grasp, find_grasp
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning.goals import single_goals
+from lieednn_sim.planning.goals import Goal, single_goals
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.planners import OBSTACLE_PLANNER, plan
@@ -25,11 +25,6 @@ from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
-
-    from lieednn_sim.planning.goals import Goal
 
 
 @frozen
@@ -63,7 +58,7 @@ def plan_in(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     joints: Sequence[str],
-    goal: ArrayLike | str | RigidTransform | TaskSpaceRegion | Sequence[Any],
+    goal: Goal,
     *,
     tip: str | None = None,
     limits: Mapping[str, Mapping[str, float]] | None = None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -11,9 +10,8 @@ import numpy as np
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import reference_configuration
 from lieednn_sim.errors import PlanError
-from lieednn_sim.learning import TrainingOptions, TrainingResult, train
+from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, ComponentwiseNetwork, LieEDNN
-from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.options import NetworkOptions
@@ -25,7 +23,6 @@ from lieednn_sim.values import Floats
 # The motion ends at the learned network's equilibrium, which must be the target [rad, length_scale m].
 _LEARNED_TOLERANCE = 1e-8
 _TRACKED = TrainingOptions.tracked(tolerance=_LEARNED_TOLERANCE)
-_PLAIN = TrainingOptions.repaired(projection="none", tolerance=_LEARNED_TOLERANCE, max_epochs=20_000, restarts=1)
 # Largest distance of a network's equilibrium from the target [rad, length_scale m]: a hundred times the tolerance of
 # learning, and the tolerance of position limits.
 _ARRIVAL_TOLERANCE = 1e-6
@@ -52,13 +49,6 @@ class TrainedOptions(CandidateOptions):
 
     n_networks: int = 4
     training: TrainingOptions = _TRACKED
-
-
-@dataclass(frozen=True)
-class UnprojectedOptions(TrainedOptions):
-    """Options of the planner ``lieednn-unprojected``: `TrainedOptions`, with gradient steps, never projected."""
-
-    training: TrainingOptions = _PLAIN
 
 
 def retargeted(problem: PlanningProblem, options: RetargetedOptions) -> Plan:
@@ -105,34 +95,12 @@ def trained(problem: PlanningProblem, options: TrainedOptions) -> Plan:
     Raises:
         PlanError: no network was learned, or every motion breaks a limit of the arm.
     """
-    return _learned(problem, options, lambda result, _: result.network)
-
-
-def unprojected(problem: PlanningProblem, options: UnprojectedOptions) -> Plan:
-    """As `trained`, by the gradient steps of Algorithm 1 alone: weights that never return to the adjoint matrices.
-
-    The result is a plain network of 6N neurons (`HopfieldNetwork`), an ablation of the group structure; certified if a
-    certificate is found.
-
-    Raises:
-        PlanError: no network was learned, or every motion breaks a limit of the arm.
-    """
-    return _learned(
-        problem, options, lambda result, bias: HopfieldNetwork(result.weight, bias, activation=options.activation)
-    )
-
-
-def _learned(
-    problem: PlanningProblem,
-    options: TrainedOptions,
-    network_of: Callable[[TrainingResult, Floats], ComponentwiseNetwork | None],
-) -> Plan:
     xi, activation = problem.arm.encode(problem.target), options.activation
     refusal = ""
     for candidate, magnitude in enumerate(options.magnitudes()):
         bias = bias_for("sign-matched", xi, ACTIVATIONS[activation].phi(xi), 1.0, magnitude)
         result = train(xi, options.training, bias=bias, activation=activation, seed=problem.seed + candidate)
-        network = network_of(result, bias) if result.success else None
+        network = result.network if result.success else None
         if network is None:
             # The reason of a refused motion is more informative than that of a failed training.
             refusal = refusal or result.message

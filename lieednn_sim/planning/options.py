@@ -1,10 +1,11 @@
-"""Base class of the planners' options: each field is checked against its default."""
+"""Base class of the planners' options: each field is checked by its type."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, get_args, get_origin, get_type_hints
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION
@@ -16,17 +17,18 @@ from lieednn_sim.values import set_fields
 class PlannerOptions:
     """Base class of the options of planners and of their parts, such as the filter and searches.
 
-    The default of a field decides which values it takes. An integer: integers from 1 on. Another number: positive
-    numbers. A tuple: one or more values like its own. Anything else, including True and False: values of the default's
-    class. The field's metadata may bound numbers further by ``range`` and list the names allowed by ``choices``.
+    A field takes what its annotation says: ``int`` an integer from 1 on, ``float`` a positive number, ``tuple[...]``
+    one or more of its items, anything else an instance. The field's metadata may bound numbers further by ``range`` and
+    list the names allowed by ``choices``.
 
     Raises:
         InputError: a value is not allowed.
     """
 
     def __post_init__(self) -> None:
+        kinds = get_type_hints(type(self))
         for entry in fields(self):
-            value = _checked(entry.name, getattr(self, entry.name), entry.default)
+            value = _checked(entry.name, getattr(self, entry.name), kinds[entry.name])
             low, high = entry.metadata.get("range", (-math.inf, math.inf))
             for number in value if isinstance(value, tuple) else (value,):
                 if isinstance(number, int | float) and not low <= number <= high:
@@ -61,15 +63,16 @@ class NetworkOptions(PlannerOptions):
     activation: str = field(default=DEFAULT_ACTIVATION, kw_only=True, metadata={"choices": ACTIVATIONS})
 
 
-def _checked(name: str, value: Any, default: Any) -> Any:
-    if isinstance(default, tuple):
+_NUMBERS: dict[Any, Callable[[str, Any], Any]] = {int: as_count, float: as_positive}
+
+
+def _checked(name: str, value: Any, kind: Any) -> Any:
+    if get_origin(kind) is tuple:
         if not isinstance(value, tuple | list) or not value:
             raise InputError(f"{name} must be a tuple of at least one number, got {quoted(value)}")
-        return tuple(_checked(name, one, default[0]) for one in value)
-    if isinstance(default, int) and not isinstance(default, bool):
-        return as_count(name, value)
-    if isinstance(default, float):
-        return as_positive(name, value)
-    if not isinstance(value, type(default)):
-        raise InputError(f"{name} must be a {type(default).__name__}, got {quoted(value)}")
+        return tuple(_checked(name, item, get_args(kind)[0]) for item in value)
+    if kind in _NUMBERS:
+        return _NUMBERS[kind](name, value)
+    if not isinstance(value, kind):
+        raise InputError(f"{name} must be a {kind.__name__}, got {quoted(value)}")
     return value

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
-from lieednn_sim.planning.goals import candidates
+from lieednn_sim.planning.goals import Goal, candidates
 from lieednn_sim.planning.kept import check_kept
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
@@ -20,9 +20,6 @@ from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.registry import PLANNERS, PlannerEntry, optional_module
 from lieednn_sim.validation import Seed, as_seed
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
 
 # Largest distance of a motion's ends from the start and target asked for, in joint coordinates [rad, m].
 _END_TOLERANCE = 1e-3
@@ -106,7 +103,7 @@ def default_planner(arm: Arm) -> tuple[str, str]:
 
 def plan(
     arm: Arm,
-    target: ArrayLike | str | RigidTransform | TaskSpaceRegion | Sequence[Any],
+    target: Goal,
     *,
     planner: str | None = None,
     start: ArrayLike | str = "home",
@@ -151,7 +148,7 @@ def plan(
         NotCertifiedError: no network could be certified.
         PlanError: the motion breaks a limit of the arm, or does not arrive; `TooFastError` if more time would suffice.
         OutOfTimeError: the time budget is spent.
-        LieEDNNError: a library that the planner needs is not installed (see `missing_planners`).
+        LieEDNNError: a library that the planner needs is not installed (see `PLANNERS.missing`).
     """
     if planner is None:
         planner = default_planner(arm)[0] if keep is None else OBSTACLE_PLANNER

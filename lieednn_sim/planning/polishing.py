@@ -133,8 +133,9 @@ class Polish:
         return np.asarray(np.linalg.solve(free.T @ free + smooth, free.T @ left))
 
     def near_kept(self, free: Floats) -> Floats:
-        """The spline near the projections of a motion's positions onto the region that is kept."""
-        assert self._problem.keep is not None
+        """The spline near the projections of a motion's positions onto the region that is kept; itself without one."""
+        if self._problem.keep is None:
+            return free
         q = self._scale * (self._kept_rows @ self._control(free))
         left = projected(self._problem.arm, q, self._problem.keep) / self._scale - self._kept_rows @ self._ends
         return np.asarray(np.linalg.solve(self._kept_rows[:, self._free], left))

@@ -90,8 +90,8 @@ class Plan:
     Attributes:
         motion: from rest at the start to rest at the target, within limits and free of contact (`motion.check_motion`).
         network: the network that made the motion, with the target as its equilibrium; None for planners without one.
-        details: further results of the planner: `certified.CertifiedDetails`, `shaped.ShapedDetails`, or the run
-            through the safety filter, `safety_filter.FilteredRun`; None for other planners.
+        details: further results of the planner: `certified.CertifiedDetails` or `shaped.ShapedDetails`; None for other
+            planners.
         target: ``(n,)`` joint target [rad, m].
         planner: name of the planner.
         cpu_time: CPU time that planning took [s].

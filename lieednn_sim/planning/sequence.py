@@ -180,10 +180,7 @@ class _Planned:
 
     def move(self, joints: Sequence[str], step: Move, common: Mapping[str, Any]) -> Plan:
         """Plan a move, and add its rows."""
-        how = {**common, **step.changes}
-        found = plan_in(
-            self._model, self._state, joints, step.goal, holding=step.holding, touching=step.touching, **how
-        )
+        found = plan_in(self._model, self._state, joints, step.goal, **step.arguments(common))
         rows = found.rows(self._model.opt.timestep)[1:]
         self._add(found.qpos[rows], found.qvel[rows])
         return found.plan

@@ -2,68 +2,62 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import TaskSpaceRegion
 from lieednn_sim.arm.forces import actuator_moments
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning.in_model import plan_in
-from lieednn_sim.validation import as_choice, as_floats, as_positive, quoted
+from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive, quoted
 from lieednn_sim.values import set_fields
 
 SETTLED = "settled"
 # What settled means: joints slower than this [rad/s, m/s], for so long [s].
 _SLOW, _QUIET = 2e-3, 0.1
-# Arguments of `plan_in` that concern the whole sequence, or are fields of a move.
-_NOT_OF_A_MOVE = ("model", "data", "joints", "goal", "tip", "limits", "holding", "touching")
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Move:
     """A motion of the arm to a goal, planned by `plan_in`.
 
     Attributes:
         goal: any goal of `plan_in`: joint positions, a pose of the tip, the name of a keyframe of the model.
-        name: what the move is called.
+        name: what the move is called, by default the goal if that is a name.
         holding: name of the free body that the tip carries, from where it then is.
         touching: names of bodies that the held one may touch, besides what it stands on at the beginning.
-        changes: other arguments of `plan_in` that differ from those of the sequence, such as ``duration``.
-
-    Raises:
-        InputError: a name of ``changes`` is no argument of `plan_in`.
+        planner, duration, max_time_scale, seed, time_budget, clearance, options, fastest: as of `plan_in`; None for
+            those of the sequence.
+        keep: region in which the tip stays on the way; none if it may go anywhere.
     """
 
-    goal: Any
-    name: str
-    holding: str | None
-    touching: tuple[str, ...]
-    changes: Mapping[str, Any]
+    goal: Any = field(kw_only=False)
+    name: str = ""
+    holding: str | None = None
+    touching: Sequence[str] = ()
+    planner: str | None = None
+    duration: float | None = None
+    max_time_scale: float | None = None
+    seed: Seed | None = None
+    time_budget: float | None = None
+    clearance: float | None = None
+    options: PlannerOptions | None = None
+    fastest: bool | None = None
+    keep: TaskSpaceRegion | None = None
 
-    def __init__(
-        self,
-        goal: Any,
-        *,
-        name: str = "",
-        holding: str | None = None,
-        touching: Sequence[str] = (),
-        **changes: Any,
-    ) -> None:
-        for word in changes:
-            as_choice("argument of a move", word, changes_of_moves())
-        label = name or (goal if isinstance(goal, str) else "move")
-        object.__setattr__(self, "goal", goal)  # not copied: whether it is a goal is for the planner to say
-        set_fields(self, name=label, holding=holding, touching=tuple(touching), changes=changes)
+    def __post_init__(self) -> None:
+        label = self.name or (self.goal if isinstance(self.goal, str) else "move")
+        set_fields(self, name=label, touching=tuple(self.touching))
 
-
-def changes_of_moves() -> list[str]:
-    """The arguments of `plan_in` that a move may have for itself."""
-    return [name for name in inspect.signature(plan_in).parameters if name not in _NOT_OF_A_MOVE]
+    def arguments(self, common: Mapping[str, Any]) -> dict[str, Any]:
+        """The arguments of `plan_in` besides model, data, joints and goal: those of the sequence, where not its own."""
+        own = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in ("goal", "name")}
+        return {**common, **{name: value for name, value in own.items() if value is not None}}
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
+from operator import itemgetter
 
 import numpy as np
 
@@ -88,28 +89,26 @@ def best_teacher(problem: PlanningProblem, options: TeacherOptions) -> Plan:
         LieEDNNError: RRT-Connect is asked, but OMPL is not installed.
         PlanError: no teacher finds a motion; the message has the reason of each.
     """
-    begun, refusals = cpu_time(), list[str]()
-
-    def asked(name: str, solve: Callable[[], Motion]) -> Plan | None:
+    begin, refusals = cpu_time(), list[str]()
+    for name, solve in _motions(problem, options):
         try:
-            return Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begun)
+            return Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begin)
         except PlanError as error:
             refusals.append(f"{name}: {error}")
-            return None
-
-    kept = problem.keep is not None
-    if found := asked("minimum-jerk", partial(_straight, problem)):
-        return found
-    if options.polished or kept:
-        candidates = sorted(_Candidates(problem, options).all(), key=lambda one: one[0])
-        for _, name, motion in candidates:
-            if found := asked(f"{name}, polished", motion):
-                return found
-    if not kept and (found := asked("rrt-connect", partial(sampling.rrt_connect, problem, options.search))):
-        return found
-    if kept:
+    if problem.keep is not None:
         refusals.append("no other way within it was found")
     raise PlanError(f"no teacher finds a motion; {'; '.join(refusals)}")
+
+
+def _motions(problem: PlanningProblem, options: TeacherOptions) -> Iterator[tuple[str, Callable[[], Motion]]]:
+    """What makes and checks a teacher's motion, by the name of its planner, the one to ask first at the beginning."""
+    yield "minimum-jerk", partial(_straight, problem)
+    if options.polished or problem.keep is not None:
+        search = (_Search if problem.keep is None else _KeptSearch)(problem, options)
+        for _, name, motion in sorted(search.polished(), key=itemgetter(0)):
+            yield f"{name}, polished", motion
+    if problem.keep is None:
+        yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search)
 
 
 def _straight(problem: PlanningProblem) -> Motion:
@@ -124,14 +123,23 @@ def _straight(problem: PlanningProblem) -> Motion:
     return motion
 
 
-class _Candidates:
-    """The candidates of a problem whose straight motion is blocked."""
+class _Search:
+    """Polished motions of a problem whose straight motion is blocked."""
 
     def __init__(self, problem: PlanningProblem, options: TeacherOptions) -> None:
         self.problem, self.options, arm = problem, options, problem.arm
         self.workspace = Workspace(problem, options.margin)
         self.edges = EdgeTest(arm, self.workspace, options.spacing)
         self.ends = min(map(self.workspace.collisions.clearance, (problem.start, problem.target)))
+        self.intervals, self.checks, self.shortcuts = options.intervals, options.collision_checks, options.shortcuts
+
+    def enough(self, cost: float) -> bool:
+        """Whether a clear motion of this cost ends the search for more."""
+        return cost <= _NEARLY_STRAIGHT
+
+    def onto(self, scale: Floats) -> Callable[[Floats], Floats] | None:
+        """What moves points of a tree, in units of ``scale`` ``(n,)``, to where they may be; None for anywhere."""
+        return None
 
     def polish(self, *, own: bool) -> Polish:
         """With the arm's distances from itself, at twice the instants; without them, at a fraction of the cost."""
@@ -140,19 +148,19 @@ class _Candidates:
             self.edges.swept / self.edges.scale,
             self.ends,
             weight=self.options.clearance_weight,
-            intervals=self.options.intervals if self.problem.keep is None else _KEPT_INTERVALS,
+            intervals=self.intervals,
             instants=(1 + own) * self.options.instants,
             own=own,
         )
 
-    def all(self) -> Iterator[tuple[float, str, Callable[[], Motion]]]:
+    def polished(self) -> Iterator[tuple[float, str, Callable[[], Motion]]]:
         """Measure, name, and the function that makes and checks the motion of each candidate that is clear."""
         polish = self.polish(own=False)
         for name, guess in self.guesses(polish):
-            measure, free, clear = polish.descend(guess, self.options.steps)
+            measure, free, clear = polish.descend(polish.near_kept(guess), self.options.steps)
             if clear:
                 yield measure, name, partial(self.motion, polish, free)
-                if self.problem.keep is not None or polish.cost(free) <= _NEARLY_STRAIGHT:
+                if self.enough(polish.cost(free)):
                     break
 
     def motion(self, polish: Polish, free: Floats) -> Motion:
@@ -164,13 +172,11 @@ class _Candidates:
             return in_time(finer.motion, self.problem, finer.descend(free, self.options.steps)[1])
 
     def guesses(self, polish: Polish) -> Iterator[tuple[str, Floats]]:
-        kept = self.problem.keep is not None
-        yield "minimum-jerk", polish.near_kept(polish.straight) if kept else polish.straight
+        """The straight motion, and those near paths that are searched for, each with its planner's name."""
+        yield "minimum-jerk", polish.straight
         for attempt in range(self.options.searches):
-            corners = self.path(attempt)
-            if corners is not None:
-                near = polish.near(corners)
-                yield "rrt-connect", polish.near_kept(near) if kept else near
+            if (corners := self.path(attempt)) is not None:
+                yield "rrt-connect", polish.near(corners)
 
     def path(self, attempt: int) -> Floats | None:
         """Corners ``(M, n)`` of a shortened path; each attempt has a seed and as many tests of its own."""
@@ -181,29 +187,40 @@ class _Candidates:
         def clear(first: Floats, second: Floats) -> bool:
             return edges.passable(first / weight, second / weight)
 
-        onto, keep = None, self.problem.keep
-        if keep is not None:
-
-            def onto(point: Floats) -> Floats:
-                return projected(self.problem.arm, (scale * point)[None], keep)[0] / scale
-
         search, shortcuts = np.random.SeedSequence([self.problem.seed, attempt]).spawn(2)
-        found = connected(
+        corners = connected(
             self.problem.start / scale,
             self.problem.target / scale,
             bounds=box,
             longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
             clear=clear,
-            over=partial(edges.over, (attempt + 1) * options.collision_checks // (1 if keep is None else _KEPT_SLOWER)),
+            over=partial(edges.over, (attempt + 1) * self.checks),
             seed=search,
-            onto=onto,
+            onto=self.onto(scale),
         )
         check_time()
-        if found is None:
+        if corners is None:
             return None
-        if keep is not None:  # straight shortcuts would leave the region
-            return scale * found
-        return scale * shortened(found, clear, options.shortcuts, np.random.default_rng(shortcuts))
+        return scale * shortened(corners, clear, self.shortcuts, np.random.default_rng(shortcuts))
+
+
+class _KeptSearch(_Search):
+    """The same where a region is kept on the way: the first clear motion will do."""
+
+    def __init__(self, problem: PlanningProblem, options: TeacherOptions) -> None:
+        super().__init__(problem, options)
+        # Straight shortcuts would leave the region.
+        self.intervals, self.checks, self.shortcuts = _KEPT_INTERVALS, self.checks // _KEPT_SLOWER, 0
+
+    def enough(self, cost: float) -> bool:
+        """See `_Search`."""
+        return True
+
+    def onto(self, scale: Floats) -> Callable[[Floats], Floats]:
+        """See `_Search`."""
+        arm, keep = self.problem.arm, self.problem.keep
+        assert keep is not None
+        return lambda point: projected(arm, (scale * point)[None], keep)[0] / scale
 
 
 def shortened(

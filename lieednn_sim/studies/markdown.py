@@ -20,7 +20,7 @@ def table_line(cells: Sequence[str]) -> str:
 
 
 def table(headings: Iterable[object], rows: Iterable[Iterable[object]]) -> list[str]:
-    """The lines of a whole table in Markdown, after an empty one; cells may be Markdown, but for a table's border."""
+    """The lines of a whole table in Markdown, after an empty one; of its cells, only a table's border is escaped."""
     lines = [[str(cell).replace("|", "\\|") for cell in cells] for cells in (headings, *rows)]
     lines.insert(1, ["---"] * len(lines[0]))
     return ["", *(f"| {' | '.join(cells)} |" for cells in lines)]

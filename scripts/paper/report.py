@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -41,33 +40,14 @@ STEPS = {
 }
 
 
-@dataclass(frozen=True)
-class Run:
-    """How the results came about.
-
-    Attributes:
-        command: what was typed.
-        seconds: wall time of this run.
-        jobs: of them, run now; the others were kept from earlier runs.
-        workers: processes.
-        failures: a line for each job that raised an error.
-    """
-
-    command: str
-    seconds: float
-    jobs: int
-    workers: int
-    failures: tuple[str, ...]
-
-
-def write(results: Results, figures: dict[str, str], run: Run, directory: Path) -> Path:
+def write(results: Results, figures: dict[str, str], command: str, failures: list[str], directory: Path) -> Path:
     """Write ``report.md`` and ``claims.json``; returns the report's path."""
     claims = judge(results)
     verdicts = {claim.text: {"verdict": claim.verdict, "measured": claim.measured} for claim in claims}
     io.save_json(directory / "claims.json", {"plan": results.plan.name, "claims": verdicts})
     parts = [
         "# What of the paper reproduces\n",
-        _made(results, run),
+        _made(results, command, failures),
         "## Claims\n",
         f"Verdicts follow from the numbers: a fraction of {MOST:.0%} or more holds, one below {FEW:.0%} does not, what "
         "lies between, or needs a condition that the paper does not state, holds in part.\n",
@@ -175,27 +155,24 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.3g} s" if seconds >= 1.0 else f"{1e3 * seconds:.3g} ms"
 
 
-def _made(results: Results, run: Run) -> str:
+def _made(results: Results, command: str, failures: list[str]) -> str:
     plan = results.plan
-    worked = sum(float(record["job_seconds"]) for group in results.groups.values() for record in group)
-    kept = sum(map(len, results.groups.values())) - run.jobs + len(run.failures)
+    spent = sum(float(record["job_seconds"]) for group in results.groups.values() for record in group)
     packages = ", ".join(f"{name} {version(name)}" for name in ("lieednn_sim", "numpy", "scipy", "matplotlib"))
     lines = [
-        f"`{run.command}`, Python {platform.python_version()} on {platform.machine()}, {packages}.\n",
+        f"`{command}`, Python {platform.python_version()} on {platform.machine()}, {packages}.\n",
         f"Targets xi_d ~ U(-0.8, 0.8), four SE(3) neurons, b = {BIAS:g}, gamma = mu = 1, tau = {TOLERANCE:g}. Target k "
         f"is drawn with seed k, and so are the initial weights. {plan.targets} targets; of them {plan.some_targets} "
         f"for other projection periods than 10, with fixed alpha and with E as the loss, and {plan.slow_targets} as "
         f"printed and with the exact projection. At most {plan.max_epochs} epochs of gradient descent, "
         f"{plan.slow_epochs} as printed and with the exact projection, {plan.gradient_steps} steps of the Riemannian "
-        "gradient. Times are CPU times of one core.\n",
-        f"This run took {run.seconds / 60.0:.1f} min with {run.workers} processes; it did {run.jobs} experiments and "
-        f"found {kept} done. All of them together cost {worked / 60.0:.1f} min of one core.\n",
+        f"gradient. Times are CPU times of one core; all experiments together cost {spent / 60.0:.1f} min.\n",
     ]
     if plan.name == "quick":
         lines.insert(
             0, "**A quick run: few targets and too few epochs. The verdicts are those of the full run only.**\n"
         )
-    if run.failures or results.missing:
+    if failures or results.missing:
         lines.append(f"**{len(results.missing)} experiments have no result:**\n")
-        lines += [f"- {failure}" for failure in run.failures] + [""]
+        lines += [f"- {failure}" for failure in failures] + [""]
     return "\n".join(lines)

@@ -60,11 +60,11 @@ def load(job: Job, directory: Path) -> Record | None:
     return Record(job, arrays, values)
 
 
-def run_all(jobs: Iterable[Job], directory: Path, workers: int, console: Console) -> tuple[int, list[str]]:
+def run_all(jobs: Iterable[Job], directory: Path, workers: int, console: Console) -> list[str]:
     """Run the jobs without a result, on worker processes; each is a file of its own, so that the rest can go on.
 
     Returns:
-        How many jobs were run, and a line for each that failed.
+        A line for each job that failed.
 
     Raises:
         KeyboardInterrupt: after the workers are stopped; what they finished is kept.
@@ -83,7 +83,7 @@ def run_all(jobs: Iterable[Job], directory: Path, workers: int, console: Console
 
     tasks = [(job,) for job in todo.values()]
     run_each(run, tasks, keep, workers=workers, title="experiments", console=console)
-    return len(todo), failures
+    return failures
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,7 @@ def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
         "lieednn_sim.json",
         "task.json",
         "network.npz",
+        "motion.npz",
         "history.npz",
         "training.png",
     }
@@ -87,7 +88,7 @@ def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
     assert tip["final_deg"] < 0.01
     # The next network must not inherit the history of this one.
     assert main(["plan", "--target", "extended", "--output", str(directory), *FAST]) == 0
-    assert {path.name for path in directory.iterdir()} == {"lieednn_sim.json", "task.json", "network.npz"}
+    assert {path.name for path in directory.iterdir()} == {"lieednn_sim.json", "task.json", "network.npz", "motion.npz"}
 
 
 @pytest.mark.usefixtures("no_plots")
@@ -162,15 +163,13 @@ def test_results_of_another_target_are_not_mixed(run, tmp_path, capsys):
     task = json.loads((directory / "task.json").read_text())
     task["target"][0] += 0.1
     (directory / "task.json").write_text(json.dumps(task))
-    for command, name in (("simulate", "network"), ("evaluate", "motion"), ("render", "motion")):
-        assert f"{directory}/{name}.npz is of another run than {directory}/task.json" in fails(
-            capsys, command, directory
-        )
+    for command in ("simulate", "evaluate", "render"):
+        assert f"{directory}/motion.npz and {directory}/task.json are of different" in fails(capsys, command, directory)
     task["target"][0] = 99.0
     (directory / "task.json").write_text(json.dumps(task))
     assert "does not fit arm 'telescopic_pr': target is out of reach" in fails(capsys, "simulate", directory)
     assert main(["plan", "--target", "retracted", "--output", str(directory), "--duration", "4"]) == 0
-    assert {path.name for path in directory.iterdir()} == {"lieednn_sim.json", "task.json", "network.npz"}
+    assert {path.name for path in directory.iterdir()} == {"lieednn_sim.json", "task.json", "network.npz", "motion.npz"}
 
 
 @pytest.mark.rendering
@@ -228,17 +227,17 @@ def test_of_several_poses_the_nearest_is_taken_and_a_line_or_an_orientation_is_k
 
 def test_broken_run_directories(run, tmp_path, capsys):
     assert "holds no run" in fails(capsys, "simulate", tmp_path / "missing")
-    for name, damage in (("network.npz", b"junk"), ("task.json", b"{"), ("network.npz", None)):
+    for name, damage in (("motion.npz", b"junk"), ("task.json", b"{"), ("motion.npz", None)):
         broken = tmp_path / f"{name}-{damage}"
         broken.mkdir()
-        for path in ("lieednn_sim.json", "task.json", "network.npz"):
+        for path in ("lieednn_sim.json", "task.json", "motion.npz"):
             (broken / path).write_bytes((run / path).read_bytes())
         if damage is None:
             (broken / name).unlink()
         else:
             (broken / name).write_bytes(damage)
         before = sorted(path.name for path in broken.iterdir())
-        assert name in fails(capsys, "simulate", broken)
+        assert str(broken / name) in fails(capsys, "simulate", broken)
         assert sorted(path.name for path in broken.iterdir()) == before
     only_task = tmp_path / "no-rollout"
     only_task.mkdir()

@@ -23,7 +23,7 @@ from lieednn_sim.learning import train as learn
 from lieednn_sim.planning import Plan, reference_network
 from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.safety_filter import run_filtered
+from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.studies.workers import progress_bar
 
@@ -106,16 +106,14 @@ def test_a_planner_without_a_network_goes_the_whole_road(tmp_path, capsys):
 def test_large_objects_are_shown_in_a_line():
     arm = Arm.load("telescopic_pr")
     network = reference_network(arm)
-    run = run_filtered(arm, network, arm.keyframe("home"), 0.4)
-    motion = run.reference
+    motion = make_motion(arm, network, arm.keyframe("home"), 0.4, arm.timestep)
     rollout = make_rollout(arm, motion.q)
     learned = learn(0.1 * np.ones((2, 6)), TrainingOptions.tracked(max_epochs=2))
     shown = {
         "Rollout of telescopic_pr by position-servo": rollout,
-        "Motion: 41 samples in 0.4 s, 8 joints, 4 links": motion,
+        "Motion: 201 samples in 0.4 s, 8 joints, 4 links": motion,
         "Arm telescopic_pr: 4 links, 8 joints, scene free": arm,
         "LieEDNN: 4 neurons of 6 coordinates, gamma 1, mu 1, certified": network,
-        "FilteredRun: ": run,
         "History: ": learned.history,
         "TrainingResult: ": learned,
         "Trajectory: 4 neurons of 6 coordinates": network.trajectory(np.zeros((4, 6)), 1.0),

@@ -20,7 +20,6 @@ from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.evaluation import plots
 from lieednn_sim.network.hopfield import HopfieldNetwork
 from lieednn_sim.planning import Plan, plan
-from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.registry import PLANNERS, PlannerEntry
 from lieednn_sim.simulation import Rollout, simulate
@@ -61,8 +60,8 @@ def save(path, made, **changes):
     run = RunDirectory(path)
     with run.at_work():
         run.save_network(task, network, motion)
-        run.save_rollout(task, dataclasses.replace(rollout, motion=motion))
-    return run, task
+        run.save_rollout(rollout)
+    return run, Task.load(run.task)
 
 
 def names(directory):
@@ -84,7 +83,7 @@ def test_the_fastest_run_is_kept_and_simulated(tmp_path, planner):
     directory, words = str(tmp_path), ["--target", "extended", "--planner", planner, "--fastest"]
     assert main(["plan", *words, "--output", directory]) == 0
     task, arm = RunDirectory(directory).load_task()
-    motion = RunDirectory(directory).load_motion(task, arm)
+    motion = RunDirectory(directory).load_motion(task)
     assert motion.t[-1] < 0.8 * task.duration
     np.testing.assert_allclose(motion.q[-1], arm.keyframe("extended"), atol=1e-6)
     assert main(["simulate", directory, "--hold", "0"]) == 0
@@ -95,14 +94,14 @@ def test_what_was_made_from_each_other_is_read_back(tmp_path, made):
     run, task = save(tmp_path, made)
     assert run.load_task()[0] == task
     arm = made[3].arm
-    assert (run.load_network(), run.load_motion(task, arm)) == made[1:3]
+    assert (run.load_network(), run.load_motion(task)) == made[1:3]
     rollout = run.load_rollout(task, arm)
     np.testing.assert_array_equal(rollout.q, made[3].q)
     assert rollout.motion == made[2]
 
 
 def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsys, monkeypatch):
-    """From a planner by the command line, and drawn again by a network that is in the run alone."""
+    """From a planner, by the command line."""
     seen = []
     monkeypatch.setattr(plots, "plot_network", lambda rollout, path, network: seen.append(network))
 
@@ -116,19 +115,13 @@ def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsy
     assert main(["plan", *words, "--output", directory]) == 0
     assert "globally stable" in capsys.readouterr().out
     run = RunDirectory(directory)
-    task, arm = run.load_task()
+    task, _ = run.load_task()
     network = run.load_network()
     assert (network.n_visible, network.n_hidden, network.n_clock) == (4, 3, 1)
     assert main(["simulate", directory, "--hold", "0"]) == 0
     assert main(["evaluate", directory]) == 0
-    planned = run.load_motion(task, arm)
-    assert planned.xi.shape[1:] == (4, 6)
-    drawn = dataclasses.replace(task, planner="lieednn-certified")
-    run.save_network(drawn, network)
-    assert main(["simulate", directory, "--hold", "0"]) == 0
-    assert main(["evaluate", directory]) == 0
-    np.testing.assert_array_equal(Motion.load(run.motion).q, planned.q)
-    assert seen == [network, network]
+    assert run.load_motion(task).xi.shape[1:] == (4, 6)
+    assert seen == [network]
 
 
 def test_a_network_of_another_class_is_read_back(tmp_path, made):
@@ -140,31 +133,29 @@ def test_a_network_of_another_class_is_read_back(tmp_path, made):
 
 
 def test_files_of_different_runs_are_refused_and_both_named(tmp_path, made, capsys):
-    task, network, motion, rollout = made
-    run, _ = save(tmp_path / "run", made)
-    # A motion to another target, or from another start.
-    for other in (
-        dataclasses.replace(motion, q=motion.q + 0.002 * np.linspace(0.0, 1.0, len(motion.q))[:, None]),
-        dataclasses.replace(motion, q=motion.q + 0.002 * np.linspace(1.0, 0.0, len(motion.q))[:, None]),
-        dataclasses.replace(motion, q=motion.q[:, :2], qd=motion.qd[:, :2]),
-    ):
+    _, _, motion, rollout = made
+    run, task = save(tmp_path / "run", made)
+    # A motion of another planner between the same ends, and one of another arm.
+    detour = 1e-6 * np.sin(np.linspace(0.0, np.pi, len(motion.q)))[:, None]
+    others = [dataclasses.replace(motion, **change) for change in ({"tau": motion.tau + 1.0}, {"q": motion.q + detour})]
+    for other in (*others, dataclasses.replace(motion, q=motion.q[:, :2], qd=motion.qd[:, :2])):
         other.save(run.motion)
         for command in ("simulate", "evaluate", "render"):
-            assert f"{run.motion} is of another run than {run.task}" in fails(capsys, command, run.path)
-    # A rollout that followed another motion between the same ends.
-    detour = 1e-6 * np.sin(np.linspace(0.0, np.pi, len(motion.q)))[:, None]
-    dataclasses.replace(motion, q=motion.q + detour).save(run.motion)
+            assert f"{run.motion} and {run.task} are of different runs" in fails(capsys, command, run.path)
+    # A task that was changed.
+    motion.save(run.motion)
+    for change in ({"seed": 1}, {"duration": 0.7}, {"target": task.start}):
+        dataclasses.replace(task, **change).save(run.task)
+        assert f"{run.motion} and {run.task} are of different runs" in fails(capsys, "simulate", run.path)
+    # A rollout that followed another motion.
+    run.save_network(task, None, others[1])
+    rollout.save(run.rollout)
     for command in ("evaluate", "render"):
         line = fails(capsys, command, run.path)
         assert f"{run.rollout} is not a valid rollout: the motion is another one than the rollout followed" in line
-    # A network that generates the motion, for another target.
-    drawn = dataclasses.replace(task, planner="lieednn-certified")
-    run.save_network(drawn, network.retarget(motion.xi[0]))
-    assert f"{run.network} is of another run than {run.task}" in fails(capsys, "simulate", run.path)
-    # Of another arm.
-    run, _ = save(tmp_path / "second", made, scene="poles")
-    rollout.save(run.rollout)
-    assert "is not the one for which" in fails(capsys, "evaluate", run.path)
+    # No motion at all.
+    run.motion.unlink()
+    assert f"no such file: {run.motion}" in fails(capsys, "simulate", run.path)
 
 
 def test_an_arm_that_changed_since_is_refused(tmp_path, made, capsys):
@@ -216,11 +207,11 @@ class _Killed(BaseException):
 def test_a_run_that_is_killed_while_it_replaces_another_leaves_no_mixture(tmp_path, made, monkeypatch):
     """Killed before its k-th step on the disk, whatever k is."""
     task, network, motion, rollout = made
-    new, longer = dataclasses.replace(task, seed=1), dataclasses.replace(motion, tau=motion.tau + 1.0)
+    new, later = dataclasses.replace(task, seed=1), dataclasses.replace(motion, tau=motion.tau + 1.0)
     real = {name: getattr(type(tmp_path), name) for name in ("unlink", "replace")}
     outcomes = []
     run, _ = save(tmp_path / "old", made)
-    for path in run.results:
+    for path in (run.metrics_json, run.video):
         path.write_text("old")
     for deadly in range(100):
         run = RunDirectory(shutil.copytree(tmp_path / "old", tmp_path / str(deadly)))
@@ -228,7 +219,7 @@ def test_a_run_that_is_killed_while_it_replaces_another_leaves_no_mixture(tmp_pa
 
         def mortal(name, steps=steps):
             def call(self, *arguments, **options):
-                if next(steps, None) is None:
+                if self.exists() and next(steps, None) is None:
                     raise _Killed
                 return real[name](self, *arguments, **options)
 
@@ -238,17 +229,16 @@ def test_a_run_that_is_killed_while_it_replaces_another_leaves_no_mixture(tmp_pa
         with monkeypatch.context() as patch, contextlib.suppress(_Killed):
             for name in real:
                 patch.setattr(type(tmp_path), name, mortal(name))
-            run.save_network(new, network, longer)
-            run.save_rollout(new, rollout)
+            run.save_network(new, network, later)
+            run.save_rollout(rollout)
             finished = True
         if not run.task.exists():
             outcomes.append("none")
-        elif (now := Task.load(run.task)) == task:
+        elif (now := Task.load(run.task)).seed == task.seed:
             assert run.load_rollout(now, rollout.arm).motion == motion
             outcomes.append("old")
         else:
-            assert now == new
-            assert run.load_motion(now, rollout.arm) == longer
+            assert run.load_motion(now) == later
             assert not any(path.exists() for path in run.results)
             outcomes.append("new")
         if finished:
@@ -345,19 +335,13 @@ def test_an_empty_name_is_no_run_and_no_video(tmp_path, made, capsys, monkeypatc
     assert "must be a path, got ''" in fails(capsys, "render", ".", "--output", "")
 
 
-def test_every_output_is_looked_at_before_the_work(tmp_path, made, capsys):
+def test_a_named_output_is_looked_at_before_the_work(tmp_path, made, capsys):
     run, _ = save(tmp_path / "run", made)
-    run.joints_plot.mkdir()
-    before = {path.name: path.stat().st_mtime_ns for path in run.path.iterdir()}
-    again = ["--target", "extended", "--output", run.path]
-    for words in (["simulate", run.path], ["evaluate", run.path], ["plan", *again], ["train", *again]):
-        assert f"cannot write {run.joints_plot}: it is a directory" in fails(capsys, *words)
-    for output, words in ((run.joints_plot, "it is a directory"), (tmp_path / "no" / "x.gif", "there is no directory")):
-        assert words in fails(capsys, "render", run.path, "--output", output)
-    assert {path.name: path.stat().st_mtime_ns for path in run.path.iterdir()} == before
-    with io.output_folder(tmp_path / "table", "table") as folder:
-        (folder / "comparison.html").mkdir()
-    assert "comparison.html: it is a directory" in fails(capsys, "compare", "--output", tmp_path / "table")
+    (tmp_path / "x.gif").mkdir()
+    before = names(run.path)
+    for output, words in (("x.gif", "it is a directory"), ("no/x.gif", "there is no directory")):
+        assert words in fails(capsys, "render", run.path, "--output", tmp_path / output)
+    assert names(run.path) == before
 
 
 def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, made, capsys):

@@ -1,7 +1,4 @@
-"""The filter: limits kept whatever is wanted, clearance kept on the way, arrival, and what is said when it blocks."""
-
-import dataclasses
-from types import SimpleNamespace
+"""The filter: limits and clearance kept whatever is wanted, and what is said when it blocks."""
 
 import numpy as np
 import pytest
@@ -10,29 +7,18 @@ from hypothesis import strategies as st
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning import PLANNERS, FilteredOptions, GuidedOptions, filtered_planners, plan
-from lieednn_sim.planning.baselines import sampling
-from lieednn_sim.planning.motion import Motion, check_motion
+from lieednn_sim.errors import InputError
 from lieednn_sim.planning.safety_filter import (
     Barrier,
-    FilteredRun,
     FilterOptions,
     Limit,
     SafetyFilter,
-    filtered_run,
-    run_filtered,
 )
 from lieednn_sim.planning.safety_filter import filter as filter_module
 from lieednn_sim.planning.safety_filter.barriers import ApproachBounds
-from lieednn_sim.synthesis import synthesize
 
-FREE = Arm.load("telescopic_pr")
 POLES = Arm.load("telescopic_pr", "poles", 0)
 SPATIAL = Arm.load("telescopic_compound")
-# Control steps twice as long as by default, where their number is not the point.
-STEP = 0.02
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -56,65 +42,12 @@ def test_no_wanted_velocity_breaks_a_limit_or_touches(arm, seed):
         assert filter_.clearance.collisions.is_free(q)
 
 
-def test_a_free_way_is_left_alone():
-    target = draw_target(FREE, 3)
-    network = synthesize(FREE.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
-    run = run_filtered(FREE, network, FREE.keyframe("home"), 6.0, timestep=STEP)
-    assert run.success, run.message
-    assert run.filtered_fraction == 0.0
-    assert run.brakings == 0
-    assert run.blocked_by == ()
-    np.testing.assert_allclose(run.q[-1], target, atol=1e-3)
-    # Exactly what the network draws, as long as the accelerations allow it.
-    assert np.abs(run.q[:300] - run.reference.q[:300]).max() < 0.05
-
-
-def test_a_blocked_run_names_what_blocks_it_and_penetrates_nothing():
-    target = draw_target(POLES, 0)
-    network = synthesize(POLES.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
-    run = run_filtered(POLES, network, POLES.keyframe("home"), 2.5, timestep=STEP)
-    assert not run.success
-    assert any("obstacle_pole" in name for name in run.blocked_by)
-    assert run.blocked_by[0] in run.message
-    assert run.clearance.min() > 0.009
-    assert 0.0 < run.filtered_fraction <= 1.0
-
-
-def test_ends_that_touch_or_leave_the_limits_are_refused():
-    beyond = FREE.keyframe("home")
-    beyond[3] = 1.2
-    network = synthesize(FREE.encode(beyond), bias="solved").unwrap()
-    with pytest.raises(PlanError, match=r"ends out of the arm's limits: joint 'extend1' would be at 1\.2 m"):
-        run_filtered(FREE, network, FREE.keyframe("home"), 4.0)
+def test_bad_settings_and_positions_that_touch_are_refused():
     with pytest.raises(InputError, match="margin must be positive, got 0"):
         FilterOptions(margin=0.0)
     folded = np.array([0.0, 0.0, -0.6, 0.45, 0.0, 0.4, -1.0, 0.3])
     with pytest.raises(InputError, match=r"touches '.*' at a position to reach"):
-        SafetyFilter(FREE, 0.01).allow(folded)
-
-
-def test_postures_on_the_way_are_passed_and_the_network_arrives_all_the_same():
-    target, home = draw_target(FREE, 3), FREE.keyframe("home")
-    network = synthesize(FREE.encode(target), bias="sign-matched", bias_magnitude=0.5).unwrap()
-    via = home + np.array([[0.3], [0.7]]) * (target - home)
-    via[0, 0] += 0.4
-    run = run_filtered(FREE, network, home, 4.0, via=via, timestep=STEP)
-    assert run.success, run.message
-    np.testing.assert_allclose(run.q[-1], target, atol=1e-3)
-    away = np.abs((run.q[:, None] - via) / FREE.velocity_limits).max(axis=2)
-    first, second = away.argmin(axis=0)
-    assert 0 < first < second
-    assert away.min(axis=0).max() < 0.03
-    # It does not stop there.
-    assert np.abs(run.qd[[first, second]] / FREE.velocity_limits).max(axis=1).min() > 1e-3
-    # The reference is of one piece, and ends with the network's own equilibrium.
-    assert (np.diff(run.clock) >= 0.0).all()
-    assert run.clock[-1] <= run.reference.t[-1] + 1e-9
-    np.testing.assert_allclose(run.reference.xi[-1], FREE.encode(target), atol=1e-6)
-    alone = run_filtered(FREE, network, home, 1.0, via=np.zeros((0, FREE.n_joints)), timestep=STEP)
-    np.testing.assert_array_equal(alone.q, run_filtered(FREE, network, home, 1.0, timestep=STEP).q)
-    with pytest.raises(InputError, match=r"via must have shape \(V, 8\), got \(2\)"):
-        run_filtered(FREE, network, home, 4.0, via=[0.0, 1.0])
+        SafetyFilter(POLES, 0.01).allow(folded)
 
 
 @pytest.mark.parametrize("arm", [POLES, Arm.load("telescopic_compound", "window", 0)], ids=lambda arm: arm.name)
@@ -148,54 +81,6 @@ def test_pairs_left_out_change_no_step(monkeypatch):
         q, v = q + 0.005 * (v + step.velocity), step.velocity
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "scene", "seed"),
-    [
-        ("lieednn-filtered", FilteredOptions(control_step=STEP), "shelf", 1),
-        ("lieednn-guided", GuidedOptions(control_step=STEP), "poles", 0),
-    ],
-)
-def test_the_planners_find_a_way_around(name, options, scene, seed):
-    if name in PLANNERS.missing():
-        pytest.skip(f"{name} needs {PLANNERS.missing()[name]}")
-    arm = Arm.load("telescopic_pr", scene, seed)
-    start, target = arm.keyframe("home"), draw_target(arm, seed)
-    straight = start + np.linspace(0.0, 1.0, 80)[:, None] * (target - start)
-    assert any(arm.contacts(q) for q in straight)
-    made = plan(arm, target, planner=name, options=options, seed=seed)
-    motion = made.motion
-    assert made.network.certified
-    check_motion(arm, motion)
-    np.testing.assert_array_equal(motion.q[[0, -1]], [start, target])
-    np.testing.assert_array_equal(motion.qd[[0, -1]], 0.0)
-    assert motion.t[-1] <= 3.0 * 4.0 + 2.0 * motion.timestep
-    assert made.details.success
-    assert 0.0 < made.details.filtered_fraction < 1.0
-    # Positions are the integral of the velocities, which never jump.
-    middle = 0.5 * motion.timestep * (motion.qd[1:] + motion.qd[:-1])
-    np.testing.assert_allclose(np.diff(motion.q, axis=0), middle, atol=1e-6)
-
-
-def test_staying_is_a_motion():
-    home = FREE.keyframe("home")
-    motion = plan(FREE, home, planner="lieednn-filtered", duration=1.0).motion
-    np.testing.assert_allclose(motion.q, np.broadcast_to(home, motion.q.shape), atol=1e-3)
-
-
-def test_a_hopeless_problem_says_what_blocks(monkeypatch):
-    monkeypatch.setattr(filtered_planners, "optional_module", lambda _: None)
-    monkeypatch.setattr(sampling, "connecting_path", lambda *_: None)
-    target = draw_target(POLES, 0)
-    for name, options in (
-        ("filtered", FilteredOptions(n_networks=1, control_step=STEP)),
-        ("guided", GuidedOptions(n_networks=1, control_step=STEP)),
-    ):
-        with pytest.raises(
-            PlanError, match=r"no run through the filter arrived; .*the clearance of '.*' from 'obstacle_pole"
-        ):
-            plan(POLES, target, planner=f"lieednn-{name}", duration=2.0, options=options)
-
-
 def test_approach_bounds_by_hand(tmp_path):
     """A box on a lever, a ball on a slide behind it and a post: reach and radius of what turns, 1 of what slides."""
     path = tmp_path / "lever.xml"
@@ -217,127 +102,6 @@ def test_approach_bounds_by_hand(tmp_path):
         turning, sliding = speeds
         expected = [2.3 * turning, (3.2 + q[1]) * turning + sliding, sliding]
         np.testing.assert_allclose(bounds(np.array(q), np.array(speeds)), expected, rtol=1e-12)
-
-
-def test_the_end_of_a_run_is_closed_by_a_quintic():
-    """Half way: 1/2 of the way and 5/32 of what the velocity brings; slopes 15/8 and -7/16. No jump at either end."""
-    q, qd, goal = np.array([1.0, -2.0]), np.array([0.03, 0.2]), np.array([1.004, -1.99])
-    positions, rates = filtered_planners._closing(q, qd, goal, 0.001)
-    assert positions.shape == rates.shape == (101, 2)
-    np.testing.assert_allclose(positions[[0, 50, 100]], [q, q + 0.5 * (goal - q) + 0.1 * 5.0 / 32.0 * qd, goal])
-    np.testing.assert_allclose(rates[[0, 50, 100]], [qd, 1.875 * (goal - q) / 0.1 - 7.0 / 16.0 * qd, [0.0, 0.0]])
-    numeric = np.gradient(positions, 0.001, axis=0)
-    np.testing.assert_allclose(rates[1:-1], numeric[1:-1], atol=1e-3 * np.abs(rates).max())
-    acceleration = np.gradient(rates, 0.001, axis=0)
-    assert np.abs(acceleration[[0, -1]]).max() < 0.1 * np.abs(acceleration).max()
-    assert len(filtered_planners._closing(q, qd, goal, 0.2)[0]) == 3, "two steps at least"
-
-
-def test_a_run_becomes_a_motion_by_hand():
-    """Two samples a control step of 0.02 s: constant accelerations in between, the network's state at the clock."""
-    t = 0.02 * np.arange(4)
-    rates = np.array([0.0, 0.2, 0.1, 0.0])[:, None] * [1.0, -2.0]
-    q = np.array([0.0, 0.002, 0.005, 0.006])[:, None] * [1.0, -2.0]
-    states, gaps = np.array([0.0, 1.0, 3.0])[:, None, None] * np.ones((1, 6)), np.array([[0.0], [4.0], [8.0]])
-    reference = Motion(
-        t=0.02 * np.arange(3),
-        tau=np.array([0.0, 1.0, 3.0]),
-        xi=states,
-        xi_target=np.full((1, 6), 3.0),
-        q=q[:3],
-        qd=rates[:3],
-        gap_translation=gaps,
-        gap_rotation=0.5 * gaps,
-    )
-    run = FilteredRun(
-        success=True,
-        message="",
-        blocked_by=(),
-        t=t,
-        q=q,
-        qd=rates,
-        clock=np.array([0.0, 0.01, 0.02, 0.04]),
-        clearance=np.full(4, np.inf),
-        filtered_fraction=0.0,
-        brakings=0,
-        reference=reference,
-    )
-    goal = np.array([0.008, -0.012])
-    motion = filtered_planners.motion_of(run, goal, np.full((1, 6), 3.0), 2)
-    np.testing.assert_allclose(motion.t, 0.01 * np.arange(17), atol=1e-15)
-    np.testing.assert_allclose(motion.qd[:7, 0], [0.0, 0.1, 0.2, 0.15, 0.1, 0.05, 0.0], atol=1e-15)
-    np.testing.assert_allclose(motion.q[:7, 0], [0.0, 0.0005, 0.002, 0.00375, 0.005, 0.00575, 0.006], atol=1e-15)
-    np.testing.assert_allclose(motion.q[[11, 16], 0], [0.007, 0.008], atol=1e-15)
-    np.testing.assert_allclose(motion.q[:7, 1], -2.0 * motion.q[:7, 0], atol=1e-15)
-    seen = [0.0, 0.25, 0.5, 0.75, 1.0, 2.0, *[3.0] * 11]
-    np.testing.assert_allclose(motion.tau, seen, atol=1e-12)
-    np.testing.assert_allclose(motion.xi[:, 0, 5], seen, atol=1e-12)
-    at_clock = [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, *[8.0] * 11]
-    np.testing.assert_allclose(motion.gap_translation[:, 0], at_clock, atol=1e-12)
-    np.testing.assert_allclose(motion.gap_rotation[:, 0], 0.5 * np.array(at_clock), atol=1e-12)
-
-
-def counting(steps, begin=0.0):
-    """A motion of one joint and one neuron whose samples count."""
-    k = np.arange(steps, dtype=np.float64)
-    column = begin + k[:, None]
-    states = column[:, :, None] * np.ones(6)
-    return Motion(0.1 * k, k, states, np.full((1, 6), begin), column, -column, 2.0 * column, 3.0 * column)
-
-
-def test_legs_are_joined_a_step_apart():
-    joined = filtered_run._joined([counting(3), counting(2, 10.0), counting(4, 20.0)])
-    samples = [0.0, 1.0, 2.0, 10.0, 11.0, 20.0, 21.0, 22.0, 23.0]
-    np.testing.assert_allclose(joined.t, 0.1 * np.arange(9), atol=1e-15)
-    # The network's own time goes on.
-    np.testing.assert_array_equal(joined.tau, [0.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 5.0, 6.0])
-    np.testing.assert_array_equal(joined.xi[:, 0, 3], samples)
-    np.testing.assert_array_equal(joined.q[:, 0], samples)
-    np.testing.assert_array_equal(joined.qd[:, 0], np.negative(samples))
-    np.testing.assert_array_equal(joined.gap_translation[:, 0], np.multiply(2.0, samples))
-    np.testing.assert_array_equal(joined.gap_rotation[:, 0], np.multiply(3.0, samples))
-    np.testing.assert_array_equal(joined.xi_target, np.full((1, 6), 20.0))
-    only = counting(3)
-    assert filtered_run._joined([only]) is only
-
-
-@pytest.mark.parametrize(("clock", "samples"), [(0.0, 2), (0.25, 3), (0.35, 4), (9.0, 5)])
-def test_a_segment_is_cut_where_the_next_begins_and_hidden_neurons_go_on(monkeypatch, cascade, clock, samples):
-    segment, network = object.__new__(filtered_run._Segment), cascade(np.zeros((1, 6)))
-    segment.reference, segment._h, segment.begun = counting(5), 0.1, 2.0
-    segment._drawn = SimpleNamespace(arm="arm", state=lambda tau: tau + np.arange(24.0).reshape(4, 6))
-    monkeypatch.setattr(filtered_run, "_Segment", lambda *arguments: arguments)
-    following = segment.next(network, "q", 1.5, clock)
-    moved = dataclasses.replace(network, hidden_start=samples - 1 + np.arange(6.0, 24.0).reshape(3, 6))
-    assert following == ("arm", moved, "q", 1.5, 0.1, pytest.approx(2.0 + 0.1 * samples))
-    np.testing.assert_array_equal(segment.reference.q[:, 0], np.arange(samples))
-    np.testing.assert_array_equal(segment.reference.xi_target, np.zeros((1, 6)))
-
-
-def test_a_network_with_hidden_neurons_runs_through_the_filter(gantry, cascade):
-    home, middle, target = np.zeros(4), np.array([-0.3, 0.5, 0.4, 0.5]), np.array([0.4, -0.5, 0.6, 1.0])
-    network = cascade(gantry.encode(target))
-    done = run_filtered(gantry, network, home, 3.0, via=[middle])
-    assert done.success, done.message
-    np.testing.assert_allclose(done.q[-1], target, atol=1e-4)
-    assert np.abs(done.q - middle).max(axis=1).min() < 0.05
-    assert done.reference.xi.shape[1:] == (2, 6)
-    np.testing.assert_allclose(done.reference.xi_target, gantry.encode(target), atol=1e-9)
-    with pytest.raises(InputError, match="the network has 1 visible neurons, arm 'gantry' has 2 links"):
-        run_filtered(gantry, cascade(np.zeros((1, 6))), home, 1.0)
-
-
-def test_times_of_legs_and_velocities_towards_the_network_by_hand():
-    # At least 0.4 of a third: 3/4, 1/4 and 2/15, of 17/15 together.
-    np.testing.assert_allclose(
-        filtered_run._duration_fractions(np.array([3.0, 1.0, 0.0])), np.array([45.0, 15.0, 8.0]) / 68.0
-    )
-    np.testing.assert_allclose(filtered_run._duration_fractions(np.zeros(2)), [0.5, 0.5])
-    # sqrt(2 b / |e|) is 4 and 5, then more than the gain of 8.
-    np.testing.assert_allclose(filtered_run._towards(np.array([0.5, -0.16]), np.array([4.0, 2.0])), [2.0, -0.64])
-    np.testing.assert_allclose(filtered_run._towards(np.array([0.01, 0.0]), np.array([4.0, 2.0])), [0.08, 0.0])
-    np.testing.assert_allclose(filtered_run._bounded(np.array([2.0, -6.0]), np.array([1.0, 2.0])), [2.0 / 3.0, -2.0])
-    np.testing.assert_allclose(filtered_run._bounded(np.array([0.5, -0.5]), np.array([1.0, 2.0])), [0.5, -0.5])
 
 
 def test_velocities_from_which_joints_can_brake_by_hand(gantry):
@@ -511,18 +275,3 @@ def test_what_holds_the_arm_back_most_is_named_first(gantry):
     ):
         step = filter_.step(q, np.zeros(4), np.array([*shares, 0.0]) * gantry.velocity_limits)
         assert step.blocking == tuple(names[j] for j in order)
-
-
-def test_the_most_promising_networks_run_first(monkeypatch):
-    """Free ones as soon as they are drawn; of the others the one with the least of its way blocked."""
-    ran = []
-    search = object.__new__(filtered_planners._Search)
-    search.networks, search.options = [], FilteredOptions(tried=3)
-    monkeypatch.setattr(search, "_run", lambda network, via=(): ran.append(network))
-    drawn = [("half", 0.5), ("most", 0.8), ("free", 0.0), ("little", 0.2), ("some", 0.4)]
-    monkeypatch.setattr(search, "_candidates", lambda: iter(drawn))
-    assert search.alone() is None
-    assert ran == ["free", "little", "some"]
-    assert search.networks == ["free", "little", "some", "half", "most"]
-    monkeypatch.setattr(search, "_run", lambda network, via=(): network if network == "little" else None)
-    assert search.alone() == "little"

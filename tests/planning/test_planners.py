@@ -42,16 +42,13 @@ def sampled_every(timestep: float) -> Arm:
 ARM = sampled_every(0.01)
 LOW, HIGH = ARM.position_limits.T
 SEEDS = (0,)
-# Their motions may deviate from the network's, and end later.
-FILTERED = ("lieednn-filtered", "lieednn-guided")
 MISSING = PLANNERS.missing()
 INSTALLED = sorted(set(PLANNERS) - set(MISSING))
-# These spend what work they are given on shortening the path that they found: a tenth of that here. The filter's steps
-# are twice as long as by default.
+# These spend what work they are given on shortening the path that they found: a tenth of that here.
 LITTLE_WORK = {
     name: PLANNERS[name].options(max_collision_checks=tuple(2_000 * 2**k for k in range(7)))
     for name in ("rrt-star", "informed-rrt-star", "bit-star", "aorrtc")
-} | {name: PLANNERS[name].options(control_step=0.02) for name in FILTERED}
+}
 # A planner that is not installed is seen to be skipped, with what it needs.
 EACH = [
     pytest.param(name, marks=pytest.mark.skipif(name in MISSING, reason=f"{name} needs {MISSING.get(name)}"))
@@ -101,8 +98,7 @@ def test_every_planner_goes_from_rest_to_rest_within_the_limits(motions, name, s
     task, motion = problem(seed), motions[name, seed]
     step = ARM.model.opt.timestep
     np.testing.assert_allclose(motion.t, step * np.arange(len(motion.t)), atol=1e-12)
-    filtered = name in FILTERED
-    assert motion.t[-1] == pytest.approx(task.duration, abs=0.5 if filtered else 1e-9)
+    assert motion.t[-1] == pytest.approx(task.duration, abs=1e-9)
     np.testing.assert_allclose(motion.q[0], task.start, atol=1e-6)
     np.testing.assert_allclose(motion.q[-1], task.target, atol=1e-6)
     np.testing.assert_array_equal(motion.qd[[0, -1]], 0.0)
@@ -110,10 +106,7 @@ def test_every_planner_goes_from_rest_to_rest_within_the_limits(motions, name, s
     check_motion(ARM, motion)
     # The states are those that the joints follow: decoded anew they give positions and gap.
     decoded = ARM.decode(motion.xi)
-    # What has to be filtered are at most the accelerations.
-    np.testing.assert_allclose(decoded.q, motion.q, atol=0.05 if filtered else 1e-9)
-    if filtered:
-        return
+    np.testing.assert_allclose(decoded.q, motion.q, atol=1e-9)
     np.testing.assert_allclose(decoded.gap_translation, motion.gap_translation, atol=1e-9)
     np.testing.assert_allclose(decoded.gap_rotation, motion.gap_rotation, atol=1e-7)
 

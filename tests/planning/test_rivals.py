@@ -340,7 +340,7 @@ def test_a_primitive_keeps_its_shape_at_every_amplitude():
 @pytest.mark.parametrize(
     ("module", "names", "extra"),
     [
-        ("ompl", {"lieednn-guided", "rrt-connect", *IMPROVING}, "rivals"),
+        ("ompl", {"rrt-connect", *IMPROVING}, "rivals"),
         ("mjpl", {"mjpl"}, "cbirrt"),
         ("sscbirrt", {"sscbirrt"}, "cbirrt"),
     ],
@@ -408,11 +408,3 @@ def test_plain_networks_are_checked_stored_and_certified(tmp_path):
     assert not HopfieldNetwork(3.0 * np.eye(12), np.full((2, 6), 0.1)).try_certify().certified
     with pytest.raises(InputError, match=r"matrix must have shape \(12, 12\), got \(6, 6\)"):
         HopfieldNetwork(np.eye(6), np.zeros((2, 6)))
-
-
-def test_learning_without_projection_leaves_the_adjoint_matrices():
-    task = PlanningProblem(ARM, ARM.keyframe("home"), ARM.keyframe("extended"), 8.0)
-    made = planned("lieednn-unprojected", task)
-    np.testing.assert_allclose(made.motion.xi_target, ARM.encode(task.target), atol=1e-6)
-    # A scaled adjoint matrix has a zero block on the upper right; these weights do not.
-    assert np.abs(made.network.blocks[..., :3, 3:]).max() > 1e-3

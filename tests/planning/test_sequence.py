@@ -203,5 +203,5 @@ def test_bad_events_and_changes_are_refused():
         ls.Actuate(CLOSED, until=("box",))
     with pytest.raises(InputError, match="seconds must be positive"):
         ls.Actuate(CLOSED, seconds=0.0)
-    with pytest.raises(InputError, match="no argument of a move 'speed'; allowed: clearance, duration"):
-        ls.Move("home", speed=2.0)
+    with pytest.raises(InputError, match="planner must be a string, got 3"):
+        ls.Move("home", planner=3)

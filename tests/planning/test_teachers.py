@@ -88,7 +88,7 @@ def test_without_obstacles_the_straight_motion_is_the_best_and_costs_two():
 
 def test_a_polished_motion_is_no_worse_than_its_start_and_keeps_limits_and_clearance(poles):
     one = polish(poles)
-    path = teachers._Candidates(poles, TeacherOptions()).path(0)
+    path = teachers._Search(poles, TeacherOptions()).path(0)
     guess = one.near(path)
     start = one.descend(guess, 0)
     measures = [start[0]]
@@ -111,14 +111,14 @@ def test_a_polished_motion_is_no_worse_than_its_start_and_keeps_limits_and_clear
 
 def test_the_winner_has_the_least_measure_whatever_the_order(poles, monkeypatch):
     one = polish(poles, weight=TeacherOptions().clearance_weight)
-    guesses = [one.near(teachers._Candidates(poles, TeacherOptions()).path(k)) for k in range(2)]
+    guesses = [one.near(teachers._Search(poles, TeacherOptions()).path(k)) for k in range(2)]
     found = [one.descend(guess, steps) for guess, steps in zip(guesses, (12, 2), strict=True)]
     assert all(clear for _, _, clear in found)
     better, worse = (one.motion(poles, free) for _, free, _ in sorted(found, key=lambda each: each[0]))
     assert motion_metrics(poles.arm, better).jerk_joints < motion_metrics(poles.arm, worse).jerk_joints
     given = [(measure, "given", lambda free=free: one.motion(poles, free)) for measure, free, _ in found]
     for order in (given, given[::-1]):
-        monkeypatch.setattr(teachers._Candidates, "all", lambda _, order=order: iter(order))
+        monkeypatch.setattr(teachers._Search, "polished", lambda _, order=order: iter(order))
         np.testing.assert_array_equal(best_teacher(poles, TeacherOptions()).motion.q, better.q)
 
 
