@@ -70,7 +70,7 @@ REFUSED = {
     "train --bias solved": "the solved bias needs no learning",
     "train --bias loud": "no bias rule 'loud'",
     "train --period 0": "period must be at least 1",
-    "train --algorithm riemannian --period 8": "--period and --epochs are for the algorithms literal, repaired and tracked",
+    "train --algorithm riemannian --period 8": "--period and --epochs are for the algorithms literal, repaired and",
     "train --candidates 0": "candidates must be at least 1",
     "train --tolerance -1": "tolerance must be positive",
     "train --duration 1000": "duration must be between",
