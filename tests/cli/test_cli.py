@@ -302,7 +302,8 @@ def test_without_opengl_the_demo_goes_on_without_video(tmp_path, start):
     process = start("-c", code, str(tmp_path), *FAST, env=environment)
     printed, message = process.communicate()
     assert "no video: cannot render" in printed
-    assert re.search(r"^no page: (mj)?viser is not installed .*: pip install 'lieednn_sim\[view\]'$", printed, re.MULTILINE)
+    missing = r"^no page: (mj)?viser is not installed .*: pip install 'lieednn_sim\[view\]'$"
+    assert re.search(missing, printed, re.MULTILINE)
     assert not (tmp_path / "motion.html").exists()
     assert printed.splitlines()[-1] == "0", "the demo went well"
     assert (tmp_path / "metrics.json").exists()
