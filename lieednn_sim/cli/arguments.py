@@ -122,7 +122,7 @@ class Goal(ChosenArm):
             return start, TaskSpaceRegion.box(there, there) if place else solve_ik(arm, there, start=start)
         if self.pose:
             return start, [_transform(pose) for pose in self.pose]
-        return start, joint_position(arm, self.target or self.usual_target(arm) or "", "target")
+        return start, joint_position(arm, self.usual_target(arm) or self.target or "", "target")
 
 
 @dataclass(frozen=True)

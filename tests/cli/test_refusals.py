@@ -20,6 +20,7 @@ REFUSED = {
     "plan --targt home": "--targt is not understood, did you mean --target? (lieednn-sim plan --help)",
     "plan --duration": "argument --duration: expected one argument",
     "plan --target extended --arm crane": "no arm 'crane'; allowed: telescopic_compound, telescopic_pr",
+    "plan --target ''": "target must be 8 comma-separated numbers",
     "plan --target nowhere": "no keyframe 'nowhere'",
     "plan --target 1,2,3": "target must be 8 comma-separated numbers, got 3",
     "plan --target 0,0,0,x,0,0,0,0": "target must be 8 comma-separated numbers",
