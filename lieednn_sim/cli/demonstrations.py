@@ -97,12 +97,11 @@ def learn(
         raise InputError("the mean of the demonstrations does not move")
     with io.output_folder(output, "demonstrations") as directory:
         outputs = [directory / name for name in ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")]
-        shaped = ShapedMotion.fit(demonstrations, fitting.deviation, options, seed, family=fitting.family)
+        shaped = ShapedMotion.fit(demonstrations, fitting.deviation, options, family=fitting.family)
         with progress("learn") as bar:
             rows, models = compare_models(
                 demonstrations,
                 shaped,
-                options,
                 rivals=rivals,
                 aligned=aligned,
                 starts=starts,

@@ -58,13 +58,12 @@ def learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run:
     arm = chosen.load()
     shown = JointDemonstrations.load(arm, files, rate=fitting.sample_rate, phase=fitting.phase, goals=fitting.goals)
     with run.at_work():
-        learned = JointMotion.fit(shown, fitting.deviation, options, seed, family=fitting.family)
+        learned = JointMotion.fit(shown, fitting.deviation, options, family=fitting.family)
         motion, refusal = learned.planned(shown.mean[0])
         with progress("learn") as bar:
             study, paths = study_joints(
                 shown,
                 learned,
-                options,
                 starts=starts,
                 leave_one_out=fitting.leave_one_out,
                 seed=seed,
