@@ -48,7 +48,7 @@ def names(directory):
 def run(tmp_path_factory):
     """A short simulated run; tests that change it work on a run of their own."""
     directory = tmp_path_factory.mktemp("faults") / "run"
-    assert main(["synthesize", *PLAN, "--output", str(directory)]) == 0
+    assert main(["plan", *PLAN, "--output", str(directory)]) == 0
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
     return RunDirectory(directory)
 

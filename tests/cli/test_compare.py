@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from lieednn_sim.cli import main
 from lieednn_sim.studies import Comparison
 from lieednn_sim.studies.reactions import study
@@ -30,26 +28,6 @@ def test_the_command_writes_table_summary_and_page_and_goes_on(tmp_path, capsys,
     # With another option it must not go on.
     assert main(["compare", *ARGUMENTS, str(tmp_path / "out"), "--time-budget", "50"]) == 2
     assert "made with mass_scale 1.2, now 1.0; choose another --output" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--planners", "a-star"], "no planner 'a-star'; allowed:"),
-        (["--arms", "crane"], "no arm 'crane'"),
-        (["--seeds", "0"], "seeds must be at least 1"),
-        (["--jobs", "0"], "jobs must be at least 1"),
-        (["--videos", "-1"], "videos must be at least 0"),
-        (["--views", "-1"], "views must be at least 0"),
-        (["--reactive", "-1"], "reactive must be at least 0"),
-        (["--video", "se3-geodesic"], "must look like planner:arm:scene:seed"),
-    ],
-)
-def test_bad_options_stop_before_the_work(words, message, tmp_path, capsys):
-    output = tmp_path / "out"
-    assert main(["compare", "--output", str(output), *words]) == 2
-    assert message in capsys.readouterr().err
-    assert not output.exists()
 
 
 def test_planners_that_react_have_a_table_and_a_section_of_the_page(tmp_path, monkeypatch, undrawn, in_this_process):

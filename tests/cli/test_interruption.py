@@ -96,7 +96,7 @@ class CutOff:
     def __del__(self):
         raise ValueError("it is half made")
 
-def interrupted(_):
+def interrupted():
     global kept
     kept = CutOff()
     CutOff()
@@ -138,8 +138,7 @@ if __name__ == "__main__":
 
 def test_a_refused_command_leaves_no_folder(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
-    out = tmp_path / "a" / "out"
-    assert main(["compare", "--merge", str(tmp_path / "empty"), "--output", str(out)]) == 2
+    assert main(["compare", "--merge", str(tmp_path / "empty"), "--output", str(tmp_path / "a" / "out")]) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["empty"]
 
 

@@ -38,7 +38,7 @@ def chosen(*arms, scenes=("free",)):
 def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, capsys, undrawn):
     # The arm's home is at the height of its base, where targets in the scene are hard to find above a floor.
     (folder / "post.json").write_text(json.dumps({"floor": "none", "obstacles": [POST]}))
-    words = "compare --arms two.xml:one,tool two.xml --scenes free post.json --output out"
+    words = "compare --arms two.xml,two.xml:one,tool --scenes free,post.json --output out"
     assert main([*words.split(), *WORDS.split()]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert f"arm {LINKED}: 2 links, 2 joints, from {folder}/two.xml:one,tool" in printed

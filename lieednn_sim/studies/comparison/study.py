@@ -75,13 +75,15 @@ class Comparison(Study[Row]):
     planners first, so that a worker loads the arm once.
 
     Attributes:
-        planners: names of `PLANNERS`; those whose package is missing are left out.
-        arms: names of `arm_names`, or files as for `Arm.load`, which are replaced by their names.
-        scenes: names of scenes, or files of obstacles, likewise.
-        controllers: names of `CONTROLLERS`.
-        seeds: number of seeds, starting at 0.
+        planners: a name of `PLANNERS`, or several; by default all, without those whose package is missing.
+        arms: a name of `ARMS`, or several, or files as for `Arm.load`, which are replaced by their names; by default
+            all of the package.
+        scenes: a name of `SCENES`, or several, or files of obstacles, likewise; by default free,window.
+        controllers: a name of `CONTROLLERS`, or several; by default position-servo,inverse-dynamics.
+        seeds: number of seeds for each arm, scene and planner, starting at 0.
         user_files: the arms and scenes that come from files; those given here can be referred to by name.
-        slow_seeds: number of seeds of the planners whose `cost` is above `SLOW`, at most ``seeds``; None for as many.
+        slow_seeds: number of seeds of the planners whose cases take more than a second (``cost`` above `SLOW`), at
+            most ``seeds``; by default as many.
         common: settings of all rows.
         shard: the shard of the cases that is computed; None for all.
 
