@@ -199,7 +199,7 @@ def shown():
         (lambda: ls.synthesize(XI, gamma=b"1"), "gamma must be a number"),
         (lambda: synthesis.synthesize_many([XI], bias_magnitude=RAGGED), "bias_magnitude must be an array of numbers"),
         (lambda: ls.train(XI, bias=RAGGED), "bias must be an array of numbers"),
-        (lambda: synthesis.shape(np.array(1.0)), "curves must"),
+        (lambda: synthesis.shape(np.array(1.0)), "curve must have shape"),
         (lambda: lie.hat(RAGGED), "vector must be an array of numbers"),
         (lambda: theory.curvature(RAGGED, RAGGED), "xi_dot must be an array of numbers"),
         (lambda: network().robustness(range(10**12)), "pushed must name coordinates"),
