@@ -320,7 +320,7 @@ def test_everything_public(part, tmp_path, monkeypatch):
 
 
 NUMBERS = ("nan", "inf", "1e308", "-1e308", "0", "-1", "1e-320", "5", "1e9", "1,2", "1e308,0,0", "random:-1", "3" * 400)
-OPTIONS = ("arm", "bias", "bias-magnitude", "n-networks", "duration", "links", "output", "planner", "position", "scene")
+OPTIONS = ("arm", "option", "duration", "links", "output", "planner", "position", "scene")
 OPTIONS += (
     "scene-seed",
     "seed",
