@@ -97,12 +97,6 @@ def _equivariant() -> Any:
     return theory.EquivariantLieEDNN(0.1 * np.eye(2), turns, np.zeros((2, 2, 3)), np.zeros((2, 6)))
 
 
-def _instant() -> Any:
-    log = fresh("Log")
-    log.step()
-    return log.instants()
-
-
 MAKERS: dict[str, Callable[[], Any]] = {
     "Arm": lambda: arm.Arm.load("telescopic_pr"),
     "MjSpec": lambda: thing("Arm").spec.copy(),
@@ -171,7 +165,6 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "MovingObstacle": lambda: simulation.MovingObstacle("floor", (0.0, 1.0), ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))),
     "Simulation": lambda: simulation.Simulation(thing("Arm")),
     "Log": lambda: simulation.Log(fresh("Simulation")),
-    "Instant": _instant,
     "Following": lambda: ls.follow(fresh("Policy"), home(), 0.1),
     "Feedback": policies.Feedback,
     **{name: functools.partial(_policy, kind) for name, kind in POLICY_CLASSES.items()},

@@ -18,7 +18,7 @@ from lieednn_sim.policies.base import has_jumped
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference, interpolator
-from lieednn_sim.simulation.rollout import Rollout, as_rollout
+from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.tracking import make_controlled
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
@@ -113,9 +113,7 @@ def follow(
             loop.act()
             record.step()
     end = total * arm.timestep
-    rollout = as_rollout(
-        arm,
-        record,
+    rollout = record.rollout(
         loop.reference.q,
         loop.reference.qd,
         target=targets[-1],

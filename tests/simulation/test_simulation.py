@@ -23,8 +23,8 @@ def run(simulation: Simulation, q, steps: int = 60) -> np.ndarray:
     for _ in range(steps):
         simulation.data.ctrl[:] = simulation.measured()[0][: simulation.model.nu].sum()
         log.step()
-    seen = log.instants()
-    return np.column_stack([seen.t, seen.qpos, seen.qvel, seen.actuator_force, seen.link_position[:, -1]])
+    seen = log.rollout(*np.zeros((2, steps, len(q))), motion_end=0.0)
+    return np.column_stack([seen.t, seen.q, seen.qd, seen.force, seen.link_position[:, -1]])
 
 
 @settings(max_examples=5)

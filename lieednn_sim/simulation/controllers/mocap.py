@@ -20,11 +20,6 @@ from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import AHEAD, Foreseen, Reference, runs
 from lieednn_sim.values import Floats
 
-# Reference acceleration of the welds: time constant T [s] and damping ratio zeta; and the impedance of the constraint.
-_TIME_CONSTANT = 0.01
-_DAMPING_RATIO = 1.0
-_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-
 
 class MocapWelds(Controller):
     """Mocap bodies at the reference's link frames, welded to those of the arm; the actuators are idle.
@@ -48,7 +43,8 @@ class MocapWelds(Controller):
 
     def _weld(self, reference: Reference) -> tuple[tuple[float, float], float]:
         """Parameters solref of the welds, and the time [s] by which the mocap bodies run ahead."""
-        return (_TIME_CONSTANT, _DAMPING_RATIO), 2.0 * _TIME_CONSTANT * _DAMPING_RATIO**2
+        time_constant, damping_ratio = 0.01, 1.0
+        return (time_constant, damping_ratio), 2.0 * time_constant * damping_ratio**2
 
     def add_bodies(self, spec: Any) -> None:
         """See `Controller`."""
@@ -62,7 +58,7 @@ class MocapWelds(Controller):
                 name1=f"{mocap_name(i)}_frame",
                 name2=self._arm.model.site(int(site)).name,
             )
-            weld.solref[:2], weld.solimp[:] = self._solref, _IMPEDANCE
+            weld.solref[:2], weld.solimp[:] = self._solref, (0.9999, 0.9999, 0.001, 0.5, 2.0)
 
     def equip(self, plant: mujoco.MjModel) -> None:
         """See `Controller`."""
