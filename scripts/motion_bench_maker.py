@@ -15,12 +15,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from lieednn_sim import io
 from lieednn_sim.studies.markdown import table
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.studies.problems.study import PublishedProblems, Solution, Statistic
+from lieednn_sim.studies.problems.study import PublishedProblems, Solution
 from lieednn_sim.studies.study import compute
 from lieednn_sim.studies.workers import exit_code
 
@@ -50,10 +51,9 @@ def report(rows: dict[str, Sequence[Solution]]) -> str:
             own = [row for row in found if row.planner == planner]
             asked = [row for row in own if not row.skipped]
             solved = [row for row in asked if row.success]
-            statistics = [Statistic.of([getattr(row, name) for row in solved]) for name in SHOWN]
             cells.append([robot, f"`{planner}`", len(own), len(own) - len(asked), f"{len(solved)} of {len(asked)}"])
-            for one in statistics:
-                shown = (one.mean, one.median, one.percent_75, one.percent_98) if one else ()
+            for values in ([getattr(row, name) for row in solved] for name in SHOWN):
+                shown = (np.mean(values), *np.percentile(values, (50, 75, 98))) if values else ()
                 cells[-1].append(" / ".join(f"{value:.3g}" for value in shown) or "-")
             lost = [f"{row.problem} {row.number}" for row in asked if not row.success]
             if lost and planner != "minimum-jerk":

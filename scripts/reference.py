@@ -109,10 +109,18 @@ def check(study: Mapping[str, Any], given: Mapping[str, Sequence[str]], *, updat
 
 def make(name: str, study: Mapping[str, Any], given: Mapping[str, Sequence[str]], jobs: int) -> None:
     """Run a study, or the rest of it, then copy and record its results; `FileError` if a command fails."""
-    work, begin, spent = io.make_directory(ROOT / "results/making" / name), time.perf_counter(), _cpu()
+    work = io.make_directory(ROOT / "results/making" / name)
     more = f" --jobs {jobs}" if study.get("jobs") else ""
-    for command in (*study["commands"][:-1], study["commands"][-1] + more):
-        _run(command, given, work)
+    # Those of an interrupted run count.
+    path = work / "spent.json"
+    spent = io.load_json(path, "times") if path.exists() else {"cpu_s": 0.0, "wall_s": 0.0}
+    begin, used = time.perf_counter(), _cpu()
+    try:
+        for command in (*study["commands"][:-1], study["commands"][-1] + more):
+            _run(command, given, work)
+    finally:
+        spent = {"cpu_s": spent["cpu_s"] + _cpu() - used, "wall_s": spent["wall_s"] + time.perf_counter() - begin}
+        io.save_json(path, spent)
     command, outputs = "; ".join(study["commands"]), []
     for target, source in study["outputs"].items():
         for path in sorted(work.glob(source)):
@@ -123,8 +131,7 @@ def make(name: str, study: Mapping[str, Any], given: Mapping[str, Sequence[str]]
         "date": _today(),
         "versions": versions(optional=True),
         "commit": commit(),
-        "cpu_s": float(f"{_cpu() - spent:.3g}"),
-        "wall_s": float(f"{time.perf_counter() - begin:.3g}"),
+        **{name: float(f"{value:.3g}") for name, value in spent.items()},
         "cores": os.cpu_count(),
         "jobs": jobs if more else 1,
         "outputs": outputs,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from lieednn_sim.studies.cluster import dask_executor
 from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.comparison.study import merge as merge_tables
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
-from lieednn_sim.studies.report import choose_cases, choose_problems, film, view, write_page
+from lieednn_sim.studies.report import choose_problems, film, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
 
@@ -113,7 +114,8 @@ def compare(
         problems = choose_problems(table, shown.views, controller)
         places = {f"{some[0].arm}, {some[0].scene}": some for some in problems}
         views = _shown("view", places, lambda some, **told: view(table, some, controller, **told))
-        filmed = {str(case): case for case in chosen + choose_cases(table, shown.videos)}
+        solved = itertools.chain(*choose_problems(table, shown.videos, controller))
+        filmed = {str(case): case for case in (*chosen, *itertools.islice(solved, shown.videos))}
         clips = _shown("video", filmed, lambda case, **told: film(table, case, controller, **told))
         head = {"command": line, "date": shown.date}
         outputs = [directory / name for name in _OUTPUTS if reactions is not None or not name.startswith("reactions")]

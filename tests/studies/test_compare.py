@@ -114,7 +114,7 @@ def untimed(rows):
 
 
 def test_two_runs_differ_in_the_planning_time_only(finished, tmp_path):
-    again = compute(replace(SMALL, common=QUICK), tmp_path, jobs=2).rows
+    again = compute(replace(SMALL, common=QUICK), tmp_path).rows
     assert untimed(again) == untimed(Comparison.read(finished).rows)
 
 
@@ -235,8 +235,6 @@ def test_wilson_interval_solves_its_quadratic(count):
     rate = successes / total
     for end in wilson(successes, total):
         assert abs(end - rate) == pytest.approx(1.959963985 * (end * (1.0 - end) / total) ** 0.5, abs=1e-7)
-    with pytest.raises(InputError, match="successes <= total"):
-        wilson(total + 1, total)
 
 
 def test_failures_that_differ_in_names_and_numbers_are_counted_together():

@@ -92,6 +92,9 @@ def _seeds(table: Table[Row]) -> str:
 
 
 def _medians(group: Group[Row], columns: Sequence[Column]) -> list[str]:
-    found = [group.median(column.name) for column in columns]
-    least = [_ROUNDING if column.name.endswith(("_mm", "_deg")) else 0.0 for column in columns]
-    return ["-" if value is None else rounded(value, small) for value, small in zip(found, least, strict=True)]
+    return [shown(group.median(column.name), column.name) for column in columns]
+
+
+def shown(value: float | None, column: str = "_mm") -> str:
+    """A measured number for people, by the name of its column; a dash where there is none."""
+    return "-" if value is None else rounded(value, _ROUNDING if column.endswith(("_mm", "_deg")) else 0.0)

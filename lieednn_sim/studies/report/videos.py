@@ -17,10 +17,8 @@ from lieednn_sim.rendering.video import render_video
 from lieednn_sim.studies.comparison.cases import replay
 from lieednn_sim.studies.comparison.rows import Case, Row
 from lieednn_sim.studies.comparison.study import settings_of
-from lieednn_sim.studies.report.style import in_order
-from lieednn_sim.studies.statistics import grouped
 from lieednn_sim.studies.table import Table
-from lieednn_sim.validation import as_count, quoted
+from lieednn_sim.validation import quoted
 
 # Size [pixels] and frame rate [1/s] of clips, and the fraction of a clip at which its poster is taken.
 SIZE = (480, 270)
@@ -52,27 +50,6 @@ class Clip:
     def poster_uri(self) -> str:
         """The poster as a data URI."""
         return _uri("image/jpeg", self.poster)
-
-
-def choose_cases(table: Table[Row], count: int) -> list[Case]:
-    """Choose up to ``count`` cases of a table: planners in turn, each in another arm and scene, successes first.
-
-    Raises:
-        InputError: ``count`` is not a whole number >= 0.
-    """
-    wanted = as_count("videos", count, least=0)
-    rows = [row for row in table.sorted_rows() if row.tracking_rms_mm is not None]
-    rows.sort(key=lambda row: not row.success)
-    places = [group.key for group in grouped(table.sorted_rows(), ("arm", "scene"))]
-    planners = in_order(row.planner for row in rows)
-    chosen: list[Case] = []
-    for turn in range(len(places)):
-        for index, planner in enumerate(planners):
-            place = places[(index + turn) % len(places)]
-            case = next((row.case for row in rows if (row.arm, row.scene) == place and row.planner == planner), None)
-            if case is not None and case not in chosen and len(chosen) < wanted:
-                chosen.append(case)
-    return chosen
 
 
 def film(

@@ -15,18 +15,9 @@ from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import least_duration
 from lieednn_sim.studies.problems import study
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.studies.problems.study import OPTIONS, PublishedProblems, Solution, Statistic, measured, solve
+from lieednn_sim.studies.problems.study import OPTIONS, PublishedProblems, Solution, measured, solve
 from lieednn_sim.studies.study import compute
 from lieednn_sim.studies.table import Table
-
-
-def test_statistics_are_of_what_was_solved_by_hand() -> None:
-    found = Statistic.of([1.0, 2.0, 3.0, 4.0, 10.0])
-    # 98 % of four gaps is 3.92: the fourth value and 0.92 of the last gap.
-    assert found == pytest.approx(Statistic.of([4.0, 10.0, 1.0, 3.0, 2.0]))
-    assert (found.mean, found.median, found.percent_75, found.percent_98) == pytest.approx((4.0, 3.0, 4.0, 9.52))
-    assert found.std == pytest.approx(np.sqrt(50.0 / 5.0))
-    assert Statistic.of([]) is None
 
 
 def test_a_straight_way_is_measured_by_hand(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
