@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from scipy.linalg import expm
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.projection import descend
-from lieednn_sim.validation import as_finite, as_floats, as_generator, as_positive, as_shape
+from lieednn_sim.validation import MOST_ENTRIES, as_finite, as_floats, as_generator, as_positive, quoted
 from lieednn_sim.values import Floats, set_fields
 
 Booleans = NDArray[np.bool_]
@@ -156,7 +157,8 @@ class MatrixLieGroup:
     def random(self, rng: int | np.random.Generator, shape: tuple[int, ...] = (), scale: float = 1.0) -> Matrices:
         """Elements ``(*shape, m, m)``: exponentials of normal coordinates of standard deviation ``scale``."""
         generator, scale = as_generator("rng", rng), as_positive("scale", scale)
-        shape = as_shape("shape", shape, self.size**2)
+        if len(shape) > 32 or min(shape, default=0) < 0 or math.prod(map(int, shape)) * self.size**2 > MOST_ENTRIES:
+            raise InputError(f"shape must be 32 sizes at most, of {MOST_ENTRIES} numbers in all, got {quoted(shape)}")
         return self.exp(scale * generator.normal(size=(*shape, self.dimension)))
 
     def project_to_adjoint(self, theta: ArrayLike, start: ArrayLike | None = None) -> Matrices:
