@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Callable
 from dataclasses import field
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import BDF, DOP853, LSODA, RK45, DenseOutput, OdeSolution, OdeSolver, Radau
+from scipy.integrate import RK45, DenseOutput, OdeSolution, solve_ivp
 from scipy.interpolate import PPoly
-from scipy.optimize import brentq
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, LieEDNNError
@@ -25,13 +25,8 @@ _MAX_EVALUATIONS = 200_000
 
 _OVERFLOW = "the equilibrium cannot be found in double precision: weights, bias or start are too large"
 
-INTEGRATORS: dict[str, type[OdeSolver]] = {
-    "RK45": RK45,
-    "DOP853": DOP853,
-    "Radau": Radau,
-    "BDF": BDF,
-    "LSODA": LSODA,
-}
+# SciPy's names of integrators.
+INTEGRATORS = ("RK45", "DOP853", "Radau", "BDF", "LSODA")
 
 
 @frozen
@@ -209,60 +204,48 @@ def integrate(
     as_choice("method", method, INTEGRATORS)
     for name, value in (("rtol", rtol), ("atol", atol), ("distance", distance)):
         as_positive(name, value)
-    longest = as_positive("duration", duration)
-    # Distance of a flat state from the end, less the one asked for.
-    away: Callable[[Floats], float] | None = None
-    if until is not None:
-        goal = seen(until.ravel())
+    longest, goal = as_positive("duration", duration), None if until is None else seen(until.ravel())
+    evaluations = itertools.count()
 
-        def away(x: Floats) -> float:
-            return float(np.abs(seen(x) - goal).max()) - distance
+    def rate(_: float, x: Floats) -> Floats:
+        check_time()
+        if next(evaluations) > _MAX_EVALUATIONS:
+            raise LieEDNNError(
+                f"the network is too stiff for {method}: more than {_MAX_EVALUATIONS} evaluations in a duration of "
+                f"{longest:g}; use method='Radau', a shorter duration or smaller weights"
+            )
+        return vector_field(x)
 
-        if away(start.ravel()) <= 0.0:
-            # The end is a crossing; if the start is inside, there is none, and nothing to integrate.
-            away, longest = None, 1e-9 * longest
+    def away(_: float, x: Floats) -> float:
+        """Distance of a flat state from the end, less the one asked for."""
+        return float(np.abs(seen(x) - goal).max()) - distance
 
+    away.terminal = True  # type: ignore[attr-defined]
+    if goal is not None and away(0.0, start.ravel()) <= 0.0:
+        # The end is a crossing; if the start is inside, there is none, and nothing to integrate.
+        goal, longest = None, 1e-9 * longest
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         # An overflow ends the integration, or is noticed below.
         warnings.simplefilter("ignore")
         try:
-            solver = INTEGRATORS[method](
-                lambda _, x: vector_field(x), 0.0, start.ravel(), longest, rtol=rtol, atol=atol
+            found = solve_ivp(
+                rate,
+                (0.0, longest),
+                start.ravel(),
+                method,
+                dense_output=True,
+                events=None if goal is None else away,
+                rtol=rtol,
+                atol=atol,
             )
-            t, x, pieces = _run(solver, away)
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
             raise LieEDNNError(f"integration of the network failed: {error}") from None
-    if solver.nfev > _MAX_EVALUATIONS:
-        raise LieEDNNError(
-            f"the network is too stiff for {method}: more than {_MAX_EVALUATIONS} evaluations in a duration of "
-            f"{longest:g}; use method='Radau', a shorter duration or smaller weights"
-        )
-    if not (np.isfinite(x).all() and np.isfinite(t).all()):
+    if not found.success:
+        raise LieEDNNError(f"integration of the network failed: {found.message}")
+    if not (np.isfinite(found.y).all() and np.isfinite(found.t).all()):
         raise LieEDNNError("integration of the network failed: the state left the range of double precision")
-    dense = _polynomials(t, pieces) if method == "RK45" else OdeSolution(t, pieces)
-    return Trajectory(t=t, xi=x.reshape(-1, *start.shape), _dense=dense)
-
-
-def _run(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Floats, Floats, list[DenseOutput]]:
-    """Times ``(K,)``, flat states ``(K, dN)`` and interpolants of all steps, to the end or where ``away`` is zero."""
-    t, x, pieces = [solver.t], [solver.y], list[DenseOutput]()
-    while solver.status == "running" and solver.nfev <= _MAX_EVALUATIONS:
-        check_time()
-        message = solver.step()
-        if solver.status == "failed":
-            raise ArithmeticError(message)
-        piece = solver.dense_output()
-        pieces.append(piece)
-        if away is not None and away(solver.y) <= 0.0:
-            # As precise as SciPy's own events.
-            tiny = 4.0 * float(np.finfo(float).eps)
-            end = brentq(lambda time, piece=piece: away(piece(time)), solver.t_old, solver.t, xtol=tiny, rtol=tiny)
-            t.append(end)
-            x.append(piece(end))
-            break
-        t.append(solver.t)
-        x.append(solver.y)
-    return np.array(t), np.array(x), pieces
+    dense = _polynomials(found.t, found.sol.interpolants) if method == "RK45" else found.sol
+    return Trajectory(t=found.t, xi=found.y.T.reshape(-1, *start.shape), _dense=dense)
 
 
 def _polynomials(t: Floats, pieces: list[DenseOutput]) -> PPoly:
