@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.network_planners import without_weights
-from lieednn_sim.planning.safety_filter import FilterOptions
-from lieednn_sim.policies import Feedback, FilteredPolicy, NetworkPolicy
+from lieednn_sim.policies import Feedback, FilteredPolicy, FilterOptions, NetworkPolicy
 from lieednn_sim.simulation import Disturbances, Push, follow
 from lieednn_sim.synthesis import synthesize
 

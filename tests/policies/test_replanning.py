@@ -9,9 +9,8 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning import plan
-from lieednn_sim.planning.safety_filter import FilterOptions
 from lieednn_sim.planning.transition import straight
-from lieednn_sim.policies import Feedback, ReplanningOptions, ReplanningPolicy, make_policy, replanning
+from lieednn_sim.policies import Feedback, FilterOptions, ReplanningOptions, ReplanningPolicy, make_policy, replanning
 from lieednn_sim.policies.surroundings import Surroundings
 from lieednn_sim.simulation import Disturbances, MovingObstacle, Push, follow
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
