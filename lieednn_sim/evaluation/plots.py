@@ -16,8 +16,9 @@ from matplotlib.patches import Patch
 from lieednn_sim import io
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout
+from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
-from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
+from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.network import ACTIVATIONS, ComponentwiseNetwork
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout
