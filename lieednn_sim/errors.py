@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class LieEDNNError(Exception):
     """Base class of all exceptions raised by the package."""
@@ -44,7 +46,13 @@ class OutOfTimeError(NoSolutionError):
 
 
 class SimulationError(LieEDNNError):
-    """The physics diverged or MuJoCo raised a warning."""
+    """The physics diverged or MuJoCo raised a warning.
+
+    Attributes:
+        rollout: the run up to there, a `Rollout`; None where nothing was logged.
+    """
+
+    rollout: Any = None
 
 
 class RenderingUnavailableError(LieEDNNError):

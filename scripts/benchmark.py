@@ -109,7 +109,7 @@ def growth(scale: int, sizes: Sequence[int]) -> dict[str, list[str]]:
     Last comes the exponent between the two largest sizes.
     """
     repeats = max(7 // scale, 1)
-    options = ShapingOptions(neurons=(4,), placed_neurons=(), iterations=20)
+    options = ShapingOptions(neurons=(4,))
     s = np.linspace(0.0, 1.0, 100)[:, None, None]
     times: dict[str, list[float]] = {"certified synthesis": [], "shaping": []}
     for size in sizes:

@@ -35,7 +35,6 @@ from lieednn_sim.planning import PLANNERS, Plan, plan
 from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.network_path import NetworkPath
-from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.policies import POLICIES, NetworkPolicy, make_policy
 from lieednn_sim.rendering import ffmpeg
 from lieednn_sim.rendering.overlay import Overlay
@@ -44,7 +43,7 @@ from lieednn_sim.simulation import Disturbances, Rollout, Simulation, follow, si
 from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference
-from lieednn_sim.synthesis import synthesize, synthesize_many
+from lieednn_sim.synthesis import ShapingOptions, shape, synthesize, synthesize_many
 
 HEADINGS = ("what", "minimum", "median", "maximum", "aim")
 FRAME_SIZE, FRAMES = (640, 360), 60
@@ -136,8 +135,8 @@ def control_step_rows(arm: Arm) -> Iterator[Row]:
     Over a run with its simulation, which empties the processor's caches between steps.
     """
     target = draw_target(arm, 0)
-    network = plan(arm, target, planner="lieednn-shaped", options=ShapedOptions(encoded=False, neurons=(8,))).network
-    assert isinstance(network, LieEDNN)
+    guide = plan(arm, target, planner="minimum-jerk").motion
+    network = shape(guide.xi[::2], options=ShapingOptions(neurons=(8,))).network
     assert network.n_neurons == 12
     times = follow(NetworkPolicy(arm, network), target, 7.0).step_time
     x = network.start(arm.encode(arm.keyframe("home"))).ravel()
@@ -162,11 +161,11 @@ def evaluation_rows(arm: Arm, network: LieEDNN, instants: int, repeats: int) -> 
     samples = ratios(partial(network.retarget, xi), product, repeats, times=500)
     yield Row("retargeting, in products W phi(x)", samples, "<= 5")
     path = NetworkPath.integrate(arm, network, arm.keyframe("home"))
-    assert path.trajectory is not None
-    tau = np.linspace(0.0, path.trajectory[0].t[-1], instants)
-    twists = network.visible(path.state(tau)).reshape(-1, 6)
+    assert path.speed is not None
+    tau = np.linspace(0.0, path.speed.x[-1], instants)
+    twists = network.visible(path.states(tau)).reshape(-1, 6)
     samples = ratios(
-        lambda: arm.decode(network.visible(path.state(tau))), partial(RigidTransform.from_exp_coords, twists), repeats
+        lambda: arm.decode(network.visible(path.states(tau))), partial(RigidTransform.from_exp_coords, twists), repeats
     )
     yield Row(f"xi(t) and q(t) at {instants:,} instants, in SciPy's exponentials", samples, "<= 3")
 

@@ -22,18 +22,15 @@ from lieednn_sim.studies.demonstrations.study import DemonstrationSets, ModelSco
 from lieednn_sim.studies.markdown import table_head, table_line
 from lieednn_sim.studies.statistics import grouped
 from lieednn_sim.studies.study import compute
-from lieednn_sim.synthesis import ShapingOptions
 
 STARTS = 1000
-# The larger numbers are used only if the first is not enough: no model has few parameters.
-OPTIONS = ShapingOptions(neurons=(8, 16), placed_neurons=(32, 48))
 NOTES = (
     "Each demonstration is seen from its own goal, all at equal fractions of their paths, a radian counting for 0.2 m.",
     "RMS, DTWD and Frechet distance are of dynamic time warps of 1000 samples of each path; DTWD is the sum over all",
     "pairs. `mean`: reproduction of the mean demonstration; `training`: of each from its own start; `left out`: the",
     "same by models that have not seen it. `arrived`, `spurious`: of random starts all around. `parameters`: numbers",
-    "that were fitted and are not zero by construction. The network has 8 or 16 hidden neurons, or 32 or 48 with",
-    "placed switches where fewer do not come as near as was asked for; the others have about as many parameters.",
+    "that were fitted and are not zero by construction. The network has the least of 8, 16, 32, 48 and 64 hidden",
+    "neurons that comes as near as was asked for; the others have about as many parameters.",
     "Besides, its hidden neurons' start depends on the visible one (24 pairs of opposite switches). That response to",
     "the start, like `promp`'s covariance, is not counted among the parameters.",
     "",
@@ -112,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for path in sorted((given.folder / kind).glob(pattern))
         if not wanted or {kind, path.stem} & wanted
     ]
-    study = DemonstrationSets(files, OPTIONS, given.starts)
+    study = DemonstrationSets(files, given.starts)
     made = compute(study, given.output, jobs=given.jobs, console=Console(stderr=True))
     found = sorted(made.rows.values(), key=lambda row: (row.set, study.models.index(row.model)))
     lines = ["# Models of demonstrations", "", "`python scripts/evaluate_demonstrations.py FOLDER`", "", *NOTES, ""]

@@ -28,7 +28,7 @@ from lieednn_sim.studies.markdown import table
 
 HEADINGS = (
     *("arm", "scene", "motions", "certified", "off the path [mm]", "gap [mm]", "joint jerk", "effector jerk", "path"),
-    *("effort", "clearance [mm]", "teacher's", "encoded", "encoding [ms]", "fit [s]", "planning [s]"),
+    *("effort", "clearance [mm]", "teacher's", "fit [ms]", "planning [s]"),
 )
 # Forces and clearance are evaluated at every tenth sample.
 STRIDE = 10
@@ -83,9 +83,7 @@ def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
         "clearance_mm": clearance(room, motion),
         "teacher_clearance_mm": clearance(room, guide),
         "motion_s": mine.motion_s,
-        "encoded": int(plan.details.encoded),
-        "encoding_ms": 1e3 * plan.details.encoding_time,
-        "fit_s": plan.details.fit_time,
+        "fit_ms": 1e3 * plan.details.fit_time,
         "teacher_s": plan.teacher.cpu_time,
         "planning_s": plan.cpu_time,
     }
@@ -110,8 +108,7 @@ def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
         cells.append([arm, scene, f"{len(good)} of {len(chosen)}", f"{sum(row['certified'] for row in good):.0f}"])
         cells[-1] += [worst[name] for name in ("deviation_mm", "gap_mm", "jerk", "effector_jerk", "path", "effort")]
         cells[-1] += [worst["clearance_mm"], worst["teacher_clearance_mm"]]
-        cells[-1] += [f"{sum(row['encoded'] for row in good):.0f}"]
-        cells[-1] += [worst[name] for name in ("encoding_ms", "fit_s", "planning_s")]
+        cells[-1] += [worst[name] for name in ("fit_ms", "planning_s")]
     yield from table(HEADINGS, cells)
     obstacles = [row for row in groups["all", "obstacles"] if not row["reason"]]
     if obstacles:
@@ -144,8 +141,8 @@ def main(arguments: list[str] | None = None) -> None:
     rows = kept_rows(folder / "rows.csv", cases, measured)
     head = (
         "# Shaped networks against their teachers\n\nMedian / worst of the planned "
-        "motions; jerk, path and effort over the teacher's. Encoded: motions of the universal network, whose code "
-        "is the hidden neurons' start; for the others a network was shaped. One seed, from 0 on, for target, obstacles "
+        "motions; jerk, path and effort over the teacher's. All are motions of universal networks, whose code "
+        "is the hidden neurons' start; fit is its time. One seed, from 0 on, for target, obstacles "
         "and planner. Every network was saved, loaded and verified again. Times are CPU seconds of one core.\n"
     )
     with io.atomic_text(folder / "summary.md") as file:

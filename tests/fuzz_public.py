@@ -146,7 +146,7 @@ BY_NAME: dict[str, Callable[[Things], list[Any]]] = {
     **dict.fromkeys(("q", "qd", "start", "qpos", "qvel", "velocity", "wanted", "action", "actions"), _postures),
     **dict.fromkeys(("xi", "xi_dot", "twist", "twists", "curves", "x"), _twists),
     "target": lambda things: [*_postures(things), *_twists(things)],
-    **dict.fromkeys(("path", "directory", "dump_directory"), _one_of(*PATHS)),
+    **dict.fromkeys(("path", "directory"), _one_of(*PATHS)),
     "model": _one_of("two.xml", "folder", "gone.xml"),
     "planner": _one_of("minimum-jerk", "se3-geodesic", "lieednn-certified", "nobody"),
     **dict.fromkeys(("duration", "hold", "time_limit"), _one_of(0.1, 0.5, 1.0, 0.0, -1.0, 1e9)),

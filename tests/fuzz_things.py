@@ -130,7 +130,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "GroupLieEDNN": lambda: theory.complex_network(0.1 * np.eye(2), np.ones(2)),
     "EquivariantLieEDNN": _equivariant,
     "SmoothnessBounds": lambda: theory.smoothness_bounds(0.1 * np.eye(2), np.ones(2), 1.0, gamma=1.0, mu=1.0),
-    "ShapingOptions": lambda: synthesis.ShapingOptions(neurons=(1,), placed_neurons=(2,), iterations=2),
+    "ShapingOptions": lambda: synthesis.ShapingOptions(neurons=(2,)),
     "Shaping": lambda: thing("ShapedMotion").shaping,
     "CurveEncoder": lambda: synthesis.CurveEncoder(2),
     "Demonstration": _demonstration,

@@ -26,7 +26,7 @@ from lieednn_sim.arm.parsing import read_arm
 from lieednn_sim.arm.scenes import add_obstacles
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.arm.visuals import discard_visuals, moves_alike
-from lieednn_sim.errors import FileError, InputError, LieEDNNError
+from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import Seed, as_choice, as_floats, as_path, as_seed, quoted
 from lieednn_sim.values import Floats
@@ -257,22 +257,6 @@ class Arm(SerialArm):
     def near_contacts_along(self, q: Floats) -> Iterator[list[tuple[str, str]]]:
         """`near_contacts` at each of the configurations ``(K, n)``, lazily; the conversion to qpos is done at once."""
         return map(self._nearly_touching.bodies, self.qpos(q))
-
-    def physics(self) -> Any:
-        """A `dm_control.mujoco.Physics` of the scene at the keyframe ``home``, for dm_control's tasks and viewers.
-
-        Raises:
-            LieEDNNError: dm_control is not installed; it has no release for MuJoCo 4 or Python 3.13.
-        """
-        try:
-            from dm_control import mujoco as dm_mujoco
-        except ImportError:
-            raise LieEDNNError("Arm.physics needs dm_control, which takes Python 3.11 or 3.12 and MuJoCo 3") from None
-
-        physics = dm_mujoco.Physics.from_model(dm_mujoco.wrapper.MjModel(copy.deepcopy(self.model)))
-        with physics.reset_context():
-            mujoco.mj_resetDataKeyframe(self.model, physics.data.ptr, self.model.key("home").id)
-        return physics
 
     @property
     def without_visuals(self) -> Arm:

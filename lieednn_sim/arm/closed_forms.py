@@ -15,11 +15,6 @@ from lieednn_sim.arm.kinematics import CompoundJoint
 from lieednn_sim.lie import exp, hat, left_jacobian_so3, rotations, spatial_twist
 from lieednn_sim.values import Floats
 
-# Largest number of Newton steps to the multiplier, which converge monotonically and quadratically.
-_SECULAR_STEPS = 50
-# Relative curvature below which it counts as zero.
-_FLAT = 1e-12
-
 
 @dataclass(frozen=True, eq=False)
 class MovingPoses:
@@ -121,7 +116,7 @@ class HingeSlide:
         curvature = x * cos + y * sin - 2.0 * (slope**2 + m * bend)
         pull = y_rate * cos - x_rate * sin + 2.0 * (m_rate * slope + m * slope_rate)
         scale = np.abs(x) + np.abs(y) + 2.0 * (a**2 + b**2 + c**2)
-        angle_rate = np.divide(pull, curvature, out=np.zeros_like(pull), where=curvature > _FLAT * scale)
+        angle_rate = np.divide(pull, curvature, out=np.zeros_like(pull), where=curvature > 1e-12 * scale)
         return offset, np.stack([angle_rate, unit * (m_rate + slope * angle_rate)], axis=-1)
 
     @property
@@ -186,7 +181,7 @@ def _highest(p: Floats, q: Floats, b: Floats, c: Floats) -> Floats:
     alpha, beta = p * np.cos(turn) + q * np.sin(turn), q * np.cos(turn) - p * np.sin(turn)
     half, other = 0.5 * np.abs(alpha), 0.5 * np.abs(beta)
     t = np.maximum(half, other - strength)
-    for _ in range(_SECULAR_STEPS):
+    for _ in range(50):
         with np.errstate(divide="ignore", invalid="ignore"):
             u, v = half / t, other / (t + strength)
             square = u**2 + v**2

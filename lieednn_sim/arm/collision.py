@@ -31,10 +31,6 @@ Pairs = NDArray[np.int_]
 _PLANE_SIZE = 1e3
 # Rounding of the bounds [m].
 _SLACK = 1e-9
-# Along a path, pairs are measured up to this much beyond the least distance [m], and skipped until they move as much.
-_AHEAD = 0.1
-# Below this distance the normal of two touching geoms is lost in rounding [m].
-_TOUCHING = 1e-10
 
 
 class Distances(NamedTuple):
@@ -132,11 +128,9 @@ class Collisions:
         if (limits <= 0.0).any():
             raise InputError(f"cutoff must be positive, got {limits.min():g}")
         near = np.flatnonzero(self._lower_bounds() < limits)
-        model, data = self.arm.model, self._data
         distance, segments, found = [], [], []
-        for index in near:
-            first, second = map(int, self.pairs[index])
-            value = mujoco.mj_geomDistance(model, data, first, second, limits[index], self._segment)
+        for index in near.tolist():
+            value = self._measure(index, limits[index])
             if value >= limits[index]:
                 continue
             segments.append(self._segment.copy())
@@ -151,15 +145,13 @@ class Collisions:
         self._move(q)
         bounds = self._lower_bounds()
         best, pair = np.inf, (-1, -1)
-        for index in np.argsort(bounds, kind="stable"):
+        for index in np.argsort(bounds, kind="stable").tolist():
             if bounds[index] >= best:
                 break
-            first, second = map(int, self.pairs[index])
-            # MuJoCo returns the cutoff when the geoms are further apart.
-            most = best if np.isfinite(best) else bounds[index] + 2.0 * _PLANE_SIZE
-            value = mujoco.mj_geomDistance(self.arm.model, self._data, first, second, most, self._segment)
+            value = self._measure(index, best if np.isfinite(best) else bounds[index] + 2.0 * _PLANE_SIZE)
             if value < best:
-                best, pair = float(value), (first, second)
+                first, second = self.pairs[index].tolist()
+                best, pair = value, (first, second)
         return best, pair
 
     def clearance(self, q: ArrayLike) -> float:
@@ -187,10 +179,10 @@ class Collisions:
             moved = np.linalg.norm(center - before[0], axis=1) + self._radius * turned
             bounds -= moved[self._first] + moved[self._second]
             # Penetration depths are not bounded by how far geoms move.
-            for index in np.flatnonzero(bounds < max(least, 0.0)):
-                first, second = map(int, self.pairs[index])
-                value = mujoco.mj_geomDistance(model, data, first, second, max(least, 0.0) + _AHEAD, self._segment)
-                bounds[index], least = value, min(least, value)
+            for index in np.flatnonzero(bounds < max(least, 0.0)).tolist():
+                # Measured a little further, so that it is skipped until the geoms have moved as much.
+                bounds[index] = value = self._measure(index, max(least, 0.0) + 0.1)
+                least = min(least, value)
         return least
 
     def is_free(self, q: ArrayLike, margin: float = 0.0, *, own: float | None = None) -> bool:
@@ -198,14 +190,13 @@ class Collisions:
         self._move(q)
         limit = float(as_floats("margin", margin, ()))
         limits = np.where(self.own, limit if own is None else float(as_floats("own", own, ())), limit)
-        bounds = self._lower_bounds()
-        near = np.flatnonzero(bounds <= limits)
-        model, data, most = self.arm.model, self._data, float(np.abs(limits).max(initial=0.0)) + 1.0
-        for index in near[np.argsort(bounds[near], kind="stable")]:
-            first, second = map(int, self.pairs[index])
-            if mujoco.mj_geomDistance(model, data, first, second, most, self._segment) <= limits[index]:
-                return False
-        return True
+        near = np.flatnonzero(self._lower_bounds() <= limits)
+        return all(self._measure(index, abs(limits[index]) + 1.0) > limits[index] for index in near.tolist())
+
+    def _measure(self, index: int, most: float) -> float:
+        """Distance of a pair [m], or ``most`` where its geoms are further apart; the witness points are `_segment`."""
+        first, second = self.pairs[index].tolist()
+        return float(mujoco.mj_geomDistance(self.arm.model, self._data, first, second, most, self._segment))
 
     def names(self, pair: ArrayLike) -> tuple[str, str]:
         """Names of two geoms by id; an unnamed geom is called after its body."""
@@ -251,7 +242,8 @@ class Collisions:
         mujoco.mj_comPos(model, data)
         for body, jacobian in zip(self._bodies.tolist(), self._jacobians, strict=False):
             mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], body)
-        apart = np.abs(distance) >= _TOUCHING
+        # At less the normal of two touching geoms is lost in rounding.
+        apart = np.abs(distance) >= 1e-10
         normal = np.zeros((len(pairs), 3))
         normal[apart] = (points[apart, 1] - points[apart, 0]) / distance[apart, None]
         along = np.stack([-normal, normal], axis=1)

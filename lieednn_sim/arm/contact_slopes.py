@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.arm.contacts import moving_geoms
+from lieednn_sim.arm.contacts import ContactFinder, moving_geoms
 from lieednn_sim.values import Floats
 
-# Bits of contype and conaffinity that are kept apart; MuJoCo has 31.
-_BITS = 15
 
-
-class ContactSlopes:
+class ContactSlopes(ContactFinder):
     """Distances of near geoms and their derivatives along a path, from MuJoCo's constraint Jacobian.
 
     It takes about as long as the collision detection itself, a tenth of `Collisions`. Holds a `mujoco.MjData` of its
@@ -29,16 +24,15 @@ class ContactSlopes:
     """
 
     def __init__(self, arm: Arm, margin: float, *, own: bool) -> None:
-        self._arm, self._margin = arm, margin
-        model = self._model = copy.deepcopy(arm.without_visuals.model)
+        super().__init__(arm.without_visuals.model, margin)
+        self._arm, model = arm, self._model
         types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
-        # One bit for each direction of MuJoCo's filter, so that a fixed geom meets the same moving ones as before.
-        if not own and (types | affinities).max(initial=0) < 2**_BITS:
+        # Bits of their own for each direction of MuJoCo's filter, which has 31, so that a fixed geom meets the same
+        # moving ones as before.
+        if not own and (types | affinities).max(initial=0) < 2**15:
             moving = moving_geoms(model)
-            model.geom_contype[:] = np.where(moving, types | affinities << _BITS, 0)
-            model.geom_conaffinity[:] = np.where(moving, 0, affinities | types << _BITS)
-        model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
-        model.opt.o_margin = margin
+            model.geom_contype[:] = np.where(moving, types | affinities << 15, 0)
+            model.geom_conaffinity[:] = np.where(moving, 0, affinities | types << 15)
         # One row of the Jacobian for each contact, its normal's, and none for anything else.
         model.geom_condim[:] = 1
         model.pair_dim[:] = 1
@@ -57,10 +51,7 @@ class ContactSlopes:
         model, data, n = self._model, self._data, q.shape[1]
         counts, distances, rows = np.zeros(len(q), dtype=int), [np.zeros(0)], [np.zeros((0, model.nv))]
         for k, qpos in enumerate(self._arm.qpos(q)):
-            data.qpos[:] = qpos
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_collision(model, data)
-            if not data.ncon:
+            if not self._found(qpos):
                 continue
             mujoco.mj_comPos(model, data)
             mujoco.mj_makeConstraint(model, data)

@@ -26,10 +26,6 @@ from lieednn_sim.values import Floats
 # Coordinates, by their indices in q, and weights: bounds are of the Euclidean norm of weights times their changes.
 Group = tuple[NDArray[np.int_], Floats]
 
-# Largest gradient of a projection's squared distance at what counts as its minimum.
-_STATIONARY = 1e-5
-_ITERATIONS = 8
-
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
@@ -126,12 +122,13 @@ def spread_of_nearest(problem: NearestPose, links: NDArray[np.int_], deviations:
         second = np.sqrt(count * (turning**2 + (turning * longest + np.sqrt(turning * sliding)) ** 2))
         firm = np.maximum(least - second * rho, 0.0)
         left = firm**2 - second * (residual + goal)
-        fails = (left <= 0.0) | (room <= 0.0) | (gradient > _STATIONARY)
+        # With a larger gradient it is no minimum.
+        fails = (left <= 0.0) | (room <= 0.0) | (gradient > 1e-5)
         return np.where(fails, np.inf, firm / np.where(fails, 1.0, left))
 
     # Changes that the bound just does not exceed, found from below.
     rho = np.zeros(len(offset))
-    for _ in range(_ITERATIONS):
+    for _ in range(8):
         rho = np.minimum(1.02 * gain(rho) * goal, 1e3)
     found = gain(rho)
     return np.where(found * goal <= rho, found * moved, np.inf)

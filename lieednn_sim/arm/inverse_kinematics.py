@@ -20,21 +20,10 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
-# Error at which the pose counts as reached [m, rad], and the numbers of starts.
+# Error at which the pose counts as reached [m, rad].
 _TOLERANCE = 1e-6
-_ATTEMPTS, _MOST_ATTEMPTS = 8, 32
-# Least error of the first attempts [m, rad] after which no more are made.
-_FAR = 0.1
-# Candidates for a target, and the fraction of a joint's range by which they differ.
-_CANDIDATES, _SAME = 4, 1e-3
-# No arm reaches further [m], and squares stay far from overflow.
-_FARTHEST = 1e6
-# Distance from a limit, as a fraction of the joint's range, at which the joint counts as being there.
-_AT_LIMIT = 1e-4
-# Weight of the pull towards the start, which picks one of the many solutions of a redundant arm.
-_CONFIGURATION_WEIGHT = 1e-3
-# How far inside a region its solutions are sought, so that they are in it [m, rad].
-_INSET = 2.0 * _TOLERANCE
+# Attempts, unless one comes near a solution and several are wanted.
+_ATTEMPTS = 8
 
 
 def solve_ik(
@@ -61,7 +50,8 @@ def solve_ik(
         InputError: a value is malformed.
         NoSolutionError: no such joint position was found; the message says how close the search came.
     """
-    return next(_solutions(arm, _Point(position, rotation), None, start, seed, progress))
+    search = _Search(arm, _Point(position, rotation), None, arm.check_position(start, "start"))
+    return next(search.solutions(seed, _ATTEMPTS, several=False, progress=progress))
 
 
 def ik_candidates(
@@ -91,12 +81,13 @@ def ik_candidates(
     """
     rest = arm.check_position(start, "start")
     pace = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
-    found: list[Floats] = []
     goal = pose if isinstance(pose, TaskSpaceRegion) else _Point(pose.translation, pose.rotation)
-    for q in _solutions(arm, goal, keep, rest, seed, several=True):
-        if all(np.abs((q - other) / arm.ranges).max() > _SAME for other in found):
+    found: list[Floats] = []
+    for q in _Search(arm, goal, keep, rest).solutions(seed, 32, several=True):
+        # Others differ by more than a thousandth of a joint's range.
+        if all(np.abs((q - other) / arm.ranges).max() > 1e-3 for other in found):
             found.append(q)
-        if len(found) == _CANDIDATES:
+        if len(found) == 4:
             break
     return sorted(found, key=lambda q: float(np.abs((q - rest) / pace).max()))
 
@@ -106,10 +97,9 @@ class _Point:
 
     def __init__(self, position: ArrayLike, rotation: Rotation | None) -> None:
         self._place = as_floats("position", position, (3,))
-        if np.abs(self._place).max() > _FARTHEST:
-            raise InputError(
-                f"position must be within {_FARTHEST:g} m of the origin, got {np.abs(self._place).max():g} m"
-            )
+        # No arm reaches further, and squares stay far from overflow.
+        if np.abs(self._place).max() > 1e6:
+            raise InputError(f"position must be within 1e+06 m of the origin, got {np.abs(self._place).max():g} m")
         self._rotation = rotation
 
     def error(self, place: Floats, turn: Floats) -> Floats:
@@ -137,63 +127,86 @@ class _Point:
         return f"{distance} and {np.rad2deg((self._rotation.inv() * pose.rotation).magnitude()):.3g} degrees"
 
 
-def _solutions(
-    arm: Arm,
-    goal: _Point | TaskSpaceRegion,
-    keep: TaskSpaceRegion | None,
-    start: ArrayLike | str,
-    seed: Seed,
-    progress: Callable[[int, int], None] | None = None,
-    *,
-    several: bool = False,
-) -> Iterator[Floats]:
-    """Solutions near the start or, where several are wanted, near one random position each after the first one.
+class _Search:
+    """Searches joint positions with the end effector at a goal and, if there is one, in a region to keep.
 
-    Raises as `solve_ik` if there is none.
+    Args:
+        arm: the arm.
+        goal: of the end effector.
+        keep: a region in which it is, too.
+        start: ``(n,)`` joint coordinates from which the first search begins.
     """
-    attempts = _MOST_ATTEMPTS if several else _ATTEMPTS
-    rest = arm.check_position(start, "start")
-    low, high = arm.position_limits.T
-    spread = arm.ranges
-    rng = as_generator("seed", seed)
-    regions = [one.within(_INSET) for one in (goal, keep) if isinstance(one, TaskSpaceRegion)]
 
-    data = mujoco.MjData(arm.model)
-    site = int(arm.site_ids[-1])
+    def __init__(self, arm: Arm, goal: _Point | TaskSpaceRegion, keep: TaskSpaceRegion | None, start: Floats) -> None:
+        self._arm, self._goal, self._keep, self._start = arm, goal, keep, start
+        # Solutions are sought a little inside of a region, so that they are in it.
+        self._regions = [r.within(2.0 * _TOLERANCE) for r in (goal, keep) if isinstance(r, TaskSpaceRegion)]
+        self._data, self._site = mujoco.MjData(arm.model), int(arm.site_ids[-1])
 
-    def error(q: Floats) -> Floats:
-        data.qpos[:] = arm.qpos(q)
-        mujoco.mj_kinematics(arm.model, data)
-        place, turn = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
-        parts = [goal.error(place, turn)] if isinstance(goal, _Point) else []
-        return np.concatenate([*parts, *(region.excess(poses(turn, place)) for region in regions)])
+    def solutions(
+        self, seed: Seed, attempts: int, *, several: bool, progress: Callable[[int, int], None] | None = None
+    ) -> Iterator[Floats]:
+        """Solutions near the start or, where several are wanted, near one random position each after the first one.
 
-    def jacobian(q: Floats) -> Floats:
-        data.qpos[:] = arm.qpos(q)
-        mujoco.mj_kinematics(arm.model, data)
+        Raises as `solve_ik` if there is none.
+        """
+        rng, (low, high) = as_generator("seed", seed), self._arm.position_limits.T
+        best, closest, refused, solved = np.inf, self._start, "", False
+        for attempt in range(attempts):
+            if progress is not None:
+                progress(attempt, attempts)
+            q = self._start if attempt == 0 else rng.uniform(low, high)
+            q = self._descend(q, q if several else self._start)
+            distance = float(np.abs(self._error(q)).max())
+            if distance < _TOLERANCE:
+                refusal = self._refusal(q)
+                if not refusal:
+                    solved = True
+                    yield q
+                refused = refusal or refused
+            if distance < best:
+                best, closest = distance, q
+            # If the first attempts come nowhere near, no more are made.
+            if attempt + 1 >= _ATTEMPTS and best > 0.1:
+                break
+        if not solved:
+            raise NoSolutionError(self._failure(closest, refused))
+
+    def _error(self, q: Floats) -> Floats:
+        """Zero at solutions, for joint coordinates ``(n,)``."""
+        place, turn = self._move(q)
+        parts = [self._goal.error(place, turn)] if isinstance(self._goal, _Point) else []
+        return np.concatenate([*parts, *(region.excess(poses(turn, place)) for region in self._regions)])
+
+    def _slopes(self, q: Floats) -> Floats:
+        """Derivatives ``(E, n)`` of the error."""
+        arm, data = self._arm, self._data
+        place, turn = self._move(q)
         mujoco.mj_comPos(arm.model, data)
-        linear, angular = np.zeros((3, arm.model.nv)), np.zeros((3, arm.model.nv))
-        mujoco.mj_jacSite(arm.model, data, linear, angular, site)
+        linear, angular = np.zeros((2, 3, arm.model.nv))
+        mujoco.mj_jacSite(arm.model, data, linear, angular, self._site)
         to_rates = arm.qvel(q, np.eye(arm.n_joints)).T
         linear, angular = linear @ to_rates, angular @ to_rates
-        place, turn = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
-        parts = [goal.slopes(turn, linear, angular)] if isinstance(goal, _Point) else []
+        parts = [self._goal.slopes(turn, linear, angular)] if isinstance(self._goal, _Point) else []
         twist = np.vstack([angular, linear])
-        return np.vstack([*parts, *(region.excess_slopes(poses(turn, place)) @ twist for region in regions)])
+        return np.vstack([*parts, *(region.excess_slopes(poses(turn, place)) @ twist for region in self._regions)])
 
-    best, closest, refused, solved = np.inf, rest, "", False
-    for attempt in range(attempts):
-        if progress is not None:
-            progress(attempt, attempts)
-        q = rest if attempt == 0 else rng.uniform(low, high)
-        near = q if several else rest
-        # First with the configuration term, for a solution near the start; then without it, for an exact one.
-        for weight in (_CONFIGURATION_WEIGHT, 0.0):
+    def _move(self, q: Floats) -> tuple[Floats, Floats]:
+        """Position ``(3,)`` and rotation ``(3, 3)`` of the end effector."""
+        self._data.qpos[:] = self._arm.qpos(q)
+        mujoco.mj_kinematics(self._arm.model, self._data)
+        return self._data.site_xpos[self._site], self._data.site_xmat[self._site].reshape(3, 3)
+
+    def _descend(self, q: Floats, near: Floats) -> Floats:
+        """The joint coordinates of least error next to ``q``, and of those that are equally good, near others."""
+        (low, high), spread = self._arm.position_limits.T, self._arm.ranges
+        # First with a pull that picks one of the many solutions of a redundant arm; then without it, for an exact one.
+        for weight in (1e-3, 0.0):
             pull = np.diag(weight / spread)
             q = scipy.optimize.least_squares(
-                lambda x, pull=pull, near=near: np.concatenate([error(x), pull @ (x - near)]),
+                lambda x, pull=pull: np.concatenate([self._error(x), pull @ (x - near)]),
                 np.clip(q, low + 1e-9 * spread, high - 1e-9 * spread),
-                jac=lambda x, pull=pull: np.vstack([jacobian(x), pull]),
+                jac=lambda x, pull=pull: np.vstack([self._slopes(x), pull]),
                 bounds=(low, high),
                 x_scale=spread,
                 xtol=1e-12,
@@ -201,37 +214,28 @@ def _solutions(
                 gtol=1e-12,
                 max_nfev=200,
             ).x
-        distance = float(np.abs(error(q)).max())
-        if distance < _TOLERANCE:
-            # The box that bounds a ball joint's rotation vector has corners beyond its largest angle.
-            excess = arm.limit_excess(q)
-            contacts = arm.near_contacts(q)
-            if excess.max() <= 0.0 and not contacts:
-                solved = True
-                yield q
-            elif excess.max() > 0.0:
-                refused = f"; at the solutions found {arm.describe_excess(q, int(excess.argmax()))}"
-            else:
-                refused = f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}"
-        if distance < best:
-            best, closest = distance, q
-        if attempt + 1 >= _ATTEMPTS and best > _FAR:
-            break
-    if solved:
-        return
-    where = str(goal) if isinstance(goal, _Point) else "the region"
-    away = refused or f": the closest configuration found is {_miss(arm.link_poses(closest)[-1], goal)} away"
-    raise NoSolutionError(
-        f"the end effector cannot reach {where}{'' if keep is None else ' within the region to keep'}{away}"
-        + ("" if refused else _at_limits(arm, closest))
-    )
+        return q
 
+    def _refusal(self, q: Floats) -> str:
+        """Why the arm cannot be at a solution ``(n,)``; empty if it can."""
+        # The box that bounds a ball joint's rotation vector has corners beyond its largest angle.
+        excess = self._arm.limit_excess(q)
+        if excess.max() > 0.0:
+            return f"; at the solutions found {self._arm.describe_excess(q, int(excess.argmax()))}"
+        contacts = self._arm.near_contacts(q)
+        return f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}" if contacts else ""
 
-def _at_limits(arm: Arm, q: Floats) -> str:
-    """Which joints are at their limits at q ``(n,)``, in words; empty if none are."""
-    near = arm.limit_excess(q) > -_AT_LIMIT * arm.ranges
-    names = list(dict.fromkeys(name for name, at in zip(arm.joint_names, near, strict=True) if at))
-    return f", with {', '.join(map(repr, names))} at the limit" if names else ""
+    def _failure(self, closest: Floats, refused: str) -> str:
+        """The message that nothing was found, with the closest configuration ``(n,)``, or why solutions are refused."""
+        arm, goal = self._arm, self._goal
+        where = str(goal) if isinstance(goal, _Point) else "the region"
+        reach = f"the end effector cannot reach {where}{'' if self._keep is None else ' within the region to keep'}"
+        if refused:
+            return reach + refused
+        near = arm.limit_excess(closest) > -1e-4 * arm.ranges
+        names = dict.fromkeys(name for name, at in zip(arm.joint_names, near, strict=True) if at)
+        at_limits = f", with {', '.join(map(repr, names))} at the limit" if names else ""
+        return f"{reach}: the closest configuration found is {_miss(arm.link_poses(closest)[-1], goal)} away{at_limits}"
 
 
 def _miss(pose: RigidTransform, goal: _Point | TaskSpaceRegion) -> str:

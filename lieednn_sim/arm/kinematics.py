@@ -18,8 +18,6 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-# Lie brackets of unit twists below this vanish up to rounding [1, m].
-_COMMUTING = 1e-12
 _ONE = np.eye(3)
 
 
@@ -153,7 +151,8 @@ class CompoundJoint:
         parts = [np.concatenate(factor.twists(np.zeros(self.indices[0] + 1)), axis=-1)[0] for factor in self.factors]
         for (omega, v), (other, w) in itertools.combinations([(part[:3], part[3:]) for part in parts], 2):
             bracket = np.cross(omega, other), np.cross(omega, w) + np.cross(v, other)
-            if np.abs(bracket).max() > _COMMUTING:
+            # Brackets of unit twists vanish up to rounding.
+            if np.abs(bracket).max() > 1e-12:
                 return None
         return np.sum(parts, axis=0)
 

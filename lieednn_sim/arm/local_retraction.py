@@ -19,19 +19,13 @@ from lieednn_sim.arm.kinematics import Factor
 from lieednn_sim.lie import hat, skew
 from lieednn_sim.values import Floats
 
-# Step size [rad, m] at which to stop, whose square is about the remaining error; and the largest number of steps.
-_SETTLED, _MAX_STEPS = 1e-3, 8
 # Step of the finite difference for rates [s].
 _AHEAD = 1e-6
-# Damping that keeps undetermined coordinates in place, relative to one radian and one unit of length.
-_DAMPING = 1e-12
 # Unit of length, in the network's unit, in which squared entries of a pose have the weights of the metric.
 _UNIT = np.sqrt(0.5)
 # Rows: the matrices hat(e_k) of the network's twists in that unit, flattened.
 _HAT = hat(np.diag(np.repeat([1.0, 1.0 / _UNIT], 3))).reshape(6, 16)
 _ONE = np.eye(4).ravel()
-# Maps a flattened hat(xi)^2 to |omega|^2 = -tr(hat(xi)^2) / 2.
-_TRACE = -0.5 * _ONE[:, None]
 
 
 class LocalRetraction:
@@ -88,7 +82,9 @@ class LocalRetraction:
             before = after
         self._configuration, self._slopes = before[:, :4], before[:, 4:].reshape(links, -1, 16)
         # The Jacobian's columns, and below them the residuals of the given poses.
-        self._rows, self._damping = np.zeros((n + 2, 16 * links)), _DAMPING * np.eye(n)
+        self._rows = np.zeros((n + 2, 16 * links))
+        # Keeps undetermined coordinates in place, relative to one radian and one unit of length.
+        self._damping = 1e-12 * np.eye(n)
         self._columns = self._rows[:n].reshape(n, links, 16).transpose(1, 0, 2)
         self._errors = self._rows[n:].reshape(2, links, 4, 4)
         # Weights that sum squared entries to the squared gaps of rotation and translation.
@@ -114,7 +110,7 @@ class LocalRetraction:
         """
         stack, rows, n = self._stack, self._rows, len(self.q)
         stack[0], stack[1] = xi, xi + _AHEAD * rate
-        for _ in range(_MAX_STEPS):
+        for _ in range(8):
             self._twists.dot(self.q - self._reference, out=self._joints)
             poses, lefts = _exp(stack)
             np.subtract(poses[:2], self._linearised(poses[2:], lefts[2:]), out=self._errors)
@@ -122,7 +118,8 @@ class LocalRetraction:
             _, steps, _ = dposv(products[:n, :n] + self._damping, products[:n, n:])
             step, ahead = steps.T
             self.q = self.q + step
-            if abs(step[idamax(step)]) < _SETTLED:
+            # The square of the last step is about the remaining error.
+            if abs(step[idamax(step)]) < 1e-3:
                 break
         self._left = rows[n] - step.dot(rows[:n])
         return self.q, (ahead - step) / _AHEAD
@@ -161,7 +158,8 @@ def _exp(twists: Floats) -> tuple[Floats, Floats]:
     flat = twists.reshape(-1, 6).dot(_HAT)
     matrix = flat.reshape(-1, 4, 4)
     double = (matrix @ matrix).reshape(-1, 16)
-    square = np.maximum(double.dot(_TRACE), 1e-16)
+    # |omega|^2 = -tr(hat(xi)^2) / 2
+    square = np.maximum(double.dot(-0.5 * _ONE[:, None]), 1e-16)
     angle = np.sqrt(square)
     sine = np.sin(0.5 * angle)
     left = (2.0 * sine * sine / square) * flat

@@ -15,26 +15,10 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.lie import skew
 from lieednn_sim.values import Floats
 
-# Levenberg-Marquardt steps to come close, then Newton steps: if a gap remains, Gauss-Newton converges only linearly.
-_DAMPED_STEPS, _NEWTON_STEPS = 40, 6
-# Size of a damped step below which Newton's method takes over [rad, m].
-_NEAR = 1e-3
-_DAMPING, _DAMPING_FALL, _DAMPING_RISE = 1e-3, 0.2, 5.0
-# Size of a Newton step below which the next one, its square, is rounding [rad, m].
-_SETTLED = 1e-9
-# If f exceeds this at a minimum, there may be a lower one: it is searched for from the 2 best of 256 configurations.
-_FAR, _CONFIGURATIONS, _STARTS = 0.1, 256, 2
-# Relative difference below which minima count as equal; the first one is taken.
-_TIE = 1e-9
-# Strides along a path are at most 1/64 of it, and shorter if a coordinate would move more than `_LONG` [rad, m]. Where
-# poses determine the coordinates well, with a least singular value of at least twice `NEARLY_SINGULAR`, they may be 4
-# times as long.
-_STRIDES, _LONG = 64, 0.2
-_CLEAR, _LENGTHENED = 2.0 * NEARLY_SINGULAR, 4
-# Largest number of damped steps along a path, where the last configuration is close.
-_FOLLOWING_STEPS = 8
-# Longest leap, in strides, over a part where poses hardly determine the coordinates.
-_LEAPS = 16
+# A stride along a path is shorter if a coordinate would move more than this in it [rad, m].
+_LONG = 0.2
+# Where poses determine the coordinates this well, by the least singular value, strides may be longer.
+_CLEAR = 2.0 * NEARLY_SINGULAR
 
 
 class NearestPose:
@@ -85,11 +69,13 @@ class NearestPose:
         goal = self._stack(rotation, translation).reshape(-1, 12 * len(self._joints))
         q = self._descend(np.zeros((len(goal), len(self._indices))), goal)
         value = self._value(q, goal)
-        far = np.flatnonzero(value > _FAR)
+        # At a minimum this far off there may be a lower one.
+        far = np.flatnonzero(value > 0.1)
         for start in self._starts(goal[far]) if far.size else ():
             other = self._descend(start, goal[far])
             lower = self._value(other, goal[far])
-            better = lower < value[far] * (1.0 - _TIE)
+            # Of minima that are equal up to rounding the first one is taken.
+            better = lower < value[far] * (1.0 - 1e-9)
             q[far[better]], value[far[better]] = other[better], lower[better]
         wound = self._periodic & (np.abs(q) > np.pi)
         q = np.where(wound, q - 2.0 * np.pi * np.round(q / (2.0 * np.pi)), q)
@@ -123,13 +109,14 @@ class NearestPose:
         """Guesses ``(K, B, c)`` along paths of stacked poses ``(K, B, 12m)``: found stride by stride, interpolated."""
         q = np.empty((*goal.shape[:2], len(self._indices)))
         q[0], evaluated = self._approach(start, goal[0])
-        known, longest = [0], max(1, len(goal) // _STRIDES)
+        # Few damped steps are enough, since the last configuration is close.
+        known, longest, steps = [0], max(1, len(goal) // 64), 8
         stride, singular = longest, False
         while known[-1] < len(goal) - 1:
             check_time()
             last = known[-1]
             stride = min(stride, len(goal) - 1 - last)
-            trial, there = self._approach(q[last], goal[last + stride], _FOLLOWING_STEPS, evaluated)
+            trial, there = self._approach(q[last], goal[last + stride], steps, evaluated)
             clear = float(least_singular_value(there[1]).min())
             if stride > longest and clear < _CLEAR:
                 stride = longest
@@ -144,7 +131,7 @@ class NearestPose:
                 continue
             q[last + stride], evaluated = trial, there
             known.append(last + stride)
-            stride = min(2 * stride, longest * (_LENGTHENED if clear >= _CLEAR else 1))
+            stride = min(2 * stride, longest * (4 if clear >= _CLEAR else 1))
         if len(known) == len(goal):
             return q
         return np.asarray(scipy.interpolate.PchipInterpolator(known, q[known])(np.arange(len(goal))))
@@ -155,10 +142,10 @@ class NearestPose:
         if len(known) < 2:
             return 0
         pace = (q[last] - q[known[-2]]) / (last - known[-2])
-        for strides in range(1, _LEAPS + 1):
+        for strides in range(1, 17):
             there = min(last + strides * longest, len(goal) - 1)
             guess = q[last] + (there - last) * pace
-            trial, (_, jacobian) = self._approach(guess, goal[there], _FOLLOWING_STEPS)
+            trial, (_, jacobian) = self._approach(guess, goal[there], 8)
             clear = least_singular_value(jacobian) >= NEARLY_SINGULAR
             if clear.all() and np.abs(trial - guess).max() < 2.0 * _LONG:
                 q[there] = trial
@@ -169,22 +156,24 @@ class NearestPose:
         """Minima ``(B, c)`` next to starts ``(B, c)`` for stacked poses ``(B, 12m)``; ``known`` as in `_approach`."""
         q, _ = self._approach(q, goal, known=known)
         moving = np.arange(len(q))
-        for _ in range(_NEWTON_STEPS):
+        # If a gap remains, Gauss-Newton converges only linearly.
+        for _ in range(6):
             step = self._newton_step(q[moving], goal[moving])
             q[moving] -= step
-            moving = moving[np.abs(step).max(axis=-1) > _SETTLED]
+            # After a step of this size the next one, its square, is rounding.
+            moving = moving[np.abs(step).max(axis=-1) > 1e-9]
             if not moving.size:
                 break
         return q
 
     def _approach(
-        self, q: Floats, goal: Floats, steps: int = _DAMPED_STEPS, known: tuple[Floats, Floats] | None = None
+        self, q: Floats, goal: Floats, steps: int = 40, known: tuple[Floats, Floats] | None = None
     ) -> tuple[Floats, tuple[Floats, Floats]]:
-        """Configurations close to these minima, by damped steps down to `_NEAR`, and the result of `_evaluate` there.
+        """Configurations close to these minima, by Levenberg-Marquardt steps, and the result of `_evaluate` there.
 
         ``known`` is its result at ``q``, if available.
         """
-        damping = np.full(len(goal), _DAMPING)
+        damping = np.full(len(goal), 1e-3)
         values, jacobian = self._evaluate(q) if known is None else known
         for _ in range(steps):
             residual = values - goal
@@ -198,8 +187,9 @@ class NearestPose:
             better = ((new_values - goal) ** 2).sum(axis=-1) <= (residual**2).sum(axis=-1)
             q, values = np.where(better[:, None], trial, q), np.where(better[:, None], new_values, values)
             jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
-            damping = np.clip(np.where(better, _DAMPING_FALL, _DAMPING_RISE) * damping, 1e-12, 1e6)
-            if np.abs(step).max() < _NEAR:
+            damping = np.clip(np.where(better, 0.2, 5.0) * damping, 1e-12, 1e6)
+            # Near enough for Newton's method.
+            if np.abs(step).max() < 1e-3:
                 break
         return q, (values, jacobian)
 
@@ -213,7 +203,7 @@ class NearestPose:
         slides = np.tensordot(goal, inverse, axes=(1, 2)) - (inverse @ values[..., None])[..., 0]
         taken = np.einsum("bps,pst,bpt->bp", slides, np.swapaxes(slopes, -1, -2) @ slopes, slides)
         left = (values**2).sum(axis=-1) - 2.0 * goal @ values.T - taken
-        best = np.argsort(left, axis=1, kind="stable")[:, :_STARTS]
+        best = np.argsort(left, axis=1, kind="stable")[:, :2]
         starts = configurations[best]
         starts[..., self.sliding] = np.take_along_axis(slides, best[..., None], axis=1)
         return np.moveaxis(starts, 1, 0)
@@ -221,10 +211,10 @@ class NearestPose:
     @cached_property
     def _spread(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Configurations ``(P, c)`` without slides, stacked poses, their derivatives by slides, and pseudo-inverses."""
-        spread = scipy.stats.qmc.Halton(len(self._indices), scramble=False).random(_CONFIGURATIONS)
+        spread = scipy.stats.qmc.Halton(len(self._indices), scramble=False).random(256)
         configurations = np.pi * (2.0 * spread - 1.0)
         for factor in (factor for joint in self._joints for factor in joint.factors if factor.kind == "ball"):
-            turns = scipy.spatial.transform.Rotation.random(_CONFIGURATIONS, rng=np.random.default_rng(0)).as_rotvec()
+            turns = scipy.spatial.transform.Rotation.random(len(spread), rng=np.random.default_rng(0)).as_rotvec()
             configurations[:, np.searchsorted(self._indices, factor.indices)] = turns @ factor.axes
         configurations[:, self.sliding] = 0.0
         values, jacobian = self._evaluate(configurations)

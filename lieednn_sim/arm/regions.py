@@ -22,8 +22,6 @@ _COORDINATES = ("x", "y", "z", "the rotation about x", "the rotation about y", "
 _FREE = np.full(3, np.inf)
 # Bounds and frames are at most this far away [m], so that squares stay far from overflow.
 _FARTHEST = 1e6
-# Least cosine of the rotation about y by which slopes are divided: at 90 degrees the other angles are not determined.
-_LEAST_COSINE = 1e-3
 
 
 def _identity() -> RigidTransform:
@@ -215,7 +213,8 @@ class TaskSpaceRegion:
         slopes[..., :3, :3], slopes[..., :3, 3:] = to_frame @ turn, to_frame
         # omega = (cp cy, cp sy, -sp) roll' + (-sy, cy, 0) pitch' + (0, 0, 1) yaw', inverted.
         (cp, cy), (sp, sy) = np.cos(np.moveaxis(given[..., 4:], -1, 0)), np.sin(np.moveaxis(given[..., 4:], -1, 0))
-        cp = np.where(cp < 0.0, np.minimum(cp, -_LEAST_COSINE), np.maximum(cp, _LEAST_COSINE))
+        # At 90 degrees the other angles are not determined.
+        cp = np.where(cp < 0.0, np.minimum(cp, -1e-3), np.maximum(cp, 1e-3))
         one = np.ones_like(cp)
         rates = [cy / cp, sy / cp, none, -sy, cy, none, sp * cy / cp, sp * sy / cp, one]
         slopes[..., 3:, :3] = np.stack(rates, axis=-1).reshape(*x.shape, 3, 3) @ to_frame

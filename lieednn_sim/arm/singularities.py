@@ -26,7 +26,6 @@ from lieednn_sim.values import Floats
 # v, for a Jacobian with columns of unit length, and r. Smaller values follow poses more closely, but turn hinges more.
 # With these, 0.3 mm beside a pose where the configuration changes by 1 rad/s, hinges turn by 5 mrad at 2 rad/s^2.
 NEARLY_SINGULAR, _STRAIGHTENED_FRACTION = 0.15, 0.05
-_MAX_STEPS, _SETTLED = 30, 1e-9
 # Curvatures below this fraction of the largest count as zero.
 _FLAT = 1e-9
 
@@ -77,13 +76,13 @@ def straighten(
     pulls = bends[:, free].T @ scipy.sparse.diags_array(weights)
     bending = scipy.sparse.kron(pulls @ bends[:, free], np.eye(exact.shape[1]), format="csc")
     q = np.where(free[:, None], guess, exact)
-    for _ in range(_MAX_STEPS):
+    for _ in range(30):
         values, jacobian = evaluate(q[free])
         square = scipy.sparse.block_diag([scipy.sparse.coo_array(one.T @ one) for one in jacobian], format="csc")
         slope = np.einsum("kri,kr->ki", jacobian, values - goal[free]) + pulls @ (bends @ q)
         step = scipy.sparse.linalg.spsolve(square + bending, slope.ravel()).reshape(slope.shape)
         q[free] -= step
-        if np.abs(step).max() < _SETTLED:
+        if np.abs(step).max() < 1e-9:
             break
     return q, free
 

@@ -26,9 +26,6 @@ LIMIT_MARGIN = 0.05
 # Targets of arms whose joints have six dofs each: U(-0.8, 0.8) in the network's coordinates (paper, section 5).
 NETWORK_SPREAD = 0.8
 _ATTEMPTS = 400
-_STEPS = 25
-# How far the end effector may be from the drawn point [m]; any point near it will do.
-_TOLERANCE = 1e-3
 
 
 def draw_target(arm: Arm, seed: Seed = 0) -> Floats:
@@ -129,11 +126,12 @@ def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: F
     site = int(arm.site_ids[-1])
     weights = (high - low) ** 2
     slope = np.zeros((3, arm.model.nv))
-    for _ in range(_STEPS):
+    for _ in range(25):
         data.qpos[:] = arm.qpos(q)
         mujoco.mj_kinematics(arm.model, data)
         away = point - data.site_xpos[site]
-        if np.linalg.norm(away) < _TOLERANCE:
+        # Any point near the drawn one will do.
+        if np.linalg.norm(away) < 1e-3:
             return q
         mujoco.mj_comPos(arm.model, data)
         mujoco.mj_jacSite(arm.model, data, slope, None, site)

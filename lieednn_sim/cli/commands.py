@@ -11,7 +11,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import disturbances, load_arm, size
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError
+from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError, SimulationError
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.rendering import opengl
@@ -99,18 +99,23 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
             raise InputError(
                 f"the push on {push.body!r} at {push.start:g} s would begin when the run is over, at {end:g} s"
             )
-    with progress("simulate") as report:
-        rollout = simulate_motion(
-            arm,
-            motion,
-            target=task.target,
-            controller=arguments.controller,
-            hold=arguments.hold,
-            reference_rate=arguments.reference_rate,
-            disturbances=changes,
-            dump_directory=run.path,
-            progress=report,
-        )
+    try:
+        with progress("simulate") as report:
+            rollout = simulate_motion(
+                arm,
+                motion,
+                target=task.target,
+                controller=arguments.controller,
+                hold=arguments.hold,
+                reference_rate=arguments.reference_rate,
+                disturbances=changes,
+                progress=report,
+            )
+    except SimulationError as error:
+        if error.rollout is None:
+            raise
+        error.rollout.save(run.divergence)
+        raise SimulationError(f"{error}; the run up to there is in {run.divergence} (Rollout.load reads it)") from None
     run.save_rollout(rollout)
     wrote(run.rollout)
 

@@ -53,12 +53,11 @@ def learn(arguments: argparse.Namespace) -> None:
         raise InputError("the mean of the demonstrations does not move")
     with io.output_folder(arguments.output, "demonstrations") as directory:
         outputs = [directory / name for name in ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")]
-        shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, seed, family=not arguments.no_family)
+        shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, family=not arguments.no_family)
         with progress("learn") as bar:
             rows, models = compare_models(
                 demonstrations,
                 shaped,
-                options,
                 rivals=rivals,
                 aligned=aligned,
                 starts=starts,

@@ -43,13 +43,12 @@ def learn_joints(arguments: argparse.Namespace) -> None:
         arm, arguments.files, rate=arguments.sample_rate, phase=arguments.phase, goals=arguments.goals
     )
     with run.at_work():
-        learned = JointMotion.fit(shown, arguments.deviation, options, seed, family=not arguments.no_family)
+        learned = JointMotion.fit(shown, arguments.deviation, options, family=not arguments.no_family)
         motion, refusal = learned.planned(shown.mean[0])
         with progress("learn") as bar:
             study, paths = study_joints(
                 shown,
                 learned,
-                options,
                 starts=starts,
                 leave_one_out=not arguments.no_leave_one_out,
                 seed=seed,

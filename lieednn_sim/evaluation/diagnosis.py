@@ -13,10 +13,6 @@ from lieednn_sim.values import Floats
 
 # Least fraction of a joint's error that a cause must explain to be reported.
 _LEAST_EXPLAINED = 0.25
-# Fraction of a force limit that counts as reaching it.
-_AT_LIMIT = 0.999
-# Fraction of an error that a slow servo leaves at the end of the hold.
-_STILL_MOVING = 0.05
 # Controllers that use the feedback of the arm's servos.
 _SERVO_CONTROLLERS = ("position-servo", "inverse-dynamics")
 _DESIGN = "designed servos (servos='design', --servos design)"
@@ -61,8 +57,9 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     load = np.abs(resting_load(model, arm.qpos(rollout.q[-1:]))[0] @ basis)
     pace, limits, changes = _pace(rollout), arm.force_limits, rollout.disturbances
     slow = np.abs(rollout.qd[-1]) > _LEAST_EXPLAINED * pace * np.abs(error)
-    slow &= (np.exp(-pace * rollout.hold) > _STILL_MOVING) & (rollout.controller in _SERVO_CONTROLLERS)
-    full = np.mean(np.abs(rollout.force) >= _AT_LIMIT * limits, axis=0)
+    # A slow servo leaves more than this part of an error at the end of the hold.
+    slow &= (np.exp(-pace * rollout.hold) > 0.05) & (rollout.controller in _SERVO_CONTROLLERS)
+    full = np.mean(np.abs(rollout.force) >= 0.999 * limits, axis=0)
     reasons: list[list[str]] = [[] for _ in error]
     helpful: list[list[str]] = [[] for _ in error]
     for j, off in enumerate(np.abs(error)):

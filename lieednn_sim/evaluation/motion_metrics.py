@@ -20,7 +20,6 @@ CURVATURE_SPEED_FRACTION = 0.05
 RATE_TOLERANCE = 1e-3
 # Clearance is measured at every fifth sample (10 ms at the arms' step), and at all samples with a contact.
 CLEARANCE_STRIDE = 5
-_STANDSTILL = 1e-9  # [m/s]
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,8 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
     velocity = (points[2:] - points[:-2]) / (2.0 * step)
     acceleration = (points[2:] - 2.0 * points[1:-1] + points[:-2]) / step**2
     speed = np.linalg.norm(velocity, axis=1)
-    if speed.max() < _STANDSTILL:
+    # At rest [m/s].
+    if speed.max() < 1e-9:
         return None
     moving = speed > CURVATURE_SPEED_FRACTION * speed.max()
     speed = speed[moving]

@@ -15,15 +15,8 @@ from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
 _SKEW_BASIS = hat(np.eye(3))
-# Rounding in the scaled value that `project_to_adjoint_exact` minimises.
-_TIE = 1e-13
 # Largest entries; larger than elsewhere, since matrices are normalised before they are squared.
 _LARGEST = 1e152
-# `descend`: the most steps, their greatest length in the group's coordinates (rad for rotations), and the length
-# at which a point has converged.
-_MAX_STEPS = 200
-_LONGEST_STEP = 1.0
-_SHORTEST_STEP = 1e-12
 
 
 def project_to_rotation(matrix: ArrayLike) -> Floats:
@@ -101,7 +94,7 @@ def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
 
     points, values = descend(starts.reshape(-1, 3, 3), evaluate, move)
     # Within rounding (far translations swallow A and D) the block-wise start, the first, is the one to believe.
-    values = values.reshape(-1, count) - _TIE * (np.arange(count) == 0)
+    values = values.reshape(-1, count) - 1e-13 * (np.arange(count) == 0)
     best = values.argmin(axis=1)
     rotation = points.reshape(-1, count, 3, 3)[np.arange(len(flat)), best].reshape(*blocks.shape[:-2], 3, 3)
     return rotation, vee(blocks[..., 3:, :3] @ np.swapaxes(rotation, -1, -2))
@@ -154,7 +147,7 @@ def descend(
     active = np.arange(len(points))
     value, gradient, hessian = evaluate(points, active)
     damping = np.zeros(len(points))
-    for _ in range(_MAX_STEPS):
+    for _ in range(200):
         if not active.size:
             break
         # Eigenvalues by their size: saddles repel, and directions that change nothing (the kernel) are left alone.
@@ -164,7 +157,8 @@ def descend(
         along = np.einsum("bij,bi->bj", vectors, gradient[active])
         step = -np.einsum("bij,bj->bi", vectors, along / np.maximum(stiffness, 1e-10 * scale))
         length = np.linalg.norm(step, axis=1)
-        step *= (_LONGEST_STEP / np.maximum(length, _LONGEST_STEP))[:, None]
+        # At most 1 in the group's coordinates (rad for rotations).
+        step *= (1.0 / np.maximum(length, 1.0))[:, None]
         moved = move(points[active], step)
         new_value, new_gradient, new_hessian = evaluate(moved, active)
         # Near the minimum values agree to rounding; there the gradient decides.
@@ -175,7 +169,7 @@ def descend(
         points[taken], value[taken] = moved[better], new_value[better]
         gradient[taken], hessian[taken] = new_gradient[better], new_hessian[better]
         damping[active] = np.where(better, 0.1 * damping[active], 10.0 * damping[active] + 1e-2 * scale[:, 0])
-        active = active[(length > _SHORTEST_STEP) & (damping[active] < 1e8 * scale[:, 0])]
+        active = active[(length > 1e-12) & (damping[active] < 1e8 * scale[:, 0])]
     return points, value
 
 

@@ -16,10 +16,6 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
-# Below this angle [rad] the trigonometric coefficients are summed as Taylor series: their closed forms lose
-# digits by cancellation, (theta - sin theta - theta^3/6) / theta^5 all of them at 1e-3.
-_SERIES_ANGLE = 1.0
-_SERIES_TERMS = 10
 # Largest entry where entries are only copied, or halved and added.
 _LARGEST = 1e300
 # Largest entry of a twist where five of them are multiplied.
@@ -225,7 +221,9 @@ def _coefficients(angle: Floats, *orders: int) -> list[Floats]:
     f_2 = (1 - cos)/theta^2, f_3 = (theta - sin)/theta^3, f_4 = (theta^2/2 + cos - 1)/theta^4,
     f_5 = (theta^3/6 + sin - theta)/theta^5, and f_n = 1/n! - theta^2 f_(n+2).
     """
-    big = angle > _SERIES_ANGLE
+    # Small angles [rad] are summed as Taylor series: the closed forms lose digits by cancellation, that of f_5 all of
+    # them at 1e-3.
+    big = angle > 1.0
     square = np.where(big, 0.0, angle) ** 2
     x = np.where(big, angle, 1.0)
     closed = {
@@ -240,7 +238,7 @@ def _coefficients(angle: Floats, *orders: int) -> list[Floats]:
             found[order] = 1.0 / factorial(order) - angle**2 * found[order + 2]
             continue
         series = np.zeros_like(square)
-        for k in reversed(range(_SERIES_TERMS)):
+        for k in reversed(range(10)):
             series = series * square + (-1.0) ** k / factorial(2 * k + order)
         found[order] = np.where(big, closed[order](), series)
     return [found[order] for order in orders]

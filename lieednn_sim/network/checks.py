@@ -9,9 +9,6 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_count, as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats
 
-# Largest entry of R R^T - I of a rotation: more than rounding leaves, far less than a wrong matrix has.
-_ORTHONORMAL_TOLERANCE = 1e-9
-
 
 def as_strengths(alpha: ArrayLike) -> Floats:
     """Return connection strengths ``(N, N)`` with N >= 1, or raise `InputError`."""
@@ -76,7 +73,8 @@ def as_start_law(
 def require_rotations(rotation: Floats) -> None:
     """Raise `InputError` unless every matrix of ``(..., 3, 3)`` is a rotation."""
     gram = rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)
-    if np.abs(gram).max() > _ORTHONORMAL_TOLERANCE or (np.linalg.det(rotation) < 0).any():
+    # More than rounding leaves, far less than a wrong matrix has.
+    if np.abs(gram).max() > 1e-9 or (np.linalg.det(rotation) < 0).any():
         raise InputError(
             f"rotation must hold rotation matrices; R R^T differs from I by up to {np.abs(gram).max():.2g} or a "
             "determinant is negative; project with lieednn_sim.lie.project_to_rotation"

@@ -20,8 +20,6 @@ from lieednn_sim.values import Floats, frozen
 # Flat vector fields ``(dN,)`` to ``(dN,)`` and their Jacobians, ``(dN,)`` to ``(dN, dN)``.
 VectorField = Callable[[Floats], Floats]
 
-# Largest number of integration steps in `_follow`.
-_FLOW_STEPS = 5000
 # Evaluations of the vector field in one integration, which take some seconds; a usual one needs a thousand.
 _MAX_EVALUATIONS = 200_000
 
@@ -34,10 +32,6 @@ INTEGRATORS: dict[str, type[OdeSolver]] = {
     "BDF": BDF,
     "LSODA": LSODA,
 }
-# Relative tolerance of the time of arrival, as for SciPy's own events.
-_TINY = 4.0 * float(np.finfo(float).eps)
-# Exponents of the powers in RK45's interpolants.
-_ORDERS = np.arange(4)
 
 
 @frozen
@@ -141,9 +135,9 @@ def _search(
 
 
 def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
-    """The state after ``duration``, or after `_FLOW_STEPS`, which only a network far faster than its decay needs."""
+    """The state after ``duration``, or after 5000 steps, which only a network far faster than its decay needs."""
     flow = RK45(lambda _, y: vector_field(y), 0.0, x, duration)
-    for _ in range(_FLOW_STEPS):
+    for _ in range(5000):
         if flow.status != "running":
             break
         check_time()
@@ -260,7 +254,9 @@ def _run(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Flo
         piece = solver.dense_output()
         pieces.append(piece)
         if away is not None and away(solver.y) <= 0.0:
-            end = brentq(lambda time, piece=piece: away(piece(time)), solver.t_old, solver.t, xtol=_TINY, rtol=_TINY)
+            # As precise as SciPy's own events.
+            tiny = 4.0 * float(np.finfo(float).eps)
+            end = brentq(lambda time, piece=piece: away(piece(time)), solver.t_old, solver.t, xtol=tiny, rtol=tiny)
             t.append(end)
             x.append(piece(end))
             break
@@ -275,6 +271,6 @@ def _polynomials(t: Floats, pieces: list[DenseOutput]) -> PPoly:
     In a step h from time t they are y + h sum_k Q_k s^(k+1) with s = (time - t) / h.
     """
     steps = np.array([step.h for step in pieces])
-    slopes = np.array([step.Q for step in pieces]) / (steps[:, None] ** _ORDERS)[:, None]
+    slopes = np.array([step.Q for step in pieces]) / (steps[:, None] ** np.arange(4))[:, None]
     states = np.array([step.y_old for step in pieces])
     return PPoly(np.concatenate([slopes[..., ::-1], states[..., None]], axis=-1).transpose(1, 2, 0), t, axis=1)

@@ -21,8 +21,6 @@ from lieednn_sim.values import Floats
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 # Positions in a step, the last one its end, and weights of the first three.
 _PLACES, _SHARES = np.append(0.5 * (1.0 + _NODES), 1.0), 0.5 * _WEIGHTS
-# Largest fall of e^-z in a step: switches are less steep than its inverse.
-_LARGEST_FALL = 0.02
 
 
 class UndrivenState:
@@ -62,7 +60,8 @@ class UndrivenState:
 
     def advance(self, z: float) -> None:
         """Advance by a time z of 1/gamma."""
-        count = max(1, math.ceil(self._left * -math.expm1(-z) / _LARGEST_FALL))
+        # Switches are less steep than the inverse of the largest fall of e^-z in a step.
+        count = max(1, math.ceil(self._left * -math.expm1(-z) / 0.02))
         step = z / count
         for _ in range(count):
             inputs = self._input(self._left * np.exp(-step * _PLACES))

@@ -169,43 +169,34 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
 def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     rng, total = np.random.default_rng(problem.seed), options.n_networks
     xi = problem.arm.encode(problem.target)
-    networks: list[LieEDNN] = []
-    message = ""
     one_screw = all(joint.screw is not None for joint in problem.arm.joints.joints)
-    few = min(options.n_first, total) if one_screw else total
     if one_screw and options.bias_magnitudes == BIAS_MAGNITUDES:
         options = replace(options, bias_magnitudes=_STRAIGHT_MAGNITUDES)
     magnitudes = list(options.magnitudes())
-    for begin, end in ((0, few), (few, total)):
-        if begin == end:
-            continue
-        for first in range(begin, end, _BATCH_SIZE):
-            drawn = _drawn(xi, magnitudes[first : min(first + _BATCH_SIZE, end)], options, rng)
-            for number, result in enumerate(drawn, first + 1):
-                if result.network is None:
-                    message = result.message
-                else:
-                    networks.append(result.network)
-                if problem.progress is not None:
-                    problem.progress(number, total)
-        if not networks and end == total:
+    # The numbers of networks with which a plan is tried.
+    few = min(options.n_first, total) if one_screw else total
+    networks, drawn = list[LieEDNN](), 0
+    while drawn < total:
+        end = min(drawn + _BATCH_SIZE, few if drawn < few else total)
+        results = _drawn(xi, magnitudes[drawn:end], options, rng)
+        networks += [result.network for result in results if result.network is not None]
+        if problem.progress is not None:
+            for number in range(drawn + 1, end + 1):
+                problem.progress(number, total)
+        drawn = end
+        if drawn == total and not networks:
             # Only as a last resort: hard candidates cost seconds, and mostly an easy one suffices.
-            last = synthesize(
-                xi,
-                bias=options.bias,
-                bias_magnitude=magnitudes[-1],
-                activation=options.activation,
-                seed=rng,
-                max_attempts=options.last_attempts,
-            )
-            message, networks = last.message, [last.network] if last.network else []
-        if networks:
+            results = _drawn(xi, magnitudes[-1:], replace(options, attempts=options.last_attempts), rng)
+            networks = [result.network for result in results if result.network is not None]
+        if drawn in (few, total) and networks:
             try:
-                return _plan(problem, options, networks, end)
+                return _plan(problem, options, networks, drawn)
             except PlanError:
-                if end == total:
+                if drawn == total:
                     raise
-    raise NotCertifiedError(f"none of {total} candidates for the target could be certified; the last one: {message}")
+    raise NotCertifiedError(
+        f"none of {total} candidates for the target could be certified; the last one: {results[-1].message}"
+    )
 
 
 def _drawn(xi: Floats, magnitudes: list[float], options: CertifiedOptions, rng: np.random.Generator) -> list[Synthesis]:

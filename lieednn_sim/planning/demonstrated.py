@@ -1,8 +1,7 @@
 """A certified network for an arm's joints from demonstrations of them, for example by kinesthetic teaching.
 
 The joint positions are averaged at equal fractions of the path length and encoded by the arm. `synthesis.shape` makes a
-network that follows this mean, more closely where the demonstrations agree; the motion has the demonstrations' time
-law.
+network that follows this mean; the motion has the demonstrations' time law.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.planning.time_laws import Law, law_of_times, step_lengths
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
-from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive, as_times
+from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
 # Steps of the phase, and the number of them that define the time law: recorded times are noisy.
@@ -170,17 +169,15 @@ class JointMotion:
         demonstrations: JointDemonstrations,
         deviation: float | None = None,
         options: ShapingOptions | None = None,
-        seed: Seed = 0,
         family: bool = True,
     ) -> JointMotion:
-        """Shape a network by the demonstrations' mean and spread, and by their response to the start.
+        """Shape a network by the demonstrations' mean, and by their response to the start.
 
         Args:
             demonstrations: demonstrations to follow.
             deviation: largest deviation from their mean, in their `units` [m]; by default `DEVIATION` times its length.
                 Neurons are added until it is met; see `Shaping.success`.
             options: options of the search.
-            seed: seed of its starts.
             family: as of `ShapedMotion.fit`.
 
         Raises:
@@ -192,9 +189,7 @@ class JointMotion:
         if length < _LEAST_LENGTH:
             raise InputError("the mean of the demonstrations does not move")
         asked = DEVIATION * float(length) if deviation is None else as_positive("deviation", deviation)
-        shaping = shape(
-            curve, asked, units=demonstrations.units, spread=demonstrations.spread, options=options, seed=seed
-        )
+        shaping = shape(curve, asked, units=demonstrations.units, options=options)
         knots = np.linspace(0, len(mean) - 1, _LAW_STEPS + 1).round().astype(int)
         law = law_of_times(demonstrations.t[knots], fractions[knots])
         duration = float(demonstrations.t[-1])

@@ -5,25 +5,27 @@ finite time. A robot can do neither. So only the path q(tau) of the network is k
 minimum-jerk law of its length l, l(t) = L sigma(t / T) with sigma = 10 s^3 - 15 s^4 + 6 s^5, and more slowly where it
 turns sharply. The length combines joint velocities, in units of their limits, with the rate of convergence: where
 joints reverse, their velocity passes through zero, and with a length of the joints alone they would reverse at once.
-The path ends where the network is within `RESIDUAL` of its equilibrium.
+The path ends where the network is within `RESIDUAL` of its equilibrium. That of a universal network is known in closed
+form, so that nothing is integrated.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import BSpline, PchipInterpolator, make_interp_spline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork
-from lieednn_sim.network.dynamics import Trajectory
+from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.planning.motion import Motion, check_motion, count_steps
 from lieednn_sim.planning.problem import PlanningProblem
-from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law
+from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law, step_lengths
+from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
@@ -35,29 +37,37 @@ _SAMPLES_PER_STEP = 8
 _ROUNDING = 1e-14
 # Distance at which joints have arrived [rad, m]; two configurations with the same poses differ by more.
 _ARRIVAL_DISTANCE = 1e-3
+# Joints of a universal network are decoded at every third instant of its closed form, and beyond this w, where instants
+# become denser, at all. The degree of the spline through them makes it good to a micrometre.
+_STRIDE, _DENSE, _DEGREE = 3, 0.95, 5
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkPath:
-    """The path of an arm that follows a network, in the network's own time tau; `timed` makes motions along it.
+    """The path of an arm that follows a network; `timed` makes motions along it.
+
+    Positions on it are the network's own time tau, or w = 1 - e^-tau, in which that of a universal network is smooth to
+    its end.
 
     Attributes:
         arm: decodes states to joint positions.
         network: a network with as many visible neurons as the arm has links.
         start: ``(n,)`` joint position at the beginning.
-        origin: ``(N, 6)`` state of all neurons at the start.
-        target: ``(N, 6)`` the network's equilibrium.
-        trajectory: the states from origin to target and the speed along them, both as functions of tau; None if origin
-            and target coincide. The speed is that of the joints in units of their limits, combined with the rate of
-            convergence, or that of the network's states.
+        target: ``(N, 6)`` the visible neurons' equilibrium.
+        states: from positions ``(K,)`` to the states of all neurons there, or of the visible ones if there are joints.
+        speed: the speed along the path as a function of position, up to its end: that of the joints in units of their
+            limits, combined with the rate of convergence, or that of the network's states. None if nothing moves.
+        joints: joint positions as a function of w, decoded beforehand; None if they are decoded at each sample, and
+            positions are tau.
     """
 
     arm: Arm
     network: ComponentwiseNetwork
     start: Floats
-    origin: Floats
     target: Floats
-    trajectory: tuple[Trajectory, PchipInterpolator] | None
+    states: Callable[[Floats], Floats]
+    speed: PchipInterpolator | None
+    joints: BSpline | None = None
 
     @classmethod
     def integrate(
@@ -76,7 +86,7 @@ class NetworkPath:
             raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
         target = equilibrium.xi
         if np.abs(origin - target).max() <= RESIDUAL:
-            return cls(arm, network, begin, origin, target, None)
+            return cls(arm, network, begin, network.visible(target), lambda at: np.stack([origin] * len(at)), None)
         # The pace is gamma's far from the equilibrium, and the slowest eigenvalue's close to it.
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
         longest = 100.0 / network.gamma + 40.0 / pace
@@ -108,13 +118,30 @@ class NetworkPath:
             rates = np.linalg.norm(field * units, axis=(-2, -1))
         # Shape-preserving, so that the speed stays positive between its samples.
         speed = PchipInterpolator(grid, rates)
-        return cls(arm, network, begin, origin, target, (trajectory, speed))
+        return cls(arm, network, begin, network.visible(target), trajectory, speed)
 
-    def state(self, tau: ArrayLike) -> Floats:
-        """States ``(..., N, 6)`` of all neurons at the network's own times ``(...)``."""
-        if self.trajectory is None:
-            return np.broadcast_to(self.origin, (*np.shape(tau), *self.origin.shape))
-        return self.trajectory[0](tau)
+    @classmethod
+    def encoded(cls, arm: Arm, network: LieEDNN, guide: Motion, units: Floats) -> NetworkPath:
+        """The path of a universal network from the start of a motion that it follows, in closed form.
+
+        Args:
+            arm: decodes states to joint positions.
+            network: the universal network (`synthesis.CurveEncoder`) with the code of a curve.
+            guide: the motion, whose joint positions are the guesses from which the path is decoded.
+            units: as of `integrate`.
+
+        Raises:
+            InputError: the network is another one.
+        """
+        visible = CurveEncoder(network.n_visible, network.activation).path(network, guide.xi[0])
+        w = visible.x
+        speed = PchipInterpolator(w, np.linalg.norm(visible(w, 1) * units, axis=(-2, -1)))
+        some = w[(np.arange(len(w)) % _STRIDE == 0) | (w > _DENSE)]
+        # Both paths have about the same length.
+        passed, length = np.append(0.0, np.cumsum(step_lengths(guide.xi, units))), speed.antiderivative()(some)
+        near = np.stack([np.interp(length, passed, joint) for joint in guide.q.T], axis=1)
+        joints = make_interp_spline(some, arm.decode(visible(some), start=near).q, _DEGREE)
+        return cls(arm, network, guide.q[0], network.bias[: network.n_visible], visible, speed, joints)
 
     def timed(self, duration: float, timestep: float, law: Law | None = None) -> Motion:
         """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`.
@@ -130,21 +157,24 @@ class NetworkPath:
 
     def _timed(self, duration: float, timestep: float, law: Law) -> Motion:
         t, position, rate = self._positions(duration, timestep, law)
-        states = self.state(position)
-        xi, rates = self.network.visible(states), self.network.visible(self.network.vector_field(states))
-        decoded = self.arm.decode(xi, rates, self.start)
-        qd = decoded.qd * rate[:, None]
+        states = self.states(position)
+        if self.joints is None:
+            tau, xi = position, self.network.visible(states)
+            decoded = self.arm.decode(xi, self.network.visible(self.network.vector_field(states)), self.start)
+            q, along, gaps = decoded.q, decoded.qd, (decoded.gap_translation, decoded.gap_rotation)
+        else:
+            tau, xi, q, along = -np.log1p(-position), states, self.joints(position), self.joints(position, 1)
+            gaps = self.arm.gap(xi, q)
+        qd = along * rate[:, None]
         qd[[0, -1]] = 0.0
-        target = self.network.visible(self.target)
-        return Motion(t, position, xi, target, decoded.q, qd, decoded.gap_translation, decoded.gap_rotation)
+        return Motion(t, tau, xi, self.target, q, qd, *gaps)
 
     def _positions(self, duration: float, timestep: float, law: Law) -> tuple[Floats, Floats, Floats]:
-        """Times ``(K,)`` [s], positions on the path and their rates there, by a law; here, the network's own times."""
+        """Times ``(K,)`` [s], positions on the path and their rates there, by a law."""
         steps = count_steps(duration, timestep)
         t = as_floats("t", timestep * np.arange(steps + 1), (steps + 1,))
-        if self.trajectory is None:
+        if (speed := self.speed) is None:
             return t, np.zeros_like(t), np.zeros_like(t)
-        _, speed = self.trajectory
         length = speed.antiderivative()
         total = float(length(speed.x[-1]))
         progress, progress_rate = law(t / t[-1])
@@ -184,18 +214,9 @@ def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Moti
     """The checked motion along a path in the problem's duration, by a given time law or that of `NetworkPath.timed`.
 
     Raises:
-        PlanError: as `checked_motion`.
-    """
-    return checked_motion(problem, path.timed(problem.duration, problem.timestep, *law))
-
-
-def checked_motion(problem: PlanningProblem, motion: Motion) -> Motion:
-    """A motion along a network's path, checked.
-
-    Raises:
         PlanError: the motion breaks a limit of the arm, or ends at another configuration with the target's poses.
     """
-    arm = problem.arm
+    arm, motion = problem.arm, path.timed(problem.duration, problem.timestep, *law)
     check_motion(arm, motion)
     away = np.abs(motion.q[-1] - problem.target)
     joint = int(away.argmax())

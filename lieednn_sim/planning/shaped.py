@@ -1,14 +1,13 @@
 """A certified network shaped after the motion of a teacher.
 
 The teacher is the best of a few quick motions (`teachers`). It is encoded as a start of the arm's universal network
-(`synthesis.CurveEncoder`); where that does not follow it closely enough, a network is shaped by `synthesis.shape`. The
-motion follows the network's path by the teacher's time law. It is proved that the network ends at the target from every
-start; its distance from the teacher's path, limits and clearance are only checked.
+(`synthesis.CurveEncoder`); for a clock rate below 1, which that network cannot have, one is shaped by
+`synthesis.shape`. The motion follows the network's path by the teacher's time law. It is proved that the network ends
+at the target from every start; its distance from the teacher's path, limits and clearance are only checked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,10 +16,9 @@ from scipy.spatial import KDTree
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning.encoded_path import EncodedPath
-from lieednn_sim.planning.kept import check_kept, outside
-from lieednn_sim.planning.motion import Motion, rms_jerk
-from lieednn_sim.planning.network_path import NetworkPath, checked_motion, timed_motion
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning.kept import check_kept
+from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
@@ -34,6 +32,9 @@ _TEACHER = TeacherOptions()
 _STRIDE = 2
 # Samples of a network's motion at which it is compared with the teacher's.
 _N_COMPARED = 400
+# Fraction of the allowed deviation, which is the effector's, that is asked of all links of a shaped network. With less
+# there are more neurons, and up to 1.3 times the jerk at a rate of 0.1.
+_ASKED = 0.2
 # Configurations at which lever arms are measured.
 _N_CONFIGURATIONS = 50
 
@@ -43,30 +44,23 @@ class ShapedOptions(NetworkOptions):
     """Options of the planner ``lieednn-shaped``.
 
     Attributes:
-        deviation: deviation of the end effector's path from the teacher's up to which a network is accepted at once
-            [m].
-        jerk: joint jerk, relative to the teacher's, up to which a network is accepted at once.
-        largest_deviation: deviation up to which the best network is accepted if none is accepted at once [m].
-        rate: rho of the hidden neurons' clock (`ShapingOptions`): with 1 the network is as fast as the arm; with less
-            it returns to its path after a push.
+        deviation: largest deviation of the end effector's path from the teacher's [m].
+        rate: rho of the network's clock (`ShapingOptions`). With 1 the motion is encoded in the arm's universal network
+            (`synthesis.CurveEncoder`), which is as fast as the arm; with less a network is shaped that returns to its
+            path after a push.
         teachers: largest number of teachers' motions to try until a network follows one, each from the next seed;
             minimum jerk is tried once.
-        encoded: whether to encode the motion in the universal network of the arm first (`synthesis.CurveEncoder`),
-            whose rate is 1; with another rate a network is shaped at once.
-        neurons: numbers of hidden neurons of networks to shape where the universal network does not suffice, tried in
-            turn until the motion is near, smooth, and keeps limits and clearance.
+        neurons: with a rate below 1, numbers of hidden neurons to try in turn until the network comes within a fifth of
+            the deviation.
         teacher: how the teacher's motion is found.
 
     Raises:
         InputError: a value is out of range.
     """
 
-    deviation: float = 7e-4
-    jerk: float = 1.03
-    largest_deviation: float = 5e-3
+    deviation: float = 5e-3
     rate: float = field(default=1.0, metadata={"range": (0.01, 1.0)})
     teachers: int = 1
-    encoded: bool = True
     neurons: tuple[int, ...] = field(default=(8, 16, 32, 64), metadata={"range": (2, 256)})
     teacher: TeacherOptions = _TEACHER
 
@@ -77,15 +71,11 @@ class ShapedDetails:
 
     Attributes:
         deviation: largest distance of the end effector's path from the teacher's [m].
-        fit_time: CPU time of the encoding and the shaping [s].
-        encoded: whether the network is the universal one, with a code, and not a shaped one.
-        encoding_time: CPU time of the encoding alone [s].
+        fit_time: CPU time of the encoding or the shaping [s].
     """
 
     deviation: float
     fit_time: float
-    encoded: bool = False
-    encoding_time: float = 0.0
 
 
 def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
@@ -99,17 +89,16 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
         teacher = best_teacher(replace(problem, seed=problem.seed + attempt), options.teacher)
         try:
             return _following(problem, options, teacher)
-        except PlanError:
+        except PlanError as error:
             # Minimum jerk does not depend on the seed.
             if attempt + 1 == options.teachers or teacher.planner == "minimum-jerk":
-                raise
+                raise PlanError(f"no network follows the motion of {teacher.planner}: {error}") from None
     raise AssertionError("options.teachers is at least one")
 
 
 def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) -> Plan:
     """A network shaped after a teacher's motion."""
     guide, arm = teacher.motion, problem.arm
-    units = lever_units(arm, guide.q)
     lasts = float(guide.t[-1])
     # The teacher's duration, which may be longer than the problem's.
     asked = replace(problem, duration=lasts, max_time_scale=max(1.0, problem.max_time_scale * problem.duration / lasts))
@@ -117,76 +106,34 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
         network = without_weights(guide.xi_target)
         path = NetworkPath.integrate(arm, network, problem.start)
         return Plan(in_time(timed_motion, asked, path), network, ShapedDetails(0.0, 0.0), teacher=teacher)
-    law = law_of(guide, units)
-    curve = np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]])
-    line, guide_jerk = arm.tip(guide.q[::_STRIDE]), rms_jerk(arm, guide)
-    fit_time, encoding_time, refusal, left = 0.0, 0.0, "no number of neurons was allowed", list[_Fitted]()
-
-    def planned(candidate: _Fitted) -> Plan | None:
-        nonlocal refusal
-        path, deviation = candidate.path, candidate.deviation
-
-        def timely(problem: PlanningProblem) -> Motion:
-            if problem.duration == lasts:
-                return checked_motion(problem, candidate.motion)
-            return timed_motion(problem, path, law)
-
-        try:
-            motion = in_time(timely, asked)
-            check_kept(arm, problem.keep, motion)
-        except PlanError as error:
-            refusal = str(error)
-            return None
-        details = ShapedDetails(deviation, fit_time, isinstance(path, EncodedPath), encoding_time)
-        return Plan(motion, path.network, details, teacher=teacher)
-
-    def paths() -> Iterator[NetworkPath]:
-        nonlocal fit_time, encoding_time, refusal
-        if options.encoded and options.rate == 1.0:
-            try:
-                encoder = CurveEncoder(arm.n_links, options.activation)
-                begun = cpu_time()
-                encoded = encoder.encode(curve, units)
-            except InputError as error:
-                refusal = str(error)
-            else:
-                encoding_time = fit_time = cpu_time() - begun
-                yield EncodedPath.follow(arm, encoder, encoded, guide, units)
-        for count in options.neurons:
-            shaping = ShapingOptions(options.rate, neurons=(), placed_neurons=(count,), activation=options.activation)
-            result = shape(curve, options.deviation, units=units, options=shaping)
-            fit_time += result.cpu_time
-            yield NetworkPath.integrate(arm, result.network, problem.start, units)
-
-    for path in paths():
-        motion = path.timed(lasts, problem.timestep, law)
-        some = motion.q[:: max(1, len(motion.q) // _N_COMPARED)]
-        deviation, jerk = _deviation(arm.tip(some), line), rms_jerk(arm, motion) / guide_jerk
-        badness = max(deviation / options.deviation, (jerk - 1.0) / (options.jerk - 1.0))
-        if problem.keep is not None:
-            badness = max(badness, outside(arm, problem.keep, some))
-        candidate = _Fitted(badness, path, motion, deviation)
-        if candidate.badness <= 1.0:
-            if made := planned(candidate):
-                return made
-        elif deviation <= options.largest_deviation:
-            left.append(candidate)
-        else:
-            refusal = f"the end effector would be {1e3 * deviation:.2g} mm off the teacher's path"
-    for candidate in sorted(left, key=lambda one: one.badness):
-        if made := planned(candidate):
-            return made
-    raise PlanError(f"no network follows the motion of {teacher.planner} closely enough: {refusal}")
+    units, start = lever_units(arm, guide.q), cpu_time()
+    network = _network(arm, options, np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]]), units)
+    fit_time = cpu_time() - start
+    if options.rate < 1.0:
+        path = NetworkPath.integrate(arm, network, problem.start, units)
+    else:
+        path = NetworkPath.encoded(arm, network, guide, units)
+    motion = in_time(timed_motion, asked, path, law_of(guide, units))
+    check_kept(arm, problem.keep, motion)
+    some = motion.q[:: max(1, len(motion.q) // _N_COMPARED)]
+    deviation = _deviation(arm.tip(some), arm.tip(guide.q[::_STRIDE]))
+    if deviation > options.deviation:
+        raise PlanError(
+            f"the end effector would be {1e3 * deviation:.2g} mm off its path, and deviation allows "
+            f"{1e3 * options.deviation:.2g} mm"
+        )
+    return Plan(motion, path.network, ShapedDetails(deviation, fit_time), teacher=teacher)
 
 
-@frozen
-class _Fitted:
-    """A network's path and motion; their badness, of which at most 1 is accepted at once, and deviation [m]."""
-
-    badness: float
-    path: NetworkPath
-    motion: Motion
-    deviation: float
+def _network(arm: Arm, options: ShapedOptions, curve: Floats, units: Floats) -> LieEDNN:
+    """A network that follows a curve ``(K, N, 6)``, with ``units`` as of `lever_units`."""
+    if options.rate < 1.0:
+        shaping = ShapingOptions(options.rate, options.neurons, options.activation)
+        return shape(curve, _ASKED * options.deviation, units=units, options=shaping).network
+    try:
+        return CurveEncoder(arm.n_links, options.activation).encode(curve, units)
+    except InputError as error:
+        raise PlanError(f"{error}; with a rate below 1 a network of its own is shaped") from None
 
 
 def lever_units(arm: Arm, q: Floats) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,10 +31,8 @@ class CertifiedPolicyOptions(NetworkOptions):
 
 def shaped(task: PolicyTask, options: ShapedOptions) -> NetworkPolicy:
     """A network along the motion of the planner ``lieednn-shaped``."""
-    # A network of its own has a tenth of the universal one's neurons, so that its steps take less time.
-    own = replace(options, encoded=False)
     network = plan(
-        task.arm, task.target, planner="lieednn-shaped", start=task.start, options=own, seed=task.seed
+        task.arm, task.target, planner="lieednn-shaped", start=task.start, options=options, seed=task.seed
     ).network
     assert isinstance(network, LieEDNN)
     # Its clock is the slowest.

@@ -39,13 +39,12 @@ class ModelActuators:
         moments = actuator_moments(model)
         self._nv = int(model.nv)
         self.driving = _moving(moments, basis)
-        moment = np.where(self.driving[:, None], moments, 0.0)
-        self.transmission = transmission = moment @ basis
+        self._moment = np.where(self.driving[:, None], moments, 0.0)
+        self.transmission = transmission = self._moment @ basis
         _check(model, self.driving)
         # Forces f of least norm with basis^T moment^T f = basis^T tau: components of tau that do no work on the arm,
         # such as forces on other joints and between coupled stages, are left out.
-        allocation = np.linalg.pinv(transmission.T) @ basis.T
-        self._moment, self._allocation = _Product(moment), _Product(allocation)
+        self._allocation = np.linalg.pinv(transmission.T) @ basis.T
         self._gain = np.where(self.driving, model.actuator_gainprm[:, 0], 1.0)
         self._bias = np.where(self.driving, model.actuator_biasprm[:, :3].T, 0.0)
         self.servos = self.driving & (self._bias[1] / self._gain < 0.0)
@@ -67,21 +66,21 @@ class ModelActuators:
         """Lengths ``(..., nu)`` at positions ``(..., nq)``; zero for actuators that do not move the arm."""
         if qpos.shape[-1] == self._nv:
             # Without quaternions both have the same layout.
-            return self._moment(qpos)
+            return np.matvec(self._moment, qpos)
         x = np.zeros((*qpos.shape[:-1], self._nv))
         x[..., self._positions[1]] = qpos[..., self._positions[0]]
         for position, dof in self._balls:
             for index in np.ndindex(qpos.shape[:-1]):
                 mujoco.mju_quat2Vel(x[index][dof : dof + 3], qpos[index][position : position + 4], 1.0)
-        return self._moment(x)
+        return np.matvec(self._moment, x)
 
     def velocities(self, qvel: Floats) -> Floats:
         """Velocities ``(..., nu)`` of lengths at generalised velocities ``(..., nv)``."""
-        return self._moment(qvel)
+        return np.matvec(self._moment, qvel)
 
     def forces(self, generalised: Floats) -> Floats:
         """Actuator forces ``(..., nu)`` with the effect of generalised forces ``(..., nv)`` on the arm's joints."""
-        return self._allocation(generalised)
+        return np.matvec(self._allocation, generalised)
 
     def servo_controls(self, qpos: Floats, qvel: Floats, generalised: Floats | None = None) -> Floats:
         """Controls ``(..., nu)`` for which servos exert given forces at given states: (f - b0 - b1 l - b2 v) / g.
@@ -108,7 +107,7 @@ class ModelActuators:
 
     def direct_controls(self, generalised: Floats, out: Floats | None = None) -> Floats:
         """Controls ``(nu,)`` of direct-drive actuators (`make_direct`) for generalised forces ``(nv,)``."""
-        return np.add(self._allocation(generalised), self._idle, out)
+        return np.add(np.matvec(self._allocation, generalised), self._idle, out)
 
     def free_controls(self, model: mujoco.MjModel) -> None:
         """Remove the control ranges of the driving actuators in a model; their force ranges stay.
@@ -135,25 +134,6 @@ class Actuators(ModelActuators):
     def __init__(self, arm: Arm) -> None:
         super().__init__(arm.model, tangent_basis(arm))
         _check_complete(arm, self.transmission)
-
-
-class _Product:
-    """Products of a matrix with vectors along the last axis; each is bit-identical to the product with one vector.
-
-    If each row has a single entry, as for actuators that move one joint each, the product only selects entries.
-    """
-
-    def __init__(self, matrix: Floats) -> None:
-        self._matrix, self._columns = matrix, np.abs(matrix).argmax(axis=1)
-        self._entries = matrix[np.arange(len(matrix)), self._columns]
-        self._single = bool((np.count_nonzero(matrix, axis=1) <= 1).all())
-        self._unit = bool((self._entries == 1.0).all())
-
-    def __call__(self, vectors: Floats) -> Floats:
-        if not self._single:
-            return np.asarray((self._matrix @ vectors[..., None])[..., 0])
-        chosen = vectors.take(self._columns, axis=-1)
-        return chosen if self._unit else chosen * self._entries
 
 
 def driving_actuators(arm: Arm) -> NDArray[np.bool_]:

@@ -17,9 +17,6 @@ from lieednn_sim.simulation.moving_obstacles import MovingObstacle
 from lieednn_sim.validation import as_floats, as_positive, as_seed, quoted
 from lieednn_sim.values import Floats, check_fields, set_fields
 
-# Number of measurements whose errors are drawn at once.
-_BATCH_SIZE = 256
-
 
 @dataclass(frozen=True)
 class Push:
@@ -204,7 +201,7 @@ class Sensors:
         rng = np.random.default_rng(self._seed)
         while True:
             # Two arrays of rows: unpacking rows that are pairs would take five times as long as everything else.
-            yield from map(Noise, *np.moveaxis(self._errors(rng, _BATCH_SIZE), 1, 0))
+            yield from map(Noise, *np.moveaxis(self._errors(rng, 256), 1, 0))
 
 
 def tangent_basis(arm: Arm) -> Floats:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import field
@@ -17,19 +16,22 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.registry import CONTROLLERS
-from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances
-from lieednn_sim.simulation.plant import make_plant
+from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
-from lieednn_sim.simulation.tracking import as_hold, as_motion, as_reference, joined, simulate
+from lieednn_sim.simulation.tracking import (
+    as_hold,
+    as_motion,
+    as_reference,
+    at_rest_after,
+    joined,
+    make_controlled,
+    simulate,
+)
 from lieednn_sim.validation import as_count, as_positive, as_workers
 from lieednn_sim.values import Floats, frozen
-
-_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_PUSHES = mujoco.mjtState.mjSTATE_XFRC_APPLIED
 
 
 @frozen
@@ -103,55 +105,55 @@ def simulate_many(
         raise InputError("motions must hold at least one motion or plan")
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
-    bare, changes = arm.without_visuals, Disturbances() if disturbances is None else disturbances
-    CONTROLLERS.find(controller)  # before the work
+    changes = Disturbances() if disturbances is None else disturbances
     settings = {"controller": controller, "reference_rate": rate, "disturbances": changes}
-    q = np.full((len(chosen), total, arm.n_joints), np.nan)
-    qd, ctrl = q.copy(), np.full((len(chosen), total, arm.model.nu), np.nan)
+    q, qd, ctrl = (np.full((len(chosen), total, n), np.nan) for n in (arm.n_joints, arm.n_joints, arm.model.nu))
     failures: dict[int, str] = {}
-    own = threading.local()
+    workers = min(as_workers("threads", os.cpu_count() or 1 if threads is None else threads), len(chosen))
 
-    def run(index: int) -> None:
-        reference = as_reference(arm, chosen[index], total - len(chosen[index].t), rate)
-        if hasattr(own, "simulation"):
-            own.reference.become(reference)
-        else:
-            # Once per thread: setting up a controller takes long and is the same for every motion.
-            own.reference, own.driver = reference, make_controller(controller, bare, reference)
-            plant = make_plant(bare, changes, own.driver.add_bodies if own.driver.adds_bodies else None)
-            own.driver.equip(plant)
-            own.simulation = Simulation(bare, plant, disturbances=changes)
-        driver: Controller = own.driver
-        simulation: Simulation = own.simulation
-        model, data = simulation.model, simulation.data
-        simulation.reset(reference.q[0])
-        inputs = driver.inputs(range(total), simulation.first_noise(total))
-        if inputs is None:
-            raise InputError(
-                f"the controller {controller} needs the state at every step, so its rollouts are made one by one, by "
-                "simulate; many at once take one whose controls are known beforehand: "
-                "position-servo, inverse-dynamics, mocap or mocap-deadbeat"
-            )
-        if changes.pushes:
-            inputs[_PUSHES] = simulation.pushes.forces(range(total))
-        kind, rows = joined(inputs)
-        states = np.empty((1, total + 1, mujoco.mj_stateSize(model, _STATE)))
-        mujoco.mj_getState(model, data, states[0, 0], _STATE)
-        states[:, 1:] = rollout.rollout(model, data, states[:, 0], rows[None], control_spec=kind)[0]
-        if data.warning.number.any() or not np.isfinite(states).all():
-            failures[index] = _failure(arm, chosen[index], total, settings)
-            return
-        qpos, qvel = np.split(states[0, :-1, 1 : 1 + model.nq + model.nv], [model.nq], axis=1)
-        q[index] = arm.coordinates(qpos)
-        qd[index] = arm.rates(q[index], qvel)
-        ctrl[index] = inputs.get(mujoco.mjtState.mjSTATE_CTRL, 0.0)
+    def work(first: int) -> None:
+        """Every so many motions, with one controller and one plant: to make these takes a tenth of a simulation."""
+        reference = as_reference(arm, chosen[first], total, rate)
+        driver, simulation = make_controlled(arm, controller, reference, changes)
+        for index in range(first, len(chosen), workers):
+            reference.forget(reference.known)
+            reference.extend(*at_rest_after(chosen[index], total))
+            states, controls = _states(driver, simulation, reference, controller)
+            if simulation.data.warning.number.any() or not np.isfinite(states).all():
+                failures[index] = _failure(arm, chosen[index], total, settings)
+                continue
+            qpos, qvel = np.split(states[:-1, 1 : 1 + arm.model.nq + arm.model.nv], [arm.model.nq], axis=1)
+            q[index] = arm.coordinates(qpos)
+            qd[index] = arm.rates(q[index], qvel)
+            ctrl[index] = controls
 
-    workers = as_workers("threads", os.cpu_count() or 1 if threads is None else threads)
     with QuietWarnings(), ThreadPoolExecutor(workers) as pool:
-        for _ in pool.map(run, range(len(chosen))):
+        for _ in pool.map(work, range(workers)):
             pass
     t = arm.timestep * np.arange(total, dtype=float)
     return Rollouts(arm, tuple(motions), t, q, qd, ctrl, dict(sorted(failures.items())), settings)
+
+
+def _states(
+    driver: Controller, simulation: Simulation, reference: Reference, controller: str
+) -> tuple[Floats, Floats | float]:
+    """The states ``(K + 1, size)`` along a reference, in MuJoCo's order, and the controls ``(K, nu)`` of its steps."""
+    model, data, total, kind = simulation.model, simulation.data, len(reference.q), mujoco.mjtState.mjSTATE_FULLPHYSICS
+    simulation.reset(reference.q[0])
+    inputs = driver.inputs(range(total), simulation.first_noise(total))
+    if inputs is None:
+        raise InputError(
+            f"the controller {controller} needs the state at every step, so its rollouts are made one by one, by "
+            "simulate; many at once take one whose controls are known beforehand: "
+            "position-servo, inverse-dynamics, mocap or mocap-deadbeat"
+        )
+    if simulation.disturbances.pushes:
+        inputs[mujoco.mjtState.mjSTATE_XFRC_APPLIED] = simulation.pushes.forces(range(total))
+    parts, rows = joined(inputs)
+    start = np.empty((1, mujoco.mj_stateSize(model, kind)))
+    mujoco.mj_getState(model, data, start[0], kind)
+    after = rollout.rollout(model, data, start, rows[None], control_spec=parts)[0]
+    return np.concatenate([start, after[0]]), inputs.get(mujoco.mjtState.mjSTATE_CTRL, 0.0)
 
 
 def _failure(arm: Arm, motion: Motion, total: int, settings: dict[str, Any]) -> str:

@@ -13,8 +13,6 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.simulation.disturbances import Disturbances
 
 _PAYLOAD = "unknown_payload"
-# Density of steel: the payload has the inertia of a steel ball [kg/m^3].
-_DENSITY = 7850.0
 
 
 def make_plant(
@@ -51,7 +49,8 @@ def make_plant(
 def _add_payload(spec: Any, arm: Arm, mass: float) -> None:
     """Add a ball at the end effector's frame, without collisions and gravity compensation."""
     site = spec.site(arm.model.site(int(arm.site_ids[-1])).name)
-    radius = (3.0 * mass / (4.0 * np.pi * _DENSITY)) ** (1.0 / 3.0)
+    # The inertia is that of a ball of steel, 7850 kg/m^3.
+    radius = (3.0 * mass / (4.0 * np.pi * 7850.0)) ** (1.0 / 3.0)
     site.parent.add_body(
         name=_PAYLOAD,
         pos=site.pos,

@@ -69,12 +69,6 @@ class Reference:
         self.known -= count
         self.revision += 1
 
-    def become(self, other: Reference) -> None:
-        """Take the rows of another reference of the same arm and with the same hold, without a copy."""
-        self.q, self.qd, self.qpos, self.qvel = other.q, other.qd, other.qpos, other.qvel
-        self.known = other.known
-        self.revision += 1
-
     def row(self, step: int) -> int:
         """The row that a controller sees at a step."""
         return step - step % self.hold

@@ -173,9 +173,6 @@ class Rollout:
             FileError: it is no such file, or it was made with another arm, scene or motion.
         """
         arrays, meta = io.load_arrays(path, "rollout")
-        units = meta.get("channel_units")
-        if not isinstance(units, dict):
-            raise FileError(f"{path} was written by an older version, without channels; simulate again")
         if meta.get("model") != arm.fingerprint:
             raise FileError(
                 f"{path} is of arm {meta.get('arm')!r} in scene {meta.get('scene')!r} (fingerprint "
@@ -183,8 +180,9 @@ class Rollout:
                 f"({io.short(arm.fingerprint)}); load it with its own arm, or simulate it again"
             )
         values = dict(zip(_ARRAYS, io.take(arrays, path, *_ARRAYS), strict=True))
-        channels = dict(zip(units, io.take(arrays, path, *(_CHANNEL + name for name in units)), strict=True))
         try:
+            units = dict(meta["channel_units"])
+            channels = dict(zip(units, io.take(arrays, path, *(_CHANNEL + name for name in units)), strict=True))
             rate = meta["reference_rate"]
             return cls(
                 arm=arm,

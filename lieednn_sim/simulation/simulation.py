@@ -18,11 +18,6 @@ from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats
 
-# Steps of one call; more is an error of units.
-_MOST_STEPS = 10**7
-# All from which the next steps follow.
-_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-
 
 class Simulation:
     """A simulated arm, for loops of one's own; `simulate` and `follow` are made of it.
@@ -56,8 +51,6 @@ class Simulation:
         self.pushes = Pushes(arm, self.model, self.disturbances.pushes)
         self.moved = Moved(self.model, self.disturbances.obstacles)
         self._sensors = Sensors(arm, self.disturbances)
-        self._undisturbed = not (self.disturbances.pushes or self.disturbances.obstacles or self._sensors.noisy)
-        self._before = np.zeros(mujoco.mj_stateSize(self.model, _STATE))
         self.steps = 0
         self.noise: Noise
         self.reset(arm.coordinates(arm.model.qpos0))
@@ -128,31 +121,14 @@ class Simulation:
         Raises:
             SimulationError: MuJoCo warns, or the state is not finite; the message has the time.
         """
-        count = as_count("steps", steps, most=_MOST_STEPS)
+        # More is an error of units.
+        count = as_count("steps", steps, most=10**7)
         rows = None if controls is None else as_floats("controls", controls, (count, self.model.nu))
         with QuietWarnings():
-            if rows is not None and self._undisturbed and self._advance_unwatched(rows):
-                return
             for k in range(count):
                 if rows is not None:
                     self._control[:] = rows[k]
                 self.advance_once()
-
-    def _advance_unwatched(self, controls: Floats) -> bool:
-        """Do steps with controls ``(steps, nu)`` and look at the end whether all went well; if not, undo them."""
-        if any(self._warnings.tolist()):
-            return False
-        model, data, control, step = self.model, self.data, self._control, mujoco.mj_step
-        mujoco.mj_getState(model, data, self._before, _STATE)
-        for row in controls:
-            control[:] = row
-            step(model, data)
-        if self._well:
-            self.steps += len(controls)
-            return True
-        mujoco.mj_setState(model, data, self._before, _STATE)
-        self._warnings[:] = 0
-        return False
 
     def advance_once(self) -> None:
         """Do one step as `advance` does, within the caller's `QuietWarnings`, which is entered once for many steps."""
@@ -161,19 +137,14 @@ class Simulation:
         if self.disturbances.obstacles:
             self.moved.apply(self.time)
         mujoco.mj_step(self.model, self.data)
-        if not self._well:
+        # Positions follow from velocities. A finite sum has finite terms; otherwise it may have overflowed, so the
+        # terms are checked one by one. For a few numbers a list is faster than an array.
+        finite = isfinite(sum(self._velocity.tolist())) or np.isfinite(self._velocity).all()
+        if not finite or any(self._warnings.tolist()):
             raise failure(self.data, repr(self.arm.name), self.time)
         self.steps += 1
         if self._sensors.noisy:
             self.noise = self._sensors.draw()
-
-    @property
-    def _well(self) -> bool:
-        """Whether the state is finite and MuJoCo has not warned."""
-        # Positions follow from velocities. A finite sum has finite terms; otherwise it may have overflowed, so the
-        # terms are checked one by one. For a few numbers a list is faster than an array.
-        finite = isfinite(sum(self._velocity.tolist())) or np.isfinite(self._velocity).all()
-        return bool(finite) and not any(self._warnings.tolist())
 
 
 def failure(data: mujoco.MjData, what: str, time: float) -> SimulationError:

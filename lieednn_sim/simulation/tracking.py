@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
+import contextlib
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,9 +26,6 @@ from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
-# Largest time after the motion [s]: a longer one is an error of units, and would take gigabytes.
-_MAX_HOLD = 1000.0
-
 
 def make_controlled(
     arm: Arm, controller: str, reference: Reference, disturbances: Disturbances
@@ -45,8 +41,9 @@ def make_controlled(
 def as_hold(value: float) -> float:
     """Return the time after a motion [s] when it can be simulated, or raise `InputError`."""
     hold = float(as_floats("hold", value, ()))
-    if not 0.0 <= hold <= _MAX_HOLD:
-        raise InputError(f"hold must be between 0 and {_MAX_HOLD:g} s, got {hold:g}")
+    # A longer one is an error of units, and would take gigabytes.
+    if not 0.0 <= hold <= 1000.0:
+        raise InputError(f"hold must be between 0 and 1000 s, got {hold:g}")
     return hold
 
 
@@ -61,14 +58,16 @@ def as_motion(arm: Arm, motion: Plan | Motion) -> Motion:
     return motion
 
 
-def as_reference(arm: Arm, motion: Motion, extra: int, rate: float | None) -> Reference:
-    """A motion and ``extra`` steps of rest at its end, seen at a rate [Hz] or at every step."""
-    return Reference.of(
-        arm,
-        np.vstack([motion.q, np.repeat(motion.q[-1:], extra, axis=0)]),
-        np.vstack([motion.qd, np.zeros((extra, arm.n_joints))]),
-        hold=1 if rate is None else steps_of_rate("reference_rate", rate, arm.timestep),
-    )
+def at_rest_after(motion: Motion, rows: int) -> tuple[Floats, Floats]:
+    """Joint coordinates and rates ``(rows, n)`` of a motion and of the rest at its end."""
+    extra = ((0, rows - len(motion.q)), (0, 0))
+    return np.pad(motion.q, extra, "edge"), np.pad(motion.qd, extra)
+
+
+def as_reference(arm: Arm, motion: Motion, rows: int, rate: float | None) -> Reference:
+    """A motion and the rest at its end, seen at a rate [Hz] or at every step."""
+    hold = 1 if rate is None else steps_of_rate("reference_rate", rate, arm.timestep)
+    return Reference.of(arm, *at_rest_after(motion, rows), hold=hold)
 
 
 def simulate(
@@ -81,7 +80,6 @@ def simulate(
     reference_rate: float | None = None,
     disturbances: Disturbances | None = None,
     log: Sequence[ChannelSource] = (),
-    dump_directory: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Rollout:
     """Simulate an arm whose controller tracks a motion and then holds its end.
@@ -99,30 +97,27 @@ def simulate(
             the simulation's rate. By default it sees every step.
         disturbances: disturbances unknown to the controller.
         log: further quantities to log, each a `Channel`; the rollout has them in ``channels``.
-        dump_directory: directory for ``divergence.npz`` if the simulation fails; by default nothing is written.
         progress: called with (done, total) steps, about every tenth of a second.
 
     Raises:
         InputError: the motion does not fit the model, or two channels have one name.
-        SimulationError: a warning of MuJoCo or a state that is not finite; names the time and the dump.
+        SimulationError: a warning of MuJoCo or a state that is not finite; it has the run up to there.
     """
     if target is None and isinstance(motion, Plan):
         target = motion.target
     motion = as_motion(arm, motion)
-    extra = round(as_hold(hold) / arm.timestep)
+    total = len(motion.t) + round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
-    reference = as_reference(arm, motion, extra, rate)
+    reference = as_reference(arm, motion, total, rate)
     changes = Disturbances() if disturbances is None else disturbances
     meta: dict[str, Any] = {"motion": motion, "controller": controller, "reference_rate": rate, "disturbances": changes}
     if target is not None:
         meta["target"] = arm.check_position(target, "target")
     driver, simulation = make_controlled(arm, controller, reference, changes)
     simulation.reset(reference.q[0])
-
-    total = len(reference.q)
     drive = _drive(driver, simulation, total)
     record = Log(simulation, driver, *log)
-    shown = time.monotonic()
+    shown, end = time.monotonic(), float(motion.t[-1])
     try:
         with QuietWarnings():
             for k in range(total):
@@ -132,13 +127,12 @@ def simulate(
                     shown = time.monotonic()
                     progress(k + 1, total)
     except SimulationError as error:
-        if dump_directory is None or len(record) < 2:
-            raise
-        path = Path(dump_directory) / "divergence.npz"
-        end = len(record) * arm.timestep
-        as_rollout(arm, record, reference.q, reference.qd, motion_end=end, **meta).save(path)
-        raise SimulationError(f"{error}; the run up to there is in {path} (Rollout.load reads it)") from None
-    end = float(motion.t[-1])
+        if len(record) > 1:
+            end = len(record) * arm.timestep
+            # What was logged may be out of range before the state is.
+            with contextlib.suppress(InputError):
+                error.rollout = as_rollout(arm, record, reference.q, reference.qd, motion_end=end, **meta)
+        raise
     return as_rollout(arm, record, reference.q, reference.qd, motion_end=end, **meta)
 
 

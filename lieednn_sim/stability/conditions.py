@@ -39,9 +39,6 @@ CONDITIONS = (
 # explicit integrators need very many steps, and rounding errors are amplified.
 STIFF = 100.0
 
-# Both diagonal blocks of a twist's adjoint are the same rotation; other orders of multiplication may round differently.
-_BLOCK_TOLERANCE = 1e-12
-
 
 @dataclass(frozen=True)
 class Condition:
@@ -237,6 +234,7 @@ def _rotational_part(weight: Floats, rotational_weight: ArrayLike) -> Floats:
         raise InputError("weight must have no entry by which v drives omega, since rotational_weight is given")
     for part in (0, 1):
         difference = np.abs(blocks[:, part, :, :, part].reshape(n, n) - given).max()
-        if difference > _BLOCK_TOLERANCE * np.abs(given).max():
+        # Both blocks are the same rotation; other orders of multiplication may round differently.
+        if difference > 1e-12 * np.abs(given).max():
             raise InputError(f"rotational_weight must be the rotational blocks of weight, differs by {difference:.2g}")
     return given

@@ -36,14 +36,6 @@ from lieednn_sim.validation import as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats, frozen
 
 _EPS = float(np.finfo(float).eps)
-# Angles at which the boundary is evaluated in a quarter turn, before the worst is refined.
-_N_ANGLES = 32
-# Q is moved only where the worst angle costs more than this fraction of gamma/mu.
-_WORTH_MOVING = 0.01
-# Distances above the least v, relative to v or gamma/mu, at which P is searched for, in turn.
-_ABOVE = (1e-6, 1e-4, 1e-2, 1.0)
-# A triangular factor with a larger condition number has no useful inverse in floating point.
-_LARGEST_CONDITION = 1e12
 
 
 @frozen
@@ -115,7 +107,8 @@ def verify_contraction(
     size, inverse_size = float(np.linalg.norm(local)), float(np.linalg.norm(inverse))
     # Rounding in the entries, in a product of n terms, in the norm, and in the inverse, the largest: T^-1 dT T^-1.
     error = (10.0 + 2.0 * n) * _EPS * (inverse_size * (1.0 + size * inverse_size) + 2.0 * size * frobenius(scaled))
-    if size * inverse_size > _LARGEST_CONDITION or not np.isfinite(norm + error):
+    # A triangular factor with a larger condition number has no useful inverse in floating point.
+    if size * inverse_size > 1e12 or not np.isfinite(norm + error):
         error = np.inf
     return Contraction(
         factor=upper,
@@ -154,7 +147,8 @@ def find_contraction(
     magnitude = float(np.abs(scale(matrix, best)).max()) or 1.0
     unit = matrix / magnitude
     level, angle, symmetric = least_level(scale(unit, best))
-    if level - symmetric > _WORTH_MOVING * bound / magnitude:
+    # Where the worst angle costs more than a hundredth of gamma/mu, it is worth moving Q.
+    if level - symmetric > 0.01 * bound / magnitude:
         # exp(i a) as a real rotation: its Hermitian part keeps its eigenvalues, each twice.
         turn = np.cos(angle) * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         moved = minimise_by_centres(np.kron(unit, block_diag(1.0, turn)), 3, best)
@@ -162,7 +156,8 @@ def find_contraction(
         if reached < level:
             best, level = moved, reached
     found = verify_contraction(np.diag(np.exp(best)), np.exp(2.0 * best), matrix, gamma=gamma, mu=mu)
-    for above in _ABOVE:
+    # P is searched for at distances above the least v, relative to v or gamma/mu, in turn.
+    for above in (1e-6, 1e-4, 1e-2, 1.0):
         factor = norm_at(unit, best, level + above * max(level, min(bound / magnitude, 1.0)))
         if factor is not None:
             trial = verify_contraction(factor / np.sqrt(magnitude), np.exp(2.0 * best), matrix, gamma=gamma, mu=mu)
@@ -183,7 +178,7 @@ def least_level(scaled: Floats) -> tuple[float, float, float]:
         hermitian = 0.5 * (turned + turned.conj().swapaxes(-1, -2))
         return np.asarray(np.cos(angle) * np.linalg.eigvalsh(hermitian)[..., -1], np.float64)
 
-    angles = np.linspace(0.0, 0.5 * np.pi, _N_ANGLES, endpoint=False)
+    angles = np.linspace(0.0, 0.5 * np.pi, 32, endpoint=False)
     levels = level(angles)
     k = int(np.argmax(levels))
     near = minimize_scalar(

@@ -39,10 +39,6 @@ from lieednn_sim.values import Floats, frozen
 
 # Rounding of norms of well-conditioned matrices, many times over.
 UP = 1.0 + 1e-9
-# Fractions of the highest rate that are given up, by contraction, or kept, by the certificate: slower rates allow
-# rounder norms.
-_CONTRACTION_FRACTIONS = (1e-3, 0.25, 0.5, 0.75)
-_LYAPUNOV_FRACTIONS = (0.1, 0.5, 0.9)
 
 
 @frozen
@@ -75,7 +71,8 @@ class Guarantee:
 def by_contraction(weight: Floats, log_scale: Floats, best: Contraction, gamma: float, mu: float) -> list[Guarantee]:
     """Guarantees of contraction with Q = S^2, at rates below the best one."""
     found = []
-    for fraction in _CONTRACTION_FRACTIONS if best.valid else ():
+    # Fractions of the highest rate that are given up: slower rates allow rounder norms.
+    for fraction in (1e-3, 0.25, 0.5, 0.75) if best.valid else ():
         factor = norm_at(weight, log_scale, best.value + fraction * (best.bound - best.value))
         if factor is None:
             continue
@@ -106,7 +103,8 @@ def by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> l
     certificate: Certificate = verify(np.exp(2.0 * log_scale), weight, gamma=gamma, mu=mu)
     found = []
     drive = max(mu * spectral_norm(scale(weight, log_scale)) * UP, 1e-6 * gamma)
-    for fraction in _LYAPUNOV_FRACTIONS if certificate.valid else ():
+    # Fractions of the highest rate that are kept.
+    for fraction in (0.1, 0.5, 0.9) if certificate.valid else ():
         c = fraction * certificate.rate
         # Below the largest, so that the quadratic form of the steps is definite.
         eps = min(4.0 * (certificate.rate - c) * (gamma - 0.5 * c) / drive**2, 1e6)

@@ -21,15 +21,6 @@ from lieednn_sim.values import Floats
 # exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 stays accurate.
 _LOG_SCALE_BOUND = 8.0
 _LEAST, _MOST = np.exp(-2.0 * _LOG_SCALE_BOUND), np.exp(2.0 * _LOG_SCALE_BOUND)
-# Gap of the first level above its eigenvalue, and the gap at which the search ends, in units of |S W S^-1|_2 at the
-# start. The final eigenvalue is within about n gaps of the least.
-_FIRST_GAP, _LAST_GAP = 0.03, 1e-8
-_MAX_LEVELS, _MAX_NEWTON = 100, 30
-# Newton decrement at which a centre is accepted: the barrier can then fall by no more than about half its square.
-_DECREMENT = 0.3
-# Steps of the level along the tangent, in gaps: the longest tried, the shortest, the factor between trials, and the
-# fraction taken of the longest feasible one. Last, the fraction of the gap by which the level falls if that fails.
-_LONGEST, _SHORTEST, _SHRINK, _TAKEN, _PLAIN = 64.0, 0.5, 0.6, 0.8, 0.9
 
 
 def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Floats:
@@ -50,12 +41,13 @@ def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Float
         return start
     search = _CentreSearch(weight / magnitude, group_size)
     entries = np.exp(2.0 * start)
-    level = search.largest(entries) + _FIRST_GAP
+    # Gaps above the eigenvalue are in units of |S W S^-1|_2; in the end it is within about n gaps of the least.
+    level = search.largest(entries) + 0.03
     try:
-        for _ in range(_MAX_LEVELS):
+        for _ in range(100):
             entries, hessian, slope = search.centre(entries, level)
             gap = level - search.largest(entries)
-            if not gap > _LAST_GAP:
+            if not gap > 1e-8:
                 break
             tangent = np.asarray(np.linalg.solve(hessian, slope), np.float64)
             entries, level = search.lower(entries, tangent, level, gap)
@@ -83,7 +75,7 @@ class _CentreSearch:
 
     def centre(self, entries: Floats, level: float) -> tuple[Floats, Floats, Floats]:
         """The analytic centre of a level feasible for ``entries``, the Hessian there and the gradient's rate in it."""
-        for _ in range(_MAX_NEWTON):
+        for _ in range(30):
             a = level * np.eye(len(self._weight)) - self._scaled(entries)
             g = np.linalg.inv(a + a.T)
             ag = a @ g
@@ -93,21 +85,23 @@ class _CentreSearch:
             hessian = self._summed(self._summed(second).T) + np.diag(low**2 + high**2)
             direction = -np.linalg.solve(hessian, gradient)
             decrement = float(np.sqrt(max(-gradient @ direction, 0.0)))
-            if not decrement > _DECREMENT:
+            # The barrier can then fall by no more than about half the square.
+            if not decrement > 0.3:
                 break
             # The damped step of a self-concordant function never leaves its domain.
             entries = entries * (1.0 + direction / (1.0 + decrement))
         return entries, hessian, self._summed(-2.0 * np.diag(g - 2.0 * ag @ g))
 
     def lower(self, entries: Floats, tangent: Floats, level: float, gap: float) -> tuple[Floats, float]:
-        """Entries and level further down the path of centres."""
-        step = _LONGEST * gap
-        while step > _SHORTEST * gap and not self._has(entries * (1.0 + step * tangent), level - step):
-            step *= _SHRINK
-        moved = entries * (1.0 + _TAKEN * step * tangent)
-        if step > _SHORTEST * gap and self._has(moved, level - _TAKEN * step):
-            return moved, level - _TAKEN * step
-        return entries, level - _PLAIN * gap
+        """Entries and level further down the path of centres: most of the longest feasible step along the tangent."""
+        step = 64.0 * gap
+        while step > 0.5 * gap and not self._has(entries * (1.0 + step * tangent), level - step):
+            step *= 0.6
+        moved, lower = entries * (1.0 + 0.8 * step * tangent), level - 0.8 * step
+        if step > 0.5 * gap and self._has(moved, lower):
+            return moved, lower
+        # Without a step the level falls by less than the gap.
+        return entries, level - 0.9 * gap
 
     def _has(self, entries: Floats, level: float) -> bool:
         within = bool(entries.min() > _LEAST and entries.max() < _MOST)

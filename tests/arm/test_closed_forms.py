@@ -52,7 +52,7 @@ def drawn(joints: CompoundJoints, seed: int, spread: float, turn: float) -> np.n
 
 @pytest.mark.parametrize("order", ["turn first", "slide first"])
 @pytest.mark.parametrize("direction", [AXIS, ACROSS, SLANTED], ids=["along", "across", "slanted"])
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(
     seed=st.integers(0, 2**32 - 1),
     spread=st.sampled_from([0.0, 1e-9, 1e-3, 0.1, 0.8, 3.0]),
@@ -94,7 +94,7 @@ def test_hand_computed_compromise():
 
 
 @pytest.mark.parametrize("order", ["turn first", "slide first"])
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(
     seed=st.integers(0, 2**32 - 1),
     spread=st.sampled_from([0.0, 1e-9, 1e-3, 0.1, 0.5]),
@@ -111,7 +111,7 @@ def test_rates_are_the_derivative(order, seed, spread, turn):
         np.testing.assert_allclose(retract(xi, rate).qd, numeric, atol=1e-6 * (1.0 + np.abs(numeric).max() ** 3))
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 @example(seed=0)
 def test_poses_with_two_nearest_postures_give_one_of_them_and_finite_rates(seed):

@@ -36,7 +36,7 @@ def placed(arm, q):
 
 @pytest.mark.parametrize("scene", ARMS)
 @given(seed=SEEDS)
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_a_posture_has_contacts_exactly_when_its_clearance_is_negative(scene, seed):
     arm, collisions = ARMS[scene], COLLISIONS[scene]
     q = posture(arm, seed)
@@ -47,7 +47,7 @@ def test_a_posture_has_contacts_exactly_when_its_clearance_is_negative(scene, se
 
 @pytest.mark.parametrize("scene", ARMS)
 @given(first=SEEDS, last=SEEDS, count=st.sampled_from([1, 7, 40]))
-@settings(max_examples=10)
+@settings(max_examples=6)
 def test_the_least_along_a_path_is_that_of_all_its_postures(scene, first, last, count):
     arm, collisions = ARMS[scene], COLLISIONS[scene]
     path = np.linspace(posture(arm, first), posture(arm, last), count)
@@ -99,7 +99,7 @@ def test_the_bounds_leave_out_no_pair(scene, seed, cutoff):
 
 @pytest.mark.parametrize("scene", ARMS)
 @given(seed=SEEDS)
-@settings(max_examples=8)
+@settings(max_examples=5)
 def test_derivatives_agree_with_finite_differences(scene, seed):
     arm, collisions = ARMS[scene], COLLISIONS[scene]
     q = posture(arm, seed)

@@ -47,7 +47,7 @@ def test_learn(hook, tmp_path, capsys, monkeypatch):
     assert report["extent_m"] == pytest.approx(0.3)
     # They are 1 cm apart half way, and so half of that from their mean.
     assert report["spread_m"] == pytest.approx(0.005, rel=0.02)
-    assert 1e-4 < report["network_deviation_m"] <= 0.004
+    assert 1e-5 < report["network_deviation_m"] <= 0.004
     assert (report["t_s"][0], report["t_s"][-1]) == pytest.approx((0.0, 0.59))
     shaped, primitive = report["models"]
     assert shaped["mean"]["rms_mm"] < 4.0

@@ -42,29 +42,6 @@ def test_a_perfect_rollout_has_no_error(arm, perfect):
     assert result.plan is None
 
 
-def test_a_known_offset_is_measured(arm, perfect):
-    shifted = perfect.link_position.copy()
-    shifted[:, -1, 2] += 3e-3
-    result = evaluate(dataclasses.replace(perfect, link_position=shifted))
-    tip = result.end_effector
-    assert (tip.tracking_rms_mm, tip.tracking_max_mm, tip.final_mm) == pytest.approx((3.0, 3.0, 3.0))
-    assert tip.settling_s is None
-    assert result.frames[0].tracking_max_mm < 1e-9
-
-
-def test_json_and_csv_hold_the_same_numbers(arm, perfect, tmp_path):
-    result = evaluate(perfect)
-    result.save_json(tmp_path / "metrics.json")
-    result.save_csv(tmp_path / "metrics.csv")
-    frames = json.loads((tmp_path / "metrics.json").read_text())["frames"]
-    with (tmp_path / "metrics.csv").open() as stream:
-        rows = list(csv.DictReader(stream))
-    assert (
-        [row["name"] for row in rows] == [f["name"] for f in frames] == ["link 1", "link 2", "link 3", "end effector"]
-    )
-    assert float(rows[-1]["settling_s"]) == frames[-1]["settling_s"]
-
-
 def test_a_rollout_of_another_arm_or_motion_cannot_be_made(gantry, perfect):
     with pytest.raises(InputError, match=r"q must have shape \(201, 4\)"):
         dataclasses.replace(perfect, arm=gantry)

@@ -46,6 +46,7 @@ def rollout_of(arm, q, q_ref):
 
 
 def test_a_run_is_plotted_by_one_call(tmp_path, monkeypatch):
+    monkeypatch.setattr(figure_layout, "_DPI", 20)
     arm = Arm.load("telescopic_pr")
     planned = ls.plan(arm, "extended", planner="linear-attractor", duration=2.0)
     written = ls.plot(ls.simulate(arm, planned, hold=0.0), tmp_path / "new", network=planned.network)
@@ -188,7 +189,8 @@ def test_plots_are_written_in_the_format_of_the_name(kind, first, tmp_path):
     assert (tmp_path / f"plot.{kind}").read_bytes().startswith(first)
 
 
-def test_the_training_s_plot_can_be_drawn_of_a_single_epoch(tmp_path):
+def test_the_training_s_plot_can_be_drawn_of_a_single_epoch(tmp_path, monkeypatch):
+    monkeypatch.setattr(figure_layout, "_DPI", 20)
     one = np.ones(1)
     history = History(one, one, one, one, one, one, np.zeros((1, 1, 6)))
     plot_training(history, np.ones((1, 6)), 1e-5, tmp_path / "training.png")

@@ -86,7 +86,7 @@ def distance(matrix: np.ndarray, rotation: np.ndarray, translation: np.ndarray) 
     return np.linalg.norm(adjoint(rotation, translation) - matrix, axis=(-2, -1))
 
 
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(seeds, st.floats(0.1, 30.0))
 def test_exact_projection_is_the_nearest_of_all(seed, lower):
     rng = np.random.default_rng(seed)

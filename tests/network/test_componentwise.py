@@ -76,7 +76,7 @@ def test_an_activation_of_one_s_own_learns(root, algorithm):
 def test_an_activation_of_one_s_own_is_shaped_to_follow_a_curve(root, rate):
     share = np.linspace(0.0, 1.0, 100)[:, None, None]
     curve = np.sin(np.linspace(0.5, 2.0, 12).reshape(1, 2, 6) * share)
-    options = ShapingOptions(rate, neurons=(4,), placed_neurons=(32,), activation=root)
+    options = ShapingOptions(rate, neurons=(32,), activation=root)
     network = shape(curve, 2e-3, units=0.5, options=options).unwrap()
     assert network.certified
     assert network.activation == root

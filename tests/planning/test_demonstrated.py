@@ -9,7 +9,6 @@ import pytest
 
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.evaluation import paths
-from lieednn_sim.planning import demonstrated
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.policies import NetworkPolicy
@@ -19,7 +18,7 @@ from lieednn_sim.synthesis import ShapingOptions
 
 S = np.linspace(0.0, 1.0, 200)
 LAW = S**3 * (10.0 - 15.0 * S + 6.0 * S**2)
-OPTIONS = ShapingOptions(neurons=(4,), placed_neurons=(16,), iterations=20)
+OPTIONS = ShapingOptions(neurons=(16,))
 
 
 def bend(offset=0.0, end=0.0):
@@ -135,15 +134,7 @@ def test_goals_that_are_kept_decide_the_bend(gantry, tmp_path):
         np.testing.assert_array_equal(model.toward(q[-1]).goal, q[-1])
         assert np.abs(found[:, 1]).max() == pytest.approx(q[:, 1].max(), abs=0.02)
     # The errors that are reported are to each goal of its own.
-    assert study.study_joints(shown, model, OPTIONS, starts=1, leave_one_out=False)[0].training.effector.goal_mm < 0.1
-
-
-def test_the_spread_is_used(learned, monkeypatch):
-    shown, model = learned
-    handed = []
-    monkeypatch.setattr(demonstrated, "shape", lambda *_, spread, **__: handed.append(spread) or model.shaping)
-    JointMotion.fit(shown)
-    np.testing.assert_array_equal(handed, [shown.spread])
+    assert study.study_joints(shown, model, starts=1, leave_one_out=False)[0].training.effector.goal_mm < 0.1
 
 
 def test_a_pause_is_kept_and_speed_that_no_joint_has_takes_longer(gantry, tmp_path):
@@ -182,7 +173,7 @@ def test_what_is_left_out_was_not_seen(learned, monkeypatch):
     seen = []
     monkeypatch.setattr(paths, "SAMPLES", 150)
     monkeypatch.setattr(JointMotion, "fit", lambda some, **_: seen.append(some.q[:, 100, 1]) or model)
-    found, ways = study.study_joints(shown, model, OPTIONS, starts=2)
+    found, ways = study.study_joints(shown, model, starts=2)
     bends = shown.q[:, 100, 1]
     for k, others in enumerate(seen):
         np.testing.assert_array_equal(others, np.delete(bends, k))

@@ -274,7 +274,7 @@ def test_lists_will_do_for_tuples():
     assert CertifiedOptions(bias_magnitudes=[0.25, 1]).bias_magnitudes == (0.25, 1.0)
 
 
-@pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-certified", "lieednn-retargeted"])
+@pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-certified"])
 def test_how_much_longer_a_motion_may_take_is_one_rule(name):
     """A motion is refused with the time that it needs, and made where that and the two percent of slack are allowed."""
     few = {"options": CertifiedOptions(n_networks=4)} if name == "lieednn-certified" else {}

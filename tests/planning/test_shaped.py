@@ -13,12 +13,10 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
 from lieednn_sim.planning import PLANNERS, CertifiedOptions, ShapedOptions, TeacherOptions, plan, shaped
-from lieednn_sim.planning.encoded_path import EncodedPath
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.planning.time_laws import law_of
-from lieednn_sim.synthesis import CurveEncoder
 
 SPEC = Arm.load("telescopic_pr").spec.copy()
 # Motions of fewer samples are planned in less time.
@@ -79,7 +77,6 @@ def test_a_law_of_time_is_kept_by_another_path_of_the_same_shape():
 def test_the_universal_network_is_integrated_to_the_same_motion():
     """What the planner has in closed form, the equation itself has too; and the network is the same for all targets."""
     made = [planned(FREE, draw_target(FREE, seed)) for seed in (2, 4)]
-    assert all(one.details.encoded for one in made)
     assert made[0].network.certificate is made[1].network.certificate
     one, guide = made[0], made[0].teacher.motion
     units = lever_units(FREE, guide.q)
@@ -87,19 +84,10 @@ def test_the_universal_network_is_integrated_to_the_same_motion():
     again = path.timed(one.motion.t[-1], one.motion.timestep, law_of(guide, units))
     np.testing.assert_allclose(again.q, one.motion.q, atol=2e-5)
     np.testing.assert_allclose(again.qd, one.motion.qd, atol=2e-3)
-    known = EncodedPath.follow(FREE, CurveEncoder(FREE.n_links), one.network, guide, units)
-    np.testing.assert_allclose(known.state(path.trajectory[0].t), path.trajectory[0].xi, atol=1e-6)
-
-
-@pytest.mark.parametrize("reason", ["option", "code"])
-def test_where_the_universal_network_does_not_do_one_is_shaped(monkeypatch, reason):
-    if reason == "code":
-        monkeypatch.setattr("lieednn_sim.synthesis.shaping.encoder.LARGEST_CODE", 1e-6)
-    made = planned(FREE, draw_target(FREE, 1), encoded=reason != "option")
-    assert not made.details.encoded
-    assert made.network.n_hidden <= 64
-    assert made.network.certified
-    assert made.details.deviation < 7e-4
+    early = one.motion.tau < 5.0
+    np.testing.assert_allclose(again.tau[early], one.motion.tau[early], atol=2e-3)
+    known, tau = NetworkPath.encoded(FREE, one.network, guide, units), path.states.t
+    np.testing.assert_allclose(known.states(1.0 - np.exp(-tau)), one.network.visible(path.states.xi), atol=1e-6)
 
 
 def test_lever_arms_by_hand():
@@ -129,8 +117,15 @@ def test_who_stays_where_it_is_has_a_network_without_hidden_neurons():
 
 
 def test_what_is_too_far_off_is_refused():
-    with pytest.raises(PlanError, match=r"closely enough: the end effector would be .* mm off the teacher's path"):
-        planned(FREE, draw_target(FREE, 0), neurons=(2,), deviation=1e-9, largest_deviation=1e-9)
+    with pytest.raises(PlanError, match=r"the motion of minimum-jerk: the end effector would be .* mm off its path"):
+        planned(FREE, draw_target(FREE, 0), deviation=1e-9)
+
+
+def test_a_curve_beyond_the_universal_network_is_refused_but_for_a_slower_clock(monkeypatch):
+    monkeypatch.setattr("lieednn_sim.synthesis.shaping.encoder.LARGEST_CODE", 1e-6)
+    with pytest.raises(PlanError, match=r"the motion of minimum-jerk: the curve's code must .* a rate below"):
+        planned(FREE, draw_target(FREE, 1))
+    assert planned(FREE, draw_target(FREE, 1), rate=0.3).network.n_clock == 2
 
 
 @needs_ompl

@@ -23,7 +23,7 @@ def random_state(arm: Arm, rng: np.random.Generator) -> mujoco.MjData:
     return data
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(seed=seeds, name=arms)
 def test_lengths_velocities_and_forces_are_mujoco_s(small_arms, seed, name):
     arm, rng = small_arms[name], np.random.default_rng(seed)
@@ -44,7 +44,7 @@ def test_lengths_velocities_and_forces_are_mujoco_s(small_arms, seed, name):
     np.testing.assert_allclose(basis.T @ (moment.T @ driven), basis.T @ wanted, atol=1e-9)
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(seed=seeds, name=arms)
 def test_noise_in_the_controls_is_noise_in_the_measurement(small_arms, seed, name):
     """The servo's force at the true state with disturbed controls is its force at a disturbed state."""

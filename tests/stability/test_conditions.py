@@ -35,7 +35,7 @@ def se3_weight(rng, n, size):
     return whole, blocks[..., :3, :3].transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(seeds, st.booleans(), st.sampled_from([(1.0, 1.0), (2.0, 0.5), (0.3, 4.0)]))
 def test_each_rung_implies_the_later_ones(seed, with_rotations, rates):
     rng, (gamma, mu) = np.random.default_rng(seed), rates
@@ -99,7 +99,7 @@ def test_no_global_proof_leaves_the_local_one():
     assert str(unstable).startswith("no proof of stability")
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(seeds, st.sampled_from([(1.0, 1.0), (2.0, 0.5), (0.3, 4.0)]))
 def test_distances_shrink_at_the_proven_rates(seed, rates):
     """Between any two solutions, equilibrium or not: 1-norm, largest coordinate, 2-norm and weighted 1-norm."""
@@ -130,7 +130,7 @@ def test_distances_shrink_at_the_proven_rates(seed, rates):
         assert (np.diff(np.log(distance)) <= -verdict[name].rate * np.diff(t) + 1e-6).all(), name
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(seeds)
 def test_translations_matter_to_unweighted_norms_alone(seed):
     rng = np.random.default_rng(seed)

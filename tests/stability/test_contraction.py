@@ -41,7 +41,7 @@ def test_levels_by_hand(weight, level):
     assert found.rate == pytest.approx(1.0 - level if level < 1.0 else 0.0, abs=1e-5)
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(seeds, rates)
 def test_distances_fall_at_the_rate_for_all_slopes_and_between_any_two_motions(seed, both):
     rng, (gamma, mu) = np.random.default_rng(seed), both

@@ -19,7 +19,7 @@ def one_log_norm(a):
     return (np.abs(a).sum(axis=-2) - np.abs(diagonal) + diagonal).max(axis=-1)
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(seeds)
 def test_smallest_one_norm_is_attained_and_never_beaten(seed):
     rng = np.random.default_rng(seed)
@@ -40,7 +40,7 @@ def test_smallest_one_norm_of_nothing():
     assert smallest_one_norm(np.ones(3), np.zeros(3)) == 0.0
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(seeds)
 def test_log_norms_are_the_largest_over_all_slopes(seed):
     """Each is a maximum over a box of a convex function, so the corners (all slopes 0 or 1) decide it."""
@@ -53,7 +53,7 @@ def test_log_norms_are_the_largest_over_all_slopes(seed):
     assert found.log_norm_infinity == pytest.approx(rows.max(), rel=1e-12)
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(seeds)
 def test_weighted_norm_is_the_spectral_abscissa_of_the_majorant_and_its_weights_prove_it(seed):
     rng = np.random.default_rng(seed)

@@ -16,9 +16,9 @@ def bent(request):
     """Two visible neurons on a curve, made to repeat in one what the other's start does."""
     s = np.linspace(0.0, 1.0, 60)[:, None, None]
     curve = (1.0 - s) * np.arange(1.0, 13.0).reshape(2, 6) / 12.0 + 0.2 * np.sin(np.pi * s)
-    options = ShapingOptions(neurons=(2,), placed_neurons=(), iterations=5, activation=request.param)
+    options = ShapingOptions(neurons=(2,), activation=request.param)
     shaping = shape(curve, 1.0, options=options)
-    clock = clockwork(1.0, 2, ACTIVATIONS[request.param])
+    clock = clockwork(1.0, ACTIVATIONS[request.param])
     bump = np.exp(-clock.t)[:, None, None] * np.eye(12)
     w = 1.0 - clock.g
     bump[:, 3, 10] += 0.5 * np.sin(np.pi * w) ** 2

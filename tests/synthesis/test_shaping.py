@@ -1,4 +1,4 @@
-"""Shaping: the cascade in closed form, its derivatives, its certificate for every parameter, and what comes out."""
+"""Shaping: the cascade in closed form, its certificate for every parameter, and what comes out."""
 
 import itertools
 from types import SimpleNamespace
@@ -7,27 +7,26 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from lieednn_sim import budget
 from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError, NotCertifiedError, OutOfTimeError
 from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.synthesis.shaping import ShapingOptions, placed_switches, shape, shaping
-from lieednn_sim.synthesis.shaping.assembly import assemble
-from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
+from lieednn_sim.synthesis.shaping.assembly import assemble, turns_to
+from lieednn_sim.synthesis.shaping.cascade import TAIL, Cascade, Parameters, clockwork
 from lieednn_sim.synthesis.shaping.curve import Curve, third_derivative
-from lieednn_sim.synthesis.shaping.fit import LARGEST_SLOPE, Descent, NormalEquations
-from lieednn_sim.synthesis.shaping.placed_switches import fit_placed_switches
-from lieednn_sim.synthesis.shaping.shaping import as_curve
-from lieednn_sim.synthesis.shaping.start import starting_point
+from lieednn_sim.synthesis.shaping.placed_switches import LARGEST_SLOPE, fit_placed_switches
 
 RATES = [1.0, 0.3, 0.1]
 UNITS = np.repeat([0.5, 1.0], 3)
 
 
 def drawn(rng, n=2, m=3, scale=1.0):
-    shapes = ((m, 6), (m, 6), (n, m, 4), (n, m, 3))
-    return Parameters(*(scale * rng.normal(size=size) for size in shapes))
+    a, c = np.clip(scale * rng.normal(size=(2, m, 6)), -LARGEST_SLOPE, LARGEST_SLOPE)
+    rotation = Rotation.random(n * m, rng=rng).as_matrix().reshape(n, m, 3, 3)
+    return Parameters(a, c, scale * rng.random((n, m)), rotation)
 
 
 def bent(n=2, count=200):
@@ -36,21 +35,6 @@ def bent(n=2, count=200):
     rng = np.random.default_rng(5)
     first, second, third = rng.uniform(-0.4, 0.4, (3, 6 * n))
     return (first + s * second + np.sin(np.pi * s) * third).reshape(count, n, 6)
-
-
-def test_a_spread_says_where_a_curve_counts():
-    line = np.linspace(0.0, 1.0, 5)[:, None, None] * np.eye(6)[3]
-    # A tenth of the mean spread, 0.2, is added to each: 0.2 of 0.2, 1.2, ...; never below a tenth.
-    weights = as_curve(line, 1.0, [0.0, 1.0, 2.0, 3.0, 4.0]).weights
-    np.testing.assert_allclose(weights[[0, -1]], [1.0, 0.1])
-    np.testing.assert_allclose(np.interp(0.25, np.linspace(0.0, 1.0, len(weights)), weights), 0.2 / 1.2, rtol=5e-3)
-    for curves, spread, message in (
-        (line, [1.0] * 4, "spread must have shape"),
-        (line, [-1.0] * 5, "spread must not be negative"),
-        ([line, line], [1.0] * 5, "spread is for a single curve"),
-    ):
-        with pytest.raises(InputError, match=message):
-            shape(curves, 1e-3, spread=spread)
 
 
 @pytest.mark.parametrize("activation", sorted(ACTIVATIONS))
@@ -62,8 +46,12 @@ def test_the_closed_form_is_the_networks_own_trajectory(rate, activation):
     clock = clockwork(rate, activation=ACTIVATIONS[activation])
     network = assemble(parameters, rate, target, activation)
     way = network.trajectory(network.start(start), clock.t[-1], rtol=1e-10, atol=1e-12)
-    closed = Cascade(clock, start, target).states(parameters)[:-1]
+    *closed, last = Cascade(clock, start, target).states(parameters)
     np.testing.assert_allclose(network.visible(way(clock.t)), closed, atol=2e-5 * np.abs(closed).max())
+    # The state ends as x_d + e^-t (A + B t) if the clock is as fast as the neurons, and the last row is x_d and B.
+    ends = (np.array(closed)[-2:] - target) * np.exp(clock.t[-2:])[:, None, None]
+    growth = (ends[1] - ends[0]) / (clock.t[-1] - clock.t[-2]) if rate == 1.0 else np.zeros((2, 6))
+    np.testing.assert_allclose(last, target + TAIL * growth, atol=1e-3)
 
 
 @pytest.mark.parametrize("rate", RATES)
@@ -73,38 +61,6 @@ def test_the_clock_falls_from_one_at_its_rate(rate):
     assert (np.diff(clock.g) < 0.0).all()
     last = -np.diff(np.log(clock.g[-3:])) / np.diff(clock.t[-3:])
     np.testing.assert_allclose(last, rate, rtol=1e-4)
-
-
-@pytest.mark.parametrize("activation", sorted(ACTIVATIONS))
-def test_the_arrow_is_what_a_dense_jacobian_by_finite_differences_gives(activation):
-    rng = np.random.default_rng(2)
-    curve = Curve.through(bent(), np.tile(UNITS, (2, 1)), np.linspace(0.3, 1.0, 200))
-    cascade = Cascade(clockwork(1.0, activation=ACTIVATIONS[activation]), curve.points[0], curve.points[-1])
-    descent = Descent(cascade, curve)
-    place = descent._place(drawn(rng).flat, np.append(1.0 - cascade.clock.g, 1.0))
-    equations = NormalEquations(descent, place)
-    units = descent.units(place.feet)
-
-    def error(flat):
-        return (cascade.states(Parameters.of(flat, 2)) - curve.at(place.feet)[0]) * units
-
-    h = 1e-6
-    columns = [error(place.flat + h * unit) - error(place.flat - h * unit) for unit in np.eye(len(place.flat))]
-    jacobian = np.array(columns).reshape(len(place.flat), len(place.x), -1) / (2.0 * h)
-    along = place.along
-    # Across the curve in full, along it a twentieth.
-    weighted = jacobian - 0.95 * np.einsum("pki,ki->pk", jacobian, along)[..., None] * along
-    residual = place.error - 0.95 * np.einsum("ki,ki->k", place.error, along)[:, None] * along
-    count, decay = len(place.x), descent._decay
-    matrix = np.einsum("pki,qki->pq", weighted, weighted) / count + decay * np.eye(len(place.flat))
-    gradient = np.einsum("pki,ki->p", weighted, residual) / count + decay * place.flat
-    lower = np.tril(np.ones_like(matrix, dtype=bool))
-    np.testing.assert_allclose(equations.matrix[lower], matrix[lower], atol=1e-7 * np.abs(matrix).max())
-    np.testing.assert_allclose(equations.gradient, gradient, atol=1e-7 * np.abs(gradient).max())
-    # A heavily damped step goes down the scaled gradient, and its correction by curvature is of higher order.
-    step, expected = equations.step(1e6)
-    np.testing.assert_allclose(step, -gradient / (1e6 * (matrix.diagonal() + 1e-14)), rtol=1e-3, atol=1e-12)
-    assert expected > 0.0
 
 
 def test_feet_are_nearest_points_in_order():
@@ -170,17 +126,17 @@ def test_the_deviation_is_the_largest_distance_of_either_from_the_other(monkeypa
 
 @pytest.mark.parametrize("rate", [1.0, 0.5])
 def test_the_outcome_is_told_in_millimetres_and_decided_by_the_deviation(rate):
-    options = ShapingOptions(rate=rate, neurons=(2,), placed_neurons=(), iterations=4)
+    options = ShapingOptions(rate=rate, neurons=(2,))
     best = shape(bent(), 1e-9, units=UNITS, options=options)
     assert 1e-3 < best.deviation < 1.0
-    assert best.message.startswith(
-        f"{1e3 * best.deviation:.3g} mm off the curve, 1e-06 mm were asked for: the best of 1 "
-    )
-    assert best.message.count("with 2 hidden neurons") == 1
+    off = f"{1e3 * best.deviation:.3g} mm off the curve with 2 hidden neurons"
+    assert best.message == f"{off}, 1e-06 mm were asked for; allow more by `neurons`"
+    with pytest.raises(NotCertifiedError, match="off the curve"):
+        best.unwrap()
     for share, success in ((0.99, False), (1.01, True)):
         result = shape(bent(), share * best.deviation, units=UNITS, options=options)
         assert result.deviation == best.deviation
-        assert (result.success, result.placed, result.tries) == (success, False, 1)
+        assert (result.success, result.options.neurons) == (success, (2,))
     assert result.message == f"within {1e3 * best.deviation:.3g} mm of the curve with 2 hidden neurons"
     assert result.network.n_hidden == (2 if rate == 1.0 else 4)
 
@@ -195,7 +151,6 @@ def test_the_outcome_is_told_in_millimetres_and_decided_by_the_deviation(rate):
 def test_every_parameter_gives_a_certified_network_with_its_target(seed, rate, n, m, scale):
     rng = np.random.default_rng(seed)
     parameters = drawn(rng, n, m, scale)
-    parameters = Parameters.of(np.clip(parameters.flat, -LARGEST_SLOPE, LARGEST_SLOPE), n)
     target = rng.normal(size=(n, 6))
     network = assemble(parameters, rate, target)
     assert network.certified
@@ -210,7 +165,7 @@ def test_every_parameter_gives_a_certified_network_with_its_target(seed, rate, n
 @pytest.mark.parametrize("rate", RATES)
 def test_a_shaped_network_follows_its_curve(rate):
     samples = bent()
-    result = shape(samples, 2e-3, units=UNITS, options=ShapingOptions(rate=rate), seed=1)
+    result = shape(samples, 2e-3, units=UNITS, options=ShapingOptions(rate=rate))
     assert result.success, result.message
     assert result.network.certified
     network = result.network
@@ -223,48 +178,20 @@ def test_a_shaped_network_follows_its_curve(rate):
     assert off.min(axis=0).max() <= result.deviation + 0.5 * spacing
     assert result.rms <= result.deviation <= 2e-3
     np.testing.assert_allclose(states[-1], samples[-1], atol=1e-5)
-    again = shape(samples, 2e-3, units=UNITS, options=ShapingOptions(rate=rate), seed=1)
+    # The first number that suffices is taken, and gives the same network at once.
+    again = shape(samples, 2e-3, units=UNITS, options=result.options)
     assert np.array_equal(again.network.weight, network.weight)
-
-
-def test_rotations_on_lines_begin_on_them():
-    s = np.linspace(0.0, 1.0, 100)
-    samples = np.zeros((100, 2, 6))
-    axes = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
-    samples[:, :, :3] = np.stack([np.sin(2.0 * s), s**2], axis=1)[:, :, None] * axes
-    samples[:, 0, 3] = 0.3 * s
-    curve = Curve.through(samples, np.ones((2, 6)))
-    cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
-    begun = cascade.states(starting_point(cascade, curve, 4, np.random.default_rng(0)))[:-1, :, :3]
-    assert np.abs(begun - np.einsum("knj,nj->kn", begun, axes)[..., None] * axes).max() < 1e-12
-    # Least squares come near to the curve, whose way in time is not even.
-    off = np.linalg.norm(begun[:, None] - samples[None, :, :, :3], axis=(2, 3)).min(axis=1)
-    assert off.max() < 0.1 * curve.length
-
-
-def test_several_demonstrations_are_followed_where_they_agree():
-    base = bent()
-    s = np.linspace(0.0, 1.0, len(base))[:, None, None]
-    # They part in the middle only, and the mean of two that bulge apart is the one between them.
-    bulge = np.zeros((2, 6))
-    bulge[0, 4] = 0.05
-    curves = [base + sign * s**2 * (1.0 - s) ** 2 * 16.0 * bulge for sign in (1.0, -1.0)]
-    result = shape(curves, 3e-3, units=UNITS)
-    assert result.success, result.message
-    way = result.network.trajectory(result.network.start(base[0]), 16.0)
-    states = result.network.visible(way(np.linspace(0.0, 16.0, 2000)))
-    off = np.linalg.norm(((states[:, None] - base[None]) * UNITS).reshape(2000, len(base), -1), axis=2)
-    assert off.min(axis=1).max() < 6e-3
+    assert network.n_hidden - network.n_clock == result.options.neurons[0] < 64
 
 
 @pytest.mark.parametrize("rate", [1.0, 0.1])
 def test_placed_switches_are_the_best_linear_fit_and_come_nearer_with_their_number(rate):
     samples = bent()
-    found = [shape(samples, 1e-7, units=UNITS, options=ShapingOptions(rate, (), (count,))) for count in (4, 16, 64)]
+    found = [shape(samples, 1e-7, units=UNITS, options=ShapingOptions(rate, (count,))) for count in (4, 16, 64)]
     deviations = [one.deviation for one in found]
     assert deviations[0] > 5.0 * deviations[1] > 5.0 * deviations[2]
     assert deviations[1] < (5e-3 if rate < 1.0 else 2e-3)
-    assert all(one.network.certified and one.iterations == 0 for one in found)
+    assert all(one.network.certified for one in found)
     assert [one.network.n_hidden - one.network.n_clock for one in found] == [4, 16, 64]
 
 
@@ -273,7 +200,7 @@ def test_ripples_that_the_deviation_hides_are_damped(monkeypatch):
     before, after = np.random.default_rng(1).uniform(-1.0, 1.0, (2, 1, 2, 6))
     # A corner, rounded over 2 % of the way.
     curve = Curve.through(s * before + np.hypot(s - 0.6, 0.02) * after, np.tile(UNITS, (2, 1)))
-    cascade = Cascade(clockwork(1.0, 2), curve.points[0], curve.points[-1])
+    cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
     w = 1.0 - cascade.clock.g
     looks = np.unique(np.abs(w[:, None] - np.linspace(0.0, 0.99, 120)).argmin(axis=0))
     matrix = third_derivative(w[looks])
@@ -307,13 +234,14 @@ def test_placed_switches_keep_axes_and_halves_that_rest():
     assert not states[..., 3:].any()
 
 
-def test_what_is_not_met_is_said_and_still_certified():
-    result = shape(bent(), 1e-9, options=ShapingOptions(neurons=(1,), placed_neurons=(), iterations=3))
-    assert not result.success
-    assert result.network.certified
-    assert "1e-06 mm were asked for" in result.message
-    with pytest.raises(NotCertifiedError, match="off the curve"):
-        result.unwrap()
+def test_e_x_is_turned_to_any_direction():
+    vectors = np.concatenate([np.random.default_rng(0).normal(size=(9, 3)), np.diag([2.0, 1.0, 1.0]), -np.eye(3)])
+    turns = turns_to(vectors)
+    sizes = np.linalg.norm(vectors, axis=1, keepdims=True)
+    np.testing.assert_allclose(sizes * turns[..., 0], vectors, atol=1e-14)
+    np.testing.assert_allclose(turns @ turns.swapaxes(1, 2), np.tile(np.eye(3), (len(turns), 1, 1)), atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(turns), 1.0)
+    np.testing.assert_array_equal(turns_to(np.zeros((1, 3))), np.eye(3)[None])
 
 
 def test_the_search_keeps_a_time_budget(monkeypatch):
@@ -324,23 +252,23 @@ def test_the_search_keeps_a_time_budget(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("curves", "named", "message"),
+    ("curve", "named", "message"),
     [
         (np.zeros((5, 2, 6)), {}, "must move"),
         (bent()[:1], {}, "at least two samples"),
         (np.zeros((5, 2, 5)), {}, "shape"),
-        ([bent(), bent(n=1)], {}, "same number"),
+        (bent(n=0), {}, "at least one neuron"),
+        ([bent(), bent()], {}, "shape"),
         (bent(), {"deviation": 0.0}, "deviation must be positive"),
         (bent(), {"units": -1.0}, "units must be positive"),
         (bent(), {"units": np.ones(5)}, "units"),
-        ([], {}, "curves"),
-        (3.0, {}, "curves"),
+        (3.0, {}, "curve"),
         (bent() * np.nan, {}, "finite"),
     ],
 )
-def test_bad_curves_are_refused(curves, named, message):
+def test_bad_curves_are_refused(curve, named, message):
     with pytest.raises(InputError, match=message):
-        shape(curves, **named)
+        shape(curve, **named)
 
 
 @pytest.mark.parametrize(
@@ -348,25 +276,11 @@ def test_bad_curves_are_refused(curves, named, message):
     [
         {"rate": 0.0},
         {"rate": 1.5},
-        {"neurons": (), "placed_neurons": ()},
-        {"neurons": (0,)},
-        {"placed_neurons": (1,)},
-        {"placed_neurons": (257,)},
+        {"neurons": ()},
+        {"neurons": (1,)},
+        {"neurons": (257,)},
     ],
 )
 def test_bad_options_are_refused(options):
     with pytest.raises(InputError):
         ShapingOptions(**options)
-
-
-def test_switches_start_at_corners():
-    # A right angle at 0.7 of the way.
-    samples = np.zeros((2, 1, 6))
-    corner = np.array([0.7, 0.0, 0.0])
-    samples = np.zeros((3, 1, 6))
-    samples[1, 0, 3:], samples[2, 0, 3:] = corner, [0.7, 0.3, 0.0]
-    curve = Curve.through(samples, np.ones((1, 6)))
-    cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
-    begun = starting_point(cascade, curve, 3, np.random.default_rng(0))
-    places = 1.0 + begun.a[:, 3] / begun.c[:, 3]
-    assert np.abs(places - 0.7).min() < 0.02

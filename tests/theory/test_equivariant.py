@@ -1,4 +1,4 @@
-"""The equivariant network: its activation near 0, its derivative, its equilibrium by the cascade, its certificate."""
+"""The equivariant network, and App. N, "Group Equivariance of LieEDNN": what holds, and what is printed wrong."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim import stability
 from lieednn_sim.errors import FileError, InputError, NotCertifiedError
+from lieednn_sim.lie import adjoint, hat
 from lieednn_sim.network import BlockNetwork, LieEDNN
 from lieednn_sim.theory import EquivariantLieEDNN
+from lieednn_sim.theory.groups import group
 
 seeds = st.integers(0, 2**32 - 1)
 angles = st.one_of(st.just(0.0), st.floats(-300.0, -1.0).map(lambda k: 10.0**k), st.floats(0.0, 10.0))
 
 
-def random_network(seed: int, n: int = 3, strength: float = 0.5, **settings) -> EquivariantLieEDNN:
+def random_network(seed: int, n: int = 3, strength: float = 0.5, gamma=1.2, mu=0.8) -> EquivariantLieEDNN:
     rng = np.random.default_rng(seed)
     rotation = Rotation.random(n * n, rng=rng).as_matrix().reshape(n, n, 3, 3)
     alpha = strength * rng.normal(size=(n, n))
-    return EquivariantLieEDNN(alpha, rotation, rng.normal(size=(n, n, 3)), rng.normal(size=(n, 6)), **settings)
+    return EquivariantLieEDNN(alpha, rotation, rng.normal(size=(n, n, 3)), rng.normal(size=(n, 6)), gamma, mu)
 
 
 def certified_network(seed: int, n: int = 3, **settings) -> EquivariantLieEDNN:
@@ -173,3 +175,160 @@ def test_save_and_load_are_bit_exact_and_checked(tmp_path):
 def test_wrong_input_is_named(call, words):
     with pytest.raises(InputError, match=words):
         call(random_network(0))
+
+
+def random_frames(seed: int, *shape: int):
+    rng = np.random.default_rng(seed + 1)
+    rotation = Rotation.random(int(np.prod(shape)), rng=rng).as_matrix().reshape(*shape, 3, 3)
+    return rotation, 2.0 * rng.normal(size=(*shape, 3))
+
+
+def moved(frames, xi):
+    return np.einsum("...ab,...b->...a", np.broadcast_to(adjoint(*frames), (*xi.shape, 6)), xi)
+
+
+def printed_activation(x, epsilon):
+    size = np.linalg.norm(x[..., :3], axis=-1, keepdims=True)
+    return np.tanh(size) / (size + epsilon) * x
+
+
+@given(seeds, st.one_of(st.just(0.0), st.floats(-12.0, 1.0).map(lambda k: 10.0**k)))
+def test_the_corrected_activation_is_equivariant(seed, size):
+    rng, network = np.random.default_rng(seed), random_network(0)
+    xi = rng.normal(size=(3, 6)) * [size, size, size, 1.0, 1.0, 1.0]
+    frames = random_frames(seed, 1)
+    np.testing.assert_allclose(network.phi(moved(frames, xi)), moved(frames, network.phi(xi)), atol=1e-12)
+
+
+@settings(max_examples=8)
+@given(seeds)
+def test_trajectories_are_equivariant_under_a_common_frame(seed):
+    network, frames = random_network(seed), random_frames(seed)
+    start = np.random.default_rng(seed).normal(size=(3, 6))
+    one = network.trajectory(start, 4.0, rtol=1e-10, atol=1e-12)
+    other = network.transform(*frames).trajectory(moved(frames, start), 4.0, rtol=1e-10, atol=1e-12)
+    times = np.linspace(0.0, 4.0, 9)
+    expected = moved(frames, one(times))
+    np.testing.assert_allclose(other(times), expected, atol=1e-6 * (1.0 + np.abs(expected).max()))
+
+
+@given(seeds)
+def test_transformed_weights_are_conjugated_by_the_adjoint(seed):
+    network, (q, s) = random_network(seed), random_frames(seed)
+    ad = adjoint(q, s)
+    blocks = network.transform(q, s).blocks
+    np.testing.assert_allclose(blocks, ad @ network.blocks @ np.linalg.inv(ad), atol=1e-11)
+
+
+def test_the_componentwise_activation_is_not_equivariant():
+    """A quarter turn keeps tanh up to signs; an eighth turn does not, by a tenth of its value."""
+    network = random_network(0)
+    componentwise = LieEDNN(network.alpha, network.rotation, network.translation, network.bias)
+    frame = Rotation.from_rotvec([0.0, 0.0, np.pi / 4]).as_matrix(), np.zeros(3)
+    xi = np.tile([2.0, 0.0, 0.0, 2.0, 0.0, 0.0], (3, 1))
+    # tanh(2) (1, 1)/sqrt 2 against tanh(sqrt 2) (1, 1).
+    apart = componentwise.phi(moved(frame, xi)) - moved(frame, componentwise.phi(xi))
+    assert apart[0, 0] == pytest.approx(np.tanh(np.sqrt(2.0)) - np.tanh(2.0) / np.sqrt(2.0), abs=1e-12)
+    assert apart[0, 0] > 0.2
+    changed = network.transform(*frame)
+    seen = LieEDNN(changed.alpha, changed.rotation, changed.translation, changed.bias)
+    ends = seen.trajectory(moved(frame, xi), 4.0).xi[-1], moved(frame, componentwise.trajectory(xi, 4.0).xi[-1])
+    assert np.abs(ends[0] - ends[1]).max() > 0.05
+
+
+@pytest.mark.parametrize("epsilon", [1e-3, 1e-6, 1e-9])
+def test_the_printed_epsilon_erases_pure_translations(epsilon):
+    """X -> tanh(r)/(r + eps) X is 0 at omega = 0, and nearly X a hundred eps away: a layer of slope 1/eps."""
+    x = np.array([0.0, 0.0, 0.0, 1.0, -2.0, 3.0])
+    near = x + np.array([100.0 * epsilon, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert np.array_equal(printed_activation(x, epsilon), np.zeros(6))
+    assert printed_activation(near, epsilon)[5] > 2.9
+    phi = random_network(0).phi
+    assert np.array_equal(phi(x), x)
+    np.testing.assert_allclose(phi(near), near, atol=2.0 * (100.0 * epsilon) ** 2)
+
+
+@given(seeds)
+def test_the_printed_root_is_not_real(seed):
+    """tr X^2 = -2 ||omega||^2 on se(3), so that sqrt(-tr(X^2)/2) is the norm; elsewhere tr X^2 has no fixed sign."""
+    rng = np.random.default_rng(seed)
+    twist = rng.normal(size=6)
+    trace = np.trace(hat(twist) @ hat(twist))
+    assert trace < 0.0
+    assert np.sqrt(-0.5 * trace) == pytest.approx(np.linalg.norm(twist[:3]))
+    spin = group("SU(2)").hat(rng.normal(size=3))
+    assert np.trace(spin @ spin).real < 0.0
+    planar = group("C^x")
+    squares = [np.trace(planar.hat(x) @ planar.hat(x)) for x in ([1.0, 0.0], [0.0, 1.0])]
+    assert squares[0] > 0.0 > squares[1]
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_in_the_form_of_the_paper_one_common_frame_is_needed(seed):
+    """theta_ij -> h_i theta_ij h_i^-1 with an h_i for each neuron is no symmetry."""
+    network, frames = random_network(seed), random_frames(seed, 3)
+    ad = adjoint(*frames)
+    blocks = ad[:, None] @ network.blocks @ np.linalg.inv(ad)[:, None]
+    xi = np.random.default_rng(seed).normal(size=(3, 6))
+    found = np.einsum("ijab,jb->ia", blocks, network.phi(moved(frames, xi)))
+    expected = moved(frames, np.einsum("ijab,jb->ia", network.blocks, network.phi(xi)))
+    assert np.abs(found - expected).max() > 1e-3
+
+
+@settings(max_examples=8)
+@given(seeds)
+def test_with_the_frames_of_sender_and_receiver_each_neuron_may_have_its_own(seed):
+    """Beyond the paper: theta_ij -> h_i theta_ij h_j^-1 is a symmetry for independent h_i."""
+    network, frames = random_network(seed), random_frames(seed, 3)
+    start = np.random.default_rng(seed).normal(size=(3, 6))
+    one = network.trajectory(start, 4.0, rtol=1e-10, atol=1e-12).xi[-1]
+    other = network.transform(*frames).trajectory(moved(frames, start), 4.0, rtol=1e-10, atol=1e-12).xi[-1]
+    expected = moved(frames, one)
+    np.testing.assert_allclose(other, expected, atol=1e-6 * (1.0 + np.abs(expected).max()))
+
+
+@settings(max_examples=12)
+@given(seeds, st.booleans())
+def test_the_certificate_is_as_invariant_as_the_network(seed, common):
+    network = certified_network(seed)
+    frames = random_frames(seed) if common else random_frames(seed, 3)
+    seen = network.transform(*frames)
+    assert seen.certified
+    assert seen.certificate.lambda_max == pytest.approx(network.certificate.lambda_max, abs=1e-12)
+    found, expected = seen.equilibrium().xi, moved(frames, network.equilibrium().xi)
+    np.testing.assert_allclose(found, expected, atol=1e-8 * (1.0 + np.abs(expected).max()))
+
+
+@settings(max_examples=4)
+@given(seeds)
+def test_stability_by_the_cascade(seed):
+    """Every start of a certified network ends at the one equilibrium, far ones and pure translations included."""
+    network = certified_network(seed)
+    found = network.equilibrium()
+    assert found.success
+    assert found.spectral_abscissa < 0.0
+    rng = np.random.default_rng(seed)
+    starts = [rng.uniform(-20.0, 20.0, (3, 6)), rng.normal(size=(3, 6)) * [0.0, 0.0, 0.0, 1e3, 1e3, 1e3]]
+    for start in starts:
+        ended = network.trajectory(start, 90.0 / -found.spectral_abscissa, rtol=1e-8, atol=1e-10).xi[-1]
+        np.testing.assert_allclose(ended, found.xi, atol=1e-5 * (1.0 + np.abs(found.xi).max()))
+
+
+@settings(max_examples=5)
+@given(seeds)
+def test_the_bregman_divergence_of_the_proof_decreases(seed):
+    network = certified_network(seed)
+    rest = network.equilibrium().xi[:, :3]
+    output = network.phi(np.concatenate([rest, rest], axis=1))[:, :3]
+
+    def energy(omega):
+        difference = np.log(np.cosh(np.linalg.norm(omega, axis=-1))) - np.log(np.cosh(np.linalg.norm(rest, axis=-1)))
+        divergence = difference - (output * (omega - rest)).sum(axis=-1)
+        return (network.lyapunov_diagonal * divergence).sum(axis=-1)
+
+    start = np.random.default_rng(seed).uniform(-5.0, 5.0, (3, 6))
+    path = network.trajectory(start, 20.0, rtol=1e-10, atol=1e-12)(np.linspace(0.0, 20.0, 200))[..., :3]
+    values = energy(path)
+    assert (np.diff(values) < 1e-9).all()
+    assert values[-1] < 1e-2 * values[0]

@@ -19,8 +19,6 @@ from lieednn_sim.values import Floats, frozen
 
 # Ridges that are tried, relative to the mean square deviation of the starts.
 RIDGES = np.append(10.0 ** np.arange(-3.0, 1.1, 0.5), np.inf)
-# Refinement of the clock, as for placed switches.
-REFINEMENT = 2
 
 
 @frozen
@@ -120,7 +118,7 @@ def with_response(
     """
     units = np.broadcast_to(units, curve.shape[1:])
     response = response_to_start((paths * units).reshape(*paths.shape[:2], -1), goals)
-    clock = clockwork(1.0, REFINEMENT, ACTIVATIONS[shaping.network.activation])
+    clock = clockwork(1.0, ACTIVATIONS[shaping.network.activation])
     states = Cascade(clock, curve[0], curve[-1]).states(shaping.parameters)[:-1]
     phase, row = _phases(states, curve, units), np.linspace(0.0, 1.0, len(curve))
 

@@ -37,10 +37,8 @@ _MAX_DURATIONS = 100.0
 # Corrections of a code until the motion is at its via point, and how near that must be, in standard deviations of the
 # motion: far from the demonstrations bumps are not linear in their codes.
 _CORRECTIONS, _NEAR = 50, 1e-4
-# Parameters of a switch that are not zero by construction, by dof: without rotations, halves and shifts vanish.
-_PER_SWITCH = {2: 10, 3: 10, 6: 19}
-# The same for a placed switch: its position, its slope, and a vector.
-_PER_PLACED = {2: 4, 3: 5, 6: 5}
+# Parameters of a switch that are not zero by construction, by dof: its position, its slope, and a vector.
+_PER_SWITCH = {2: 4, 3: 5, 6: 5}
 
 
 @frozen
@@ -78,7 +76,6 @@ class ShapedMotion:
         demonstrations: Demonstrations,
         deviation: float | None = None,
         options: ShapingOptions | None = None,
-        seed: Seed = 0,
         family: bool = True,
     ) -> ShapedMotion:
         """Shape a network to follow the mean of the demonstrations, and each of them from its own start.
@@ -88,7 +85,6 @@ class ShapedMotion:
             deviation: requested deviation from their mean [m], a radian counting for their lever; by default
                 `DEVIATION` times their extent. Neurons are added until it is met; see `Shaping.success`.
             options: options of the search.
-            seed: seed of its starts.
             family: whether the motion depends on its start, and on its goal if they are kept, as the demonstrations do
                 (`family`), which takes a clock rate of 1; else deviations of the start fade as e^-t.
         """
@@ -96,7 +92,7 @@ class ShapedMotion:
         chosen = ShapingOptions() if options is None else options
         asked = DEVIATION * demonstrations.extent if deviation is None else as_positive("deviation", deviation)
         curve = displacement(demonstrations.mean)[:, None]
-        shaping = shape(curve, asked, units=demonstrations.scale, options=chosen, seed=seed)
+        shaping = shape(curve, asked, units=demonstrations.scale, options=chosen)
         times = np.array([0.0, demonstrations.duration])
         ends = np.array([0.0, _NETWORK_TIME / chosen.rate])
         made = cls(shaping.network, chosen.rate, times, ends, demonstrations.dof, shaping)
@@ -118,8 +114,8 @@ class ShapedMotion:
     @property
     def n_parameters(self) -> int:
         """The number of parameters of the mean motion's switches that are not zero by construction."""
-        each, network = _PER_PLACED if self.shaping.placed else _PER_SWITCH, self.shaping.network
-        return each[self.dof] * (network.n_hidden - network.n_clock)
+        network = self.shaping.network
+        return _PER_SWITCH[self.dof] * (network.n_hidden - network.n_clock)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:
         """As `MotionModel.reproduce`: the network runs from ``start``, see `LieEDNN.start`.
@@ -291,7 +287,9 @@ class ShapedMotion:
     def _run(self, start: Floats, tau: Floats) -> Floats:
         """Displacements ``(n, K, 6)`` at network times ``tau``, from displacements ``(n, 6)``."""
         states = np.stack([self.network.start(one[None]).ravel() for one in start])
-        return run_field(self.network.flat_vector_field, states, _grid(max(tau[-1], 1.0), self.rate), tau, kept=6)
+        return run_field(
+            self.network.flat_vector_field, states, _grid(max(tau[-1], _FRACTION_STEP), self.rate), tau, kept=6
+        )
 
     def _beside(self, demonstrations: Demonstrations) -> Floats:
         """Network times ``(K,)`` that match the phases of the mean demonstration."""

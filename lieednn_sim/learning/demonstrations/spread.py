@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from lieednn_sim.learning.demonstrations.family import REFINEMENT
 from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.synthesis.shaping.cascade import clockwork
 from lieednn_sim.synthesis.shaping.pairs import PAIRS, bumps
@@ -57,7 +56,7 @@ class CodeSpread:
         """
         places = np.arange(PAIRS) / PAIRS
         smooth = np.exp(-0.5 * ((places[:, None] - places) / _SMOOTHNESS) ** 2)
-        basis = bumps(clockwork(1.0, REFINEMENT, ACTIVATIONS[activation]), PAIRS)[:-1]
+        basis = bumps(clockwork(1.0, ACTIVATIONS[activation]), PAIRS)[:-1]
         size, axes = np.linalg.eigh(smooth / np.einsum("km,mn,kn->k", basis, smooth, basis).max())
         allowed = np.kron(axes * np.sqrt(np.maximum(size, 0.0)), np.diag(least))
         root = np.concatenate([codes.reshape(len(codes), -1).T / np.sqrt(len(codes)), allowed], axis=1)
@@ -70,7 +69,7 @@ class CodeSpread:
 
     def basis(self, tau: Floats) -> Floats:
         """The bumps ``(T, M)`` at network times ``(T,)``."""
-        clock = clockwork(1.0, REFINEMENT, ACTIVATIONS[self.activation])
+        clock = clockwork(1.0, ACTIVATIONS[self.activation])
         return np.stack([np.interp(tau, clock.t, bump, right=0.0) for bump in bumps(clock, PAIRS)[:-1].T], axis=-1)
 
     def along(self, tau: Floats) -> Floats:

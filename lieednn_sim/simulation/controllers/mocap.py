@@ -24,7 +24,6 @@ from lieednn_sim.values import Floats
 _TIME_CONSTANT = 0.01
 _DAMPING_RATIO = 1.0
 _IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-_EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
 
 class MocapWelds(Controller):
@@ -109,7 +108,9 @@ class MocapWelds(Controller):
         # Equalities are the first constraints, in the same rows until one is switched on or off.
         if data.ne != self._equalities:
             self._equalities = data.ne
-            of_weld = (data.efc_type == _EQUALITY) & (data.efc_id == self._welds[:, None])
+            of_weld = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & (
+                data.efc_id == self._welds[:, None]
+            )
             self._pulling, rows = of_weld.any(axis=1), np.flatnonzero(of_weld.any(axis=0))
             self._weld_rows = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
         force = data.efc_force[self._weld_rows].copy()

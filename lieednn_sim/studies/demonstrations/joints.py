@@ -17,8 +17,7 @@ from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstration
 from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
-from lieednn_sim.studies.demonstrations.models import mean_errors, no_more_than
-from lieednn_sim.synthesis import ShapingOptions
+from lieednn_sim.studies.demonstrations.models import mean_errors
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -69,7 +68,6 @@ class JointStudy:
 def study_joints(
     demonstrations: JointDemonstrations,
     learned: JointMotion,
-    options: ShapingOptions,
     *,
     starts: int = 20,
     leave_one_out: bool = True,
@@ -81,25 +79,23 @@ def study_joints(
     Args:
         demonstrations: the demonstrations.
         learned: the network.
-        options: the options of its shaping. Networks shaped without a demonstration have no more hidden neurons.
         starts: number of random configurations free of contact (`draw_target`) from which it is run.
-        leave_one_out: shape again without each of the demonstrations.
-        seed: seed of the starts and the fits.
+        leave_one_out: shape again without each of the demonstrations, with as many hidden neurons.
+        seed: seed of the starts.
         progress: called with the steps done and their total.
 
     Returns:
         The study, and the joints' paths ``(K, n)`` from the starts that arrive.
     """
     arm, n = demonstrations.arm, len(demonstrations)
-    again = no_more_than(options, learned.shaping.network)
     folds = n if leave_one_out and n > 1 else 0
     without, paths = list[JointErrors](), list[Floats]()
     with one_blas_thread():
         for k in range(folds):
             if progress:
                 progress(k, folds + 1)
-            family = learned.response is not None
-            model = JointMotion.fit(demonstrations.without(k), options=again, seed=seed, family=family)
+            options, family = learned.shaping.options, learned.response is not None
+            model = JointMotion.fit(demonstrations.without(k), options=options, family=family)
             without.append(_errors(motion_to(model, demonstrations, demonstrations.q[k, -1]), demonstrations.q[k]))
         if progress:
             progress(folds, folds + 1)

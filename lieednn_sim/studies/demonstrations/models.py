@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING
@@ -20,10 +20,8 @@ from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.models import LinearAttractor, MotionModel
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
-from lieednn_sim.network import LieEDNN
 from lieednn_sim.registry import RIVALS
 from lieednn_sim.studies.demonstrations.attraction import Attraction, attraction, random_starts
-from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -69,7 +67,6 @@ def reproduction(
 def compare_models(
     demonstrations: Demonstrations,
     shaped: ShapedMotion,
-    options: ShapingOptions,
     *,
     rivals: Sequence[str] | None = None,
     aligned: Demonstrations | None = None,
@@ -84,13 +81,12 @@ def compare_models(
     Args:
         demonstrations: the demonstrations.
         shaped: the network fitted to all of them.
-        options: the options of its fit. Networks fitted without a demonstration have no more hidden neurons.
         rivals: names of `RIVALS`; by default all.
         aligned: if goals are kept, the same demonstrations with aligned goals: rivals know one goal. An error is the
             same seen from either.
         starts: number of random starts, see `attraction.random_starts`.
-        leave_one_out: fit each model again without each of the demonstrations.
-        seed: seed of the starts and the fits.
+        leave_one_out: fit each model again without each of the demonstrations, the network with as many hidden neurons.
+        seed: seed of the starts.
         progress: called with the steps done and their total.
         executor: runs the leave-one-out fits, with the same results; by default they run one after another here.
 
@@ -100,13 +96,12 @@ def compare_models(
     Raises:
         LieEDNNError: the executor gave up.
     """
-    again = no_more_than(options, shaped.shaping.network)
     names = [shaped.name, *(RIVALS if rivals is None else rivals)]
     for name in names[1:]:
         RIVALS.find(name)
     n, places = len(demonstrations), random_starts(demonstrations, starts, seed)
     folds = range(n) if leave_one_out and n > 1 else range(0)
-    fit = partial(_fit, n_parameters=shaped.n_parameters, options=again, seed=seed, family=shaped.response is not None)
+    fit = partial(_fit, shaped)
     seen = {name: demonstrations if aligned is None or name == shaped.name else aligned for name in names}
     pending = {}
     if executor is not None:
@@ -138,12 +133,12 @@ def compare_models(
     return rows, models
 
 
-def _fit(
-    name: str, demonstrations: Demonstrations, *, n_parameters: int, options: ShapingOptions, seed: int, family: bool
-) -> MotionModel:
+def _fit(shaped: ShapedMotion, name: str, demonstrations: Demonstrations) -> MotionModel:
+    """A model with about as many parameters as a shaped network, and of its kind if it is one."""
     if name == ShapedMotion.name:
-        return ShapedMotion.fit(demonstrations, options=options, seed=seed, family=family)
-    model: MotionModel = RIVALS[name].load()(demonstrations, n_parameters)
+        options, family = shaped.shaping.options, shaped.response is not None
+        return ShapedMotion.fit(demonstrations, options=options, family=family)
+    model: MotionModel = RIVALS[name].load()(demonstrations, shaped.n_parameters)
     return model
 
 
@@ -170,16 +165,6 @@ def _cancelling(futures: Collection[Future[PathErrors]]) -> Iterator[None]:
     finally:
         for future in futures:
             future.cancel()
-
-
-def no_more_than(options: ShapingOptions, network: LieEDNN) -> ShapingOptions:
-    """Options of a search for networks with no more hidden neurons than a given network.
-
-    Where these leave descents alone, each is tried a second time from another start: it may end in a local minimum.
-    """
-    hidden = network.n_hidden - network.n_clock
-    fewer, placed = (tuple(n for n in some if n <= hidden) for some in (options.neurons, options.placed_neurons))
-    return replace(options, neurons=fewer if placed else 2 * fewer, placed_neurons=placed)
 
 
 def _errors(model: MotionModel, demonstrations: Demonstrations, shown: Floats) -> PathErrors:

@@ -15,7 +15,6 @@ from lieednn_sim.studies.demonstrations.models import ModelRow, compare_models
 from lieednn_sim.studies.rows import TableRow, column, outcome
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
-from lieednn_sim.synthesis import ShapingOptions
 
 _error = partial(column, meaning="see `ModelRow` and `PathErrors`")
 
@@ -66,11 +65,11 @@ class ModelScore(TableRow):
 _KEPT = ("rms_mm", "rms_deg", "dtwd_mm", "frechet_mm", "goal_mm")
 
 
-def score(kind: str, path: str, unit: str, options: ShapingOptions, starts: int) -> list[ModelScore]:
+def score(kind: str, path: str, unit: str, starts: int) -> list[ModelScore]:
     """A row for each model of the demonstrations in a file."""
     demonstrations = align(load_demonstrations([Path(path)], unit=unit))
-    shaped = ShapedMotion.fit(demonstrations, options=options)
-    rows, _ = compare_models(demonstrations, shaped, options, starts=starts)
+    shaped = ShapedMotion.fit(demonstrations)
+    rows, _ = compare_models(demonstrations, shaped, starts=starts)
     return [scored(kind, Path(path).stem, row) for row in rows]
 
 
@@ -90,30 +89,27 @@ class DemonstrationSets(Study[ModelScore]):
 
     Attributes:
         files: where each set is from, its file, and its unit of length, ``"m"``, ``"cm"`` or ``"mm"``.
-        options: options of the network's fits.
         starts: number of random starts.
     """
 
     name, kind = "demonstrations", ModelScore
 
     files: Sequence[tuple[str, Path, str]]
-    options: ShapingOptions
     starts: int = 1000
 
     def settings(self) -> Mapping[str, Any]:
         """See `Study`."""
-        options = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self.options).items()}
-        return {"starts": self.starts, **options}
+        return {"starts": self.starts}
 
     @property
     def models(self) -> list[str]:
         """Names of the models, the network first."""
         return [ShapedMotion.name, *RIVALS]
 
-    def todo(self, table: Table[ModelScore]) -> list[tuple[str, str, str, ShapingOptions, int]]:
+    def todo(self, table: Table[ModelScore]) -> list[tuple[str, str, str, int]]:
         """See `Study`."""
         return [
-            (kind, str(path), unit, self.options, self.starts)
+            (kind, str(path), unit, self.starts)
             for kind, path, unit in self.files
             if any((kind, path.stem, model) not in table.rows for model in self.models)
         ]

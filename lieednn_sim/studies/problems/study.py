@@ -51,16 +51,12 @@ _SEARCH = RrtConnectOptions(
 )
 OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
-    # Its teacher is minimum jerk, or else the same search, for a fair comparison with it. Long paths take many neurons;
-    # contacts of a network that deviates a little are found by the check of its motion. Unlike those of the search,
-    # these numbers were chosen on six problems of the list on which fewer neurons had failed.
+    # Its teacher is minimum jerk, or else the same search, for a fair comparison with it. Contacts of a network that
+    # deviates a little are found by the check of its motion.
     "lieednn-shaped": ShapedOptions(
         teacher=TeacherOptions(polished=False, search=_SEARCH),
         teachers=100,
-        neurons=(16, 32, 64, 128),
-        deviation=2e-3,
-        jerk=1.5,
-        largest_deviation=1e-2,
+        deviation=1e-2,
     ),
 }
 # Largest duration of a motion relative to the least one of the straight path, and the shortest duration [s].

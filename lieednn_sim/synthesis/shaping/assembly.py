@@ -26,19 +26,12 @@ def assemble(parameters: Parameters, rate: float, target: Floats, activation: st
         target: visible equilibrium.
         activation: a name of `ACTIVATIONS`.
     """
-    n, m = parameters.q.shape[:2]
+    n, m = parameters.alpha.shape
     clock = 2 if rate < 1.0 else 0
     size = n + m + clock
-    alpha, translation = np.zeros((size, size)), np.zeros((size, size, 3))
-    rotation = np.tile(np.eye(3), (size, size, 1, 1))
-    blocks, _ = parameters.blocks()
+    alpha, rotation = np.zeros((size, size)), np.tile(np.eye(3), (size, size, 1, 1))
     hidden = slice(n, n + m)
-    strength = np.sum(parameters.q**2, axis=-1)
-    alpha[:n, hidden] = strength
-    rotation[:n, hidden] = np.where(
-        strength[..., None, None] > 0.0, blocks[..., :3, :3] / np.maximum(strength, 1e-300)[..., None, None], np.eye(3)
-    )
-    translation[:n, hidden] = parameters.tau
+    alpha[:n, hidden], rotation[:n, hidden] = parameters.alpha, parameters.rotation
     hidden_start = np.zeros((m + clock, 6))
     hidden_start[:m] = parameters.a + parameters.c
     for part in range(clock):
@@ -48,7 +41,7 @@ def assemble(parameters: Parameters, rate: float, target: Floats, activation: st
         hidden_start[m + part, half.start] = CLOCK_START
         driven = (1.0 - rate) / CLOCK_START * parameters.c[:, half]
         alpha[hidden, sender] = np.linalg.norm(driven, axis=1)
-        rotation[hidden, sender] = _turns_to(driven)
+        rotation[hidden, sender] = turns_to(driven)
     bias = np.zeros((size, 6))
     bias[hidden] = parameters.a
     scales = [1.0]
@@ -59,7 +52,7 @@ def assemble(parameters: Parameters, rate: float, target: Floats, activation: st
     network = LieEDNN(
         alpha=alpha,
         rotation=rotation,
-        translation=translation,
+        translation=np.zeros((size, size, 3)),
         bias=bias,
         activation=activation,
         lyapunov_diagonal=np.repeat(np.repeat(scales, [n, m, clock][: len(scales)]), 3) ** 2,
@@ -69,13 +62,16 @@ def assemble(parameters: Parameters, rate: float, target: Floats, activation: st
     return network.retarget(target)
 
 
-def _turns_to(vectors: Floats) -> Floats:
-    """Rotations ``(M, 3, 3)`` of e_x to the directions of ``vectors`` ``(M, 3)``, as products of two reflections."""
-    size = np.linalg.norm(vectors, axis=1, keepdims=True)
+def turns_to(vectors: Floats) -> Floats:
+    """Rotations ``(..., 3, 3)`` of e_x to the directions of ``vectors`` ``(..., 3)``, as products of two reflections.
+
+    The rotation to a vector of length zero is the identity.
+    """
+    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
     direction = np.where(size > 0.0, vectors / np.maximum(size, 1e-300), _UNIT)
-    # The mirror that swaps e_x and the direction (that of e_y where they agree), after one that leaves e_x alone.
+    # The mirror that swaps e_x and the direction (that of e_z where they agree), after one that leaves e_x alone.
     normal = direction - _UNIT
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = np.where(length > 1e-12, normal / np.maximum(length, 1e-300), np.eye(3)[1])
-    mirror = np.eye(3) - 2.0 * normal[:, :, None] * normal[:, None, :]
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    normal = np.where(length > 1e-12, normal / np.maximum(length, 1e-300), np.eye(3)[2])
+    mirror = np.eye(3) - 2.0 * normal[..., :, None] * normal[..., None, :]
     return np.asarray(mirror @ np.diag([1.0, 1.0, -1.0]))

@@ -26,17 +26,15 @@ class Curve:
         tangents: ``(R, N, 6)`` derivatives in the fraction s of the length, from 0 to 1.
         units: ``(N, 6)`` metres that one unit of each coordinate counts for, the metric.
         length: length in this metric [m].
-        weights: ``(R,)`` weights of deviations, at most 1.
     """
 
     points: Floats
     tangents: Floats
     units: Floats
     length: float
-    weights: Floats
 
     @classmethod
-    def through(cls, samples: Floats, units: Floats, weights: Floats | None = None) -> Curve:
+    def through(cls, samples: Floats, units: Floats) -> Curve:
         """The curve through samples ``(K, N, 6)``, smooth between them and without overshoot.
 
         Raises:
@@ -58,8 +56,7 @@ class Curve:
         points = PchipInterpolator(chord, kept_samples, axis=0)(even)
         points[0], points[-1] = samples[0], samples[-1]
         tangents = np.gradient(points, 1.0 / (_ROWS - 1), axis=0)
-        known = np.ones(_ROWS) if weights is None else np.interp(even, chord, weights[kept])
-        return cls(points, tangents, units, float(arc[-1]), known)
+        return cls(points, tangents, units, float(arc[-1]))
 
     def at(self, s: Floats) -> tuple[Floats, Floats]:
         """Points and tangents ``(K, N, 6)`` at fractions ``(K,)`` of the length."""
@@ -81,10 +78,6 @@ class Curve:
         s = np.maximum.accumulate(s)
         s[0], s[-1] = 0.0, 1.0
         return s
-
-    def weight(self, s: Floats) -> Floats:
-        """Weights of deviations at fractions ``(K,)`` of the length."""
-        return np.asarray(np.interp(s, np.linspace(0.0, 1.0, len(self.weights)), self.weights))
 
 
 def clock_along(points: Floats, per_turn: float, smoothing: float) -> Floats:

@@ -229,10 +229,10 @@ def _places() -> tuple[Floats, Floats]:
 def _universal(n: int, activation: str) -> tuple[LieEDNN, Floats]:
     """The universal network of N visible neurons, and the hidden start of code zero."""
     a, c = (np.tile(np.outer([1.0, -1.0], part).ravel(), n)[:, None] * np.ones(6) for part in _places())
-    q = np.zeros((n, n, 2 * CODE_PAIRS, 4))
-    q[np.arange(n), np.arange(n), :, 0] = np.sqrt(_STRENGTH)
-    parameters = Parameters(a, c, q.reshape(n, -1, 4), np.zeros((n, len(a), 3)))
-    network = assemble(parameters, 1.0, np.zeros((n, 6)), activation)
+    alpha = np.kron(np.eye(n), np.full(2 * CODE_PAIRS, _STRENGTH))
+    network = assemble(
+        Parameters(a, c, alpha, np.tile(np.eye(3), (n, len(a), 1, 1))), 1.0, np.zeros((n, 6)), activation
+    )
     if not network.certified:
         raise NotCertifiedError(f"the closed-form certificate does not hold ({network.certificate})")
     return network, network.hidden_start

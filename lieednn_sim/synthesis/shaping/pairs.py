@@ -71,7 +71,7 @@ def with_pairs(
             linear in them.
         others: other codes D delta ``(..., N, M, 6)`` that must be small.
     """
-    n, count = parameters.q.shape[0], PAIRS
+    n, count = len(parameters.alpha), PAIRS
     left = np.exp(-clock.t)[:, None, None] * np.eye(6 * n)
     wanted = response - np.concatenate([left, np.eye(6 * n) - left], axis=2)[:, :, : response.shape[2]]
     # For each visible neuron and pair, D delta for a unit of each coordinate of the start and of the target.
@@ -82,13 +82,11 @@ def with_pairs(
     if strength <= 0.0:
         return network
     a, c = (np.tile(np.outer([1.0, -1.0], part).ravel(), n)[:, None] * np.ones(6) for part in switches(count))
-    q = np.zeros((n, n, 2 * count, 4))
-    q[np.arange(n), np.arange(n), :, 0] = np.sqrt(strength)
     joined = Parameters(
         np.concatenate([parameters.a, a]),
         np.concatenate([parameters.c, c]),
-        np.concatenate([parameters.q, q.reshape(n, -1, 4)], axis=1),
-        np.concatenate([parameters.tau, np.zeros((n, len(a), 3))], axis=1),
+        np.concatenate([parameters.alpha, np.kron(np.eye(n), np.full(2 * count, strength))], axis=1),
+        np.concatenate([parameters.rotation, np.tile(np.eye(3), (n, len(a), 1, 1))], axis=1),
     )
     made = assemble(joined, clock.rate, network.equilibrium().xi[:n], network.activation)
     gain, *rest = np.split(shifts(made, codes).reshape(made.n_hidden * 6, -1), response.shape[2] // (6 * n), axis=1)

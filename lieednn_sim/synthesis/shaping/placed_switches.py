@@ -2,8 +2,7 @@
 
 Each hidden neuron is a turn or a shift: one coordinate of its rotational or of its translational half switches, and the
 other half rests. Then a visible neuron's input is a sum of vectors alpha R e_x, one for each switch, and theta need not
-translate. The problem is linear, without start and local minima, but takes several times as many neurons as a descent
-on all parameters (`fit`).
+translate. The problem is linear, without start and local minima.
 
 Overlapping soft switches leave ripples far below the requested deviation, which a motion feels as jerk. So the third
 derivative of the error is penalised too.
@@ -15,10 +14,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
+from lieednn_sim.synthesis.shaping.assembly import turns_to
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters
 from lieednn_sim.synthesis.shaping.curve import Curve, clock_along, third_derivative
-from lieednn_sim.synthesis.shaping.fit import LARGEST_SLOPE
-from lieednn_sim.synthesis.shaping.start import towards
 from lieednn_sim.values import Floats
 
 # Pieces over which curvature is computed, and the fraction of the length over which it is smoothed.
@@ -29,6 +27,8 @@ _CLOCK_PER_TURN = 0.03
 # Slope of a switch over the density of switches, and the least slope: without overlap the path would ripple.
 _OVERLAP = 1.0
 _LEAST_SLOPE = 1.0
+# Bound on slopes: the steepest switch spans a sixtieth of the path, twice the resolution of `cascade`.
+LARGEST_SLOPE = 60.0
 # The density of switches is the root of the curve's second derivative plus this much everywhere.
 _LEAST_DENSITY = 0.1
 # Ripples shorter than 2 pi times this fraction of the clock count more than deviations.
@@ -41,33 +41,30 @@ _RIDGE = 1e-9
 
 def fit_placed_switches(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
     """Parameters of the cascade with ``n_switches`` switches placed along the curve whose path is nearest to it."""
-    n, m, clock = len(cascade.target), n_switches, cascade.clock
+    n, m, clock = curve.points.shape[1], n_switches, cascade.clock
     pace = _pace(curve)
     fractions = pace(1.0 - clock.g)
     goal, _ = curve.at(fractions)
     # The last row is the tail, which should vanish.
     missing = np.concatenate([goal - cascade.free[:-1], np.zeros((1, n, 6))])
-    weight = np.append(curve.weight(fractions), 1.0)[:, None]
     w = 1.0 - clock.g
     # Nearly even, so that no difference is dominated by close instants.
     looks = np.unique(np.abs(w[:, None] - np.linspace(0.0, 1.0 - _LEAST_CLOCK, _INSTANTS)).argmin(axis=0))
     ripples = third_derivative(w[looks])
-    a, c, q = np.zeros((m, 6)), np.zeros((m, 6)), np.zeros((n, m, 4))
+    a, c, read = np.zeros((m, 6)), np.zeros((m, 6)), np.zeros((n, m, 3))
     for half, chosen in _halves(curve, m):
         place, slope = _switches(curve, pace, half, len(chosen))
         lead = half.start
         c[chosen, lead], a[chosen, lead] = slope, -slope * (1.0 - place)
-        outputs = cascade.switched(a[chosen], c[chosen])[0][..., lead]
+        outputs = cascade.switched(a[chosen, lead], c[chosen, lead])
         wanted = missing[..., half].reshape(len(missing), -1)
-        left, right = (
-            np.concatenate([weight * side, _RIPPLE**3 * (ripples @ side[looks])]) for side in (outputs, wanted)
-        )
+        left, right = (np.concatenate([side, _RIPPLE**3 * (ripples @ side[looks])]) for side in (outputs, wanted))
         ridge = np.sqrt(_RIDGE) * np.eye(len(chosen))
         readouts = np.linalg.lstsq(
             np.concatenate([left, ridge]), np.concatenate([right, np.zeros((len(chosen), 3 * n))]), rcond=None
         )[0]
-        q[:, chosen] = towards(readouts.reshape(-1, n, 3).transpose(1, 0, 2))
-    return Parameters(a, c, q, np.zeros((n, m, 3)))
+        read[:, chosen] = readouts.reshape(-1, n, 3).transpose(1, 0, 2)
+    return Parameters(a, c, np.linalg.norm(read, axis=-1), turns_to(read))
 
 
 def _halves(curve: Curve, count: int) -> list[tuple[slice, Floats]]:

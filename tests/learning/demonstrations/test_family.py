@@ -15,7 +15,7 @@ from lieednn_sim.studies.demonstrations.attraction import attraction, random_sta
 from lieednn_sim.studies.demonstrations.models import compare_models
 from lieednn_sim.synthesis import ShapingOptions, shape
 
-OPTIONS = ShapingOptions(neurons=(8,), placed_neurons=(32,))
+OPTIONS = ShapingOptions(neurons=(16,))
 
 
 @pytest.fixture(scope="module")
@@ -140,13 +140,13 @@ def test_starts_touch_neither_the_certificate_nor_the_goal(posed, learned, tmp_p
 
 
 def test_several_motions_in_one_set(monkeypatch):
-    monkeypatch.setattr(paths, "SAMPLES", 200)
+    monkeypatch.setattr(paths, "SAMPLES", 100)
     shown = motions_in_one()
     family = ShapedMotion.fit(shown, options=OPTIONS)
     fading = ShapedMotion.fit(shown, options=OPTIONS, family=False)
-    (ours, mixture), _ = compare_models(shown, family, OPTIONS, rivals=["lpv-ds"], starts=1)
-    (today,), _ = compare_models(shown, fading, OPTIONS, rivals=[], starts=1)
-    for part in ("training", "left_out"):
-        error, mixed, before = (getattr(row, part).dtwd_mm for row in (ours, mixture, today))
-        assert error < 0.2 * before
-        assert error <= mixed
+    (ours,), _ = compare_models(shown, family, rivals=[], starts=1)
+    (today, mixture), _ = compare_models(shown, fading, rivals=["lpv-ds"], starts=1, leave_one_out=False)
+    # What it has not seen it knows better than they know what they have.
+    for error in (ours.training.dtwd_mm, ours.left_out.dtwd_mm):
+        assert error < 0.2 * today.training.dtwd_mm
+        assert error <= mixture.training.dtwd_mm

@@ -129,11 +129,10 @@ def test_a_shaped_network_follows_the_mean_and_forgets_the_start_as_fast_as_it_s
     # The same by the integrator of the package.
     way = model.network.trajectory(model.network.start(planar.mean[:1]), tau[40])
     np.testing.assert_allclose(path[0, 40], model.network.visible(way.xi[-1])[0], atol=2e-5)
-    assert model.n_parameters == 10 * (model.network.n_hidden - model.network.n_clock)
 
 
 def test_a_turn_that_is_off_does_not_drag_the_position_along(posed):
-    model = ShapedMotion.fit(posed, options=ShapingOptions(neurons=(2,), placed_neurons=()), family=False)
+    model = ShapedMotion.fit(posed, options=ShapingOptions(neurons=(2,)), family=False)
     off = np.array([0.4, -0.2, 0.3, 0.0, 0.05, -0.1])
     start = displacement(posed.mean[0])
     path = displacement(model.reproduce(twist_of(np.stack([start, start + off])), posed.t))
@@ -141,7 +140,7 @@ def test_a_turn_that_is_off_does_not_drag_the_position_along(posed):
 
 
 def test_numbers_of_a_placed_switch_are_its_place_its_slope_and_a_vector(planar):
-    model = ShapedMotion.fit(planar, options=ShapingOptions(neurons=(), placed_neurons=(8,)), family=False)
+    model = ShapedMotion.fit(planar, options=ShapingOptions(neurons=(8,)), family=False)
     network = model.network
     hidden = slice(1, None)
     counted = np.count_nonzero(network.bias[hidden]) + np.count_nonzero(network.hidden_start)

@@ -12,7 +12,7 @@ from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.synthesis.shaping.pairs import PAIRS, codes_of, switches
 
-OPTIONS = ShapingOptions(neurons=(8,), placed_neurons=(32,))
+OPTIONS = ShapingOptions(neurons=(16,))
 
 
 @pytest.fixture(scope="module")
