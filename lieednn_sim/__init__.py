@@ -22,74 +22,47 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    from lieednn_sim.arm import Arm, TaskSpaceRegion, solve_ik
-    from lieednn_sim.arm.targets import draw_target
-    from lieednn_sim.errors import LieEDNNError, PlanError
-    from lieednn_sim.evaluation import evaluate, evaluate_following
-    from lieednn_sim.evaluation.plots import plot
-    from lieednn_sim.learning import train
-    from lieednn_sim.live import view
-    from lieednn_sim.network import LieEDNN
-    from lieednn_sim.planning import (
-        Actuate,
-        Move,
-        Plan,
-        plan,
-        plan_in,
-        plan_sequence,
-        register_planner,
-    )
-    from lieednn_sim.policies import Feedback, NetworkPolicy, Policy, control_loop, make_policy
-    from lieednn_sim.rendering.page import render_page
-    from lieednn_sim.rendering.still import render_still
-    from lieednn_sim.rendering.video import render_video
-    from lieednn_sim.simulation import Channel, Disturbances, Push, Rollout, follow, run_in, simulate, simulate_many
-    from lieednn_sim.studies import compare
-    from lieednn_sim.synthesis import CurveEncoder, shape, synthesize
+    from lieednn_sim.arm import Arm as Arm
+    from lieednn_sim.arm import TaskSpaceRegion as TaskSpaceRegion
+    from lieednn_sim.arm import solve_ik as solve_ik
+    from lieednn_sim.arm.targets import draw_target as draw_target
+    from lieednn_sim.errors import LieEDNNError as LieEDNNError
+    from lieednn_sim.errors import PlanError as PlanError
+    from lieednn_sim.evaluation import evaluate as evaluate
+    from lieednn_sim.evaluation import evaluate_following as evaluate_following
+    from lieednn_sim.evaluation.plots import plot as plot
+    from lieednn_sim.learning import train as train
+    from lieednn_sim.live import view as view
+    from lieednn_sim.network import LieEDNN as LieEDNN
+    from lieednn_sim.planning import Actuate as Actuate
+    from lieednn_sim.planning import Move as Move
+    from lieednn_sim.planning import Plan as Plan
+    from lieednn_sim.planning import plan as plan
+    from lieednn_sim.planning import plan_in as plan_in
+    from lieednn_sim.planning import plan_sequence as plan_sequence
+    from lieednn_sim.planning import register_planner as register_planner
+    from lieednn_sim.policies import Feedback as Feedback
+    from lieednn_sim.policies import NetworkPolicy as NetworkPolicy
+    from lieednn_sim.policies import Policy as Policy
+    from lieednn_sim.policies import control_loop as control_loop
+    from lieednn_sim.policies import make_policy as make_policy
+    from lieednn_sim.rendering.page import render_page as render_page
+    from lieednn_sim.rendering.still import render_still as render_still
+    from lieednn_sim.rendering.video import render_video as render_video
+    from lieednn_sim.simulation import Channel as Channel
+    from lieednn_sim.simulation import Disturbances as Disturbances
+    from lieednn_sim.simulation import Push as Push
+    from lieednn_sim.simulation import Rollout as Rollout
+    from lieednn_sim.simulation import follow as follow
+    from lieednn_sim.simulation import run_in as run_in
+    from lieednn_sim.simulation import simulate as simulate
+    from lieednn_sim.simulation import simulate_many as simulate_many
+    from lieednn_sim.studies import compare as compare
+    from lieednn_sim.synthesis import CurveEncoder as CurveEncoder
+    from lieednn_sim.synthesis import shape as shape
+    from lieednn_sim.synthesis import synthesize as synthesize
 
-__all__ = [
-    "Actuate",
-    "Arm",
-    "Channel",
-    "CurveEncoder",
-    "Disturbances",
-    "Feedback",
-    "LieEDNN",
-    "LieEDNNError",
-    "Move",
-    "NetworkPolicy",
-    "Plan",
-    "PlanError",
-    "Policy",
-    "Push",
-    "Rollout",
-    "TaskSpaceRegion",
-    "compare",
-    "control_loop",
-    "draw_target",
-    "evaluate",
-    "evaluate_following",
-    "follow",
-    "make_policy",
-    "plan",
-    "plan_in",
-    "plan_sequence",
-    "plot",
-    "register_planner",
-    "render_page",
-    "render_still",
-    "render_video",
-    "run_in",
-    "shape",
-    "simulate",
-    "simulate_many",
-    "solve_ik",
-    "synthesize",
-    "train",
-    "view",
-]
-
-_ROOMS = {
+_NAMES = {
     "arm": ("Arm", "TaskSpaceRegion", "solve_ik"),
     "arm.targets": ("draw_target",),
     "errors": ("LieEDNNError", "PlanError"),
@@ -111,14 +84,15 @@ _SUBPACKAGES = (
     *("lie", "stability", "network", "theory", "synthesis", "learning", "arm", "planning", "policies", "simulation"),
     *("rendering", "evaluation", "studies", "environments", "exports", "live", "cli"),
 )
-_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = sorted(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return import_module("importlib.metadata").version("lieednn_sim")
-    if name in _ROOM_OF:
-        return getattr(import_module(f"lieednn_sim.{_ROOM_OF[name]}"), name)
+    if name in _MODULE_OF:
+        return getattr(import_module(f"lieednn_sim.{_MODULE_OF[name]}"), name)
     if name in _SUBPACKAGES:
         return import_module(f"lieednn_sim.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}; names: {', '.join(__all__)}")

@@ -15,8 +15,8 @@ import os
 import sys
 import types
 import typing
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import is_dataclass
+from collections import ChainMap
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import wraps
 from itertools import chain, repeat
 from typing import Any, NamedTuple
@@ -26,10 +26,8 @@ import numpy as np
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import quoted
 
-_SPECIAL_METHODS = ("__init__", "__call__", "__getitem__")
 # A function is left as it is if all its parameters have these annotations: `as_floats` checks them closely.
 _CHECKED_WITHIN = {"ArrayLike", "ArrayLike | None", "Floats", "Floats | None", "Any", "object"}
-_WORDS = {str: "a string", os.PathLike: "a path", bool: "True or False", int: "a whole number", float: "a number"}
 # Where to get what a user does not have at hand.
 _SOURCES = {
     "Arm": "see Arm.load",
@@ -41,25 +39,21 @@ _SOURCES = {
 }
 
 
-class _Fault(NamedTuple):
-    """What is wrong, and where within the argument: ``[2]`` in the third item of a list."""
+class _Hint(NamedTuple):
+    """What an annotation asks for.
 
-    place: str
-    wanted: str
-    given: object
-
-
-_Find = Callable[[Any], _Fault | None]
-
-
-class _Check(NamedTuple):
-    """What is wanted, in words, and what finds the fault of a value."""
+    Attributes:
+        wanted: in words.
+        accepts: whether a value is of this kind, whatever its parts are.
+        parts: the parts of such a value that have a hint of their own: where each is, as ``[2]``, its hint, and itself.
+    """
 
     wanted: str
-    find: _Find
+    accepts: Callable[[Any], bool]
+    parts: Callable[[Any], Iterable[tuple[str, _Hint, Any]]] | None = None
 
 
-class _Array:
+class Array:
     """Stands for ``ArrayLike``, whose members could not be told from the others of a union."""
 
 
@@ -86,7 +80,8 @@ def _check_methods(cls: type) -> None:
     for name, value in list(vars(cls).items()):
         kind = type(value) if isinstance(value, classmethod | staticmethod) else None
         function = value if kind is None else value.__func__
-        if isinstance(function, types.FunctionType) and (name in _SPECIAL_METHODS or not name.startswith("_")):
+        public = name in ("__init__", "__call__", "__getitem__") or not name.startswith("_")
+        if public and isinstance(function, types.FunctionType):
             checked = typechecked(function, cls)
             if checked is not function:
                 setattr(cls, name, checked if kind is None else kind(checked))
@@ -101,119 +96,95 @@ def typechecked(function: Callable[..., Any], cls: type | None = None) -> Callab
         function: the function. Its annotations are read at the first call, when all modules are loaded.
         cls: the class whose method it is.
     """
-    hints = {hint for name, hint in function.__annotations__.items() if name != "return"}
+    annotations = {text for name, text in function.__annotations__.items() if name != "return"}
     if (
         "unchecked" in (function.__doc__ or "")
         or hasattr(function, "__typechecked__")
-        or hints <= (_CHECKED_WITHIN if function.__name__ != "__init__" else set())
+        or annotations <= (_CHECKED_WITHIN if function.__name__ != "__init__" else set())
     ):
         return function
-    checks: tuple[list[tuple[str, _Find]], tuple[str, _Find], dict[str, _Find]] | None = None
+    code, hints = inspect.unwrap(function).__code__, dict[str, _Hint]()
+    positional = code.co_varnames[: code.co_argcount]
 
     @wraps(function)
     def checking(*arguments: Any, **options: Any) -> Any:
-        nonlocal checks
-        checks = checks or _checks(function, cls)
-        positional, beyond, named = checks
-        for value, (name, find) in zip(arguments, chain(positional, repeat(beyond)), strict=False):
-            if (fault := find(value)) is not None:
-                raise _error(name, fault)
-        for name, value in options.items():
-            if name in named and (fault := named[name](value)) is not None:
-                raise _error(name, fault)
+        if not hints:
+            hints.update((name, _hint(kind)) for name, kind in annotations_of(function, cls).items())
+        for name, value in chain(zip(positional, arguments, strict=False), options.items()):
+            if name in hints:
+                _require(name, hints[name], value)
         return function(*arguments, **options)
 
     checking.__typechecked__ = True  # type: ignore[attr-defined]
     return checking
 
 
-def _error(name: str, fault: _Fault) -> InputError:
-    value = fault.given
-    # The text of any other object may be long, and of no use.
-    shown = isinstance(value, None | str | bytes | numbers.Number | np.generic | Collection)
-    given = quoted(value) if shown or inspect.isclass(value) else _with_article(type(value).__name__)
-    hint = next((f"; {_SOURCES[word]}" for word in fault.wanted.split() if word in _SOURCES), "")
-    return InputError(f"{name}{fault.place} must be {fault.wanted}, got {given}{hint}")
+def _require(name: str, hint: _Hint, value: Any) -> None:
+    """Raise `InputError` if a value, or one of its parts, is not what is asked for."""
+    if not hint.accepts(value):
+        # The text of any other object may be long, and of no use.
+        shown = isinstance(value, None | str | bytes | numbers.Number | np.generic | Collection | type)
+        given = quoted(value) if shown else _with_article(type(value).__name__)
+        source = next((f"; {_SOURCES[word]}" for word in hint.wanted.split() if word in _SOURCES), "")
+        raise InputError(f"{name} must be {hint.wanted}, got {given}{source}")
+    for place, inner, part in () if hint.parts is None else hint.parts(value):
+        _require(name + place, inner, part)
 
 
-def _checks(
-    function: Callable[..., Any], cls: type | None
-) -> tuple[list[tuple[str, _Find]], tuple[str, _Find], dict[str, _Find]]:
-    """How to check the arguments of a function: by position, those beyond, and by name."""
-    own: dict[str, Any] = inspect.unwrap(function).__globals__
-    positional: list[tuple[str, _Find]] = []
-    beyond: tuple[str, _Find] = ("", _accept)
-    named: dict[str, _Find] = {}
-    for name, parameter in inspect.signature(function).parameters.items():
-        hint, scope = parameter.annotation, own
-        if function.__name__ == "__init__" and is_dataclass(cls) and name != "self":
-            # A field may be inherited from another module, where its annotation has its meaning.
-            owners = (base for base in cls.__mro__ if name in vars(base).get("__annotations__", {}))
-            scope = vars(sys.modules[next(owners, cls).__module__])
-        if parameter.kind is parameter.VAR_KEYWORD:
-            for options in typing.get_args(_evaluate(hint, scope)):  # of `Unpack`
-                scope = vars(sys.modules[options.__module__])
-                named |= {key: _check(_evaluate(text, scope)).find for key, text in options.__annotations__.items()}
-            continue
-        find = _accept if hint is parameter.empty else _check(_evaluate(hint, scope)).find
-        if parameter.kind is parameter.VAR_POSITIONAL:
-            beyond = name, find
-            continue
-        if parameter.kind is not parameter.KEYWORD_ONLY:
-            positional.append((name, find))
-        named[name] = find
-    return positional, beyond, named
+def annotations_of(function: Callable[..., Any], cls: type | None = None) -> dict[str, Any]:
+    """The types that the annotations of a function's parameters mean, by name; arguments as for `typechecked`."""
+    # A field may be inherited from another module, where its annotation has its meaning.
+    modules = (vars(sys.modules[base.__module__]) for base in (cls.__mro__ if cls else ()))
+    names = _Names({"ArrayLike": Array}, inspect.unwrap(function).__globals__, *modules)
+    found = {name: _evaluate(hint, names) for name, hint in function.__annotations__.items() if name != "return"}
+    for hint in list(found.values()):
+        if typing.get_origin(hint) is typing.Unpack:
+            found |= typing.get_type_hints(*typing.get_args(hint))
+    return found
 
 
-def _evaluate(hint: Any, scope: Mapping[str, Any]) -> Any:
-    text = hint.__forward_arg__ if isinstance(hint, typing.ForwardRef) else hint
+def _evaluate(hint: Any, names: Mapping[str, Any]) -> Any:
     # Twice, if it is the name of an alias that is a text itself.
-    return _evaluate(eval(text, {}, _Names(scope, ArrayLike=_Array)), scope) if isinstance(text, str) else text
+    return _evaluate(eval(hint, {}, names), names) if isinstance(hint, str) else hint
 
 
-class _Names(dict[str, Any]):
-    """Names in a module; for what it imports for type checkers alone, a class that is recognised by its name."""
+class _Names(ChainMap[str, Any]):
+    """Names in modules; for what these import for type checkers alone, a class that is recognised by its name."""
 
     def __missing__(self, name: str) -> Any:
         known = getattr(builtins, name, None) or getattr(typing, name, None)  # an alias of elsewhere may have these
-        return known or type(name, (), {"__module__": __package__, "__by_name__": True})
+        return known or _Named(name, (), {"__module__": __package__})
 
 
-def _accept(_: object) -> None:
-    return None
+class _Named(type):
+    """A class whose instances are those of any class of its name."""
+
+    def __instancecheck__(cls, instance: object) -> bool:
+        return any(base.__name__ == cls.__name__ for base in type(instance).__mro__)
 
 
-def _check(hint: Any) -> _Check:
+def _hint(hint: Any) -> _Hint:
     kind, inner = typing.get_origin(hint) or hint, typing.get_args(hint)
+    if kind in _PLAIN:
+        return _PLAIN[kind]
     if kind in (typing.Union, types.UnionType):
-        return _union([_check(one) for one in inner])
+        return _union([_hint(one) for one in inner])
     if isinstance(kind, typing.TypeVar):
-        return _check(kind.__bound__ or Any)
-    if kind is None or kind is type(None):
-        return _simple("None", lambda value: value is None)
-    if kind in (_Array, np.ndarray):
-        return _simple("an array of numbers", _is_array)
-    if kind in _NUMBERS:
-        return _simple(_WORDS[kind], _NUMBERS[kind])
-    if kind is Callable:
-        return _simple("a function", callable)
-    if kind is type and inner and isinstance(base := getattr(inner[0], "__bound__", inner[0]), type):
+        return _hint(kind.__bound__ or Any)
+    if kind is type and inner:
+        base = getattr(inner[0], "__bound__", inner[0])
         wanted = f"a subclass of {base.__name__}"
-        return _simple(wanted, lambda value: inspect.isclass(value) and issubclass(value, base))
-    if kind is tuple and inner and Ellipsis not in inner:
-        return _tuple([_check(one) for one in inner])
-    if kind in (tuple, list, Sequence, Collection, Iterable):
-        return _sequence(_check(inner[0] if inner else Any), any_iterable=kind in (Collection, Iterable))
+        return _Hint(wanted, lambda value: isinstance(value, type) and issubclass(value, base))
+    if kind in (tuple, list, Sequence, Collection):
+        fixed = kind is tuple and bool(inner) and Ellipsis not in inner
+        return _sequence([_hint(one) for one in (inner if fixed else inner[:1])] or [_ANYTHING], fixed=fixed)
     if kind in (dict, Mapping) or typing.is_typeddict(kind):
-        return _mapping(*(_check(one) for one in inner or (Any, Any)))
-    if not isinstance(kind, type) or kind in (object, Any) or getattr(kind, "_is_protocol", False):
-        return _Check("anything", _accept)
-    if hasattr(kind, "__by_name__"):
-        names = kind.__name__
-        return _simple(_with_article(names), lambda value: names in (base.__name__ for base in type(value).__mro__))
+        return _mapping(*map(_hint, inner or (Any, Any)))
+    if not isinstance(kind, type) or getattr(kind, "_is_protocol", False):
+        return _ANYTHING
     package = kind.__module__.partition(".")[0]
     origin = "" if package == __package__ or package in sys.stdlib_module_names else f" of {package}"
-    return _simple(_WORDS.get(kind) or _with_article(kind.__name__) + origin, lambda value: isinstance(value, kind))
+    return _Hint(_with_article(kind.__name__) + origin, lambda value: isinstance(value, kind))
 
 
 def _with_article(name: str) -> str:
@@ -221,99 +192,78 @@ def _with_article(name: str) -> str:
     return name if name.endswith("s") else f"an {name}" if name[0] in "AEIOUaeiou" else f"a {name}"
 
 
-def _simple(wanted: str, accepts: Callable[[Any], bool]) -> _Check:
-    return _Check(wanted, lambda value: None if accepts(value) else _Fault("", wanted, value))
-
-
-def _is_number(value: object) -> bool:
+def _is_number(value: object, abstract: type, kinds: str) -> bool:
+    """Whether a value is a number, or an array without axes of a type of one of these kinds; a truth value is none."""
     if isinstance(value, np.ndarray):
-        return value.ndim == 0 and value.dtype.kind in "iuf" and value is not np.ma.masked
-    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+        return value.ndim == 0 and value.dtype.kind in kinds and value is not np.ma.masked
+    return isinstance(value, abstract) and not isinstance(value, bool)
 
 
 def _is_whole(value: object) -> bool:
-    if isinstance(value, np.ndarray):
-        return value.ndim == 0 and value.dtype.kind in "iu"
-    return isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    return type(value) is int or _is_number(value, numbers.Integral, "iu")
 
 
-_NUMBERS: dict[Any, Callable[[Any], bool]] = {
-    bool: lambda value: isinstance(value, bool | np.bool_),
-    int: lambda value: type(value) is int or _is_whole(value),
-    float: lambda value: type(value) is float or _is_number(value),
-}
+def _is_real(value: object) -> bool:
+    return type(value) is float or _is_number(value, numbers.Real, "iuf")
 
 
 def _is_array(value: object) -> bool:
-    return hasattr(value, "__array__") or _is_number(value) or _is_list(value)
+    return hasattr(value, "__array__") or _is_real(value) or _is_list(value)
 
 
 def _is_list(value: object) -> bool:
     """Whether a value is a sequence, or another collection but text and mappings; arrays have an axis at least."""
-    if isinstance(value, list | tuple):
-        return True
     if isinstance(value, np.ndarray):
         return value.ndim > 0
     return isinstance(value, Collection) and not isinstance(value, str | bytes | bytearray | Mapping)
 
 
-def _union(checks: list[_Check]) -> _Check:
+_ANYTHING = _Hint("anything", lambda _: True)
+_PLAIN: dict[Any, _Hint] = {
+    **dict.fromkeys((Any, object), _ANYTHING),
+    **dict.fromkeys((Array, np.ndarray), _Hint("an array of numbers", _is_array)),
+    **dict.fromkeys((None, type(None)), _Hint("None", lambda value: value is None)),
+    Callable: _Hint("a function", callable),
+    # What can be read only once is left to the function.
+    Iterable: _Hint("a list", lambda value: _is_list(value) or isinstance(value, Iterator)),
+    str: _Hint("a string", lambda value: isinstance(value, str)),
+    os.PathLike: _Hint("a path", lambda value: isinstance(value, os.PathLike)),
+    bool: _Hint("True or False", lambda value: isinstance(value, bool | np.bool_)),
+    int: _Hint("a whole number", _is_whole),
+    float: _Hint("a number", _is_real),
+}
+
+
+def _union(hints: list[_Hint]) -> _Hint:
     # Whoever gave something wants it, and not None.
-    wanted = " or ".join(dict.fromkeys(check.wanted for check in checks if check.wanted != "None"))
+    wanted = " or ".join(dict.fromkeys(hint.wanted for hint in hints if hint.wanted != "None"))
 
-    def find(value: Any) -> _Fault | None:
-        within = None
-        for check in checks:
-            if (fault := check.find(value)) is None:
-                return None
-            within = fault if fault.place else within
-        return within or _Fault("", wanted, value)
+    def parts(value: Any) -> Iterable[tuple[str, _Hint, Any]]:
+        # No annotation has two kinds of lists.
+        find = next(hint for hint in hints if hint.accepts(value)).parts
+        return find(value) if find else ()
 
-    return _Check(wanted, find)
+    simple = all(hint.parts is None for hint in hints)
+    return _Hint(wanted, lambda value: any(hint.accepts(value) for hint in hints), None if simple else parts)
 
 
-def _sequence(item: _Check, *, any_iterable: bool) -> _Check:
-    wanted = "a list" if item.find is _accept else f"a list, each item {item.wanted}"
-
-    def find(value: Any) -> _Fault | None:
-        if not _is_list(value):
-            # What can be read only once is left to the function.
-            once = isinstance(value, Iterable) and not isinstance(value, Collection)
-            accepted = any_iterable and (once or isinstance(value, Mapping))
-            return None if accepted else _Fault("", wanted, value)
-        # Items of an array of numbers, or of a range, are all alike, and may be many.
-        alike = isinstance(value, range) or (isinstance(value, np.ndarray) and value.dtype != object)
-        return _first((f"[{index}]", item, one) for index, one in enumerate(value[:1] if alike else value))
-
-    return _Check(wanted, find)
-
-
-def _tuple(items: list[_Check]) -> _Check:
-    wanted = f"a tuple of {len(items)}"
-    if len({item.wanted for item in items}) == 1:
+def _sequence(items: list[_Hint], *, fixed: bool) -> _Hint:
+    wanted = f"a tuple of {len(items)}" if fixed else "a list"
+    if len({item.wanted for item in items} - {_ANYTHING.wanted}) == 1:
         wanted += f", each item {items[0].wanted}"
 
-    def find(value: Any) -> _Fault | None:
-        if not _is_list(value) or len(value) != len(items):
-            return _Fault("", wanted, value)
-        return _first((f"[{index}]", check, one) for index, (check, one) in enumerate(zip(items, value, strict=True)))
+    def parts(value: Any) -> Iterable[tuple[str, _Hint, Any]]:
+        # Items of an array of numbers, or of a range, are all alike, and may be many.
+        alike = isinstance(value, range) or (isinstance(value, np.ndarray) and value.dtype != object)
+        pairs = zip(items if fixed else repeat(items[0]), value[:1] if alike else value, strict=False)
+        return ((f"[{index}]", *pair) for index, pair in enumerate(pairs))
 
-    return _Check(wanted, find)
+    return _Hint(wanted, lambda value: _is_list(value) and (not fixed or len(value) == len(items)), parts)
 
 
-def _mapping(key: _Check, item: _Check) -> _Check:
-    def find(value: Any) -> _Fault | None:
-        if not isinstance(value, Mapping):
-            return _Fault("", "a dictionary", value)
+def _mapping(key: _Hint, item: _Hint) -> _Hint:
+    def parts(value: Any) -> Iterable[tuple[str, _Hint, Any]]:
         keys = ((": its keys", key, name) for name in value)
-        return _first(chain(keys, ((f"[{quoted(name)}]", item, one) for name, one in value.items())))
+        return chain(keys, ((f"[{quoted(name)}]", item, one) for name, one in value.items()))
 
-    return _Check("a dictionary", find)
-
-
-def _first(parts: Iterable[tuple[str, _Check, Any]]) -> _Fault | None:
-    """The first fault in parts of a value, each with its place and its check."""
-    for place, check, value in parts:
-        if (fault := check.find(value)) is not None:
-            return fault._replace(place=place + fault.place)
-    return None
+    return _Hint("a dictionary", lambda value: isinstance(value, Mapping), parts)

@@ -6,7 +6,6 @@ import math
 import operator
 import os
 from collections.abc import Iterable, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 
-Shape = tuple[int | str, ...]
 # As of NumPy, but without None: results are functions of their arguments.
 Seed = int | np.random.SeedSequence | np.random.Generator
 
@@ -23,14 +21,8 @@ Seed = int | np.random.SeedSequence | np.random.Generator
 LARGEST = 1e100
 # Most characters of a refused value that are quoted.
 _QUOTED = 80
-# Limits of Linux, in bytes; that of a path counts its final zero.
-_LONGEST_NAME, _LONGEST_PATH = 255, 4096
-# Threads and processes: more than the cores of any machine, and fewer than a system refuses.
-MOST_WORKERS = 1024
-# A gibibyte of float64.
-_LARGEST_SIZE = 2**27
-# OpenBLAS shares the products of longer vectors among threads.
-_LONGEST_OF_ONE_THREAD = 10_000
+# Most entries of an array: a gibibyte of float64.
+MOST_ENTRIES = 2**27
 
 
 def _describe(shape: Iterable[int | str]) -> str:
@@ -53,7 +45,7 @@ def quoted(value: object) -> str:
 
 
 def as_floats(
-    name: str, value: ArrayLike, shape: Shape, *, batched: bool = False, largest: float = LARGEST
+    name: str, value: ArrayLike, shape: tuple[int | str, ...], *, batched: bool = False, largest: float = LARGEST
 ) -> NDArray[np.float64]:
     """Return ``value`` as a finite float64 array whose trailing axes match ``shape``.
 
@@ -74,9 +66,9 @@ def as_floats(
         array = _converted(name, value, shape, batched)
     _require_shape(name, array.shape, shape, batched)
     # Fast path for training loops. If the sum of squares is small no entry is large, which takes a third of the time of
-    # finding the largest; a NaN makes both comparisons false. Only for short vectors, since BLAS's threads would spin
-    # on the processors of callers with threads of their own.
-    if array.size <= _LONGEST_OF_ONE_THREAD and np.vdot(array, array) < largest * largest:
+    # finding the largest; a NaN makes both comparisons false. Long vectors are for BLAS's threads, which would spin on
+    # the processors of callers with threads of their own.
+    if array.size < 1000 and np.vdot(array, array) < largest * largest:
         return array
     if not np.maximum.reduce(np.abs(array), axis=None, initial=0.0) <= largest:
         if not np.isfinite(array).all():
@@ -88,13 +80,13 @@ def as_floats(
     return array
 
 
-def _converted(name: str, value: ArrayLike, shape: Shape, batched: bool) -> NDArray[np.float64]:
+def _converted(name: str, value: ArrayLike, shape: tuple[int | str, ...], batched: bool) -> NDArray[np.float64]:
     try:
         # A known shape is checked first, before a large array is copied.
         if isinstance(value, np.ndarray):
             _require_shape(name, value.shape, shape, batched)
-        elif isinstance(value, Sequence) and len(value) > _LARGEST_SIZE:
-            raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got {len(value)}")
+        elif isinstance(value, Sequence) and len(value) > MOST_ENTRIES:
+            raise InputError(f"{name} must have at most {MOST_ENTRIES} entries, got {len(value)}")
         given = value if isinstance(value, np.ndarray) else np.asarray(value)
         if given.dtype.kind == "c":
             raise TypeError("complex numbers are not allowed")
@@ -118,7 +110,7 @@ def _only_numbers(value: Any) -> bool:
     return not isinstance(value, bool | np.bool_ | str | bytes)
 
 
-def _require_shape(name: str, given: tuple[int, ...], shape: Shape, batched: bool) -> None:
+def _require_shape(name: str, given: tuple[int, ...], shape: tuple[int | str, ...], batched: bool) -> None:
     trailing = given[len(given) - len(shape) :] if batched else given
     sizes: dict[str, int] = {}
     fits = trailing == shape or (
@@ -131,26 +123,8 @@ def _require_shape(name: str, given: tuple[int, ...], shape: Shape, batched: boo
     if not fits:
         wanted = ("...", *shape) if batched else shape
         raise InputError(f"{name} must have shape {_describe(wanted)}, got {_describe(given)}")
-    if math.prod(given) > _LARGEST_SIZE:
-        raise InputError(f"{name} must have at most {_LARGEST_SIZE} entries, got shape {_describe(given)}")
-
-
-def as_shape(name: str, value: Iterable[Any], entries: int = 1, axes: int = 32) -> tuple[int, ...]:
-    """Return a shape of items of ``entries`` numbers each, or raise `InputError` if it is invalid or too large.
-
-    It has at most ``axes`` axes, by default as many as an array in the oldest NumPy that is supported.
-    """
-    try:
-        if isinstance(value, str | bytes):
-            raise TypeError
-        shape = tuple(as_count(name, size, 0) for size in islice(value, axes + 1))
-    except TypeError:
-        raise InputError(f"{name} must be a tuple of whole numbers, got {quoted(value)}") from None
-    if len(shape) > axes:
-        raise InputError(f"{name} must have at most {axes} axes, got {quoted(value)}")
-    if math.prod(shape) * entries > _LARGEST_SIZE:
-        raise InputError(f"{name} {_describe(shape)} is too large: more than {_LARGEST_SIZE} numbers")
-    return shape
+    if math.prod(given) > MOST_ENTRIES:
+        raise InputError(f"{name} must have at most {MOST_ENTRIES} entries, got shape {_describe(given)}")
 
 
 def as_path(name: str, value: object) -> Path:
@@ -169,7 +143,8 @@ def as_path(name: str, value: object) -> Path:
         lengths = [len(os.fsencode(part)) for part in text.split("/")]
     except ValueError:
         raise InputError(f"{name} must be a path without NUL or broken characters, got {quoted(text)}") from None
-    if max(lengths) > _LONGEST_NAME or sum(lengths) + len(lengths) > _LONGEST_PATH:
+    # Limits of Linux; that of a path counts its final zero.
+    if max(lengths) > 255 or sum(lengths) + len(lengths) > 4096:
         raise InputError(f"{name} is too long for a path, got {quoted(text)}")
     return Path(text)
 
@@ -227,21 +202,24 @@ def as_count(name: str, value: int, least: int = 1, most: int = 2**53) -> int:
 
 
 def as_workers(name: str, value: int) -> int:
-    """Return a number of threads or processes from 1 to `MOST_WORKERS`, or raise `InputError`."""
-    return as_count(name, value, most=MOST_WORKERS)
+    """Return a number of threads or processes from 1 to 1024, or raise `InputError`.
+
+    These are more than the cores of any machine, and fewer than a system refuses.
+    """
+    return as_count(name, value, most=1024)
 
 
-def as_seed(name: str, seed: Seed, bits: int = 128) -> int:
-    """Return ``seed`` as a whole number >= 0, or raise `InputError`; a generator draws it.
+def as_seed(name: str, seed: Seed) -> int:
+    """Return ``seed`` as a whole number of at most 128 bits, as NumPy's own, or raise `InputError`.
 
-    It has at most ``bits`` bits, by default as many as NumPy's own seeds.
+    A generator draws it.
     """
     if isinstance(seed, np.random.Generator | np.random.SeedSequence):
         return int(np.random.default_rng(seed).integers(2**63))
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(f"{name} must be a whole number >= 0, got {quoted(seed)}")
-    if int(seed).bit_length() > bits:
-        raise InputError(f"{name} must be below 2^{bits}, got {quoted(seed)}")
+    if int(seed).bit_length() > 128:
+        raise InputError(f"{name} must be below 2^128, got {quoted(seed)}")
     return int(seed)
 
 

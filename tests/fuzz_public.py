@@ -192,7 +192,7 @@ class Draw:
             str: lambda: choose(WORDS),
             bool: lambda: choose([True, False]),
             **dict.fromkeys((os.PathLike, Path), lambda: Path(choose(PATHS))),
-            **dict.fromkeys((typecheck._Array, np.ndarray), self.array),
+            **dict.fromkeys((typecheck.Array, np.ndarray), self.array),
             type: lambda: choose([int, Junk]),
             Callable: lambda: choose([lambda *_: None, lambda first=0.0, *_: first, lambda *_: 0.1 * np.ones(8)]),
             np.random.Generator: lambda: np.random.default_rng(0),

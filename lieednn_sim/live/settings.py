@@ -22,8 +22,8 @@ class Settings:
 
     Attributes:
         policy: a name of `POLICIES`.
-        planner: a name of `PLANNERS`, which plans the motions of the policies in `PLANNED`; None for the
-            `default_planner` of the arm.
+        planner: a name of `PLANNERS`, for the policies tracker and dmp (`PLANNED`), which follow a motion; by default
+            the `default_planner` of the arm.
         rho: rate of the clock of ``lieednn-shaped``, see `ShapedOptions`.
         filtered: whether the policy is behind the safety filter; None if it is among obstacles.
         controller: a name of `CONTROLLERS`.

@@ -43,7 +43,9 @@ _MAX_WIDTH, _MAX_HEIGHT = 3840, 2160  # 4K [pixels]
 PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
 
 
-def check_view(what: stage.Shown, *, camera: str | None, size: tuple[int, int], preset: str) -> None:
+def check_view(
+    what: stage.Shown, *, camera: str | None = None, size: tuple[int, int] = (1280, 720), preset: str = "nice"
+) -> None:
     """Raise `InputError` for an unknown camera or preset, or a size that cannot be rendered."""
     check_camera(what, camera)
     as_choice("preset", preset, PRESETS)
@@ -165,10 +167,10 @@ def render_video(
     Args:
         rollout: the rollout, whose target the marker shows, or a run in a given model.
         path: ``.mp4`` or ``.gif``; it appears only when the video is complete.
-        camera: as in `Camera`.
+        camera: name of a camera of the scene, as in `Camera` (default: overview, if there is one, else a view of all).
         size: (width, height) in pixels.
         fps: frames per second of simulated time.
-        preset: a name of `PRESETS`.
+        preset: a name of `PRESETS`: ``draft``, which is faster, or ``nice``.
         title: first line of the caption, such as the planner's name.
         progress: called with (done, total) after every frame.
 

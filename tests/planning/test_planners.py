@@ -127,7 +127,7 @@ def test_the_same_problem_gives_the_same_motion(motions, name):
     again = made.motion
     np.testing.assert_array_equal(again.q, motions[name, 0].q)
     np.testing.assert_array_equal(again.qd, motions[name, 0].qd)
-    assert (made.network is not None) == PLANNERS[name].network, "what `lieednn-sim synthesize` takes"
+    assert (made.network is not None) == PLANNERS[name].network
 
 
 @given(seed=st.integers(0, 2**32 - 1))

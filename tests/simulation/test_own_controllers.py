@@ -18,7 +18,7 @@ from lieednn_sim.planning import plan
 from lieednn_sim.simulation import CONTROLLERS, Controller, Rollout, register_controller, simulate
 from lieednn_sim.simulation.controllers.base import PositionServo
 from lieednn_sim.simulation.controllers.mocap import MocapWelds
-from lieednn_sim.studies import Comparison, Row, Settings, compute, read_rows
+from lieednn_sim.studies import Comparison, Settings, compute
 
 ARM = Arm.load("telescopic_pr")
 DOCUMENT = Path(__file__).parents[2] / "docs" / "howto" / "own_controller.md"
@@ -56,7 +56,7 @@ def test_the_example_of_an_installed_package_appears_in_table_and_page(example, 
             == 0
         )
     assert "controller plain-servo: my_controllers.PlainServo" in capsys.readouterr().out
-    rows = {row.controller: row for row in read_rows(tmp_path / "out" / "comparison.csv", Row).values()}
+    rows = {row.controller: row for row in Comparison.read(tmp_path / "out").rows.values()}
     assert rows["plain-servo"].tracking_rms_mm > 10.0 * rows["position-servo"].tracking_rms_mm
     assert "<td>plain-servo</td>" in (tmp_path / "out" / "comparison.html").read_text()
 

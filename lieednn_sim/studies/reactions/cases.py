@@ -82,7 +82,6 @@ class Reaction(TableRow):
     """
 
     _key = ("arm", "scene", "policy", "disturbance", "seed")
-    _digits = 4
 
     arm: str
     scene: str
@@ -105,7 +104,7 @@ class Reaction(TableRow):
     )
     path_m: float | None = column("path [m]", "length of the end effector's path")
     settled_s: float | None = column("settled after [s]", "time from which it stays within 1 mm and 0.1 degrees")
-    step_us: float | None = column("control step [us]", "median CPU time of a control step")
+    step_us: float | None = column("control step [us]", "median CPU time of a control step", timed=True)
 
     @property
     def posed(self) -> bool:
