@@ -122,8 +122,8 @@ def _network(arm: Arm, options: ShapedOptions, curve: Floats, units: Floats) -> 
     """A network that follows a curve ``(K, N, 6)``, with ``units`` as of `lever_units`."""
     if options.rate < 1.0:
         shaping = ShapingOptions(options.rate, options.neurons, options.activation)
-        # The deviation allowed is the effector's, and this one all links'. With less than a fifth there are more neurons,
-        # and up to 1.3 times the jerk at a rate of 0.1.
+        # The deviation allowed is the effector's, and this one is of all links. With less than a fifth there are more
+        # neurons, and up to 1.3 times the jerk at a rate of 0.1.
         return shape(curve, 0.2 * options.deviation, units=units, options=shaping).network
     try:
         return CurveEncoder(arm.n_links, options.activation).encode(curve, units)
