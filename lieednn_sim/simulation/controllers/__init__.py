@@ -29,9 +29,9 @@ def make_controller(name: str, arm: Arm, reference: Reference) -> Controller:
 def register_controller(name: str) -> Callable[[_Make], _Make]:
     """Decorator that registers a `Controller` by name for `simulate`, `compare` and the command line.
 
-    A controller is made from an arm and a reference; a function that returns one is also accepted. It may
-    set controls and mocap bodies, but neither the state nor forces.
-    Worker processes and the command line find controllers that an installed package names in its entry points::
+    A controller is made from an arm and a reference; a function that returns one is also accepted. Its actions may set
+    controls and mocap bodies; if they set the state or forces, the arm moves without its actuators. Worker processes
+    and the command line find controllers that an installed package names in its entry points::
 
         [project.entry-points."lieednn_sim.controllers"]
         my-controller = "my_package.my_module:MyController"
