@@ -178,8 +178,7 @@ class ClosedLoop:
             reference.forget(row - 1)
             self._forgotten += row - 1
         if self.simulation.disturbances.obstacles:
-            self.simulation.moved.apply(self.simulation.time)
-            self.policy.see(self.simulation.moved.places())
+            self.policy.see(self.simulation.move_obstacles())
         measured, before = self.simulation.measured()[0], (self.policy.q, self.policy.qd)
         begun = time.thread_time()
         after = self.policy.step(measured, target)

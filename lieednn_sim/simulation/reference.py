@@ -96,11 +96,9 @@ class Reference:
             time = (at[beyond] - last) * self.timestep
             qpos[beyond] = self._arm.qpos(self.q[last] + time[:, None] * self.qd[last])
         if (between := ~beyond & (at - k > 1e-6)).any():
-            k, s, h = k[between], (at - k)[between, None], self.timestep
-            rest = 1.0 - s
-            q = rest**2 * ((1.0 + 2.0 * s) * self.q[k] + s * h * self.qd[k])
-            q += s**2 * ((1.0 + 2.0 * rest) * self.q[k + 1] - rest * h * self.qd[k + 1])
-            qpos[between] = self._arm.qpos(q)
+            rows = np.arange(k[between][0], k[between][-1] + 2)
+            cubic = CubicHermiteSpline(self.timestep * rows, self.q[rows], self.qd[rows])
+            qpos[between] = self._arm.qpos(cubic(self.timestep * at[between]))
         return qpos
 
     def _velocities(self, rows: NDArray[np.int_]) -> Floats:

@@ -180,7 +180,6 @@ class ComputedTorque(DriveController):
         self._model = self._inverse.model
         self._actuators.make_direct(self._model)
         self._foreseen = Foreseen(reference)
-        self._turning = arm.model.nq > arm.model.nv
         # Gains of velocity and position, as arrays: multiplying by numbers takes twice as long.
         self._gains = np.full((2, arm.model.nv), [[2.0 * NATURAL_FREQUENCY], [NATURAL_FREQUENCY**2]])
         self._errors = np.empty_like(self._gains)
@@ -201,14 +200,9 @@ class ComputedTorque(DriveController):
         inverse, lag, error = self._inverse, self._lag, self._error
         goal, velocity, acceleration = self._foreseen.row(step, self._goals)
         np.add(data.qvel, noise.velocity, inverse.velocity)
-        if self._turning:
-            # Even without noise this normalises quaternions.
-            inverse.qpos[:] = data.qpos
-            mujoco.mj_integratePos(self._model, inverse.qpos, noise.position, 1.0)
-            mujoco.mj_differentiatePos(self._model, error, 1.0, inverse.qpos, goal)
-        else:
-            np.add(data.qpos, noise.position, inverse.qpos)
-            np.subtract(goal, inverse.qpos, error)
+        inverse.qpos[:] = data.qpos
+        mujoco.mj_integratePos(self._model, inverse.qpos, noise.position, 1.0)
+        mujoco.mj_differentiatePos(self._model, error, 1.0, inverse.qpos, goal)
         # In place: a + 2 w (v - qd) + w^2 e.
         np.subtract(velocity, inverse.velocity, lag)
         self._errors *= self._gains
