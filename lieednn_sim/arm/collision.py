@@ -201,11 +201,9 @@ class Collisions:
         as_count("geom", geom, 0, model.ngeom - 1)
         return model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
 
-    def _move(self, q: ArrayLike) -> Floats:
-        position = as_floats("q", q, (self.arm.n_joints,))
-        self._data.qpos[:] = self.arm.qpos(position)
+    def _move(self, q: ArrayLike) -> None:
+        self._data.qpos[:] = self.arm.qpos(as_floats("q", q, (self.arm.n_joints,)))
         mujoco.mj_kinematics(self.arm.model, self._data)
-        return position
 
     def _frames(self) -> tuple[Floats, Floats]:
         """Centres ``(G, 3)`` and rotations ``(G, 3, 3)`` of the geoms' boxes."""

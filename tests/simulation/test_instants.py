@@ -12,7 +12,15 @@ from lieednn_sim.simulation.reference import Reference
 
 
 @pytest.mark.parametrize(
-    ("start", "duration", "steps"), [(0.0, 0.03, [0, 1, 2]), (0.05, 0.01, [5]), (0.07, 9.0, [7, 8, 9])]
+    ("start", "duration", "steps"),
+    [
+        (0.0, 0.03, [0, 1, 2]),
+        (0.05, 0.01, [5]),
+        (0.07, 9.0, [7, 8, 9]),
+        # Rounded to whole steps.
+        (0.0525, 0.0105, [5]),
+        (0.0445, 0.0195, [4, 5]),
+    ],
 )
 def test_a_push_acts_in_the_steps_from_its_start_to_before_its_end(gantry, start, duration, steps):
     pushes = (Push("end effector", (1.0, -2.0, 3.0), start, duration), Push("base", (0.0, 5.0, 0.0), 0.02, 0.02))

@@ -130,7 +130,7 @@ class PositionServo(FeedforwardServo):
     def controls(self, steps: range) -> Floats:
         """See `FeedforwardServo`."""
         reference = self._reference
-        rows = reference.rows(steps)
+        rows = reference.row(np.array(steps))
         velocity = reference.qvel[np.minimum(rows + 1, reference.known - 1)]
         return self._actuators.servo_controls(reference.qpos[rows], velocity, self._damping * velocity)
 
@@ -152,7 +152,7 @@ class InverseDynamicsServo(FeedforwardServo):
     def controls(self, steps: range) -> Floats:
         """See `FeedforwardServo`."""
         reference = self._reference
-        rows = reference.rows(steps)
+        rows = reference.row(np.array(steps))
         qpos, (velocity, acceleration) = reference.qpos[rows], reference.rates_at(rows)
         # Equal rows, such as those of a resting or held reference, are computed once.
         firsts, run = runs(np.hstack([qpos, velocity, acceleration]))
@@ -191,7 +191,7 @@ class ComputedTorque(DriveController):
 
     def _goals(self, steps: range) -> list[tuple[Floats, ...]]:
         """Wanted positions, velocities and accelerations at some steps."""
-        rows = self._reference.rows(steps)
+        rows = self._reference.row(np.array(steps))
         # Tuples are faster to unpack than arrays.
         return list(zip(self._reference.qpos[rows], *self._reference.rates_at(rows), strict=True))
 
