@@ -92,7 +92,7 @@ def check_turn(model: mujoco.MjModel, arm: str, joint: int) -> None:
 
 def check_independent(joint: CompoundJoint, size: int, link: str) -> None:
     """Raise `InputError` for a compound joint whose pose determines its coordinates at none of a few configurations."""
-    # Coordinates are dependent where the singular value is below the second number.
+    # They are tested at random configurations, and dependent where the singular value is below the last number.
     count, configurations, dependent = len(joint.indices), 8, 1e-6
     if count > 6:
         raise InputError(f"{link} is moved by {count} coordinates, but a pose determines six; name more links")

@@ -87,7 +87,8 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
     low, high = arm.position_limits.T
     inset = LIMIT_MARGIN * arm.ranges
     near: Counter[tuple[str, str]] = Counter()
-    tight, collisions = 0, None if arm.scene == "free" else Collisions(arm)
+    tight = 0
+    collisions = None if arm.scene == "free" else Collisions(arm)
     for attempt in range(_ATTEMPTS):
         # Where the joint ranges are too small for the paper's distribution, fall back to that of other arms.
         if arm.exact and attempt < _ATTEMPTS // 2:
