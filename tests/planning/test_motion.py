@@ -316,8 +316,8 @@ def test_candidates_are_screened_by_hand(gantry, monkeypatch):
     ways = [arm.encode(np.zeros((count, 4))) for count in (3, 5)]
     ways[0][1] = arm.encode([0.0, 2.25, 0.0, 0.0])
     ways[1][2, 0, 0] = 0.1
-    monkeypatch.setattr(certified, "rough_trajectories", lambda networks, start: ways)
-    one, other = certified._screened(arm, [None, None], np.zeros(4))
+    monkeypatch.setattr(certified, "integrate_batch", lambda networks, start, longest, **tolerances: ways)
+    one, other = certified._screened(arm, [SimpleNamespace(gamma=1.0)] * 2, np.zeros(4))
     np.testing.assert_allclose(one.q, [[0.0] * 4, [0.0, 2.25, 0.0, 0.0], [0.0] * 4], atol=1e-9)
     np.testing.assert_allclose(other.q, np.zeros((5, 4)), atol=1e-9)
     assert (one.excess, one.gap) == pytest.approx((0.25, 0.0), abs=1e-9)
