@@ -12,13 +12,15 @@ from lieednn_sim.errors import InputError, NoSolutionError, PlanError
 from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.motion import least_duration
 
+from .arms import coarse
+
 FAR = RigidTransform.from_translation([9.0, 0.0, 1.0])
 GRID = RigidTransform(np.tile(np.eye(4), (2, 2, 1, 1)))
 
 
 @pytest.fixture(scope="module")
 def arm():
-    return ls.Arm.load("telescopic_pr", scene="poles", seed=1)
+    return coarse("telescopic_pr", "poles", 1)
 
 
 def test_candidates_have_the_pose_differ_and_come_by_the_time_of_their_slowest_joint(arm):

@@ -19,6 +19,8 @@ from lieednn_sim.planning.network_path import RESIDUAL, _invert, make_motion
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.synthesis import synthesize, synthesize_many
 
+from .arms import coarse
+
 
 @pytest.fixture(scope="module")
 def arm():
@@ -346,10 +348,7 @@ def test_the_plan_is_the_candidate_with_the_smallest_gap_or_the_shortest_without
         return results
 
     monkeypatch.setattr(certified, "synthesize_many", record)
-    arm = Arm.load(name)
-    spec = arm.spec.copy()
-    spec.option.timestep = 0.02
-    arm = Arm.from_spec(spec, arm.source, arm.name)
+    arm = coarse(name, timestep=0.02)
     home, goal = arm.keyframe("home"), arm.keyframe("extended")
     chosen = plan(arm, goal, options=CertifiedOptions(n_networks=6), seed=2)
     found = {}

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
-from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.lie import exp, log
 from lieednn_sim.planning import (
@@ -30,16 +29,9 @@ from lieednn_sim.planning.baselines import smoothing
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.registry import PlannerEntry
 
+from .arms import coarse
 
-def sampled_every(timestep: float) -> Arm:
-    """The arm in a simulation of other steps: motions of fewer samples are planned in less time."""
-    fine = Arm.load("telescopic_pr")
-    spec = fine.spec.copy()
-    spec.option.timestep = timestep
-    return Arm.from_spec(spec, fine.source, fine.name)
-
-
-ARM = sampled_every(0.01)
+ARM = coarse()
 LOW, HIGH = ARM.position_limits.T
 MISSING = PLANNERS.missing()
 INSTALLED = sorted(set(PLANNERS) - set(MISSING))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,10 +17,9 @@ from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.planning.time_laws import law_of
 
-SPEC = Arm.load("telescopic_pr").spec.copy()
-# Motions of fewer samples are planned in less time.
-SPEC.option.timestep = 0.005
-FREE = Arm.from_spec(SPEC, Path("telescopic_pr.xml"), "telescopic_pr")
+from .arms import coarse
+
+FREE = coarse(timestep=0.005)
 UNPOLISHED = TeacherOptions(polished=False)
 needs_ompl = pytest.mark.skipif("rrt-connect" in PLANNERS.missing(), reason="RRT-Connect needs OMPL")
 

@@ -17,6 +17,8 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
 from lieednn_sim.planning import CertifiedOptions, find_tube, plan, tube
 
+from .arms import coarse
+
 # Scenes whose targets minimum jerk reaches, which the shaped network follows; and how far at most a deviation in the
 # worst direction may exceed the tube before it touches.
 CASES = {
@@ -28,11 +30,9 @@ CASES = {
 
 @cache
 def tubed(name):
-    """An arm among obstacles, with motions of few samples, a plan of its shaped network, and the tube."""
-    fine = Arm.load(name)
-    spec, (scene, seed, _) = fine.spec.copy(), CASES[name]
-    spec.option.timestep = 0.01
-    arm = Arm.from_spec(spec, fine.source, fine.name).among(scene, seed)
+    """An arm among obstacles, a plan of its shaped network, and the tube."""
+    scene, seed, _ = CASES[name]
+    arm = coarse(name, scene, seed)
     made = plan(arm, draw_target(arm, seed), planner="lieednn-shaped", seed=seed)
     return arm, made, find_tube(arm, made)
 
