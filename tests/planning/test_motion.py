@@ -155,21 +155,6 @@ def test_a_motion_to_where_the_arm_is_stays_there(arm):
     np.testing.assert_array_equal(still.qd, 0.0)
 
 
-def test_limits_are_checked_with_joint_value_bound_and_remedy(arm, network, motion):
-    check_motion(arm, motion)
-    fast = make_motion(arm, network, arm.keyframe("home"), 0.3, 0.002)
-    with pytest.raises(PlanError, match=r"would accelerate at .*its limit is .*a duration of at least") as refused:
-        check_motion(arm, fast)
-    enough = float(str(refused.value).split("at least ")[1].split(" s")[0])
-    check_motion(arm, make_motion(arm, network, arm.keyframe("home"), enough + 0.02, 0.002))
-    beyond = motion.q.copy()
-    beyond[900, 3] = 0.6
-    with pytest.raises(
-        PlanError, match=r"at t = 1\.80 s joint 'extend1' would be at 0\.6 m, its range is \[0, 0\.45\]"
-    ):
-        check_motion(arm, dataclasses.replace(motion, q=beyond))
-
-
 def test_contact_on_the_way_is_refused(arm, motion):
     down = motion.q.copy()
     down[:, 2], down[:, 6], down[:, 3], down[:, 5], down[:, 7], down[:, 4] = -0.6, -1.0, 0.45, 0.4, 0.3, 0.0
@@ -257,7 +242,8 @@ def test_position_limits_hold_to_a_micron(arm, motion):
             if accepted:
                 check_motion(arm, changed)
                 continue
-            with pytest.raises(PlanError, match=rf"at t = 1\.40 s joint '{arm.joint_names[index]}' would be at"):
+            words = rf"at t = 1\.40 s joint '{arm.joint_names[index]}' would be at .*, its range is \["
+            with pytest.raises(PlanError, match=words):
                 check_motion(arm, changed)
 
 

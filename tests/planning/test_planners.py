@@ -19,6 +19,7 @@ from lieednn_sim.planning import (
     Plan,
     PlanningProblem,
     RrtConnectOptions,
+    ShapedOptions,
     TrainedOptions,
     network_planners,
     plan,
@@ -232,6 +233,9 @@ def test_what_would_be_no_spline_or_no_end_is_refused():
         OptimisationOptions(intervals=1)
     with pytest.raises(InputError, match=r"spacings must be from 0\.001 to 1, got 1e-09"):
         RrtConnectOptions(spacings=(0.04, 1e-9))
+    for bad in ({"rate": 1.5}, {"rate": 0.001}, {"neurons": (257,)}):
+        with pytest.raises(InputError, match=rf"{next(iter(bad))} must be from"):
+            ShapedOptions(**bad)
     made = planned("trajectory-optimisation", problem(0), options=OptimisationOptions(intervals=2, guesses=1))
     check_motion(ARM, made.motion)
 
@@ -240,7 +244,7 @@ def test_lists_will_do_for_tuples():
     assert CertifiedOptions(bias_magnitudes=[0.25, 1]).bias_magnitudes == (0.25, 1.0)
 
 
-@pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-certified"])
+@pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-certified", "lieednn-retargeted"])
 def test_how_much_longer_a_motion_may_take_is_one_rule(name):
     """A motion is refused with the time that it needs, and made where that and the two percent of slack are allowed."""
     few = {"options": CertifiedOptions(n_networks=4)} if name == "lieednn-certified" else {}
@@ -252,6 +256,9 @@ def test_how_much_longer_a_motion_may_take_is_one_rule(name):
         plan_with(name, problem(0, duration=0.5, max_time_scale=0.999 * share), **few)
     motion = plan_with(name, problem(0, duration=0.5, max_time_scale=1.001 * share), **few)
     assert motion.t[-1] == pytest.approx(0.5 * share, abs=ARM.model.opt.timestep)
+    # Hardly longer than it must: at the limit of a velocity or an acceleration, less the slack.
+    acceleration = np.abs(np.diff(motion.qd, axis=0) / motion.timestep) / ARM.acceleration_limits
+    assert max((np.abs(motion.qd) / ARM.velocity_limits).max(), acceleration.max()) > 0.93
     with pytest.raises(InputError, match=r"max_time_scale must be at least 1, the duration itself, got 0\.5"):
         problem(0, max_time_scale=0.5)
 
@@ -293,17 +300,6 @@ def test_problems_are_checked():
         PlanningProblem(ARM, task.start, task.target, seed=-1)
     with pytest.raises(InputError, match="arm must be an Arm, got 'telescopic_pr'"):
         PlanningProblem("telescopic_pr", task.start, task.target)
-
-
-@pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-retargeted"])
-def test_a_motion_takes_longer_where_the_limits_need_it(name):
-    asked = problem(0, duration=0.3)
-    motion = plan_with(name, asked)
-    assert 0.3 < motion.t[-1] <= 0.9
-    check_motion(asked.arm, motion)
-    # Hardly longer than it must: at the limit of a velocity or an acceleration, less the two percent of slack.
-    acceleration = np.abs(np.diff(motion.qd, axis=0) / motion.timestep) / asked.arm.acceleration_limits
-    assert max((np.abs(motion.qd) / asked.arm.velocity_limits).max(), acceleration.max()) > 0.93
 
 
 def test_of_refused_roundings_the_least_time_is_told(monkeypatch):
