@@ -61,7 +61,7 @@ def test_what_is_held_moves_with_the_hand_and_stays_where_it_is_put(planned):
     np.testing.assert_array_equal(data.qpos, cell()[1].qpos)
     assert [part.step.name for part in found.parts] == ["fetch", "grasp", "carry", "gripper 0.04", "home"]
     assert [part.plan is not None for part in found.parts] == [True, False, True, False, True]
-    assert all(plan.network.certified for plan in found.plans)
+    assert all(part.plan.network.certified for part in found.parts if part.plan)
     carry = found.parts[2]
     places, turns, shown = [], [], mujoco.MjData(model)
     for row in (carry.first, carry.first + 700, carry.first + 1300, carry.last):
@@ -101,7 +101,7 @@ def test_the_same_seed_gives_the_same_sequence(planned):
     np.testing.assert_array_equal(again.qpos, planned[2].qpos[:rows])
 
 
-def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(planned, tmp_path):
+def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(planned):
     model, data, found = planned
     run = ls.run_in(model, data, found, hold=0.5)
     assert [name for _, name in run.steps] == [part.step.name for part in found.parts]
@@ -114,9 +114,6 @@ def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(pl
     # Fingers that close later or sooner than planned only shift what follows.
     assert run.motion_end == pytest.approx(found.t[-1], abs=0.2)
     assert set(np.unique(run.ctrl[:, model.actuator("gripper").id])) == {0.0, 0.04}
-    found.save(tmp_path / "sequence.npz")
-    with np.load(tmp_path / "sequence.npz") as saved:
-        np.testing.assert_array_equal(saved["qpos"], found.qpos)
 
 
 def test_an_event_that_does_not_come_ends_planning_and_run(planned):
