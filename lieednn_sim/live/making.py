@@ -49,7 +49,6 @@ class Progress:
     own: a policy that slows down is slower on the same orbit.
 
     Attributes:
-        certificate: the network's certificate.
         rate: proved rate of convergence at full speed [1/s].
         decay: the proved bound on the distance of the visible neurons; None if none was found.
         xi: ``(N, 6)`` present state.
@@ -58,7 +57,6 @@ class Progress:
         time: network time since then.
     """
 
-    certificate: Certificate
     rate: float
     decay: Decay | None
     xi: Floats
@@ -77,7 +75,7 @@ class Progress:
         except NotCertifiedError:
             decay = None
         rate = certificate.rate * policy.speed
-        blank = cls(certificate, rate, decay, policy.xi, policy.xi, np.empty(0))
+        blank = cls(rate, decay, policy.xi, policy.xi, np.empty(0))
         return blank.towards(policy, target)
 
     def towards(self, policy: Policy, target: Floats) -> Progress:
