@@ -112,8 +112,7 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
         margin: distance that everything keeps from contact [m].
 
     Raises:
-        InputError: a value is malformed or negative, the plan has no network, or its motion is not the network's path,
-            as after the safety filter.
+        InputError: a value is malformed or negative, the plan has no network, or its motion is not the network's path.
         NotCertifiedError: the network has no certificate, or nothing is proved about the growth of deviations.
         PlanError: the motion comes too close to contact for any tube.
     """
@@ -159,7 +158,7 @@ def _check_path(arm: Arm, network: ComponentwiseNetwork, motion: Motion) -> None
         states = network.trajectory(network.start(motion.xi[0]), motion.tau[-1])(motion.tau)
         own = bool(np.abs(network.visible(states) - motion.xi).max() <= _SAME)
     if not own or np.abs(arm.decode(motion.xi, start=motion.q[0]).q - motion.q).max() > _SAME:
-        raise InputError("the motion is not the path of its network, as after the safety filter: there is no tube")
+        raise InputError("the motion is not the path of its network, so there is no tube")
 
 
 class _Path:

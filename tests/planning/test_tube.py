@@ -196,7 +196,7 @@ def test_other_plans_have_none_and_the_reason_is_told():
     elsewhere = replace(made, motion=replace(made.motion, q=made.motion.q + 1e-4))
     late = replace(made, motion=replace(made.motion, tau=0.9 * made.motion.tau))
     for other in (elsewhere, late):
-        with pytest.raises(InputError, match="not the path of its network, as after the safety filter"):
+        with pytest.raises(InputError, match="not the path of its network, so there is no tube"):
             find_tube(arm, other)
     with pytest.raises(InputError, match="the plan has 8 joint coordinates, arm 'telescopic_rrp' has 12"):
         find_tube(Arm.load("telescopic_rrp"), made)
