@@ -33,7 +33,7 @@ class FilterOptions(PlannerOptions):
         own_margin: distance that parts of the arm keep from each other [m].
         approach: upper bound on the rate c [1/s]: geoms at a distance d may approach each other at c d.
         cutoff: distance beyond which pairs are ignored [m].
-        smoothing: s, the weight of the change of velocity in the quadratic program of `filter`.
+        smoothing: s, the weight of the change of velocity in the quadratic program of `safety_filter`.
 
     Raises:
         InputError: a value is not positive.

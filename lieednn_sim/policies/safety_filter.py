@@ -127,7 +127,7 @@ class SafetyFilter:
         solution, _, flag, info = daqp.solve(np.eye(n), -pull, scaled, upper, lower, sense)
         if flag < 1:
             # Come to rest, violating barriers, soft constraints now, as little as the bounds allow.
-            sense[n:] = 8
+            sense = np.repeat(np.array([0, 8], dtype=np.int32), [n, len(rows)])
             solution, _, flag, _ = daqp.solve(np.eye(n), np.zeros(n), scaled, upper, lower, sense, rho_soft=1e-4)
             braking = np.clip(solution * scale if flag > 0 else np.zeros(n), low, high)
             missing = floors - rows @ braking
