@@ -137,7 +137,7 @@ def test_an_event_that_does_not_come_ends_planning_and_run(planned):
 def test_a_held_box_is_kept_off_what_the_empty_hand_passes(grasped):
     """A block where the lower face of the box would sweep, below the fingers."""
     model, state = grasped
-    how = {"tip": "grasp", "limits": LIMITS, "planner": "minimum-jerk"}
+    how = {"tip": "grasp", "limits": LIMITS, "planner": "minimum-jerk", "duration": 2.0}
     state.qpos[:] = ls.plan_in(model, state, JOINTS, [-0.3, 0.1, 0.2, 1.4, 0.0], holding="box", **how).qpos[-1]
     goal = [-1.0, 0.1, 0.2, 1.4, 0.0]
     held = ls.plan_in(model, state, JOINTS, goal, holding="box", **how)
@@ -160,7 +160,7 @@ def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(plann
     state = mujoco.MjData(model)
     mujoco.mj_copyData(state, model, data)
     state.qpos[:] = found.qpos[found.parts[1].last]
-    how = {"tip": "grasp", "limits": LIMITS}
+    how = {"tip": "grasp", "limits": LIMITS, "duration": 1.5}
     aside = ls.plan_in(model, state, JOINTS, down(0.62, -0.40, 0.225), holding="box", **how)
     assert aside.qpos[:, 2].min() > 0.22 - 1e-3
     assert aside.qpos[-1, 2] == pytest.approx(0.22, abs=2e-4)
