@@ -93,8 +93,8 @@ def epoch_costs(targets: list[np.ndarray], epochs: int) -> dict[str, list[float]
     """Microseconds per epoch of each learning algorithm, for each target."""
     algorithms = {
         "literal Algorithm 1": TrainingOptions.literal(max_epochs=max(epochs // 10, 1)),
-        "repaired Algorithm 1": TrainingOptions.repaired(max_epochs=epochs),
-        "repaired, no projection": TrainingOptions.repaired(max_epochs=epochs, projection="none"),
+        "repaired Algorithm 1": TrainingOptions(max_epochs=epochs),
+        "repaired, no projection": TrainingOptions(max_epochs=epochs, projection="none"),
         "tracked": TrainingOptions.tracked(),
     }
     costs: dict[str, list[float]] = {name: [] for name in algorithms}
