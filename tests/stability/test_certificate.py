@@ -52,21 +52,11 @@ def test_two_by_two_agrees_with_the_exact_criterion(seed):
     assert find_certificate(weight).valid == (quantities > 0).all()
 
 
-@settings(max_examples=10)
-@given(seeds, st.booleans())
-def test_positive_weights_are_certified_exactly_below_spectral_radius_one(seed, inside):
-    """A Metzler matrix is diagonally stable exactly when it is Hurwitz."""
-    weight = np.random.default_rng(seed).uniform(size=(8, 8)) ** 3
-    weight *= (0.97 if inside else 1.03) / np.abs(np.linalg.eigvals(weight)).max()
-    found = find_certificate(weight)
-    assert found.valid == inside
-    assert found.lambda_max == pytest.approx(0.97 if inside else 1.03, abs=5e-3)
-
-
 def test_badly_scaled_weight_is_certified_where_its_norms_and_its_symmetric_part_are_not():
     weight = np.array([[0.0, 300.0], [0.0, 0.0]])
     assert not verify([1.0, 1.0], weight).valid
     assert find_certificate(weight).valid
+    assert find_certificate(np.zeros((2, 2))).valid
     # Beyond the range that the descent may search, the diagonal made of weighted norms still proves it.
     assert find_certificate([[0.0, 1e8], [0.0, 0.0]]).valid
 
