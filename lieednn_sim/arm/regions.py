@@ -24,10 +24,6 @@ _FREE = np.full(3, np.inf)
 _FARTHEST = 1e6
 
 
-def _identity() -> RigidTransform:
-    return scipy.spatial.transform.RigidTransform.identity()
-
-
 @frozen
 class TaskSpaceRegion:
     """A region of poses: those whose displacement D from a frame W of the world has its coordinates within bounds.
@@ -50,7 +46,7 @@ class TaskSpaceRegion:
     pose: RigidTransform
     lower: Floats
     upper: Floats
-    offset: RigidTransform = field(default_factory=_identity)
+    offset: RigidTransform = field(default_factory=lambda: scipy.spatial.transform.RigidTransform.identity())
 
     def __post_init__(self) -> None:
         for name in ("pose", "offset"):
@@ -258,11 +254,6 @@ def _matrix(angles: Floats) -> Floats:
 
 def _as_bounds(name: str, value: ArrayLike, count: int = 6) -> Floats:
     """Bounds ``(count,)``, which may be infinite."""
-    try:
-        given = np.asarray(value)
-    except (TypeError, ValueError, MemoryError, OverflowError):  # such as lists of unequal lengths
-        return as_floats(name, value, (count,))
-    if given.dtype.kind not in "iuf" or given.shape != (count,):
-        return as_floats(name, value, (count,))
-    as_floats(name, np.where(np.isinf(given), 0.0, given), (count,), largest=_FARTHEST)
-    return np.asarray(given, dtype=np.float64)
+    bounds = as_floats(name, value, (count,), largest=np.inf)
+    as_floats(name, np.where(np.isinf(bounds), 0.0, bounds), (count,), largest=_FARTHEST)
+    return bounds

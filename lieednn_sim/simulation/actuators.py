@@ -129,7 +129,12 @@ class Actuators(ModelActuators):
 
     def __init__(self, arm: Arm) -> None:
         super().__init__(arm.model, tangent_basis(arm))
-        _check_complete(arm, self.transmission)
+        if np.linalg.matrix_rank(self.transmission) < arm.n_joints:
+            bare = [repr(arm.joint_names[k]) for k in range(arm.n_joints) if not self.transmission[:, k].any()]
+            why = (
+                f"no actuator moves {', '.join(bare)}" if bare else "its actuators cannot move all joints independently"
+            )
+            raise InputError(f"arm {arm.name!r} cannot be driven: {why}")
 
 
 def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
@@ -163,20 +168,6 @@ def _check(model: mujoco.MjModel, driving: NDArray[np.bool_]) -> None:
                 "need <position>, <motor>, or <general> with fixed gain, affine bias and no dynamics, on joints or "
                 "fixed tendons"
             )
-
-
-def _check_complete(arm: Arm, transmission: Floats) -> None:
-    if np.linalg.matrix_rank(transmission) == arm.n_joints:
-        return
-    bare = [name for name, column in zip(arm.joint_names, transmission.T, strict=True) if not column.any()]
-    raise InputError(
-        f"arm {arm.name!r} cannot be driven: "
-        + (
-            f"no actuator moves {', '.join(map(repr, bare))}"
-            if bare
-            else "its actuators cannot move all joints independently"
-        )
-    )
 
 
 def _home_controls(model: mujoco.MjModel) -> Floats:
