@@ -34,7 +34,7 @@ def se3_weight(rng, n, size):
     return whole, blocks[..., :3, :3].transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)
 
 
-@settings(max_examples=20)
+@settings(max_examples=14)
 @given(seeds, st.booleans(), st.sampled_from([(1.0, 1.0), (2.0, 0.5), (0.3, 4.0)]))
 def test_each_rung_implies_the_later_ones(seed, with_rotations, rates):
     rng, (gamma, mu) = np.random.default_rng(seed), rates
@@ -98,7 +98,7 @@ def test_no_global_proof_leaves_the_local_one():
     assert str(unstable).startswith("no proof of stability")
 
 
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(seeds)
 def test_translations_matter_to_unweighted_norms_alone(seed):
     rng = np.random.default_rng(seed)
