@@ -174,7 +174,7 @@ class _Path:
         before, after = motion.qd[:-1], motion.qd[1:]
         ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
         self._accelerations = np.abs(ends).max(axis=0) / step
-        self.bounds = ClearanceBounds(arm.without_visuals, arm.deviation_groups, margin)
+        self.bounds = ClearanceBounds(arm.without_visuals, arm.retractor.groups, margin)
         twist = motion.xi * arm.twist_units
         steps = np.linalg.norm(np.diff(twist, axis=0).reshape(len(twist) - 1, -1, 2, 3), axis=-1)
         slack = np.zeros((*twist.shape[:2], 2))
@@ -225,7 +225,7 @@ class _Path:
 
     def _spread(self, radius: float, sizes: Floats) -> Floats:
         """Largest changes ``(K, G)`` of the joints for a scale of 1, proved for scales up to ``radius``."""
-        return self._arm.deviation_spread(replace(self._states, size=radius * sizes)) / radius
+        return self._arm.retractor.spread(replace(self._states, size=radius * sizes)) / radius
 
     def _scales(self, a: float, b: float, spread: Floats, most: float) -> tuple[float, float, tuple[int, int]]:
         """As `ClearanceBounds`, for an interval of samples: for all its instants, and for its middle alone."""

@@ -143,13 +143,13 @@ def test_joints_move_no_further_than_their_bounds(case):
         xi = made.motion.xi[::40] + gap * rng.uniform(-1.0, 1.0, made.motion.xi[::40].shape)
         q = arm.decode(xi).q
         twist = xi * arm.twist_units
-        bounds = arm.deviation_spread(Deviations(twist, q, sizes, np.zeros((*twist.shape[:2], 2))))
+        bounds = arm.retractor.spread(Deviations(twist, q, sizes, np.zeros((*twist.shape[:2], 2))))
         assert np.isfinite(bounds).all()
         for _ in range(60):
             parts = rng.standard_normal((*xi.shape[:2], 2, 3))
             parts *= size[:, None] / np.linalg.norm(parts, axis=-1, keepdims=True)
             moved = arm.decode((twist + parts.reshape(twist.shape)) / arm.twist_units).q - q
-            found = np.stack([np.linalg.norm(w * moved[:, i], axis=1) for i, w in arm.deviation_groups], axis=1)
+            found = np.stack([np.linalg.norm(w * moved[:, i], axis=1) for i, w in arm.retractor.groups], axis=1)
             assert (found <= bounds * (1.0 + 1e-9)).all()
             largest = max(largest, (found / bounds).max())
     assert largest > 0.8

@@ -260,7 +260,7 @@ def _basis(activation: str) -> _Basis:
     count = len(looks)
     solution = inverse[:, :count] + inverse[:, count : count + len(ripples)] @ (_RIPPLE**3 * ripples)
     slope = ACTIVATIONS[activation].slope_at(a + c, phi(a + c))
-    steeper = ACTIVATIONS[activation].bend_at(a + c, phi(a + c)) * slope
+    steeper = ACTIVATIONS[activation].bend(a + c)
     # Of u = 2 D delta g phi'(a + c g), with g' = -g.
     start = 2.0 * _STRENGTH * np.stack([slope, -(slope + c * steeper)])
     starting = inverse @ inverse.T @ start.T
