@@ -148,16 +148,8 @@ def attempt_all(
     begun = cpu_time()
     rule = bias if isinstance(bias, str) else None
     tasks = []
-    # Candidates of a plan have one target and few magnitudes.
-    known: dict[tuple[bytes, float], Floats] = {}
     for k, (target, state) in enumerate(zip(targets, ACTIVATIONS[options.activation].phi(targets), strict=True)):
-        if isinstance(bias, str):
-            asked = target.tobytes(), magnitudes[k]
-            if asked not in known:
-                known[asked] = bias_for(bias, target, state, options.ratio, magnitudes[k])
-            offset = known[asked]
-        else:
-            offset = bias[k]
+        offset = bias_for(bias, target, state, options.ratio, magnitudes[k]) if isinstance(bias, str) else bias[k]
         tasks.append(_Task(target, state, offset, generators[k], options, begun))
     solved = rule == "solved"
     if not solved:

@@ -20,31 +20,22 @@ from lieednn_sim.values import Floats
 Indices = NDArray[np.intp]
 
 
-def _polarise() -> Floats:
-    """Symmetric tensor F ``(3, 3, 4, 4)`` with (|q|^2 R(q))_ab = sum_kl F_abkl q_k q_l, q = (w, x, y, z)."""
-
-    def conformal(q: Floats) -> Floats:
-        w, x, y, z = q
-        return np.array(
-            [
-                [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-            ]
-        )
-
-    e = np.eye(4)
-    return np.stack(
+def _conformal(q: Floats) -> Floats:
+    """The matrices |q|^2 R(q), ``(3, 3, ...)``, of quaternions q = (w, x, y, z) ``(..., 4)``."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    return np.array(
         [
-            np.stack([0.25 * (conformal(e[k] + e[m]) - conformal(e[k] - e[m])) for m in range(4)], axis=-1)
-            for k in range(4)
-        ],
-        axis=-2,
+            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
     )
 
 
-QUATERNION_FORM = _polarise()
-_FORM_ROWS = np.ascontiguousarray(QUATERNION_FORM.reshape(36, 4).T)
+# The symmetric tensor F ``(3, 3, 4, 4)`` with (|q|^2 R(q))_ab = sum_kl F_abkl q_k q_l, by polarisation.
+_UNITS = np.eye(4)
+_FORM = 0.25 * (_conformal(_UNITS[:, None] + _UNITS) - _conformal(_UNITS[:, None] - _UNITS))
+_FORM_ROWS = np.ascontiguousarray(_FORM.reshape(36, 4).T)
 
 
 class Point(NamedTuple):
