@@ -190,7 +190,7 @@ def floor(arm: Arm, controller: str, followed: Rollout, bare: bool) -> Simulatio
     """A plant at the start of a rollout, with the controls of its first step, with or without visual geoms."""
     arm = arm.without_visuals if bare else arm
     driver = make_controller(controller, arm, Reference.of(arm, followed.q_ref, followed.qd_ref))
-    plant = make_plant(arm, None, driver.add_bodies if driver.adds_bodies else None)
+    plant = make_plant(arm, None, driver.add_bodies)
     driver.equip(plant)
     simulation = Simulation(arm, plant)
     simulation.reset(followed.q[0])
