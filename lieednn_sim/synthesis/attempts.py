@@ -12,10 +12,9 @@ from lieednn_sim.budget import cpu_time
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.synthesis.bias import bias_for, equation_columns, impossibility
-from lieednn_sim.synthesis.problem import Problem
+from lieednn_sim.synthesis.problem import Problem, contracted, random_starts
 from lieednn_sim.synthesis.result import Synthesis
 from lieednn_sim.synthesis.search import QUATERNION_BOUNDS, feasible_points, polish, smallest_eigenvalue_point
-from lieednn_sim.synthesis.starts import contracted, random_starts
 from lieednn_sim.validation import as_count, as_positive
 from lieednn_sim.values import Floats
 

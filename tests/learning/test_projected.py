@@ -13,25 +13,11 @@ from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, train
 from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.lie import adjoint, project_to_adjoint
-from lieednn_sim.stability import find_certificate
 from lieednn_sim.theory import group
 
 
 def target(seed: int, neurons: int = 4, dimension: int = 6) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-0.8, 0.8, (neurons, dimension))
-
-
-def same(one, other) -> None:
-    """Two results are the same to the last digit."""
-    np.testing.assert_array_equal(one.weight, other.weight)
-    for name in ("epoch", "error", "accuracy", "rate", "one_norm", "infinity_norm", "equilibrium"):
-        np.testing.assert_array_equal(getattr(one.history, name), getattr(other.history, name), err_msg=name)
-    assert (one.reason, one.epochs, one.starts, one.success) == (
-        other.reason,
-        other.epochs,
-        other.starts,
-        other.success,
-    )
 
 
 def test_tracked_learning_reaches_nearly_every_target_on_the_manifold():
@@ -132,7 +118,9 @@ def test_literal_is_algorithm_1_transcribed():
 def test_same_seed_same_result_and_other_seed_another(algorithm):
     options = ALGORITHMS[algorithm].load()(max_epochs=60)
     one, two, other = (train(target(1, 2), options, seed=seed) for seed in (3, 3, 4))
-    same(one, two)
+    np.testing.assert_array_equal(one.weight, two.weight)
+    assert one.history == two.history
+    assert (one.reason, one.epochs) == (two.reason, two.epochs)
     assert not np.array_equal(one.weight, other.weight)
 
 
@@ -214,14 +202,6 @@ def test_learning_gets_closer_where_the_projection_is_slow(name):
     result = train(goal, TrainingOptions.tracked(max_epochs=12), group=chosen, seed=1)
     assert result.history.error[-1] < 0.8 * result.history.error[0]
     assert result.structure_error < 1e-9
-
-
-def test_trained_networks_seldom_carry_a_certificate_that_they_could_not_have():
-    """A trained network is checked like any other; where the search finds a certificate, it holds."""
-    result = trained(TrainingOptions.tracked(), 0)
-    certificate = find_certificate(result.network.rotational_weight)
-    abscissa = result.network.equilibrium(target(0)).spectral_abscissa
-    assert not certificate.valid or abscissa <= -certificate.rate + 1e-6
 
 
 def test_other_rates_and_activation():

@@ -14,8 +14,7 @@ from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError, NotCertifiedError, OutOfTimeError
 from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.synthesis.shaping import ShapingOptions, placed_switches, shape, shaping
-from lieednn_sim.synthesis.shaping.assembly import assemble, turns_to
-from lieednn_sim.synthesis.shaping.cascade import TAIL, Cascade, Parameters, clockwork
+from lieednn_sim.synthesis.shaping.cascade import TAIL, Cascade, Parameters, assemble, clockwork, turns_to
 from lieednn_sim.synthesis.shaping.curve import Curve, third_derivative
 from lieednn_sim.synthesis.shaping.placed_switches import LARGEST_SLOPE, fit_placed_switches
 

@@ -23,8 +23,7 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
-from lieednn_sim.synthesis.shaping.assembly import assemble
-from lieednn_sim.synthesis.shaping.cascade import TAIL
+from lieednn_sim.synthesis.shaping.cascade import TAIL, assemble
 from lieednn_sim.synthesis.shaping.curve import as_units, clock_along, third_derivative
 from lieednn_sim.synthesis.shaping.pairs import LARGEST_CODE, pairs_of, switches
 from lieednn_sim.validation import as_count, as_floats

@@ -17,8 +17,7 @@ from lieednn_sim.budget import check_time, cpu_time
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
-from lieednn_sim.synthesis.shaping.assembly import assemble
-from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
+from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, assemble, clockwork
 from lieednn_sim.synthesis.shaping.curve import Curve, as_units
 from lieednn_sim.synthesis.shaping.placed_switches import fit_placed_switches
 from lieednn_sim.validation import as_count, as_floats, as_positive
