@@ -124,4 +124,4 @@ class ProjectedTraining(Training[TrainingOptions]):
                     change /= np.einsum("ijab,ijab->ij", now.point.adjoints, now.point.adjoints)
                 alpha = alpha - rate * change
         reached = self._find(weight, equilibrium.x, nearby)
-        return now._replace(weight=weight, alpha=alpha, equilibrium=reached, rate=rate, error=error), arrived
+        return Iterate(weight, alpha, now.point, reached, now.log_scale, rate, error), arrived
