@@ -27,7 +27,7 @@ from lieednn_sim.policies import SafetyFilter
 from lieednn_sim.registry import BIAS_RULES
 from lieednn_sim.synthesis.bias import bias_for
 from lieednn_sim.theory import EquivariantLieEDNN, GroupLieEDNN, groups
-from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_shape
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed
 
 
 def bounded(examples, **more):
@@ -241,7 +241,6 @@ def test_checks_of_input_refuse_without_taking_memory_or_time(value):
         lambda: as_floats("x", value, (3,), batched=True),
         lambda: as_count("n", value),
         lambda: as_seed("seed", value),
-        lambda: as_shape("shape", value),
         lambda: as_choice("thing", value, ("one", "two")),
         lambda: groups.group(value),
         # A list may be a good shape, of as many matrices as memory holds.
