@@ -205,7 +205,6 @@ def shown():
         (lambda: network().robustness(range(10**12)), "pushed must name coordinates"),
         (lambda: network().assess()["x" * 10**6], "no condition 'x+' ... \\(1000000 characters\\)"),
         (lambda: ARM.unit(8), "joint must be at most 7"),
-        (lambda: shown().only(1), "index must be at most 0"),
         (lambda: ls.Disturbances.from_json({}), "these are no disturbances: KeyError: 'pushes'"),
         (lambda: tasks.make_task("reach").target(0.0), "no episode has begun: reset first"),
         (lambda: BlockNetwork.load("network.npz"), "a BlockNetwork is read by its own class"),
