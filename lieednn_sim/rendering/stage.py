@@ -179,25 +179,20 @@ def staged(arm: Shown, points: Floats) -> tuple[mujoco.MjModel, int]:
         return made, _NO_MARKER
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "target")
     marked = body >= 0 and model.body_mocapid[body] >= 0
-    sky = bool((model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any())
-    if marked and sky and model.nlight and arm.import_report is None:
+    if marked and arm.import_report is None:
         return copy.deepcopy(model), int(model.body_mocapid[body])
     spec = arm.spec.copy()
     spec.compiler.discardvisual = False  # with the default of URDF files, all of this would vanish
     names = {element.name for kind in (spec.textures, spec.materials, spec.bodies) for element in kind}
-    own = arm.import_report is None
-    if not own:
-        # Robots bring a spotlight at most, around which all is dark.
-        for light in list(spec.lights):
-            spec.delete(light)
-        spec.visual.map.shadowclip, spec.visual.map.shadowscale = 1.4, 0.6
-    if not (own and model.nlight):
-        spec.visual.headlight.ambient = [0.4] * 3
-        spec.visual.headlight.diffuse = [0.4] * 3
-        for direction, diffuse, shadow in _LIGHTS:
-            light = spec.worldbody.add_light(pos=-4.0 * np.array(direction), dir=direction, castshadow=shadow)
-            light.type, light.diffuse = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, [diffuse] * 3
-    if not sky:
+    # Robots bring a spotlight at most, around which all is dark.
+    for light in list(spec.lights):
+        spec.delete(light)
+    spec.visual.map.shadowclip, spec.visual.map.shadowscale = 1.4, 0.6
+    spec.visual.headlight.ambient = spec.visual.headlight.diffuse = [0.4] * 3
+    for direction, diffuse, shadow in _LIGHTS:
+        light = spec.worldbody.add_light(pos=-4.0 * np.array(direction), dir=direction, castshadow=shadow)
+        light.type, light.diffuse = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, [diffuse] * 3
+    if not (model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any():
         spec.add_texture(
             name=unused("sky", names),
             type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
