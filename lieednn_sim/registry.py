@@ -440,7 +440,7 @@ ALGORITHMS: Registry[Entry] = Registry(
     "algorithm",
     {
         "literal": Entry("learning.options:TrainingOptions.literal", "as printed in the paper"),
-        "repaired": Entry("learning.options:TrainingOptions.repaired", "its equations, repaired"),
+        "repaired": Entry("learning.options:TrainingOptions", "its equations, repaired"),
         "tracked": Entry("learning.options:TrainingOptions.tracked", "the same, with the equilibrium tracked"),
         "riemannian": Entry("learning.options:RiemannianOptions", "on the manifold of scaled adjoints"),
         "stability-aware": Entry("learning.options:RiemannianOptions.stability_aware", "the same, certified all along"),

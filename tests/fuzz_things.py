@@ -28,7 +28,6 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.environments import gymnasium, suite, tasks
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.learning import demonstrations
-from lieednn_sim.planning import safety_filter
 from lieednn_sim.rendering import opengl
 from lieednn_sim.rendering.recording import Recording
 from lieednn_sim.rendering.video import Camera
@@ -148,11 +147,9 @@ MAKERS: dict[str, Callable[[], Any]] = {
     **{name: getattr(planning, name) for name in planning.__all__ if name.endswith("Options")},
     "PlannerOptions": planning.CertifiedOptions,
     "PlanningProblem": lambda: planning.PlanningProblem(thing("Arm"), home(), 0.99 * home(), 0.5),
-    "FilterOptions": safety_filter.FilterOptions,
-    "SafetyFilter": lambda: safety_filter.SafetyFilter(thing("Arm"), 0.01),
+    "FilterOptions": policies.FilterOptions,
+    "SafetyFilter": lambda: policies.SafetyFilter(thing("Arm"), 0.01),
     "FilterStep": lambda: thing("SafetyFilter").step(home(), 0.0 * home(), 0.0 * home()),
-    "Limit": lambda: thing("SafetyFilter").limits[0],
-    "Barrier": lambda: thing("SafetyFilter").barriers[0],
     "ModelPlan": lambda: ls.plan_in(
         thing("MjModel"), thing("MjData"), ["turn"], [0.1], planner="minimum-jerk", duration=0.5, max_time_scale=20.0
     ),
@@ -175,7 +172,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Following": lambda: ls.follow(fresh("Policy"), home(), 0.1),
     "Feedback": policies.Feedback,
     **{name: functools.partial(_policy, kind) for name, kind in POLICY_CLASSES.items()},
-    "FilteredPolicy": lambda: _policy("linear-attractor", safety=safety_filter.FilterOptions()),
+    "FilteredPolicy": lambda: _policy("linear-attractor", safety=policies.FilterOptions()),
     "PolicyTask": lambda: policies.PolicyTask(thing("Arm"), home(), home()),
     "LoopReport": lambda: policies.control_loop(fresh("Policy"), home, lambda q, qd: None, home(), 0.02),
     "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), 1, None),

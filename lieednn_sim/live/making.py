@@ -14,8 +14,7 @@ from lieednn_sim.live.settings import PLANNED, Settings
 from lieednn_sim.network import BlockNetwork
 from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.safety_filter import FilterOptions
-from lieednn_sim.policies import FilteredPolicy, MotionTracker, NetworkPolicy, Policy, make_policy
+from lieednn_sim.policies import FilteredPolicy, FilterOptions, MotionTracker, NetworkPolicy, Policy, make_policy
 from lieednn_sim.stability import Certificate
 from lieednn_sim.stability.decay import Decay
 from lieednn_sim.values import Floats, frozen

@@ -225,7 +225,7 @@ def test_where_no_candidate_is_certified_the_last_one_is_looked_for_with_patienc
         return synthesize(*args, **options)
 
     monkeypatch.setattr(certified, "synthesize_many", none_found)
-    monkeypatch.setattr(certified, "plan", patient)
+    monkeypatch.setattr(certified, "synthesize", patient)
     made = plan(arm, arm.keyframe("extended"), options=CertifiedOptions(n_networks=3, last_attempts=7))
     assert made.details.n_networks == 3
     assert [(options["bias_magnitude"], options["max_attempts"]) for options in asked] == [(0.5, 7)]
