@@ -18,8 +18,8 @@ from lieednn_sim.values import Floats
 
 # Duration with which plans are made before they are sped up [s]; minimum jerk gives the same path in any duration.
 _PLANNING_DURATION = 10.0
-# Number of sines of a random trajectory.
-_SINES = 3
+# Number of sines of a random trajectory, and of attempts to draw one.
+_SINES, _ATTEMPTS = 3, 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTr
     total = as_positive("duration", duration)
     # A fraction of the joint ranges, which is reduced after a contact.
     home, spread = arm.keyframe("home"), 0.8
-    for _ in range(40):
+    for _ in range(_ATTEMPTS):
         trajectory = _draw(arm, rng, home, total, spread)
         checked = trajectory.position(np.linspace(0.0, total, int(np.ceil(10.0 * total)) + 1))
         if not any(arm.contacts(q) for q in checked):
