@@ -230,6 +230,7 @@ def integrate(
                 lambda _, x: vector_field(x), 0.0, start.ravel(), longest, rtol=rtol, atol=atol
             )
             t, x, pieces = _run(solver, away)
+            dense = _polynomials(t, pieces) if method == "RK45" else OdeSolution(t, pieces)
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
             raise LieEDNNError(f"integration of the network failed: {error}") from None
     if solver.nfev > _MAX_EVALUATIONS:
@@ -239,7 +240,6 @@ def integrate(
         )
     if not (np.isfinite(x).all() and np.isfinite(t).all()):
         raise LieEDNNError("integration of the network failed: the state left the range of double precision")
-    dense = _polynomials(t, pieces) if method == "RK45" else OdeSolution(t, pieces)
     return Trajectory(t=t, xi=x.reshape(-1, *start.shape), _dense=dense)
 
 
@@ -271,6 +271,7 @@ def _polynomials(t: Floats, pieces: list[DenseOutput]) -> PPoly:
     In a step h from time t they are y + h sum_k Q_k s^(k+1) with s = (time - t) / h.
     """
     steps = np.array([step.h for step in pieces])
-    slopes = np.array([step.Q for step in pieces]) / (steps[:, None] ** np.arange(4))[:, None]
+    with np.errstate(over="raise"):
+        slopes = np.array([step.Q for step in pieces]) / (steps[:, None] ** np.arange(4))[:, None]
     states = np.array([step.y_old for step in pieces])
     return PPoly(np.concatenate([slopes[..., ::-1], states[..., None]], axis=-1).transpose(1, 2, 0), t, axis=1)
