@@ -58,8 +58,8 @@ def lie_groups():
     for name in ("SO(2)", "SO(3)", "SE(2)", "SE(3)", "SU(2)", "SU(3)", "C^x", "H^x", "Sim(3)", "GL(2)", "affine(C^x)"):
         group = groups.group(name)
         d, square = (group.dimension,), (group.size, group.size)
+        yield from ((group.exp, d), (group.ad, d))
         yield lambda x, group=group: [check(of, group.exp(x)) for of in (group.log, group.adjoint)], d
-        yield group.ad, d
         yield from ((of, square) for of in (group.log, group.adjoint, group.contains, group.in_kernel, group.vee))
 
 
