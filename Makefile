@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint docs clean reference reference-stale release env env-dev gl browser
+.PHONY: help demo test lint docs clean reference reference-check release env env-dev gl browser
 
 # REQUIRE_RENDERING=1 makes the rendering tests fail, instead of skip, where there is no OpenGL;
 # REQUIRE_BROWSER=1 does the same for the tests of the HTML page, where there is no browser.
@@ -16,9 +16,9 @@ help:
 	@echo "                                                              REQUIRE_BROWSER=1: no Chromium is one)"
 	@echo "make lint    lint and types alone"
 	@echo "make docs    build the site in docs/_build/html"
-	@echo "make reference        make the results below results/reference again where they are stale (ARGS: docs/development/references.md)"
-	@echo "make reference-stale  say which are stale, and why"
-	@echo "make release          build the packages in dist/ and check them, unless results are stale"
+	@echo "make reference        make results below results/reference again (ARGS='NAME ...', see docs/development/references.md)"
+	@echo "make reference-check  compare samples of them with what today's code makes"
+	@echo "make release          build the packages in dist/ and check them, unless a sample differs"
 	@echo "make clean   remove caches and built packages; keeps .venv and results"
 	@echo "Each makes .venv when it is missing; PYTHON=... chooses the interpreter (3.11, 3.12 or 3.13)."
 
@@ -39,10 +39,10 @@ docs: env-dev gl
 reference: env-dev gl
 	.venv/bin/python scripts/reference.py $(ARGS)
 
-reference-stale: env-dev
-	.venv/bin/python scripts/reference.py --stale $(ARGS)
+reference-check: env-dev
+	.venv/bin/python scripts/reference.py --check $(ARGS)
 
-release: reference-stale
+release: reference-check
 	rm -rf dist
 	.venv/bin/python -m build
 	.venv/bin/python -m twine check --strict dist/*

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE / "_ext"), str(HERE.parent / "scripts")]
+sys.path[:0] = [str(HERE), str(HERE / "_ext")]
 
 # Before furo's colours do it, at a level at which the examples' servers and fonts tell everything.
 logging.basicConfig(level=logging.WARNING)

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from lieednn_sim.synthesis import shape as shape
     from lieednn_sim.synthesis import synthesize as synthesize
 
-_ROOMS = {
+_NAMES = {
     "arm": ("Arm", "TaskSpaceRegion", "solve_ik"),
     "arm.targets": ("draw_target",),
     "errors": ("LieEDNNError", "PlanError"),
@@ -84,15 +84,15 @@ _SUBPACKAGES = (
     *("lie", "stability", "network", "theory", "synthesis", "learning", "arm", "planning", "policies", "simulation"),
     *("rendering", "evaluation", "studies", "environments", "exports", "live", "cli"),
 )
-_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
-__all__ = sorted(_ROOM_OF)
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = sorted(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return import_module("importlib.metadata").version("lieednn_sim")
-    if name in _ROOM_OF:
-        return getattr(import_module(f"lieednn_sim.{_ROOM_OF[name]}"), name)
+    if name in _MODULE_OF:
+        return getattr(import_module(f"lieednn_sim.{_MODULE_OF[name]}"), name)
     if name in _SUBPACKAGES:
         return import_module(f"lieednn_sim.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}; names: {', '.join(__all__)}")

@@ -51,7 +51,7 @@ LIBRARIES: Mapping[str, Library] = {
     "gymnasium": Library("gymnasium", "Gymnasium environments"),
     "onnx": Library("onnx", "a network as a graph, network.to_onnx"),
     "rosbags": Library("ros2"),
-    "pyarrow": Library("lerobot", "record"),
+    "pyarrow": Library("lerobot"),
     "rerun": Library("rerun", distribution="rerun-sdk"),
     "distributed": Library("cluster", "comparisons on a Dask cluster"),
 }
@@ -107,7 +107,7 @@ class PlannerEntry(Entry):
         cost: CPU time of a case of a comparison [s], planning and both default controllers, in the mean over the
             package's arms, free and behind the window. Declared, not measured, so that which cases there are depends
             on no machine.
-        network: whether its plans have a certifiable network, which `lieednn-sim synthesize` stores.
+        network: whether its plans have a certifiable network, which a run stores.
         keeps: whether it can keep the end effector in a region on the way, the argument ``keep`` of `planning.plan`;
             whether a motion does is checked in any case.
     """
@@ -440,7 +440,7 @@ ALGORITHMS: Registry[Entry] = Registry(
     "algorithm",
     {
         "literal": Entry("learning.options:TrainingOptions.literal", "as printed in the paper"),
-        "repaired": Entry("learning.options:TrainingOptions.repaired", "its equations, repaired"),
+        "repaired": Entry("learning.options:TrainingOptions", "its equations, repaired"),
         "tracked": Entry("learning.options:TrainingOptions.tracked", "the same, with the equilibrium tracked"),
         "riemannian": Entry("learning.options:RiemannianOptions", "on the manifold of scaled adjoints"),
         "stability-aware": Entry("learning.options:RiemannianOptions.stability_aware", "the same, certified all along"),

@@ -1,10 +1,11 @@
 """Planners on MotionBenchMaker's problems for the Panda, the UR5 and the Fetch, in one table.
 
-    python scripts/motion_bench_maker.py FOLDER [--problems 100] [--jobs 1] [--output results/motion_bench_maker]
+    python scripts/motion_bench_maker.py FOLDER [--robots panda ur5 fetch] [--planners NAME ...] [--problems 100]
+                                         [--jobs 1] [--output results/motion_bench_maker]
 
 FOLDER is the ``resources`` of VAMP's repository, which is not part of this project; docs/howto/published_problems.md
-says how the problems are posed. Each robot's rows are a table of `lieednn-sim problems` below the output, so an
-interrupted run can be continued; ``motion_bench_maker.md`` has the statistics of all.
+says how the problems are posed. Each robot's rows are a table below the output, so an interrupted run can be continued;
+``motion_bench_maker.md`` has the statistics of all.
 """
 
 from __future__ import annotations
@@ -14,19 +15,27 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from lieednn_sim import io
 from lieednn_sim.studies.markdown import table
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.studies.problems.study import PublishedProblems, Solution, Statistic
-from lieednn_sim.studies.problems.summary import METHOD
+from lieednn_sim.studies.problems.study import PublishedProblems, Solution
 from lieednn_sim.studies.study import compute
 from lieednn_sim.studies.workers import exit_code
 
 ROBOTS = ("panda", "ur5", "fetch")
 PLANNERS = ("rrt-connect", "lieednn-shaped", "minimum-jerk")
 BUDGET = 10.0
+METHOD = (
+    "Motions lead from the published start to the published joint goal, within the limits of position and velocity of "
+    "the robot's URDF and of accelerations derived from its efforts, free of contact at every sample of 2 ms. No "
+    "clearance is required, since starts and goals have none. A planner has {budget:g} s of CPU time, on one core, for "
+    "a problem. Problems whose start or goal touches something or breaks a limit are skipped: they count neither as "
+    "solved nor as failed. The solve time covers everything from the problem to the timed motion. Statistics are over "
+    "solved problems. The C-space path is a Euclidean length in radians, for slides in metres."
+)
 HEADINGS = (
     *("robot", "planner", "problems", "skipped", "solved, of asked"),
     *("solve time [s]", "C-space path [rad]", "motion time [s]"),
@@ -42,10 +51,9 @@ def report(rows: dict[str, Sequence[Solution]]) -> str:
             own = [row for row in found if row.planner == planner]
             asked = [row for row in own if not row.skipped]
             solved = [row for row in asked if row.success]
-            statistics = [Statistic.of([getattr(row, name) for row in solved]) for name in SHOWN]
             cells.append([robot, f"`{planner}`", len(own), len(own) - len(asked), f"{len(solved)} of {len(asked)}"])
-            for one in statistics:
-                shown = (one.mean, one.median, one.percent_75, one.percent_98) if one else ()
+            for values in ([getattr(row, name) for row in solved] for name in SHOWN):
+                shown = (np.mean(values), *np.percentile(values, (50, 75, 98))) if values else ()
                 cells[-1].append(" / ".join(f"{value:.3g}" for value in shown) or "-")
             lost = [f"{row.problem} {row.number}" for row in asked if not row.success]
             if lost and planner != "minimum-jerk":
@@ -67,6 +75,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Compute missing rows, then write the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="VAMP's resources")
+    parser.add_argument("--robots", nargs="+", default=ROBOTS, help=f"folders in it (default: {' '.join(ROBOTS)})")
+    parser.add_argument("--planners", nargs="+", default=PLANNERS, help=f"names (default: {' '.join(PLANNERS)})")
     parser.add_argument("--problems", type=int, default=100, help="for each robot (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=1, help="worker processes (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=Path("results/motion_bench_maker"))
@@ -75,8 +85,8 @@ def main(arguments: list[str] | None = None) -> int:
 
     def work() -> Path:
         rows: dict[str, Sequence[Solution]] = {}
-        for robot in ROBOTS:
-            study = PublishedProblems(ProblemSets(given.folder / robot), PLANNERS, given.problems, BUDGET)
+        for robot in given.robots:
+            study = PublishedProblems(ProblemSets(given.folder / robot), given.planners, given.problems, BUDGET)
             rows[robot] = compute(study, given.output / robot, jobs=given.jobs, console=console).sorted_rows()
         path = given.output / "motion_bench_maker.md"
         with io.atomic_text(path) as stream:

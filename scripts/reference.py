@@ -1,262 +1,175 @@
-"""Make the results below results/reference again, or say which are older than the code that they depend on.
+"""Make results below results/reference again, or check that today's code still makes a sample of each.
 
-    python scripts/reference.py [NAME ...] [--jobs N] [--demonstrations FOLDER] [--robots FOLDER ... --models TEXT]
-                                [--problems FOLDER]
-    python scripts/reference.py --stale [NAME ...]
+    python scripts/reference.py NAME ... [--jobs N] [--data WORD=FOLDER ...]
+    python scripts/reference.py --check [NAME ...] [--data WORD=FOLDER ...]
+    python scripts/reference.py --update NAME ...
 
-By default all studies of `STUDIES` that are stale: those whose code has changed (comments, docstrings, and modules that
-only show, store or check do not count), whose command is another, or whose files were changed or never recorded. Each
-runs in ``results/making/NAME-...``, named after command, code and versions, so that an interrupted one goes on where it
-was, and never with rows of other code. Studies on outside data need its folder: recordings of RoboTasks and LASA
-(``demonstrations``), models of MuJoCo Menagerie and of ROS packages (``robots``, with what they are in ``--models``),
-VAMP's ``resources`` (``problems``). ``results/reference/made.json`` records how each was made. With --stale nothing is
-made; the exit status is 1 if anything is stale.
+``results/reference/studies.toml`` says what the studies are. One that is made runs in ``results/making/NAME``, so that
+an interrupted one goes on, and ``made.json`` records how it was made. With --check the samples of the studies are made,
+by default of all, and each row of their tables is compared with that row of the committed file; measured times are not.
+The exit status is 1 where one differs. A sample of a table whose rows are means over many more cases has a committed
+file of its own, which --update makes again. Some studies need outside data, such as ``--data PROBLEMS=vamp/resources``:
+recordings of RoboTasks and LASA (``DEMONSTRATIONS``), models of MuJoCo Menagerie and of ROS packages (``ROBOTS``, which
+may be given several times, with names and commits in ``MODELS``), VAMP's ``resources`` (``PROBLEMS``).
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
+import csv
 import datetime
-import fcntl
-import hashlib
-import json
 import os
+import re
 import resource
 import shlex
-import signal
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 from lieednn_sim import io
-from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.versions import code_version, versions
+from lieednn_sim.errors import FileError
+from lieednn_sim.versions import commit, versions
 
 ROOT = Path(__file__).resolve().parents[1]
-REFERENCE = Path("results/reference")
-# Read again each time, since code may change while studies run.
-_code = code_version.__wrapped__
-OBSTACLE_PLANNERS = "minimum-jerk,rrt-connect,lieednn-shaped"
+REFERENCE = ROOT / "results/reference"
+STUDIES: dict[str, dict[str, Any]] = tomllib.loads((REFERENCE / "studies.toml").read_text(encoding="utf-8"))
+# Columns of measured times, which are not compared.
+TIMED = re.compile(r"planning \[s\]|CPU|control step|encoding|fit \[s\]|fit s|solve time|time of an epoch|^measured$")
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
+# Two numbers agree within this, the last of three digits, or this much: of a distance [mm] it is rounding.
+RELATIVE, ABSOLUTE = 0.01, 1e-4
 
 
-@dataclass(frozen=True)
-class Study:
-    """A study whose results are committed.
+def rows_of(path: Path, keys: int) -> Iterator[tuple[tuple[str, ...], dict[str, str]]]:
+    """Rows of the tables in a Markdown or CSV file: section and first cells, and all cells by their headings.
 
-    Attributes:
-        commands: as typed in the checkout; words in capitals stand for outside data and the date.
-        outputs: where each committed file is copied from; a name with an asterisk stands for several, for a folder.
-        roots: modules that make the results, see `code_version`.
-        jobs: whether the last command takes ``--jobs``.
+    Rows of a whole table, which begin with "all" or "mean", are left out; headings that occur again get a number.
     """
-
-    commands: tuple[str, ...]
-    outputs: Mapping[str, str]
-    roots: tuple[str, ...]
-    jobs: bool = False
-
-
-def _script(name: str, words: str, folder: str, *kinds: str, jobs: bool = False) -> Study:
-    """A script that writes ``results/FOLDER/FOLDER.KIND``."""
-    outputs = {f"{folder}.{kind}": f"results/{folder}/{folder}.{kind}" for kind in kinds}
-    return Study((f"python scripts/{name}.py {words}".strip(),), outputs, (name,), jobs)
-
-
-_TASKS = ("boom", "harvester", "crane", "slow_crane", "shelf")
-_VIDEO = "lieednn_sim.rendering.video"
-STUDIES = {
-    "demo": Study(
-        (
-            "lieednn-sim demo",
-            "lieednn-sim render results/demo --size 640x360 --fps 10 --output results/demo.gif",
-        ),
-        {
-            "demo.gif": "results/demo.gif",
-            "demo_metrics.json": "results/demo/metrics.json",
-            "demo_metrics.csv": "results/demo/metrics.csv",
-        },
-        ("lieednn_sim.planning", "lieednn_sim.simulation", "lieednn_sim.evaluation.metrics", _VIDEO),
-    ),
-    "arms": Study(("python scripts/picture_arms.py",), {"arms.jpg": "results/arms.jpg"}, ("picture_arms", _VIDEO)),
-    "benchmark": _script("benchmark", "", "benchmark", "md", "json"),
-    "robots": _script("real_robots", "ROBOTS --models MODELS", "robots", "md"),
-    "robustness": Study(
-        ("python scripts/robustness.py --cases 1000",),
-        {"robustness.md": "results/robustness.md"},
-        ("robustness",),
-        jobs=True,
-    ),
-    "demonstrations": _script("evaluate_demonstrations", "DEMONSTRATIONS", "demonstrations", "md", jobs=True),
-    "paper": Study(
-        ("python scripts/reproduce_paper.py",), {"paper": "results/paper/*.*"}, ("reproduce_paper",), jobs=True
-    ),
-    "motion_bench_maker": _script("motion_bench_maker", "PROBLEMS", "motion_bench_maker", "md", jobs=True),
-    "obstacles": Study(
-        (
-            f"lieednn-sim compare --scenes window,shelf,poles --seeds 10 --planners {OBSTACLE_PLANNERS} "
-            "--controllers position-servo --output results/obstacles",
-        ),
-        {"obstacles.md": "results/obstacles/comparison.md"},
-        ("lieednn_sim.studies.comparison.study",),
-        jobs=True,
-    ),
-    "pushes": _script("evaluate_pushes", "", "pushes", "md"),
-    "cost_over_time": _script("cost_over_time", "--seeds 4", "cost_over_time", "md", "csv", "png"),
-    "learning": _script("learn_reach", "", "learning", "md", "png", jobs=True),
-    "comparison": Study(
-        ("lieednn-sim compare --seeds 20 --slow-seeds 3 --reactive 3 --views 3 --date DATE",),
-        {name: f"results/comparison/{name}" for name in ("comparison.md", "comparison.html", "reactions.md")},
-        ("lieednn_sim.studies.comparison.study", "lieednn_sim.studies.reactions.study"),
-        jobs=True,
-    ),
-    "tasks": Study(
-        ("python scripts/tasks.py --menagerie ROBOTS",),
-        {
-            "tasks.md": "results/tasks/tasks.md",
-            **{f"tasks_{name}.gif": f"results/tasks/tasks_{name}.gif" for name in _TASKS},
-        },
-        ("tasks",),
-    ),
-    "shaped": Study(
-        ("python scripts/shaped.py", "python scripts/shaped.py --scenes free --seeds 100"),
-        {"shaped.md": "results/shaped/summary.md"},
-        ("shaped",),
-    ),
-}
+    section, head = "", list[str]()
+    lines = path.read_text(encoding="utf-8").splitlines()
+    if path.suffix == ".csv":
+        lines = ["| " + " | ".join(cells) + " |" for cells in csv.reader(lines)]
+    for line in lines:
+        if not line.startswith("|"):
+            section, head = line if line.startswith("#") else section, []
+            continue
+        cells = [cell.strip() for cell in line.strip().strip("|").split(" | ")]
+        if not head:
+            head = [f"{name} {number}" if name in cells[:number] else name for number, name in enumerate(cells)]
+        elif not set(line) <= set("|-: ") and cells[0] not in ("all", "**mean**"):
+            yield (section, *cells[:keys]), dict(zip(head, cells, strict=True))
 
 
-def stale(study: Study, record: Mapping[str, Any] | None, root: Path = ROOT) -> list[str]:
-    """Why the committed results of a study are not those of today's code, given how they were made."""
-    if record is None:
-        return ["never recorded"]
-    reasons = []
-    if record["code"] != (now := _code(*study.roots, folder=root)):
-        reasons.append(f"made by code {record['code']}, now {now}")
-    if record["command"] != "; ".join(study.commands):
-        reasons.append(f"made by another command, {record['command']}")
-    for name, digest in record["outputs"].items():
-        path = root / REFERENCE / name
-        if not path.is_file():
-            reasons.append(f"{name} is missing")
-        elif _digest(path) != digest:
-            reasons.append(f"{name} was changed since")
-    return reasons
+def differences(path: Path, committed: Path, keys: int) -> list[str]:
+    """What differs between the rows of a sample and the committed rows of the same keys, in words."""
+    known: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    for key, row in rows_of(committed, keys):
+        known.setdefault(key, []).append(row)
+    found = []
+    for key, row in rows_of(path, keys):
+        where = f"{committed.name}, {', '.join(key[1:])}"
+        other = known[key].pop(0) if known.get(key) else {}
+        if row.keys() != other.keys():
+            lost = sorted(row.keys() ^ other.keys())
+            found.append(f"{where}: {f'other columns: {lost}' if other else 'no such row is committed'}")
+        found += [
+            f"{where}, {name}: {other[name]}, now {cell}"
+            for name, cell in row.items()
+            if name in other and not TIMED.search(name) and not _agree(cell, other[name])
+        ]
+    return found
 
 
-def records(root: Path = ROOT) -> dict[str, Any]:
-    """How the committed results were made, by study."""
-    path = root / REFERENCE / "made.json"
-    return dict(io.load_json(path, "references")["studies"]) if path.exists() else {}
+def _agree(cell: str, other: str) -> bool:
+    """Whether two cells have the same words, and numbers within the tolerance."""
+    if NUMBER.sub("", cell) != NUMBER.sub("", other):
+        return False
+    pairs = ((float(a), float(b)) for a, b in zip(NUMBER.findall(cell), NUMBER.findall(other), strict=True))
+    return all(abs(a - b) <= ABSOLUTE + RELATIVE * max(abs(a), abs(b)) for a, b in pairs)
 
 
-def make(name: str, study: Study, given: Mapping[str, Sequence[str]], jobs: int, root: Path = ROOT) -> None:
-    """Run a study, or the rest of it, and copy and record its results.
+def check(study: Mapping[str, Any], given: Mapping[str, Sequence[str]], *, update: bool = False) -> list[str]:
+    """Make a sample and return what differs from the committed rows; with ``update``, first take it for these."""
+    with tempfile.TemporaryDirectory() as folder:
+        for command in study["sample"]:
+            _run(command, given, Path(folder))
+        compared = [(Path(folder) / page, REFERENCE / name) for page, name in study["compared"].items()]
+        for page, committed in compared:
+            if update and committed.parent.name == "samples":
+                _take(page, committed, "; ".join(study["sample"]))
+        return [words for pages in compared for words in differences(*pages, study["keys"])]
 
-    Args:
-        name: name of the study.
-        study: the study.
-        given: words in place of those in capitals.
-        jobs: number of worker processes.
-        root: the checkout.
 
-    Raises:
-        FileError: a command failed, or the code was changed meanwhile.
-    """
-    code, used = _code(*study.roots, folder=root), versions(optional=True)
-    # Tables are continued with the very same code alone.
-    how = json.dumps([study.commands, code, _code(folder=root), used])
-    work = root / "results/making" / f"{name}-{hashlib.sha256(how.encode()).hexdigest()[:8]}"
-    io.make_directory(work / "results")
-    with io.locked(work), _timed(work / "spent.json") as spent:
-        for command in study.commands:
-            words = [part for word in shlex.split(command) for part in given.get(word, [word])]
-            if study.jobs and command == study.commands[-1]:
-                words += ["--jobs", str(jobs)]
-            _run(words, work, root)
-    if _code(*study.roots, folder=root) != code:
-        raise FileError(f"the code of {name} was changed while it ran; run it again")
-    today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    command = "; ".join(study.commands)
-    made = f"{today} with {', '.join(f'{package} {version}' for package, version in used.items())}, code {code}"
-    outputs: dict[str, str] = {}
-    for target, source in study.outputs.items():
-        found = sorted(work.glob(source))
-        if not found:
-            raise FileError(f"{name} made no {source} in {work}")
-        for path in found:
-            copy = root / REFERENCE / target / (path.name if "*" in source else "")
-            io.make_directory(copy.parent)
-            content = path.read_bytes()
-            if path.suffix == ".md":
-                content = content.rstrip() + f"\n\nMade by `{command}`, {made}.\n".encode()
-            with io.atomic_path(copy) as temporary:
-                temporary.write_bytes(content)
-            outputs[copy.relative_to(root / REFERENCE).as_posix()] = _digest(copy)
+def make(name: str, study: Mapping[str, Any], given: Mapping[str, Sequence[str]], jobs: int) -> None:
+    """Run a study, or the rest of it, then copy and record its results; `FileError` if a command fails."""
+    work = io.make_directory(ROOT / "results/making" / name)
+    more = f" --jobs {jobs}" if study.get("jobs") else ""
+    # Those of an interrupted run count.
+    path = work / "spent.json"
+    spent = io.load_json(path, "times") if path.exists() else {"cpu_s": 0.0, "wall_s": 0.0}
+    begin, used = time.perf_counter(), _cpu()
+    try:
+        for command in (*study["commands"][:-1], study["commands"][-1] + more):
+            _run(command, given, work)
+    finally:
+        spent = {"cpu_s": spent["cpu_s"] + _cpu() - used, "wall_s": spent["wall_s"] + time.perf_counter() - begin}
+        io.save_json(path, spent)
+    command, outputs = "; ".join(study["commands"]), []
+    for target, source in study["outputs"].items():
+        for path in sorted(work.glob(source)):
+            outputs.append(f"{target}/{path.name}" if "*" in source else target)
+            _take(path, REFERENCE / outputs[-1], command)
     entry = {
         "command": command,
-        "date": today,
-        "versions": used,
-        "code": code,
-        "cpu_s": float(f"{spent['cpu_s']:.3g}"),
-        "wall_s": float(f"{spent['wall_s']:.3g}"),
+        "date": _today(),
+        "versions": versions(optional=True),
+        "commit": commit(),
+        **{name: float(f"{value:.3g}") for name, value in spent.items()},
         "cores": os.cpu_count(),
-        "jobs": jobs if study.jobs else 1,
+        "jobs": jobs if more else 1,
         "outputs": outputs,
     }
-    handle = os.open(root / REFERENCE, os.O_RDONLY)
-    try:
-        # Several studies may run at once.
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        studies = {**records(root), name: entry}
-        io.save_json(root / REFERENCE / "made.json", {"studies": dict(sorted(studies.items()))})
-    finally:
-        os.close(handle)
+    studies = {**io.load_json(REFERENCE / "made.json", "references")["studies"], name: entry}
+    io.save_json(REFERENCE / "made.json", {"studies": dict(sorted(studies.items()))})
+    shutil.rmtree(work)
 
 
-def _run(words: list[str], work: Path, root: Path) -> None:
+def _run(command: str, given: Mapping[str, Sequence[str]], folder: Path) -> None:
     """Run a command of the checkout in a folder, with its output in a file there; `FileError` if it fails."""
-    program = {"python": [str(root / words[1])], "lieednn-sim": ["-m", "lieednn_sim", words[1]]}[words[0]]
-    log = work / "output.log"
-    process = None
+    program, *words = [part for word in shlex.split(command) for part in given.get(word, [word])]
+    start = ["-m", "lieednn_sim"] if program == "lieednn-sim" else [str(ROOT / words.pop(0))]
+    # One thread, whose sums are always in the same order.
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    log = folder / "output.log"
     with log.open("ab") as stream:
-        try:
-            process = subprocess.Popen(
-                [sys.executable, *program, *words[2:]],
-                cwd=work,
-                env={**os.environ, "PYTHONPATH": str(root)},
-                stdout=stream,
-                stderr=subprocess.STDOUT,
-                # Interrupted by this process alone, and once.
-                start_new_session=True,
-            )
-            status = process.wait()
-        except KeyboardInterrupt:
-            if process is not None:
-                # A process in the background may ignore SIGINT, and its children do then.
-                process.terminate()
-                process.wait()
-            raise
-    if status:
+        done = subprocess.run(
+            [sys.executable, *start, *words], cwd=folder, env=environment, stdout=stream, stderr=stream
+        )
+    if done.returncode:
         last = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-5:]
-        raise FileError(f"{shlex.join(words)} failed with status {status}; the end of {log}:\n" + "\n".join(last))
+        raise FileError(f"{command} failed with status {done.returncode}:\n" + "\n".join(last))
 
 
-@contextlib.contextmanager
-def _timed(path: Path) -> Iterator[dict[str, float]]:
-    """Times that a study takes, added to those of its interrupted runs."""
-    spent = dict(json.loads(path.read_text())) if path.exists() else {"cpu_s": 0.0, "wall_s": 0.0}
-    wall, cpu = time.perf_counter(), _cpu()
-    try:
-        yield spent
-    finally:
-        spent["wall_s"] += time.perf_counter() - wall
-        spent["cpu_s"] += _cpu() - cpu
-        io.save_json(path, spent)
+def _take(path: Path, target: Path, command: str) -> None:
+    """Copy a result into the committed ones; a Markdown file says how it was made."""
+    content = path.read_bytes()
+    if path.suffix == ".md":
+        packages = ", ".join(f"{package} {version}" for package, version in versions(optional=True).items())
+        content = content.rstrip() + f"\n\nMade by `{command}`, {_today()} with {packages}.\n".encode()
+    io.make_directory(target.parent)
+    with io.atomic_path(target) as temporary:
+        temporary.write_bytes(content)
+
+
+def _today() -> str:
+    return datetime.datetime.now(datetime.UTC).date().isoformat()
 
 
 def _cpu() -> float:
@@ -264,60 +177,46 @@ def _cpu() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-
-
-def main(arguments: Sequence[str] | None = None, studies: Mapping[str, Study] | None = None, root: Path = ROOT) -> int:
-    """Make stale results, or list them; returns 1 if any are left stale, 130 when interrupted."""
-    studies = STUDIES if studies is None else studies
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Make studies, or check or update their samples; returns 1 if one failed or differs."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(studies)} (default: all)")
-    parser.add_argument("--stale", action="store_true", help="only say which are stale, and why")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(STUDIES)}")
+    parser.add_argument("--check", action="store_true", help="compare samples, by default of all studies")
+    parser.add_argument("--update", action="store_true", help="make the committed samples again")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="worker processes (default: all cores)")
-    parser.add_argument("--demonstrations", metavar="FOLDER", help="recordings of RoboTasks and LASA")
-    parser.add_argument("--robots", nargs="+", metavar="FOLDER", help="models of robots, see real_robots.py")
-    parser.add_argument("--models", metavar="TEXT", help="what these are: names and commits")
-    parser.add_argument("--problems", metavar="FOLDER", help="VAMP's resources")
+    parser.add_argument("--data", action="append", default=[], metavar="WORD=FOLDER", help="outside data")
     options = parser.parse_args(arguments)
-    if unknown := [name for name in options.names if name not in studies]:
-        parser.error(f"no study {unknown[0]!r}; studies are: {', '.join(studies)}")
-    if options.jobs < 1:
-        parser.error(f"--jobs must be at least 1, got {options.jobs}")
-    given = {"DATE": [datetime.datetime.now(datetime.UTC).date().isoformat()]}
-    folders = {"DEMONSTRATIONS": options.demonstrations, "ROBOTS": options.robots, "PROBLEMS": options.problems}
-    for word, found in folders.items():
-        if found:
-            given[word] = [str(Path(one).resolve()) for one in ([found] if isinstance(found, str) else found)]
-    if options.models:
-        given["MODELS"] = [options.models]
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    left = 0
-    for name, study in studies.items():
-        if options.names and name not in options.names:
-            continue
+    names, sampled = options.names or list(STUDIES), options.check or options.update
+    if not options.names and not options.check:
+        parser.error(f"name what to make, of {', '.join(STUDIES)}")
+    if unknown := [name for name in names if name not in STUDIES]:
+        parser.error(f"no study {unknown[0]!r}; studies are: {', '.join(STUDIES)}")
+    given = {"DATE": [_today()]}
+    for word, _, value in (text.partition("=") for text in options.data):
+        given.setdefault(word, []).append(value if word == "MODELS" else str(Path(value).resolve()))
+
+    def work(name: str) -> bool:
+        """Do what is asked for with a study; returns whether it is as committed."""
+        study, begin, differ = STUDIES[name], time.perf_counter(), list[str]()
+        words = shlex.split(" ".join(study.get("sample", ()) if sampled else study["commands"]))
+        missing = " and ".join(word for word in words if word.isupper() and word not in given)
         try:
-            reasons = stale(study, records(root).get(name), root)
-            words = {word for command in study.commands for word in shlex.split(command)}
-            missing = [f"--{word.lower()}" for word in (*folders, "MODELS") if word in words and word not in given]
-            if not reasons:
-                print(f"{name}: up to date")
-            elif options.stale or missing:
-                left += 1
-                needs = f"; left out, since it needs {' and '.join(missing)}" if not options.stale else ""
-                print(f"{name}: {'; '.join(reasons)}{needs}")
+            if missing or not words:
+                said = f"left out, it {f'needs --data {missing}=...' if missing else 'has no sample'}"
+            elif sampled:
+                differ = check(study, given, update=options.update)
+                said = "differs from what is committed:" if differ else "as committed"
             else:
-                print(f"{name}: {'; '.join(reasons)}; running {'; '.join(study.commands)}", flush=True)
-                make(name, study, given, options.jobs, root)
-                entry = records(root)[name]
-                print(f"{name}: made in {entry['wall_s']:.0f} s, {entry['cpu_s']:.0f} s of CPU time", flush=True)
-        except LieEDNNError as error:
-            left += 1
-            print(f"{name}: {error}", file=sys.stderr, flush=True)
-        except KeyboardInterrupt:
-            print(f"{name}: stopped; the same command continues from there", file=sys.stderr)
-            return 130
-    return 1 if left else 0
+                make(name, study, given, options.jobs)
+                said = "made"
+        except FileError as error:
+            differ, said = [""], str(error)
+        print(f"{name}: {said} ({time.perf_counter() - begin:.0f} s)", *differ, sep="\n  ", flush=True)
+        return not differ
+
+    # What is made has worker processes of its own, and its times count; samples run side by side.
+    with ThreadPoolExecutor(options.jobs if sampled else 1) as pool:
+        return 0 if all(list(pool.map(work, names))) else 1
 
 
 if __name__ == "__main__":

@@ -27,7 +27,6 @@ from lieednn_sim import (
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.environments import gymnasium, suite, tasks
 from lieednn_sim.learning import demonstrations
-from lieednn_sim.planning import safety_filter
 from lieednn_sim.rendering.recording import Recording
 from lieednn_sim.rendering.video import Camera
 from lieednn_sim.simulation.tracking import as_reference
@@ -137,9 +136,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Tube": lambda: planning.find_tube(thing("Arm"), ls.plan(thing("Arm"), home(), planner="linear-attractor")),
     "PlannerOptions": planning.CertifiedOptions,
     "PlanningProblem": lambda: planning.PlanningProblem(thing("Arm"), home(), 0.99 * home(), 0.5),
-    "SafetyFilter": lambda: safety_filter.SafetyFilter(thing("Arm"), 0.01),
-    "Limit": lambda: thing("SafetyFilter").limits[0],
-    "Barrier": lambda: thing("SafetyFilter").barriers[0],
+    "SafetyFilter": lambda: policies.SafetyFilter(thing("Arm"), 0.01),
     "ModelPlan": lambda: ls.plan_in(
         thing("MjModel"), thing("MjData"), ["turn"], [0.1], planner="minimum-jerk", duration=0.5, max_time_scale=20.0
     ),
@@ -159,7 +156,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Simulation": lambda: simulation.Simulation(thing("Arm")),
     "Following": lambda: ls.follow(MAKERS["Policy"](), home(), 0.1),
     **{name: functools.partial(_policy, kind) for name, kind in POLICY_CLASSES.items()},
-    "FilteredPolicy": lambda: _policy("linear-attractor", safety=safety_filter.FilterOptions()),
+    "FilteredPolicy": lambda: _policy("linear-attractor", safety=policies.FilterOptions()),
     "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), len(thing("Motion").q), None),
     "Controller": lambda: simulation.CONTROLLERS["position-servo"].load()(thing("Arm"), thing("Reference")),
     "Evaluation": lambda: ls.evaluate(thing("Rollout")),

@@ -14,7 +14,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, import_arm
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.budget import check_time, out_of_time, time_limit
-from lieednn_sim.cli import _parser, main
+from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError, OutOfTimeError, PlanError
 from lieednn_sim.planning import PLANNERS, CertifiedOptions, certified, plan
 from lieednn_sim.planning.motion import least_duration
@@ -119,15 +119,10 @@ def test_a_case_that_runs_out_of_time_is_a_row_with_the_reason(looks, tmp_path):
 
 @pytest.mark.parametrize("planner", ["lieednn-certified", "linear-attractor"])
 def test_the_command_stops_with_the_reason_and_leaves_nothing(planner, looks, tmp_path, capsys):
-    words = ["synthesize", "--target", "extended", "--planner", planner, "--time-budget", "9"]
+    words = ["plan", "--target", "extended", "--planner", planner, "--time-budget", "9"]
     assert main([*words, "--output", str(tmp_path / "run")]) == 2
     assert "error: out of time: the budget of 9 s of CPU time is spent" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
-
-
-def test_the_option_has_the_default_of_the_package():
-    for command in (["demo"], ["compare"]):
-        assert _parser().parse_args(command).time_budget == budget.DEFAULT_TIME_BUDGET
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), "soon"])

@@ -15,7 +15,7 @@ import pytest
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.studies import Comparison, Row, Settings, compute, read_rows, workers
+from lieednn_sim.studies import Comparison, Settings, compute, workers
 
 # A process that ends itself by SIGKILL where it is told to: no moment to wait for, no time to clean up.
 KILL = "import os, signal, sys\nkill = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -48,7 +48,7 @@ def names(directory):
 def run(tmp_path_factory):
     """A short simulated run; tests that change it work on a run of their own."""
     directory = tmp_path_factory.mktemp("faults") / "run"
-    assert main(["synthesize", *PLAN, "--output", str(directory)]) == 0
+    assert main(["plan", *PLAN, "--output", str(directory)]) == 0
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
     return RunDirectory(directory)
 
@@ -73,10 +73,10 @@ if __name__ == "__main__":
     words = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "2", "--jobs", "1"]
     words += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0", "--output", str(tmp_path)]
     die(start, code, "compare", *words)
-    ((_, row),) = read_rows(tmp_path / "comparison.csv", Row).items()
+    ((_, row),) = Comparison.read(tmp_path).rows.items()
     with in_this_process():
         assert main(["compare", *words]) == 0
-    rows = read_rows(tmp_path / "comparison.csv", Row)
+    rows = Comparison.read(tmp_path).rows
     assert len(rows) == 2
     # Not computed again, for that takes another time.
     assert row in rows.values()
@@ -123,7 +123,7 @@ def test_a_worker_that_is_killed_loses_no_finished_case(tmp_path, monkeypatch, i
     settings = Settings(duration=1.0, hold=0.0)
     with pytest.raises(LieEDNNError, match=r"a worker process died, .* continues, and one job needs less"):
         compute(replace(selection, common=settings), tmp_path)
-    assert list(read_rows(tmp_path / "comparison.csv", Row).values()) == rows[0]
+    assert list(Comparison.read(tmp_path).rows.values()) == rows[0]
     monkeypatch.undo()
     with in_this_process():
         assert len(compute(replace(selection, common=settings), tmp_path).rows) == 2

@@ -23,7 +23,7 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.safety_filter.filter import SafetyFilter
+from lieednn_sim.policies import SafetyFilter
 from lieednn_sim.registry import BIAS_RULES
 from lieednn_sim.synthesis.bias import bias_for
 from lieednn_sim.theory import EquivariantLieEDNN, GroupLieEDNN, groups
@@ -47,8 +47,8 @@ def check(function, *arguments, **named):
         result = function(*arguments, **named)
     except LieEDNNError:
         return None
-    # Infinite beside an output that vanishes, and without pairs that are near enough, as documented.
-    infinite = getattr(function, "__name__", "") in ("smallest_one_norm", "step")
+    # Infinite beside an output that vanishes, as documented.
+    infinite = getattr(function, "__name__", "") == "smallest_one_norm"
     for leaf in fuzz_public.leaves(result, fields=True):
         assert not np.isnan(leaf).any() if infinite else np.isfinite(leaf).all(), (function, arguments, named)
     return result
@@ -59,8 +59,8 @@ def lie_groups():
         group = groups.group(name)
         d, square = (group.dimension,), (group.size, group.size)
         yield from ((group.exp, d), (group.ad, d))
-        yield lambda x, group=group: [check(of, group.exp(x)) for of in (group.log, group.adjoint)], d
-        yield from ((of, square) for of in (group.log, group.adjoint, group.contains, group.in_kernel, group.vee))
+        yield lambda x, group=group: check(group.adjoint, group.exp(x)), d
+        yield from ((of, square) for of in (group.adjoint, group.contains, group.vee))
 
 
 def rigid_motions():
@@ -90,12 +90,13 @@ def networks():
     at, pairs = (2, 6), (2, 2, 3)
     yield partial(check_network, LieEDNN), (2, 2), (*pairs, 3), pairs, at, at, (1, 6), float, float
     yield partial(check_network, EquivariantLieEDNN), (2, 2), (*pairs, 3), pairs, at, at, (1, 6), float, float
-    yield partial(check_network, GroupLieEDNN), (2, 2), (2, 2, 6, 6), pairs, at, at, (1, 6), float, float
+    yield partial(check_network, GroupLieEDNN), (2, 2), (2, 2, 6), pairs, at, at, (1, 6), float, float
 
 
 def check_network(kind, alpha, matrices, translation, bias, state, hidden, gamma, mu):
     if kind is GroupLieEDNN:
-        network = kind.from_blocks(groups.group("SE(3)"), alpha, matrices, bias, gamma=gamma)
+        group = groups.group("SE(3)")
+        network = kind(group, alpha, group.exp(matrices), bias, gamma, mu)
     else:
         options = {"hidden_start": hidden[: int(gamma < 1.0)]} if kind is LieEDNN else {}
         network = kind(alpha, lie.project_to_rotation(matrices), translation, bias, gamma, mu, **options)
@@ -210,8 +211,8 @@ def test_everything_public(tmp_path, monkeypatch):
 
 NUMBERS = ("nan", "inf", "1e308", "-1e308", "0", "-1", "1e-320", "5", "1e9", "1,2", "1e308,0,0", "random:-1", "3" * 400)
 OPTIONS = """
-    arm bias bias-magnitude n-networks duration links output planner position scene scene-seed seed servos start target
-    time-budget base preset plots nonsense keyframe home
+    arm option duration links output planner position scene scene-seed seed servos start target time-budget base preset
+    plots nonsense keyframe home
 """
 option = st.tuples(st.sampled_from(OPTIONS.split()), st.one_of(texts, st.sampled_from(NUMBERS)))
 

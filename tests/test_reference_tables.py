@@ -41,18 +41,6 @@ def test_pushes_that_never_come_back_count_but_have_no_fraction():
     ]
 
 
-def test_a_push_is_measured(tmp_path, capsys):
-    words = ["--pushes", "1", "--rates", "1", "--arms", "telescopic_pr", "--output", str(tmp_path)]
-    evaluate_pushes.main(words)
-    (row,) = evaluate_pushes.kept_rows(tmp_path / "pushes.csv", [], None)
-    assert 0.08 <= row["deviation"] <= 0.12
-    assert 0.0 < row["fraction"] < 1.0
-    assert (tmp_path / "pushes.md").read_text() in capsys.readouterr().out
-    # What is there is not measured again.
-    evaluate_pushes.main(words)
-    assert capsys.readouterr().out == (tmp_path / "pushes.md").read_text() + "\n"
-
-
 def test_published_problems_that_are_skipped_are_not_asked_and_lost_ones_are_named():
     times = {"cspace_path_length": 2.0, "motion_time": 3.0}
     rows = [Solution("box", k, "rrt-connect", solve_time=float(k), **times) for k in range(5)]
@@ -211,7 +199,8 @@ def test_the_answers_on_the_site_are_in_the_tables():
         f"`lieednn-shaped` solves {made('comparison', 'lieednn-shaped')} of 120",
         f"minimum jerk {made('comparison', 'minimum-jerk')}; "
         f"`lieednn-certified` solves {made('comparison', 'lieednn-certified')}.",
-        f"solve {made('obstacles', 'lieednn-shaped')} of 90 minimum jerk {made('obstacles', 'minimum-jerk')}.",
+        f"`lieednn-shaped` solve {made('obstacles', 'lieednn-shaped')} of 90 minimum jerk "
+        f"{made('obstacles', 'minimum-jerk')}.",
     ):
         assert answer in answers
     for name, written in (

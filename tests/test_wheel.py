@@ -97,7 +97,7 @@ def test_the_installed_wheel_works_from_an_empty_directory(packages, tmp_path):
     assert Path(where).is_relative_to(fresh)
     command = fresh / "bin" / "lieednn-sim"
     assert PROJECT["project"]["version"] in run(command, "--version", cwd=tmp_path)
-    run(command, "synthesize", "--target", "extended", "--n-networks", "2", "--output", tmp_path / "run", cwd=tmp_path)
+    run(command, "plan", "--target", "extended", "--option", "n_networks=2", "--output", tmp_path / "run", cwd=tmp_path)
     assert json.loads((tmp_path / "run" / "task.json").read_text())["arm"] == "telescopic_pr"
 
 

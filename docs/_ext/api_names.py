@@ -43,10 +43,10 @@ def _names(module: str) -> list[str]:
 
 def public(module: str) -> dict[str, list[str]]:
     """Public names of a subpackage by their kind; a name of one of its `MODULES` has that module before it."""
-    room = module.partition(".")[2]
+    subpackage = module.partition(".")[2]
     # An empty `__all__` is a subpackage without names of its own.
-    own = _names(module) if room != "environments" else []
-    names = own + [f"{part}.{name}" for part in MODULES.get(room, ()) for name in _names(f"{module}.{part}")]
+    own = _names(module) if subpackage != "environments" else []
+    names = own + [f"{part}.{name}" for part in MODULES.get(subpackage, ()) for name in _names(f"{module}.{part}")]
     kinds: dict[str, list[str]] = {kind: [] for kind in KINDS.values()}
     for name in sorted(names, key=lambda name: name.rpartition(".")[2].lower()):
         value = find(f"{module}.{name}")
@@ -125,10 +125,13 @@ def _annotated(value: Any) -> Iterator[type]:
                 yield found
 
 
-ROOMS = ("errors", *(room for room in lieednn_sim._SUBPACKAGES if room != "cli"))
+SUBPACKAGES = ("errors", *(subpackage for subpackage in lieednn_sim._SUBPACKAGES if subpackage != "cli"))
 SUPPORT: list[str] = []
 ALL = [
-    f"lieednn_sim.{room}.{name}" for room in ROOMS for group in public(f"lieednn_sim.{room}").values() for name in group
+    f"lieednn_sim.{subpackage}.{name}"
+    for subpackage in SUBPACKAGES
+    for group in public(f"lieednn_sim.{subpackage}").values()
+    for name in group
 ]
 DOCUMENTED = {value: name for name in ALL if inspect.isclass(value := find(name))}
 waiting = [find(name) for name in ALL]
@@ -168,7 +171,7 @@ def role(_: str, raw: str, text: str, line: int, inliner: Any, options: Any = No
     """Single backticks in docstrings: code, which links to the API reference where it is a public name."""
     literal = nodes.literal(raw, text.replace("\0", ""), classes=["py"])
     first, dot, rest = literal.astext().removesuffix("()").partition(".")
-    if literal.astext() in ROOMS:
+    if literal.astext() in SUBPACKAGES:
         first = f"lieednn_sim.{first}"
     elif first.islower() and rest.partition(".")[0] in SHORT:  # after its subpackage or module
         first, dot, rest = rest.partition(".")
@@ -225,12 +228,12 @@ def _resolve_front(app: Sphinx, env: Any, node: pending_xref, content: Any) -> A
     return env.get_domain("py").resolve_xref(env, node["refdoc"], app.builder, "obj", name, node, content)
 
 
-def _also_by_room(_app: Sphinx, doctree: nodes.document) -> None:
-    """Names of modules can be reached by their room as well: the pages of sources link back by one prefix a module."""
+def _also_by_subpackage(_app: Sphinx, doctree: nodes.document) -> None:
+    """Names of modules can be reached by their subpackage, too: pages of sources link back by one prefix a module."""
     for signature in doctree.findall(desc_signature):
-        room = ".".join((signature.get("module") or "").split(".")[:2])
-        name = f"{room}.{signature.get('fullname')}"
-        if room.startswith("lieednn_sim.") and name not in signature["ids"]:
+        subpackage = ".".join((signature.get("module") or "").split(".")[:2])
+        name = f"{subpackage}.{signature.get('fullname')}"
+        if subpackage.startswith("lieednn_sim.") and name not in signature["ids"]:
             signature["ids"].append(name)
 
 
@@ -259,4 +262,4 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-skip-member", _is_field)
     app.connect("missing-reference", _resolve_front)
     app.connect("viewcode-follow-imported", _defining_module)
-    app.connect("doctree-read", _also_by_room)
+    app.connect("doctree-read", _also_by_subpackage)

@@ -17,7 +17,7 @@ import lieednn_sim as ls
 from lieednn_sim.studies import Settings
 
 # %%
-# Each run is in ``comparison/comparison.csv`` at once; an interrupted comparison continues from there. By default it
+# Each run is in ``comparison/comparison.sqlite`` at once; an interrupted comparison continues from there. By default it
 # uses worker processes, which in a script need the guard ``if __name__ == "__main__":``; for a few runs a thread will
 # do.
 

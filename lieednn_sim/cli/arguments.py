@@ -1,29 +1,32 @@
-"""Conversion of command-line arguments."""
+"""Groups of options that several commands take, and what they stand for."""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Mapping
+from argparse import ArgumentTypeError
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from inspect import formatannotation
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import scipy
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion, solve_ik
-from lieednn_sim.arm.importer import ImportOptions
+from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
 from lieednn_sim.arm.models import chosen, is_arm_file
 from lieednn_sim.arm.obstacles import is_scene_file
 from lieednn_sim.arm.targets import draw_target, goes_to_extended
-from lieednn_sim.cli.options import decimal
+from lieednn_sim.budget import DEFAULT_TIME_BUDGET
+from lieednn_sim.cli.kinds import KINDS, Force, Joints, Point, Pose, Setting, kind_of, numbers
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
 from lieednn_sim.registry import CONTROLLERS
-from lieednn_sim.simulation import Disturbances, Push
+from lieednn_sim.rendering.video import check_rate, check_view, render_video
+from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.tracking import as_hold
-from lieednn_sim.validation import as_positive, as_seed
+from lieednn_sim.validation import as_choice, as_positive, as_seed
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -31,109 +34,174 @@ if TYPE_CHECKING:
 
     _Goal = Floats | TaskSpaceRegion | list[RigidTransform]
 
+#: The look of videos and pictures.
+Look = Annotated[dict[str, Any], render_video, "preset", "size", "camera", "fps"]
+
 # Prefix of the seed of a random joint position.
 RANDOM = "random:"
 
 
-def load_arm(arguments: argparse.Namespace) -> Arm:
-    """The arm of --arm and the options of a model file, among the obstacles of --scene and --scene-seed."""
-    return Arm.load(arguments.arm, arguments.scene, arguments.scene_seed, **import_options(arguments))
+@dataclass(frozen=True)
+class ChosenArm:
+    """An arm among obstacles.
 
-
-def import_options(arguments: argparse.Namespace) -> ImportOptions:
-    """The options for importing an MJCF or URDF file."""
-    return chosen(
-        {
-            "links": list(names(arguments.links)),
-            "joints": list(names(arguments.joints)),
-            "tip": arguments.tip,
-            "base": arguments.base,
-            "keyframe": arguments.keyframe,
-            "home": named_numbers(arguments.home, "home"),
-            "servos": arguments.servos,
-            "floor": _floor(arguments.floor),
-        }
-    )
-
-
-def _floor(text: str) -> float | str:
-    """A height, or a word that the importer checks."""
-    return float(numbers(text, "floor", 1)[0]) if text[-1:].isdigit() or text[-1:] == "." else text
-
-
-def make_task(
-    arm: Arm,
-    start: Floats,
-    target: Floats,
-    arguments: argparse.Namespace,
-    *,
-    planner: str,
-    reason: str,
-    options: Mapping[str, Any],
-) -> Task:
-    """The task of a run directory from the arguments; files by their absolute paths."""
-    count_steps(arguments.duration, arm.timestep)
-    return Task(
-        arm=str(Path(arguments.arm).resolve()) if is_arm_file(arguments.arm) else arm.name,
-        start=tuple(start.tolist()),
-        target=tuple(target.tolist()),
-        duration=as_positive("duration", arguments.duration),
-        scene=str(Path(arguments.scene).resolve()) if is_scene_file(arguments.scene) else arm.scene,
-        scene_seed=arm.scene_seed,
-        imported=import_options(arguments),
-        planner=planner,
-        reason=reason,
-        seed=as_seed("seed", arguments.seed),
-        options=options,
-        model=arm.fingerprint,
-    )
-
-
-def start_and_target(arm: Arm, arguments: argparse.Namespace) -> tuple[Floats, Floats]:
-    """Joint positions from --start, and from --target, --position or --pose."""
-    start, goal = start_and_goal(arm, arguments)
-    return start, next(candidates(arm, goal, start))
-
-
-def start_and_goal(arm: Arm, arguments: argparse.Namespace, *, place: bool = False) -> tuple[Floats, _Goal]:
-    """Joint position from --start, and the goal of --target, --position or --pose.
-
-    A position is a joint position with it or, if ``place`` is true, the region of all poses there.
+    Attributes:
+        arm: a name of `ARMS`, or an MJCF, URDF or YAML file.
+        scene: obstacles: a name of `SCENES`, or an MJCF or YAML file.
+        scene_seed: seed of the obstacles' positions.
+        imported: how a model file is imported.
     """
-    start = arm.check_position(joint_position(arm, arguments.start, "start"), "start")
-    if arguments.position is not None:
-        position = numbers(arguments.position, "position", 3)
-        return start, TaskSpaceRegion.box(position, position) if place else solve_ik(arm, position, start=start)
-    if arguments.pose is not None:
-        return start, [_pose(text) for text in arguments.pose]
-    return start, joint_position(arm, arguments.target, "target")
+
+    arm: str = "telescopic_pr"
+    scene: str = "free"
+    scene_seed: int = 0
+    imported: Annotated[ImportOptions, import_arm] = field(default_factory=ImportOptions, kw_only=True)
+
+    def load(self) -> Arm:
+        """The arm; raises as `Arm.load`."""
+        return Arm.load(self.arm, self.scene, self.scene_seed, **self.imported)
+
+    def task(self, arm: Arm, start: Floats, target: Floats, duration: float, seed: int, **more: Any) -> Task:
+        """The task of a run directory, with files by their absolute paths; ``more`` are other fields of `Task`."""
+        count_steps(duration, arm.timestep)
+        return Task(
+            arm=str(Path(self.arm).resolve()) if is_arm_file(self.arm) else arm.name,
+            start=tuple(start.tolist()),
+            target=tuple(target.tolist()),
+            duration=as_positive("duration", duration),
+            scene=str(Path(self.scene).resolve()) if is_scene_file(self.scene) else arm.scene,
+            scene_seed=arm.scene_seed,
+            imported=chosen(self.imported),
+            seed=as_seed("seed", seed),
+            model=arm.fingerprint,
+            **more,
+        )
 
 
-def _pose(text: str) -> RigidTransform:
-    pose = numbers(text, "pose", 6)
-    rotation = scipy.spatial.transform.Rotation.from_rotvec(pose[3:])
-    return scipy.spatial.transform.RigidTransform.from_components(pose[:3], rotation)
+@dataclass(frozen=True)
+class Goal(ChosenArm):
+    """An arm, from where to where it goes, and in which time.
+
+    Attributes:
+        target: joint target: the name of a keyframe, random:SEED, or joint coordinates separated by commas [rad, m]
+            (default: extended; among obstacles, or without such a keyframe, random: and the seed).
+        position: target position of the end effector in the world [m], instead of --target.
+        pose: target pose of the end effector in the world, instead of --target: position [m] and rotation vector
+            [rad]; of several, the one that is reached soonest.
+        start: joints at the start, given as for --target.
+        duration: duration of the motion [s].
+        seed: seed of random draws.
+    """
+
+    target: Joints | None = None
+    position: Point | None = None
+    pose: tuple[Pose, ...] = ()
+    start: Joints = "home"
+    duration: float = 4.0
+    seed: int = 0
+
+    def usual_target(self, arm: Arm) -> str | None:
+        """The target if none is given: ``extended``; a random one among obstacles, or without such a keyframe."""
+        if self.target is not None or self.position is not None or self.pose:
+            return None
+        return "extended" if goes_to_extended(arm) else f"{RANDOM}{self.seed}"
+
+    def start_and_goal(self, arm: Arm, *, place: bool = False) -> tuple[Floats, _Goal]:
+        """Joint position of the start, and the goal.
+
+        A position is a joint position with it or, if ``place`` is true, the region of all poses there.
+
+        Raises:
+            InputError: there are several kinds of goals, or one that the arm has not.
+        """
+        if (self.target is not None) + (self.position is not None) + bool(self.pose) > 1:
+            raise InputError("give one of --target, --position and --pose")
+        start = arm.check_position(joint_position(arm, self.start, "start"), "start")
+        if self.position is not None:
+            there = self.position
+            return start, TaskSpaceRegion.box(there, there) if place else solve_ik(arm, there, start=start)
+        if self.pose:
+            return start, [_transform(pose) for pose in self.pose]
+        return start, joint_position(arm, self.usual_target(arm) or self.target or "", "target")
 
 
-def kept_region(arm: Arm, start: Floats, goal: _Goal, keep: str | None) -> TaskSpaceRegion | None:
-    """The region of --keep, between a start and a goal of `start_and_goal`."""
-    if keep is None:
-        return None
-    here = arm.link_poses(start)[-1]
-    if keep == "orientation":
-        return TaskSpaceRegion.orientation(here.rotation)
-    if isinstance(goal, list):
-        if len(goal) > 1:
-            raise InputError(f"--keep line takes one goal, got {len(goal)} of --pose")
-        there = goal[0].translation
-    else:
-        there = goal.project(here).translation if isinstance(goal, TaskSpaceRegion) else arm.tip(goal)
-    return TaskSpaceRegion.line(here.translation, there)
+@dataclass(frozen=True)
+class Planning(Goal):
+    """A motion to plan.
+
+    Attributes:
+        planner: one of these (default: lieednn-certified; lieednn-shaped among obstacles, with --keep, or where three
+            hinges move a link): a name of `PLANNERS`
+        option: an option of the planner; --planner NAME --help lists them.
+        keep: line or orientation: let the end effector go on a straight line, or keep its orientation, on the way.
+        fastest: follow the planned path as fast as the arm's limits allow.
+        time_budget: largest CPU time for planning [s]; inf for no limit.
+    """
+
+    planner: str | None = None
+    option: tuple[Setting, ...] = ()
+    keep: str | None = None
+    fastest: bool = False
+    time_budget: float = DEFAULT_TIME_BUDGET
+
+    def kept_region(self, arm: Arm, start: Floats, goal: _Goal) -> TaskSpaceRegion | None:
+        """The region to keep between a start and a goal of `start_and_goal`."""
+        if self.keep is None:
+            return None
+        here = arm.link_poses(start)[-1]
+        if as_choice("keep", self.keep, ("line", "orientation")) == "orientation":
+            return TaskSpaceRegion.orientation(here.rotation)
+        if isinstance(goal, list):
+            if len(goal) > 1:
+                raise InputError(f"--keep line takes one goal, got {len(goal)} of --pose")
+            there = goal[0].translation
+        else:
+            there = goal.project(here).translation if isinstance(goal, TaskSpaceRegion) else arm.tip(goal)
+        return TaskSpaceRegion.line(here.translation, there)
 
 
-def usual_target(arm: Arm, seed: int) -> str:
-    """The keyframe ``extended``; among obstacles, or where there is none, a random target."""
-    return "extended" if goes_to_extended(arm) else f"{RANDOM}{seed}"
+@dataclass(frozen=True)
+class Simulating:
+    """How a motion is simulated.
+
+    Attributes:
+        controller: a name of `CONTROLLERS`.
+        reference_rate: rate of the references that the controller gets, held in between [Hz] (default: every time
+            step).
+        hold: time simulated after the motion [s].
+        push: force [N] on a body or link ("link 1", ..., "end effector") from START for DURATION [s].
+        disturbances: the other disturbances.
+    """
+
+    controller: str = "position-servo"
+    reference_rate: float | None = None
+    hold: float = 1.0
+    push: tuple[Force, ...] = ()
+    disturbances: Annotated[
+        Disturbances, "payload", "mass_scale", "position_noise", "velocity_noise", "seed as noise_seed"
+    ] = field(default_factory=Disturbances)
+
+    def all_disturbances(self, arm: Arm) -> Disturbances:
+        """The disturbances, with the pushes; checks the other options too."""
+        CONTROLLERS.find(self.controller)
+        as_hold(self.hold)
+        if self.reference_rate is not None:
+            steps_of_rate("reference_rate", self.reference_rate, arm.timestep)
+        pushes = tuple(Push(body, (x, y, z), begin, lasts) for body, (x, y, z, begin, lasts) in self.push)
+        for push in pushes:
+            push.body_id(arm, arm.model)
+        return replace(self.disturbances, pushes=pushes)
+
+
+def check_look(arm: Arm, look: Look) -> None:
+    """Check the look of a video before any work."""
+    check_view(arm, **still_look(look))
+    check_rate(look.get("fps", 30), "video.mp4")
+
+
+def still_look(look: Look) -> dict[str, Any]:
+    """What of the look pictures have, too."""
+    return {name: value for name, value in look.items() if name != "fps"}
 
 
 def joint_position(arm: Arm, text: str, what: str) -> Floats:
@@ -145,68 +213,52 @@ def joint_position(arm: Arm, text: str, what: str) -> Floats:
         return draw_target(arm, int(seed))
     if text in arm.keyframes or (text and (text[0].isalpha() or text[0] == "_")):
         return arm.keyframe(text)
-    return numbers(text, what, arm.n_joints)
-
-
-def numbers(text: str, what: str, count: int) -> Floats:
-    """``count`` comma-separated numbers."""
     try:
-        values = [decimal(part.strip(" ")) for part in text.split(",")]
-    except argparse.ArgumentTypeError as error:
-        raise InputError(f"{what} must be {count} comma-separated numbers, got {text!r}: one {error}") from None
-    if len(values) != count:
-        raise InputError(f"{what} must be {count} comma-separated numbers, got {len(values)}: {text!r}")
-    return np.array(values)
+        return np.array(numbers(text, arm.n_joints))
+    except ArgumentTypeError as error:
+        raise InputError(f"{what} {error}") from None
 
 
-def names(text: str | None) -> tuple[str, ...]:
-    """Comma-separated names; empty for None."""
-    return () if text is None else tuple(text.split(","))
+def _transform(pose: Pose) -> RigidTransform:
+    rotation = scipy.spatial.transform.Rotation.from_rotvec(pose[3:])
+    return scipy.spatial.transform.RigidTransform.from_components(pose[:3], rotation)
 
 
-def named_numbers(text: str | None, what: str) -> dict[str, float]:
-    """Numbers by name, from ``NAME=1,OTHER=2``; empty for None."""
-    pairs = [] if text is None else [part.rpartition("=") for part in text.split(",")]
-    try:
-        return {name.strip(" "): decimal(value.strip(" ")) for name, _, value in pairs}
-    except argparse.ArgumentTypeError as error:
-        raise InputError(f"{what} must look like JOINT=0.3,OTHER=-1, got {text!r}: a number {error}") from None
+def read_options(options: Any, texts: Sequence[str]) -> Any:
+    """Options of a dataclass with values from ``NAME=VALUE``, or ``NAME.OTHER=VALUE`` for options within options.
+
+    Raises:
+        InputError: there is no such option, or its value is not of its kind.
+    """
+    known = {entry.name: entry for entry in fields(options)}
+    changes: dict[str, Any] = {}
+    inner: dict[str, list[str]] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        head, dot, rest = name.partition(".")
+        if not equals or head not in known or bool(dot) != is_dataclass(getattr(options, head)):
+            raise InputError(f"{text!r} must be NAME=VALUE with a name of {', '.join(option_names(options))}")
+        if dot:
+            inner.setdefault(head, []).append(f"{rest}={value}")
+            continue
+        told = known[head].type
+        kind = kind_of(told if isinstance(told, str) else formatannotation(told))
+        if not kind:
+            raise InputError(f"option {head} cannot be read from a text, since it is of type {told}")
+        try:
+            changes[head] = KINDS[kind].read(value)
+        except ArgumentTypeError as error:
+            raise InputError(f"option {head} {error}") from None
+    for head, more in inner.items():
+        changes[head] = read_options(getattr(options, head), more)
+    return replace(options, **changes)
 
 
-def size(text: str) -> tuple[int, int]:
-    """Width and height in pixels."""
-    width, _, height = text.partition("x")
-    if not (text.isascii() and width.isdecimal() and height.isdecimal() and len(text) < 12):
-        raise InputError(f"size must look like 1280x720, got {text!r}")
-    return int(width), int(height)
-
-
-def push(text: str) -> Push:
-    """A force on a body: its name, three components [N], start and duration [s]."""
-    body, _, rest = text.partition(",")
-    try:
-        x, y, z, start, duration = (decimal(part.strip(" ")) for part in rest.split(","))
-    except (ValueError, argparse.ArgumentTypeError):
-        raise InputError(
-            f"a push must look like BODY,FX,FY,FZ,START,DURATION, e.g. 'link 2,0,50,0,1.5,0.2', got {text!r}"
-        ) from None
-    return Push(body, (x, y, z), start, duration)
-
-
-def disturbances(arm: Arm, arguments: argparse.Namespace) -> Disturbances:
-    """The disturbances of the simulation's options; checks the other options too."""
-    CONTROLLERS.find(arguments.controller)
-    as_hold(arguments.hold)
-    if arguments.reference_rate is not None:
-        steps_of_rate("reference_rate", arguments.reference_rate, arm.timestep)
-    made = Disturbances(
-        pushes=tuple(push(text) for text in arguments.push),
-        payload=arguments.payload,
-        mass_scale=arguments.mass_scale,
-        position_noise=arguments.position_noise,
-        velocity_noise=arguments.velocity_noise,
-        seed=arguments.noise_seed,
-    )
-    for one in made.pushes:
-        one.body_id(arm, arm.model)
-    return made
+def option_names(options: Any) -> Iterator[str]:
+    """The names of the options of a dataclass, and of those within them."""
+    for entry in fields(options):
+        value = getattr(options, entry.name)
+        if is_dataclass(value):
+            yield from (f"{entry.name}.{name}" for name in option_names(value))
+        else:
+            yield entry.name

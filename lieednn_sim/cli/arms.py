@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
+from typing import Annotated
 
 import numpy as np
 from scipy.optimize import minimize
 
 from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.cli.arguments import import_options
+from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
 from lieednn_sim.cli.console import console
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import table
@@ -19,18 +19,25 @@ from lieednn_sim.values import Floats
 _STARTS, _DIFFERENCE = 4, 1e-6
 
 
-def arms(arguments: argparse.Namespace) -> None:
-    """Print all arms of the package, or the named one."""
-    if arguments.arm is None:
-        if given := import_options(arguments):
-            options = ", ".join(f"--{name}" for name in given)
+def arms(arm: str | None = None, *, imported: Annotated[ImportOptions, import_arm]) -> None:
+    """List the arms of the package, or describe one of them or that of a file.
+
+    Without a name, the arms of the package are listed.
+
+    Args:
+        arm: name of an arm, or an MJCF, URDF or YAML file.
+        imported: how a model file is imported.
+    """
+    if arm is None:
+        if imported:
+            options = ", ".join(f"--{name}" for name in imported)
             raise InputError(f"{options}: for model files only, as in lieednn-sim arms FILE.xml --links A,B,...")
         _print_summaries([Arm.load(name) for name in arm_names()])
         return
-    arm = Arm.load(arguments.arm, **import_options(arguments))
-    _print_summaries([arm])
-    console.print(_coordinates(arm))
-    print_import_report(arm)
+    loaded = Arm.load(arm, **imported)
+    _print_summaries([loaded])
+    console.print(_coordinates(loaded))
+    print_import_report(loaded)
 
 
 def print_import_report(arm: Arm) -> None:

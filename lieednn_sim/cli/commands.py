@@ -2,97 +2,142 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 
 from lieednn_sim import io
-from lieednn_sim.arm import Arm
-from lieednn_sim.cli.arguments import disturbances, load_arm, size
+from lieednn_sim.cli.arguments import Look, Planning, Simulating, check_look, still_look
 from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.cli.kinds import Directory, File
+from lieednn_sim.cli.planning import make_plan
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError, SimulationError
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.rendering import opengl
+from lieednn_sim.rendering.video import render_video
 from lieednn_sim.simulation import simulate as simulate_motion
 from lieednn_sim.validation import as_path
 
 
-def demo(arguments: argparse.Namespace) -> None:
-    """Run the whole pipeline: plan, simulate, evaluate and render."""
-    from lieednn_sim.cli.planning import make_plan
+def demo(
+    *,
+    planning: Planning,
+    output: Directory = "results/demo",
+    simulating: Simulating,
+    look: Look,
+    plots: str = "png",
+    page: bool = True,
+    video: bool = True,
+) -> None:
+    """Run everything: plan a motion to a target, simulate it, evaluate it, make a page and a video.
 
+    Without a target, the arm goes to its keyframe 'extended', or to a random target among obstacles. The option
+    bias_magnitudes of lieednn-certified is 0.125 here, as in the paper; the planner's own are often stronger.
+
+    Args:
+        planning: the motion.
+        output: directory for the files of the run.
+        simulating: the simulation.
+        look: the video.
+        plots: format of the plots: png, pdf or svg.
+        page: make motion.html, a page that plays the motion in 3D.
+        video: make video.mp4.
+    """
     begun = time.perf_counter()
     # Check options before any work.
-    arm = load_arm(arguments)
-    disturbances(arm, arguments)
-    if not arguments.no_video:
-        _check_video(arm, arguments)
-    run = RunDirectory(arguments.output, arguments.plots)
+    arm = planning.load()
+    simulating.all_disturbances(arm)
+    if video:
+        check_look(arm, look)
+    run = RunDirectory(output, plots)
     with run.at_work():
-        make_plan(run, arguments)
-        _simulate(run, arguments)
+        # The paper's bias leaves more to the weights.
+        make_plan(run, planning, ["bias_magnitudes=0.125"])
+        _simulate(run, simulating)
         _evaluate(run)
-        if not arguments.no_page:
+        if page:
             try:
-                _render(run, arguments, run.page)
+                _render(run, run.page, look)
             except LieEDNNError as error:
                 console.print(f"no page: {error}")
-        if not arguments.no_video:
+        if video:
             try:
-                _render(run, arguments, run.video)
+                _render(run, run.video, look)
             except RenderingUnavailableError as error:
                 console.print(f"no video: {error}")
     console.print(f"done in {time.perf_counter() - begun:.1f} s")
 
 
-def plan(arguments: argparse.Namespace) -> None:
-    """Plan a motion to the target, and write it, or the network that generates it."""
-    from lieednn_sim.cli.planning import make_plan
+def plan(*, planning: Planning, output: Directory = "results/run") -> None:
+    """Plan a motion to a target with any planner, in a run directory, with a certified network if it makes one.
 
-    run = RunDirectory(arguments.output)
+    Continue with 'simulate', 'evaluate' and 'render'.
+
+    Args:
+        planning: the motion.
+        output: directory for the files of the run.
+    """
+    run = RunDirectory(output)
     with run.at_work():
-        make_plan(run, arguments)
+        make_plan(run, planning)
 
 
-def synthesize(arguments: argparse.Namespace) -> None:
-    """As `plan`, but only with planners that make a network."""
-    plan(arguments)
+def simulate(run: Directory, *, simulating: Simulating) -> None:
+    """Simulate the motion of a run, with disturbances if asked for.
+
+    A new simulation replaces the previous one of the run.
+
+    Args:
+        run: run directory, made by 'plan', 'train', 'learn --arm' or 'demo'.
+        simulating: the simulation.
+    """
+    directory = RunDirectory(run).existing()
+    with directory.at_work():
+        _simulate(directory, simulating)
 
 
-def simulate(arguments: argparse.Namespace) -> None:
-    """Simulate the run's motion, and write the rollout."""
-    run = RunDirectory(arguments.run).existing()
-    with run.at_work():
-        _simulate(run, arguments)
+def evaluate(run: Directory, *, plots: str = "png") -> None:
+    """Compute metrics and plots of the simulation of a run.
+
+    The metrics are printed; both are written into the run directory.
+
+    Args:
+        run: run directory.
+        plots: format of the plots: png, pdf or svg.
+    """
+    directory = RunDirectory(run, plots).existing()
+    with directory.at_work(shared=True):
+        _evaluate(directory)
 
 
-def evaluate(arguments: argparse.Namespace) -> None:
-    """Evaluate the rollout, and write metrics and plots."""
-    run = RunDirectory(arguments.run, arguments.plots).existing()
-    with run.at_work(shared=True):
-        _evaluate(run)
+def render(run: Directory, *, output: File | None = None, still: File | None = None, look: Look) -> None:
+    """Make a video, a picture or a page of the simulation of a run.
 
+    Videos and pictures need OpenGL (see 'lieednn-sim doctor'), but no display; pages need the extra 'view'.
 
-def render(arguments: argparse.Namespace) -> None:
-    """Render the rollout, and write a video, a page or a picture."""
-    run = RunDirectory(arguments.run).existing()
-    given = [as_path("the name of an output", name) for name in (arguments.still, arguments.output) if name is not None]
-    paths = given or [run.video]
+    Args:
+        run: run directory.
+        output: an .mp4 or .gif file, or .html for a page that plays in 3D (default: video.mp4 in the run directory).
+        still: make a .png picture that shows the arm at five instants.
+        look: the video or picture.
+    """
+    directory = RunDirectory(run).existing()
+    given = [as_path("the name of an output", name) for name in (still, output) if name is not None]
+    paths = given or [directory.video]
     io.check_outputs(paths)
-    with run.at_work(shared=True):
+    with directory.at_work(shared=True):
         for path in paths:
-            _render(run, arguments, path, still=arguments.still is not None and path == given[0])
+            _render(directory, path, look, still=still is not None and path == given[0])
 
 
-def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
+def _simulate(run: RunDirectory, simulating: Simulating) -> None:
     task, arm = run.load_task()
-    changes = disturbances(arm, arguments)
+    changes = simulating.all_disturbances(arm)
     with progress("check"):
         motion = run.load_motion(task)
         check_motion(arm, motion)
-    end = motion.t[-1] + arguments.hold
+    end = motion.t[-1] + simulating.hold
     for push in changes.pushes:
         # No step begins at the end; times are rounded to the nearest step.
         if push.start >= end - 0.5 * arm.timestep:
@@ -105,9 +150,9 @@ def _simulate(run: RunDirectory, arguments: argparse.Namespace) -> None:
                 arm,
                 motion,
                 target=task.target,
-                controller=arguments.controller,
-                hold=arguments.hold,
-                reference_rate=arguments.reference_rate,
+                controller=simulating.controller,
+                hold=simulating.hold,
+                reference_rate=simulating.reference_rate,
                 disturbances=changes,
                 progress=report,
             )
@@ -149,7 +194,7 @@ def _evaluate(run: RunDirectory) -> None:
     wrote(*outputs)
 
 
-def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path, *, still: bool = False) -> None:
+def _render(run: RunDirectory, path: Path, look: Look, *, still: bool = False) -> None:
     """Write a picture, or what the suffix of the path says: a page or a video."""
     task, arm = run.load_task()
     rollout = run.load_rollout(task, arm)
@@ -157,27 +202,15 @@ def _render(run: RunDirectory, arguments: argparse.Namespace, path: Path, *, sti
     if not page:
         backend = opengl.require()
         console.print(f"rendering with {backend.name}: {backend.detail}")
-    view = {"size": size(arguments.size), "preset": arguments.preset}
     with progress("render") as report, io.atomic_path(path) as temporary:
         if still:
             from lieednn_sim.rendering.still import render_still
 
-            render_still(rollout, temporary, camera=arguments.camera, **view)
+            render_still(rollout, temporary, **still_look(look))
         elif page:
             from lieednn_sim.rendering.page import render_page
 
-            render_page(rollout, temporary, camera=arguments.camera, title=task.planner, progress=report)
+            render_page(rollout, temporary, camera=look.get("camera"), title=task.planner, progress=report)
         else:
-            from lieednn_sim.rendering.video import render_video
-
-            given = {"camera": arguments.camera, "fps": arguments.fps, "title": task.planner, "progress": report}
-            render_video(rollout, temporary, **view, **given)
+            render_video(rollout, temporary, **look, title=task.planner, progress=report)
     wrote(path)
-
-
-def _check_video(arm: Arm, arguments: argparse.Namespace) -> None:
-    """Check the video options before any work."""
-    from lieednn_sim.rendering.video import check_rate, check_view
-
-    check_view(arm, camera=arguments.camera, size=size(arguments.size), preset=arguments.preset)
-    check_rate(arguments.fps, "video.mp4")

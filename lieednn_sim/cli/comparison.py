@@ -1,118 +1,132 @@
-"""The commands ``compare`` and ``merge``, which write a table and a page."""
+"""The command ``compare``, which writes a table and a page."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
+import itertools
 import os
-import shlex
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
 
 from lieednn_sim import io
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
+from lieednn_sim.cli.kinds import CommandLine, Directory, File
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS
-from lieednn_sim.studies import Case, Comparison, Settings, compute, write_summary
+from lieednn_sim.studies import Case, Comparison, compute, write_summary
 from lieednn_sim.studies.cluster import dask_executor
-from lieednn_sim.studies.comparison.merging import merge as merge_shards
 from lieednn_sim.studies.comparison.study import Shard
+from lieednn_sim.studies.comparison.study import merge as merge_tables
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
-from lieednn_sim.studies.report import choose_cases, choose_problems, film, view, write_page
+from lieednn_sim.studies.report import choose_problems, film, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
 from lieednn_sim.validation import as_count
 
+# What is written beside the table.
+_OUTPUTS = ("comparison.csv", "comparison.md", "comparison.html", "reactions.csv", "reactions.md")
 _Wanted = TypeVar("_Wanted")
 _Shown = TypeVar("_Shown")
 
 
-def compare(arguments: argparse.Namespace) -> None:
-    """Compute the missing rows of the table, then write summary and page."""
-    settings = Settings(
-        duration=arguments.duration,
-        hold=arguments.hold,
-        mass_scale=arguments.mass_scale,
-        time_budget=arguments.time_budget,
-    )
-    shard = None if arguments.shard is None else Shard.parse(arguments.shard)
-    study = Comparison(
-        planners=_listed(arguments.planners),
-        arms=_listed(arguments.arms),
-        scenes=_listed(arguments.scenes),
-        controllers=_listed(arguments.controllers),
-        seeds=arguments.seeds,
-        slow_seeds=arguments.slow_seeds,
-        common=settings,
-        shard=shard,
-    )
-    jobs = as_count("jobs", os.cpu_count() or 1 if arguments.jobs is None else arguments.jobs)
+@dataclass(frozen=True)
+class Shown:
+    """What the page of a comparison shows.
+
+    Attributes:
+        reactive: number of seeds for a benchmark of policies that are pushed, loaded and given another target.
+        views: number of problems that the page shows in 3D, with the motions of several planners.
+        videos: number of cases of which to make videos.
+        video: a case of which to make a video, planner:arm:scene:seed.
+        date: date to print at the top of the page (default: none).
+    """
+
+    reactive: int = 0
+    views: int = 1
+    videos: int = 0
+    video: tuple[str, ...] = ()
+    date: str = ""
+
+    def check(self) -> list[Case]:
+        """The cases of ``video``; raises `InputError` for what is no number or no case."""
+        for name in ("videos", "views", "reactive"):
+            as_count(name, getattr(self, name), least=0)
+        return [Case.parse(text) for text in self.video]
+
+
+def compare(
+    *,
+    cases: Annotated[
+        dict[str, Any], Comparison, "planners", "arms", "scenes", "controllers", "seeds", "slow_seeds", "common"
+    ],
+    shard: str | None = None,
+    merge: list[File] | None = None,
+    output: Directory = "results/comparison",
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    shown: Shown,
+    line: CommandLine,
+) -> None:
+    """Compare planners on arms, scenes, controllers and seeds, in a table and a page.
+
+    After an interruption, the same command continues. The defaults take a quarter of an hour of CPU time.
+
+    Args:
+        cases: the cases.
+        shard: run only the K-th of N parts of the cases, K/N.
+        merge: run nothing, but add the rows of the tables in other directories, such as those of --shard.
+        output: directory of the table.
+        jobs: number of worker processes (default: one for each core).
+        scheduler: address of the scheduler of a Dask cluster, whose workers run the cases instead of --jobs.
+        shown: the page.
+        line: the words of the command, which the page shows.
+    """
+    study = Comparison(**cases, shard=None if shard is None else Shard.parse(shard))
+    workers = as_count("jobs", os.cpu_count() or 1 if jobs is None else jobs)
     # Check values before any work.
-    as_count("videos", arguments.videos, least=0)
-    as_count("views", arguments.views, least=0)
-    as_count("reactive", arguments.reactive, least=0)
-    cases = [Case.parse(text) for text in arguments.video]
-    if shard is not None and (arguments.videos or cases or arguments.reactive):
-        raise InputError("--shard makes only a part of the table; it cannot take --videos, --video or --reactive")
+    chosen = shown.check()
+    if study.shard is not None and (shown.videos or chosen or shown.reactive or merge):
+        raise InputError("--shard makes only a part of the table; it takes no --videos, --video, --reactive or --merge")
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
-    cluster = contextlib.nullcontext() if arguments.scheduler is None else dask_executor(arguments.scheduler)
-    with cluster as executor, io.output_folder(arguments.output, "table") as directory:
-        how: dict[str, Any] = {"jobs": jobs, "executor": executor, "console": to_stderr()}
+    cluster = contextlib.nullcontext() if scheduler is None else dask_executor(scheduler)
+    # Several shards may grow one table.
+    folder = io.output_folder(output, "table", shared=study.shard is not None)
+    with cluster as executor, folder as directory:
+        how: dict[str, Any] = {"jobs": workers, "executor": executor, "console": to_stderr()}
         if executor is not None:
-            console.print(f"{executor.n_workers} workers at {arguments.scheduler}; cases wait for the first one")
-        summary, page = directory / "comparison.md", directory / "comparison.html"
-        _print_found(study)
-        table = compute(study, directory, **how)
-        if shard is not None:
-            wrote(table.csv)
+            console.print(f"cases wait for workers at {scheduler}")
+        if merge:
+            table = merge_tables(directory, merge)
+        else:
+            _print_found(study)
+            table = compute(study, directory, **how)
+        if study.shard is not None:
+            wrote(table.path)
             return
-        with io.atomic_path(summary) as temporary:
-            write_summary(temporary, table, study.absent)
+        reactions = None
+        if shown.reactive:
+            reactions = compute(
+                Reactions(study.arms, study.scenes, shown.reactive, user_files=study.user_files), directory, **how
+            )
         controller = study.controllers[0]
-        problems = choose_problems(table, arguments.views, controller)
+        problems = choose_problems(table, shown.views, controller)
         places = {f"{some[0].arm}, {some[0].scene}": some for some in problems}
         views = _shown("view", places, lambda some, **told: view(table, some, controller, **told))
-        filmed = {str(case): case for case in cases + choose_cases(table, arguments.videos)}
+        solved = itertools.chain(*choose_problems(table, shown.videos, controller))
+        filmed = {str(case): case for case in (*chosen, *itertools.islice(solved, shown.videos))}
         clips = _shown("video", filmed, lambda case, **told: film(table, case, controller, **told))
-        line = shlex.join(["lieednn-sim", *arguments.words])
-        reactions, more = None, []
-        if arguments.reactive:
-            disturbed = Reactions(study.arms, study.scenes, arguments.reactive, user_files=study.user_files)
-            reactions = compute(disturbed, directory, **how)
-            more = [reactions.csv, directory / "reactions.md"]
-            with io.atomic_path(more[1]) as temporary:
-                write_reactions(temporary, reactions)
-        head = {"command": line, "date": arguments.date}
-        with io.atomic_path(page) as temporary:
-            write_page(temporary, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)
-    wrote(table.csv, summary, *more, page)
-
-
-def merge(arguments: argparse.Namespace) -> int:
-    """Merge the tables of shards, and write summary and page; returns 1 if cases are missing."""
-    line = shlex.join(["lieednn-sim", *arguments.words])
-    with io.output_folder(arguments.output, "table") as directory:
-        outputs = [directory / "comparison.md", directory / "comparison.html"]
-        merged = merge_shards(directory, arguments.folders)
-        with io.atomic_paths(outputs) as (summary, page):
-            write_summary(summary, merged.table, merged.absent)
-            write_page(page, merged.table, missing=merged.absent, command=line)
-    wrote(merged.table.csv, *outputs)
-    for shard, cases in sorted(merged.missing.items(), key=lambda one: one[0].number):
-        where = ", ".join(str(folder) for folder, there in merged.shards.items() if there == shard) or "in no folder"
-        console.print(f"shard {shard} ({where}) lacks {len(cases)} cases, such as {cases[0]}")
-    return 1 if merged.missing else 0
-
-
-def _listed(words: Sequence[str] | None) -> list[str]:
-    """Names and files, separated by commas or spaces; the links of a model file extend to the end of the word."""
-    listed = []
-    for word in words or ():
-        head, colon, links = word.partition(":")
-        *others, last = head.split(",")
-        listed += [*others, last + colon + links]
-    return listed
+        head = {"command": line, "date": shown.date}
+        outputs = [directory / name for name in _OUTPUTS if reactions is not None or not name.startswith("reactions")]
+        with io.atomic_paths(outputs) as (rows, summary, page, *more):
+            table.write_csv(rows)
+            write_summary(summary, table, study.absent)
+            write_page(page, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)
+            if reactions is not None:
+                reactions.write_csv(more[0])
+                write_reactions(more[1], reactions)
+    wrote(table.path, *outputs)
 
 
 def _print_found(study: Comparison) -> None:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
 
 import numpy as np
 
 from lieednn_sim import io
-from lieednn_sim.cli.arguments import import_options
+from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
+from lieednn_sim.cli.arguments import ChosenArm
 from lieednn_sim.cli.console import console, progress, wrote
-from lieednn_sim.cli.joint_demonstrations import learn_joints
-from lieednn_sim.cli.run_directory import PLOT_KINDS
+from lieednn_sim.cli.joint_demonstrations import Fitting, learn_joints
+from lieednn_sim.cli.kinds import Directory, File
+from lieednn_sim.cli.run_directory import PLOT_KINDS, RunDirectory
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demonstrations
 from lieednn_sim.learning.demonstrations.alignment import goal_distance
@@ -28,32 +30,74 @@ from lieednn_sim.validation import as_choice, as_count, as_seed
 _GOALS_APART = 0.01
 
 
-def learn(arguments: argparse.Namespace) -> None:
-    """Read, fit, compare, and write ``network.npz``, ``report.json`` and two plots."""
-    if arguments.arm is not None:
-        learn_joints(arguments)
+@dataclass(frozen=True)
+class Reading:
+    """How positions and poses are read, and with what the network is compared.
+
+    Attributes:
+        unit: unit of the positions in the files: m, cm or mm.
+        quaternion: order of the components of quaternions: wxyz or xyzw.
+        rivals: models to compare the network with, or none (default: all of: a name of `RIVALS`).
+    """
+
+    unit: str = "m"
+    quaternion: str = "wxyz"
+    rivals: Sequence[str] | None = None
+
+
+def learn(
+    files: list[File],
+    *,
+    arm: str | None = None,
+    reading: Reading,
+    fitting: Fitting,
+    output: Directory = "results/learned-motion",
+    plots: str = "png",
+    imported: Annotated[ImportOptions, import_arm],
+) -> None:
+    """Learn a certified network from recorded motions of an end effector or of an arm's joints.
+
+    The files are .npy, .npz, .csv or LASA's .mat. Each row is a position x y or x y z, or a pose with a unit
+    quaternion, and the network is compared with other models. With --arm each row holds the joints of the arm;
+    continue with 'simulate'.
+
+    Args:
+        files: files with demonstrations of one motion, each of which ends at its goal.
+        arm: a name of `ARMS`, or an MJCF, URDF or YAML file: learn the motion of its joints, which the columns of the
+            demonstrations are [rad, m].
+        reading: positions and poses, without --arm.
+        fitting: what is learned.
+        output: directory for the results.
+        plots: format of the plots: png, pdf or svg.
+        imported: how a model file is imported.
+    """
+    if arm is not None:
+        if reading != Reading():
+            raise InputError(
+                "--unit, --quaternion and --rivals are for positions and poses; with --arm the columns are joints "
+                "[rad, m], without rivals"
+            )
+        learn_joints(files, ChosenArm(arm, imported=imported), fitting, RunDirectory(output, plots))
         return
     # Check values before any work.
-    if given := import_options(arguments):
-        raise InputError(f"--{next(iter(given))} needs --arm FILE.xml")
-    kind = as_choice("kind of plots", arguments.plots, PLOT_KINDS)
-    rivals = [] if arguments.rivals in ("", "none") else arguments.rivals.split(",")
+    if imported:
+        raise InputError(f"--{next(iter(imported))} needs --arm FILE.xml")
+    kind = as_choice("kind of plots", plots, PLOT_KINDS)
+    rivals = list(RIVALS) if reading.rivals is None else [name for name in reading.rivals if name != "none"]
     for name in rivals:
         RIVALS.find(name)
-    starts = as_count("starts", 1000 if arguments.starts is None else arguments.starts)
-    seed = as_seed("seed", arguments.seed)
-    options = ShapingOptions(rate=arguments.clock_rate)
-    shown = load_demonstrations(
-        arguments.files, unit=arguments.unit, quaternion=arguments.quaternion, rate=arguments.sample_rate
-    )
-    demonstrations = align(shown, phase=arguments.phase, goals=arguments.goals)
-    aligned = align(shown, phase=arguments.phase) if demonstrations.goals_kept else None
+    starts = as_count("starts", 1000 if fitting.starts is None else fitting.starts)
+    seed = as_seed("seed", fitting.seed)
+    options = ShapingOptions(rate=fitting.clock_rate)
+    shown = load_demonstrations(files, unit=reading.unit, quaternion=reading.quaternion, rate=fitting.sample_rate)
+    demonstrations = align(shown, phase=fitting.phase, goals=fitting.goals)
+    aligned = align(shown, phase=fitting.phase) if demonstrations.goals_kept else None
     apart = goal_distance(shown)
     if demonstrations.extent <= 0.0:
         raise InputError("the mean of the demonstrations does not move")
-    with io.output_folder(arguments.output, "demonstrations") as directory:
+    with io.output_folder(output, "demonstrations") as directory:
         outputs = [directory / name for name in ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")]
-        shaped = ShapedMotion.fit(demonstrations, arguments.deviation, options, family=not arguments.no_family)
+        shaped = ShapedMotion.fit(demonstrations, fitting.deviation, options, family=fitting.family)
         with progress("learn") as bar:
             rows, models = compare_models(
                 demonstrations,
@@ -61,14 +105,15 @@ def learn(arguments: argparse.Namespace) -> None:
                 rivals=rivals,
                 aligned=aligned,
                 starts=starts,
-                leave_one_out=not arguments.no_leave_one_out,
+                leave_one_out=fitting.leave_one_out,
                 seed=seed,
                 progress=bar,
             )
         with io.atomic_paths(outputs) as (network, report, paths, field):
             shaped.network.save(network)
-            found = _report(arguments, demonstrations, shaped, rows)
-            io.save_json(report, {**found, "goal_distance_m": apart})
+            asked = {"files": files, "unit": reading.unit, "quaternion": reading.quaternion, **asdict(fitting)}
+            found = _report(demonstrations, shaped, rows)
+            io.save_json(report, asked | found | {"goal_distance_m": apart})
             drawn = {shaped.name: shaped} if demonstrations.goals_kept else models
             plot_paths(drawn, demonstrations, paths)
             plot_field(shaped, demonstrations, field, seed)
@@ -84,21 +129,10 @@ def learn(arguments: argparse.Namespace) -> None:
     wrote(*outputs)
 
 
-def _report(
-    arguments: argparse.Namespace, demonstrations: Demonstrations, shaped: ShapedMotion, rows: list[ModelRow]
-) -> dict[str, Any]:
-    """All settings, the meaning of the network's coordinates, and the table."""
+def _report(demonstrations: Demonstrations, shaped: ShapedMotion, rows: list[ModelRow]) -> dict[str, Any]:
+    """What was shown, the meaning of the network's coordinates, and the table."""
     goal = demonstrations.goal
     return {
-        "files": [str(name) for name in arguments.files],
-        "unit": arguments.unit,
-        "quaternion": arguments.quaternion,
-        "sample_rate_hz": arguments.sample_rate,
-        "phase": arguments.phase,
-        "goals": arguments.goals,
-        "clock_rate": arguments.clock_rate,
-        "seed": arguments.seed,
-        "family": not arguments.no_family,
         "demonstrations": len(demonstrations),
         "dof": demonstrations.dof,
         "extent_m": demonstrations.extent,

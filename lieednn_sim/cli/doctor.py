@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 import platform
 import sys
-from collections.abc import Iterator
 from importlib import metadata
+from json import dumps
 
 from rich.table import Table
 from rich.text import Text
@@ -37,52 +35,50 @@ _PACKAGES = (
 )
 
 
-def _extras() -> Iterator[tuple[str, str | None, str, str]]:
-    """Optional packages: name, version if installed, the command that installs it, and its purpose."""
-    for module, library in LIBRARIES.items():
-        name = library.distribution or module
-        yield name, _version(name), install_command(module), purpose(module)
+def doctor(*, json: bool = False) -> int:
+    """Check the installation: versions, headless OpenGL, what is missing.
 
+    The exit code is 1 if physics or rendering does not work.
 
-def doctor(arguments: argparse.Namespace) -> int:
-    """Report on the installation; returns 1 when physics or rendering would not work."""
+    Args:
+        json: print JSON instead of a table.
+    """
     versions = {"lieednn-sim": _version("lieednn-sim"), "python": platform.python_version()}
     versions |= {name: _version(name) for name in _PACKAGES}
-    extras = list(_extras())
+    extras = {
+        library.distribution or module: {
+            "version": _version(library.distribution or module),
+            "install": install_command(module),
+            "for": purpose(module),
+        }
+        for module, library in LIBRARIES.items()
+    }
     try:
-        arms = arm_names()
+        arms, models = arm_names(), ", ".join(arm_names())
     except FileError as error:
         arms, models = [], str(error)
-    else:
-        models = ", ".join(arms)
     backend = opengl.configure()
     packages = backend.missing_packages
     missing = [name for name, version in versions.items() if version is None]
     healthy = bool(arms) and not missing and backend.renders
-    if arguments.json:
-        print(
-            json.dumps(
-                {
-                    "healthy": healthy,
-                    "versions": versions,
-                    "extras": {
-                        name: {"version": version, "install": install, "for": use}
-                        for name, version, install, use in extras
-                    },
-                    "arms": arms,
-                    "opengl": {"backend": backend.name, "source": backend.source, "detail": backend.detail},
-                    "debian_packages_to_install": packages,
-                    "python_packages_to_install": missing,
-                },
-                indent=2,
-            )
-        )
+    if json:
+        report = {
+            "healthy": healthy,
+            "versions": versions,
+            "extras": extras,
+            "arms": arms,
+            "opengl": {"backend": backend.name, "source": backend.source, "detail": backend.detail},
+            "debian_packages_to_install": packages,
+            "python_packages_to_install": missing,
+        }
+        print(dumps(report, indent=2))
         return 0 if healthy else 1
     table = Table(show_header=False, title="lieednn-sim doctor", title_justify="left")
     for name, version in versions.items():
         table.add_row(name, version or Text("missing", "red"))
-    for name, version, install, use in extras:
-        table.add_row(name, version or f"not installed (optional, for {use}): {install}")
+    for name, extra in extras.items():
+        absent = f"not installed (optional, for {extra['for']}): {extra['install']}"
+        table.add_row(name, extra["version"] or absent)
     table.add_row("platform", f"{platform.system()} {platform.machine()}, {sys.executable}")
     table.add_row("arms", models)
     table.add_row("OpenGL backend", f"{backend.name} (by {backend.source})" if backend.renders else "none")

@@ -2,80 +2,85 @@
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from lieednn_sim import io
-from lieednn_sim.arm import Arm
-from lieednn_sim.cli.arguments import import_options, make_task
+from lieednn_sim.cli.arguments import ChosenArm
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import DEMONSTRATED
-from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
-from lieednn_sim.registry import RIVALS
 from lieednn_sim.studies.demonstrations.joints import joints_table, motion_to, study_joints
 from lieednn_sim.studies.demonstrations.plots import plot_joint_paths
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_count, as_seed
 
-# Options for positions and poses, with their defaults.
-_OF_POSES = {"unit": "m", "quaternion": "wxyz", "rivals": ",".join(RIVALS)}
+
+@dataclass(frozen=True)
+class Fitting:
+    """What is learned from demonstrations.
+
+    Attributes:
+        sample_rate: sampling rate of files without times [Hz].
+        phase: average demonstrations at equal fractions of their path, 'length', or of their duration, 'time'.
+        goals: 'aligned': express each path relative to its own goal; 'kept': learn how the path depends on its goal.
+        deviation: largest deviation of the network from the mean demonstration [m] (default: 0.002 of the extent of the
+            demonstrations, or with --arm 0.001 of the length of their path).
+        clock_rate: rate rho of the network's clock: at 1 the path moves along with the start; below 1 the motion
+            returns to the learned path, 1/rho times as fast.
+        starts: number of random starts from which to run each model (default: 1000; with --arm 20).
+        family: learn how the path depends on its start.
+        leave_one_out: fit the models again with each demonstration left out.
+        seed: seed of random draws.
+    """
+
+    sample_rate: float = 100.0
+    phase: str = "length"
+    goals: str = "aligned"
+    deviation: float | None = None
+    clock_rate: float = 1.0
+    starts: int | None = None
+    family: bool = True
+    leave_one_out: bool = True
+    seed: int = 0
 
 
-def learn_joints(arguments: argparse.Namespace) -> None:
+def learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run: RunDirectory) -> None:
     """Read, fit, measure, and write a run with network and motion, ``report.json`` and two plots."""
-    for name, usual in _OF_POSES.items():
-        if getattr(arguments, name) != usual:
-            raise InputError(
-                f"--{name} is for positions and poses; with --arm the columns are joints [rad, m], without rivals"
-            )
-    run = RunDirectory(arguments.output, arguments.plots)
-    starts = as_count("starts", 20 if arguments.starts is None else arguments.starts)
-    seed = as_seed("seed", arguments.seed)
-    options = ShapingOptions(rate=arguments.clock_rate)
-    arm = Arm.load(arguments.arm, **import_options(arguments))
-    shown = JointDemonstrations.load(
-        arm, arguments.files, rate=arguments.sample_rate, phase=arguments.phase, goals=arguments.goals
-    )
+    starts = as_count("starts", 20 if fitting.starts is None else fitting.starts)
+    seed = as_seed("seed", fitting.seed)
+    options = ShapingOptions(rate=fitting.clock_rate)
+    arm = chosen.load()
+    shown = JointDemonstrations.load(arm, files, rate=fitting.sample_rate, phase=fitting.phase, goals=fitting.goals)
     with run.at_work():
-        learned = JointMotion.fit(shown, arguments.deviation, options, family=not arguments.no_family)
+        learned = JointMotion.fit(shown, fitting.deviation, options, family=fitting.family)
         motion, refusal = learned.planned(shown.mean[0])
         with progress("learn") as bar:
             study, paths = study_joints(
                 shown,
                 learned,
                 starts=starts,
-                leave_one_out=not arguments.no_leave_one_out,
+                leave_one_out=fitting.leave_one_out,
                 seed=seed,
                 progress=bar,
             )
-        arguments.duration, arguments.scene, arguments.scene_seed = float(motion.t[-1]), "free", 0
-        asked = {
-            "files": [str(name) for name in arguments.files],
-            "sample_rate_hz": arguments.sample_rate,
-            "phase": arguments.phase,
-            "goals": arguments.goals,
-            "clock_rate": arguments.clock_rate,
-            "deviation_m": arguments.deviation,
-            "family": not arguments.no_family,
-        }
-        task = make_task(
-            arm, shown.mean[0], shown.mean[-1], arguments, planner=DEMONSTRATED, reason="demonstrated", options=asked
-        )
+        duration = float(motion.t[-1])
+        asked = {"files": list(files), **asdict(fitting)}
+        about = {"planner": DEMONSTRATED, "reason": "demonstrated", "options": asked}
+        task = chosen.task(arm, shown.mean[0], shown.mean[-1], duration, seed, **about)
         written = run.save_network(task, learned.network, motion)
         found = {
             **asked,
             "arm": arm.name,
             "joints": list(arm.joint_names),
-            "seed": seed,
             "demonstrations": len(shown),
             "demonstrated_duration_s": learned.duration,
-            "duration_s": arguments.duration,
+            "duration_s": duration,
             "spread_m": float(shown.spread.max()),
             "network_message": learned.shaping.message,
             "network_deviation_m": learned.shaping.deviation,
@@ -101,8 +106,6 @@ def learn_joints(arguments: argparse.Namespace) -> None:
         f"{learned.shaping.message}; {describe(learned.response)}"
     )
     console.print(joints_table(study, arm))
-    console.print(
-        f"limits: not kept, {refusal}" if refusal else f"limits and clearance: kept, in {arguments.duration:.3g} s"
-    )
+    console.print(f"limits: not kept, {refusal}" if refusal else f"limits and clearance: kept, in {duration:.3g} s")
     console.print(f"stability: {learned.network.certificate}")
     wrote(*written, *results)

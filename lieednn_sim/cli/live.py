@@ -2,45 +2,67 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import warnings
+from typing import Annotated, Any
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli.arguments import import_options, joint_position
+from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
+from lieednn_sim.cli.arguments import joint_position
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console
 from lieednn_sim.cli.interruption import say
-from lieednn_sim.live import view as show
+from lieednn_sim.cli.kinds import Joints
+from lieednn_sim.live.page import view as show
+from lieednn_sim.live.settings import Settings
 
 
-def view(arguments: argparse.Namespace) -> None:
-    """Show the arm until Ctrl-C."""
-    arm = Arm.load(arguments.arm, arguments.scene, arguments.scene_seed, **import_options(arguments))
-    print_import_report(arm)
+def view(
+    arm: str = "telescopic_pr",
+    *,
+    scene: str = "free",
+    scene_seed: int = 0,
+    target: Joints | None = None,
+    start: Joints = "home",
+    served: Annotated[dict[str, Any], show, "seed", "port", "host"],
+    browser: bool = True,
+    settings: Annotated[dict[str, Any], Settings, "policy", "planner", "controller", "payload", "mass_scale"],
+    imported: Annotated[ImportOptions, import_arm],
+) -> None:
+    """Show an arm in the browser: drag its target, push it, change its policy and its load.
+
+    It needs the extra 'view' and runs until Ctrl-C. Only this machine can connect, unless --host is given.
+
+    Args:
+        arm: a name of `ARMS`, or an MJCF, URDF or YAML file.
+        scene: obstacles: a name of `SCENES`, or an MJCF or YAML file.
+        scene_seed: seed of the obstacles' positions.
+        target: first target, given as for 'plan', with the same default.
+        start: joints at the start, given as for --target.
+        served: the page.
+        browser: open a browser at the page's address, which is printed.
+        settings: settings that the page can change.
+        imported: how a model file is imported.
+    """
+    shown = Arm.load(arm, scene, scene_seed, **imported)
+    print_import_report(shown)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         page = show(
-            arm,
-            target=None if arguments.target is None else joint_position(arm, arguments.target, "target"),
-            start=joint_position(arm, arguments.start, "start"),
-            seed=arguments.seed,
-            host=arguments.host,
-            port=arguments.port,
+            shown,
+            target=None if target is None else joint_position(shown, target, "target"),
+            start=joint_position(shown, start, "start"),
             browser=False,
-            policy=arguments.policy,
-            planner=arguments.planner,
-            controller=arguments.controller,
-            payload=arguments.payload,
-            mass_scale=arguments.mass_scale,
+            **served,
+            **settings,
         )
     for warning in told:
         say(f"warning: {warning.message}")
     with page:
         console.print(f"view: {page.url} (Ctrl-C ends it)")
         sys.stdout.flush()
-        if not arguments.no_browser and _has_display():
+        if browser and _has_display():
             page.open()
         page.wait()
 

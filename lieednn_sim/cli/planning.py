@@ -1,146 +1,121 @@
-"""The planning of ``plan``, ``synthesize`` and ``demo``: a motion to the target, and the network if there is one."""
+"""The planning of ``plan`` and ``demo``: a motion to the target, and the network if there is one."""
 
 from __future__ import annotations
 
-import argparse
 import math
-from dataclasses import replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 
 import numpy as np
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli.arguments import RANDOM, kept_region, load_arm, make_task, start_and_goal, usual_target
+from lieednn_sim.cli.arguments import RANDOM, Planning, read_options
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import rounded, table
-from lieednn_sim.planning import (
-    OBSTACLE_PLANNER,
-    CertifiedOptions,
-    Plan,
-    default_planner,
-    plan,
-)
+from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner, plan
+from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.shaped import ShapedDetails
 from lieednn_sim.registry import PLANNERS
 
 
-def make_plan(run: RunDirectory, arguments: argparse.Namespace) -> None:
-    """Plan, and write the task, the motion, and the network if the planner makes one."""
-    arm = load_arm(arguments)
-    planner, reason = _planner(arm, arguments)
-    console.print(f"planner: {planner} ({reason}), at most {arguments.time_budget:g} s of CPU time")
-    if arguments.target is arguments.position is arguments.pose is None:
-        arguments.target = usual_target(arm, arguments.seed)
-        if arguments.target.startswith(RANDOM):
-            console.print(f"target: {arguments.target}")
-    start, goal = start_and_goal(arm, arguments, place=arguments.keep is not None)
-    keep = kept_region(arm, start, goal, arguments.keep)
-    chosen, shown = _options(arguments) if planner == CERTIFIED else (None, {})
-    # JSON has no infinity.
-    budget = None if arguments.time_budget == math.inf else arguments.time_budget
-    shown |= {"time_budget": budget} | ({"fastest": True} if arguments.fastest else {})
-    shown |= {"keep": arguments.keep} if keep is not None else {}
-    task = make_task(arm, start, start, arguments, planner=planner, reason=reason, options=shown)
-    with progress("synthesize" if planner == CERTIFIED else "plan") as report:
-        made = plan(
+def make_plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) -> None:
+    """Plan, and write the task, the motion, and the network if the planner makes one.
+
+    Args:
+        run: the directory to write into.
+        planning: the arm, the goal and the planner.
+        usual: options of the planner ``lieednn-certified`` if no others are given.
+    """
+    arm = planning.load()
+    planner, reason = _planner(arm, planning)
+    options = _options(planner, [*usual, *planning.option] if planner == CERTIFIED else planning.option)
+    console.print(f"planner: {planner} ({reason}), at most {planning.time_budget:g} s of CPU time")
+    target = planning.usual_target(arm)
+    if target is not None and target.startswith(RANDOM):
+        console.print(f"target: {target}")
+    start, goal = planning.start_and_goal(arm, place=planning.keep is not None)
+    keep = planning.kept_region(arm, start, goal)
+    shown = {
+        # JSON has no infinity.
+        "time_budget": None if planning.time_budget == math.inf else planning.time_budget,
+        "fastest": planning.fastest,
+        "keep": planning.keep,
+        "option": {} if options is None else asdict(options),
+    }
+    about = {"planner": planner, "reason": reason, "options": shown}
+    task = planning.task(arm, start, start, planning.duration, planning.seed, **about)
+    with progress("plan") as report:
+        result = plan(
             arm,
             goal,
             planner=planner,
             start=start,
-            duration=arguments.duration,
-            max_time_scale=1.0 if planner == CERTIFIED and not arguments.fastest else 3.0,
-            seed=arguments.seed,
-            time_budget=arguments.time_budget,
-            options=chosen,
-            fastest=arguments.fastest,
+            duration=planning.duration,
+            max_time_scale=1.0 if planner == CERTIFIED and not planning.fastest else 3.0,
+            seed=planning.seed,
+            time_budget=planning.time_budget,
+            options=options,
+            fastest=planning.fastest,
             keep=keep,
             progress=report,
         )
-    if arguments.command == "synthesize" and made.network is None:
-        raise _no_network(planner)
-    task = replace(task, target=tuple(made.target.tolist()))
-    written = run.save_network(task, made.network, made.motion)
+    task = replace(task, target=tuple(result.target.tolist()))
+    written = run.save_network(task, result.network, result.motion)
     print_import_report(arm)
-    if planner == CERTIFIED:
-        _print_choice(arm, made, shown["bias"])
-    else:
-        print_outcome(made)
+    print_outcome(result)
     wrote(*written)
 
 
-def _planner(arm: Arm, arguments: argparse.Namespace) -> tuple[str, str]:
-    """The requested planner, or the default for the arm and scene, and why; checks the options for it.
+def _planner(arm: Arm, planning: Planning) -> tuple[str, str]:
+    """The requested planner, or the default for the arm and scene, and why.
 
     The default does not depend on what is installed: if it cannot run, that is an error.
     """
-    name, reason = default_planner(arm) if arguments.planner is None else (arguments.planner, "asked for")
-    if arguments.planner is None and arguments.keep is not None:
+    name, reason = default_planner(arm) if planning.planner is None else (planning.planner, "asked for")
+    if planning.planner is None and planning.keep is not None:
         name, reason = OBSTACLE_PLANNER, "the default where a region is kept"
     PLANNERS.find(name)
-    if arguments.command == "synthesize" and PLANNERS[name].own and not PLANNERS[name].network:
-        raise _no_network(name)
     PLANNERS.require(name)
-    given = [
-        option
-        for option in ("bias", "bias_magnitude", "n_networks")
-        if name != CERTIFIED and getattr(arguments, option) is not None
-    ]
-    if given:
-        option = f"--{given[0].replace('_', '-')}"
-        raise InputError(f"{option} applies to --planner {CERTIFIED} alone, not to {name}")
     return name, reason
 
 
-def _no_network(planner: str) -> InputError:
-    return InputError(f"the planner {planner} makes no network; use: lieednn-sim plan --planner {planner}")
+def _options(planner: str, texts: Sequence[str]) -> PlannerOptions | None:
+    """Options of a planner from ``NAME=VALUE``; None for a planner without options."""
+    kind = PLANNERS[planner].options
+    if kind is None:
+        if texts:
+            raise InputError(f"the planner {planner} has no options, got {texts[0]!r}")
+        return None
+    return read_options(kind(), texts)
 
 
-def _options(arguments: argparse.Namespace) -> tuple[CertifiedOptions, dict[str, Any]]:
-    """Options of the search for certified networks, and their values for the task."""
-    magnitude = arguments.usual_bias_magnitude if arguments.bias_magnitude is None else arguments.bias_magnitude
-    given = {name: getattr(arguments, name) for name in ("bias", "n_networks") if getattr(arguments, name) is not None}
-    if magnitude is not None:
-        given["bias_magnitudes"] = (magnitude,)
-    options = CertifiedOptions(**given)
-    return options, {"bias": options.bias, "bias_magnitude": magnitude, "n_networks": options.n_networks}
-
-
-def _print_choice(arm: Arm, made: Plan, bias: str) -> None:
-    network = made.network
-    assert network is not None
-    goal = network.goal(arm.encode(made.target))
-    rows = table("network", "quantity", "value")
-    rows.add_row("certificate", str(network.certificate))
-    rows.add_row("robustness", str(network.robustness()))
-    rows.add_row("bias", f"{bias}, largest entry {np.abs(network.bias).max():.3g}")
-    drawn = made.details
-    rows.add_row("networks", f"{drawn.n_networks} networks drawn, {drawn.within_limits} keep the joint limits")
-    rows.add_row("duration", f"{made.motion.t[-1]:.2f} s")
-    rows.add_row("mechanism gap", _gap(made.motion))
-    rows.add_row("1-norm of W", one_norm(network, goal))
-    warning = network.assess(goal).warning
-    if warning is not None:
-        rows.add_row("warning", warning)
-    console.print(rows)
-
-
-def print_outcome(made: Plan) -> None:
-    """Print a plan's duration, mechanism gap, teacher and stability."""
+def print_outcome(result: Plan) -> None:
+    """Print a plan's duration, mechanism gap and network, how it was found, and what is proved of it."""
+    network, details = result.network, result.details
     rows = table("plan", "quantity", "value")
-    rows.add_row("planner", made.planner)
-    rows.add_row("duration", f"{made.motion.t[-1]:.2f} s")
-    rows.add_row("mechanism gap", _gap(made.motion))
-    if isinstance(made.details, ShapedDetails) and made.teacher is not None:
-        rows.add_row("teacher", made.teacher.planner)
-        rows.add_row("off its path", f"{1e3 * made.details.deviation:.2g} mm at the end effector")
+    rows.add_row("planner", result.planner)
+    rows.add_row("duration", f"{result.motion.t[-1]:.2f} s")
+    rows.add_row("mechanism gap", _gap(result.motion))
+    if isinstance(details, CertifiedDetails):
+        rows.add_row("networks", f"{details.n_networks} networks drawn, {details.within_limits} keep the joint limits")
+    if isinstance(details, ShapedDetails) and result.teacher is not None:
+        rows.add_row("teacher", result.teacher.planner)
+        rows.add_row("off its path", f"{1e3 * details.deviation:.2g} mm at the end effector")
+    if network is None:
+        rows.add_row("proof", "none, as this planner makes no network")
+        console.print(rows)
+        return
+    goal = network.goal(result.motion.xi_target)
+    rows.add_row("largest bias", f"{np.abs(network.bias).max():.3g}")
+    rows.add_row("1-norm of W", one_norm(network, goal))
     console.print(rows)
-    if made.network is not None:
-        print_stability(made.network, made.network.goal(made.motion.xi_target))
+    print_stability(network, goal)
 
 
 def _gap(motion: Motion) -> str:

@@ -2,62 +2,89 @@
 
 from __future__ import annotations
 
-import argparse
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from lieednn_sim import io
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli.arguments import load_arm, make_task, start_and_target
+from lieednn_sim.cli.arguments import Goal
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
+from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import TRAINED, Task
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation import plot_training
 from lieednn_sim.evaluation.display import table
-from lieednn_sim.learning import (
-    ALGORITHMS,
-    RiemannianOptions,
-    TrainingResult,
-    train_riemannian,
-)
-from lieednn_sim.learning import train as projected_train
+from lieednn_sim.learning import TrainingOptions, TrainingResult
+from lieednn_sim.learning import train as learn
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
+from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.network_path import make_motion
+from lieednn_sim.registry import ALGORITHMS
 from lieednn_sim.synthesis import bias_for
 from lieednn_sim.validation import as_count, as_positive
 from lieednn_sim.values import Floats
-
-# Options stored in the task.
-_OPTIONS = ("algorithm", "period", "epochs", "tolerance", "bias", "bias_magnitude", "candidates")
 
 Learner = Callable[[int], TrainingResult]
 Candidates = Sequence[Callable[[], TrainingResult]]
 
 
-def train(arguments: argparse.Namespace) -> int:
-    """Learn a network for a target in a run directory; returns 1 when none was learned."""
-    run = RunDirectory(arguments.output, arguments.plots)
+@dataclass(frozen=True)
+class Learning:
+    """How a network is learned; stored in the task.
+
+    Attributes:
+        algorithm: learning algorithm: a name of `ALGORITHMS`.
+        candidates: largest number of seeds to try until the motion of a network is within the arm's limits.
+        period: number of epochs between two projections onto scaled adjoints (default: that of the algorithm).
+        epochs: largest number of epochs (default: 25000).
+        tolerance: largest allowed error of the equilibrium [rad, units of length of the arm].
+        bias: rule that chooses the network's bias: uniform or sign-matched.
+        bias_magnitude: magnitude of the bias.
+    """
+
+    algorithm: str = "tracked"
+    candidates: int = 4
+    period: int | None = None
+    epochs: int | None = None
+    tolerance: float = 1e-5
+    bias: str = "sign-matched"
+    bias_magnitude: float = 0.125
+
+
+def train(*, goal: Goal, learning: Learning, output: Directory = "results/run", plots: str = "png") -> int:
+    """Learn a network for a target with the algorithm of the paper, or an improved one, in a run directory.
+
+    Continue with 'simulate', 'evaluate' and 'render'. The exit code is 1 if no network was learned.
+
+    Args:
+        goal: the motion.
+        learning: how it is learned.
+        output: directory for the files of the run.
+        plots: format of the plot: png, pdf or svg.
+    """
+    run = RunDirectory(output, plots)
     with run.at_work():
-        return _train(run, *_begin(arguments))
+        return _train(run, *_begin(goal, learning))
 
 
-def _begin(arguments: argparse.Namespace) -> tuple[Task, Arm, Candidates]:
+def _begin(goal: Goal, learning: Learning) -> tuple[Task, Arm, Candidates]:
     """The task, its arm, and learners of a network for it from consecutive seeds."""
-    arm = load_arm(arguments)
-    start, target = start_and_target(arm, arguments)
+    arm = goal.load()
+    start, aim = goal.start_and_goal(arm)
+    target = next(candidates(arm, aim, start))
     arm.check_position(target, "target")
-    options = {name: getattr(arguments, name) for name in _OPTIONS}
-    candidates = as_count("candidates", options["candidates"])
-    task = make_task(arm, start, target, arguments, planner=TRAINED, reason="asked for", options=options)
-    learner = _learner(arguments, arm.encode(target))
+    count = as_count("candidates", learning.candidates)
+    about = {"planner": TRAINED, "reason": "asked for", "options": asdict(learning)}
+    task = goal.task(arm, start, target, goal.duration, goal.seed, **about)
+    learner = _learner(learning, arm.encode(target))
     print_import_report(arm)
-    return task, arm, [functools.partial(learner, task.seed + k) for k in range(candidates)]
+    return task, arm, [functools.partial(learner, task.seed + k) for k in range(count)]
 
 
 def _train(run: RunDirectory, task: Task, arm: Arm, learners: Candidates) -> int:
@@ -112,34 +139,26 @@ def _motion(result: TrainingResult, arm: Arm, task: Task) -> tuple[Motion | None
     return motion, None
 
 
-def _learner(asked: argparse.Namespace, xi: Floats) -> Learner:
+def _learner(asked: Learning, xi: Floats) -> Learner:
     """A function that learns a network from a seed, with a progress bar."""
     make = ALGORITHMS.find(asked.algorithm).load()
     changes = {"period": asked.period, "max_epochs": asked.epochs, "tolerance": asked.tolerance}
     given = {key: value for key, value in changes.items() if value is not None}
-    learn: Callable[..., TrainingResult]
-    if not isinstance(make(), RiemannianOptions):
-        learn = functools.partial(projected_train, xi, make(**given))
-    elif asked.period is not None or asked.epochs is not None:
+    if len(given) > 1 and not isinstance(make(), TrainingOptions):
         raise InputError(
             f"--period and --epochs are for the algorithms literal, repaired and tracked, not for {asked.algorithm}"
         )
-    else:
-        learn = functools.partial(train_riemannian, xi, make(**given))
-    bias = _bias(xi, asked)
+    options = make(**given)
+    if asked.bias == "solved":
+        raise InputError("the solved bias needs no learning; use 'lieednn-sim plan --option bias=solved'")
+    magnitude = as_positive("bias magnitude", asked.bias_magnitude)
+    bias = bias_for(asked.bias, xi, ACTIVATIONS[DEFAULT_ACTIVATION].phi(xi), 1.0, magnitude)
 
     def learner(seed: int) -> TrainingResult:
         with progress("train") as report:
-            return learn(bias=bias, seed=seed, progress=report)
+            return learn(xi, options, bias=bias, seed=seed, progress=report)
 
     return learner
-
-
-def _bias(xi: Floats, arguments: argparse.Namespace) -> Floats:
-    if arguments.bias == "solved":
-        raise InputError("the solved bias needs no learning; use 'lieednn-sim synthesize --bias solved'")
-    magnitude = as_positive("bias magnitude", arguments.bias_magnitude)
-    return bias_for(arguments.bias, xi, ACTIVATIONS[DEFAULT_ACTIVATION].phi(xi), 1.0, magnitude)
 
 
 def _report(result: TrainingResult, xi: Floats) -> None:

@@ -13,7 +13,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning import CertifiedOptions, Plan, plan
 from lieednn_sim.planning.time_laws import minimum_jerk_law
-from lieednn_sim.validation import Seed, as_count, as_floats, as_positive, as_seed
+from lieednn_sim.validation import Seed, as_floats, as_positive
 from lieednn_sim.values import Floats
 
 # Duration with which plans are made before they are sped up [s]; minimum jerk gives the same path in any duration.
@@ -61,17 +61,14 @@ class JointTrajectory:
         return np.where(inside[..., None], self.spline(np.clip(times, 0.0, self.duration), 1), 0.0)
 
 
-def planned(
-    arm: Arm, target: ArrayLike | str, *, planner: str | None = None, n_networks: int = 2, seed: Seed = 0
-) -> JointTrajectory:
+def planned(arm: Arm, target: ArrayLike | str, *, planner: str | None = None, seed: Seed = 0) -> JointTrajectory:
     """A planned motion from the keyframe ``home``, as fast as 90 % of the velocity and acceleration limits allow.
 
     Args:
         arm: the arm.
         target: joint target ``(n,)``, or a keyframe's name.
-        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, to which ``n_networks`` applies.
-        n_networks: number of networks to draw at first; if their motions break limits, four times as many are drawn,
-            and then sixteen times as many.
+        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, of which two networks are drawn at
+            first; if their motions break limits, four times as many are drawn, and then sixteen times as many.
         seed: seed of the draws.
 
     Raises:
@@ -79,27 +76,27 @@ def planned(
         NotCertifiedError: no network could be certified.
         PlanError: every motion breaks a limit.
     """
-    count, seed = as_count("n_networks", n_networks), as_seed("seed", seed)
     if planner is None:
-        made = _patient_plan(arm, target, count, seed)
+        result = _patient_plan(arm, target, seed)
     else:
-        made = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
-    motion, certificate = made.motion, "" if made.network is None else str(made.network.certificate)
+        result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
+    motion, certificate = result.motion, "" if result.network is None else str(result.network.certificate)
     # Nothing moves if it is already there.
     pace = _pace(arm, motion.t, motion.qd, _PLAN_LIMIT_FRACTION) or 1.0
     return JointTrajectory(CubicHermiteSpline(motion.t * pace, motion.q, motion.qd / pace), certificate)
 
 
-def _patient_plan(arm: Arm, target: ArrayLike | str, n_networks: int, seed: int) -> Plan:
-    def drawn(total: int) -> Plan:
-        options = CertifiedOptions(n_networks=total)
-        return plan(arm, target, duration=_PLANNING_DURATION, max_time_scale=1.0, seed=seed, options=options)
-
+def _patient_plan(arm: Arm, target: ArrayLike | str, seed: Seed) -> Plan:
     # Few networks suffice for most targets, and each takes time.
-    for total in (n_networks, 4 * n_networks):
+    for count in (2, 8):
         with contextlib.suppress(PlanError, NotCertifiedError):
-            return drawn(total)
-    return drawn(16 * n_networks)
+            return _certified_plan(arm, target, seed, count)
+    return _certified_plan(arm, target, seed, 32)
+
+
+def _certified_plan(arm: Arm, target: ArrayLike | str, seed: Seed, count: int) -> Plan:
+    options = CertifiedOptions(n_networks=count)
+    return plan(arm, target, duration=_PLANNING_DURATION, max_time_scale=1.0, seed=seed, options=options)
 
 
 def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTrajectory:

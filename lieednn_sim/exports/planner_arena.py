@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.errors import InputError
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
+from lieednn_sim.studies.comparison.study import Comparison, settings_of
 from lieednn_sim.studies.statistics import grouped
-from lieednn_sim.studies.table import how_made, read_rows
 
 # Names and SQL types of what each run tells; OMPL's own names for the first two.
 _PROPERTIES = (
@@ -32,21 +32,17 @@ def write(comparisons: Mapping[str, str | os.PathLike[str]], folder: Path) -> No
         InputError: a comparison has no rows.
     """
     for name, directory in comparisons.items():
-        table = Path(directory) / "comparison.csv"
-        made, rows = how_made(table.with_suffix(".json"), "comparison"), read_rows(table, Row)
-        if not rows:
-            raise InputError(f"{table} has no rows: there is nothing to export")
-        try:
-            date = datetime.fromtimestamp(table.stat().st_mtime, UTC)
-        except OSError as error:
-            raise FileError(f"cannot read {table}: {error.strerror or error}") from None
+        table = Comparison.read(directory)
+        if not table.rows:
+            raise InputError(f"{table.path} has no rows: there is nothing to export")
+        date = datetime.fromtimestamp(table.path.stat().st_mtime, UTC)
         head = {
-            "version": f"lieednn_sim version {made['versions'].get('lieednn_sim', 'unknown')}",
+            "version": f"lieednn_sim version {table.versions.get('lieednn_sim', 'unknown')}",
             "date": f"{date:%Y-%m-%d %H:%M:%S}",
-            "setup": json.dumps({key: made[key] for key in ("settings", "versions")}),
-            "limit": f"{made['settings'].get('time_budget', 0.0):g}",
+            "setup": json.dumps({"settings": table.settings, "versions": table.versions}),
+            "limit": f"{settings_of(table).time_budget:g}",
         }
-        for part in grouped([rows[key] for key in sorted(rows)], ("arm", "scene", "controller")):
+        for part in grouped(table.sorted_rows(), ("arm", "scene", "controller")):
             experiment = "-".join("_".join(str(word).split()) for word in part.key)
             lines = _log(experiment, part.rows, **head)
             (folder / f"{name}-{experiment}.log").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -8,7 +8,6 @@ import threading
 import time
 import warnings
 import webbrowser
-from types import TracebackType
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -70,9 +69,7 @@ class Page:
     def __enter__(self) -> Page:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def open(self) -> bool:
@@ -160,7 +157,7 @@ def view(
         start: ``(n,)`` joint coordinates at the beginning, or a keyframe's name.
         seed: seed of random draws.
         host: address to listen at; any but the loopback address is for others, too, with a warning.
-        port: port to listen at; by default a free one.
+        port: port to listen at; 0 for a free one.
         browser: whether to open the page in a browser, if there is one.
         settings: fields of `Settings`, such as ``policy`` and ``payload``.
 

@@ -105,8 +105,15 @@ class Surroundings:
         return model
 
 
-class PathSearch:
-    """A search for a path by RRT-Connect in a thread of its own, whose result depends on its arguments alone.
+def search_path(
+    arm: Arm,
+    places: Mapping[str, Floats],
+    ends: tuple[Floats, Floats],
+    margin: float,
+    options: RrtConnectOptions,
+    seed: int,
+) -> Future[Motion]:
+    """Search for a path by RRT-Connect in a thread of its own; the result depends on the arguments alone.
 
     Args:
         arm: the arm, in its scene.
@@ -115,33 +122,11 @@ class PathSearch:
         margin: distance to keep from moving obstacles where start and target allow it [m].
         options: options of the search.
         seed: its seed.
+
+    Returns:
+        The motion; asked for its result, it raises `LieEDNNError` if there is no path, or OMPL is not installed.
     """
-
-    def __init__(
-        self,
-        arm: Arm,
-        places: Mapping[str, Floats],
-        ends: tuple[Floats, Floats],
-        margin: float,
-        options: RrtConnectOptions,
-        seed: int,
-    ) -> None:
-        self._future: Future[Motion] = _worker(os.getpid()).submit(
-            _path, arm, dict(places), ends, margin, options, seed
-        )
-
-    @property
-    def done(self) -> bool:
-        """Whether the search is over."""
-        return self._future.done()
-
-    def result(self) -> Motion:
-        """The motion found, which is waited for.
-
-        Raises:
-            LieEDNNError: there is no path, or OMPL is not installed.
-        """
-        return self._future.result()
+    return _worker(os.getpid()).submit(_path, arm, dict(places), ends, margin, options, seed)
 
 
 @cache

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import io
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from PIL import Image as Picture
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
@@ -45,7 +43,9 @@ _MAX_WIDTH, _MAX_HEIGHT = 3840, 2160  # 4K [pixels]
 PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=True, samples=4)}
 
 
-def check_view(what: stage.Shown, *, camera: str | None, size: tuple[int, int], preset: str) -> None:
+def check_view(
+    what: stage.Shown, *, camera: str | None = None, size: tuple[int, int] = (1280, 720), preset: str = "nice"
+) -> None:
     """Raise `InputError` for an unknown camera or preset, or a size that cannot be rendered."""
     check_camera(what, camera)
     as_choice("preset", preset, PRESETS)
@@ -167,10 +167,10 @@ def render_video(
     Args:
         rollout: the rollout, whose target the marker shows, or a run in a given model.
         path: ``.mp4`` or ``.gif``; it appears only when the video is complete.
-        camera: as in `Camera`.
+        camera: name of a camera of the scene, as in `Camera` (default: overview, if there is one, else a view of all).
         size: (width, height) in pixels.
         fps: frames per second of simulated time.
-        preset: a name of `PRESETS`.
+        preset: a name of `PRESETS`: ``draft``, which is faster, or ``nice``.
         title: first line of the caption, such as the planner's name.
         progress: called with (done, total) after every frame.
 
@@ -223,15 +223,9 @@ def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[
         with ffmpeg.mp4_writer(path, size, fps) as append:
             yield append
         return
-    # In memory, where it is small: what does not fit on the disk the library would try to write again as it is deleted.
-    content = io.BytesIO()
-    writer: Any = imageio.get_writer(content, format="GIF", mode="I", duration=1000.0 / fps, loop=0)
-    try:
-        yield writer.append_data
-    finally:
-        # imageio's own `with` leaves the file open when the block fails.
-        writer.close()
-    path.write_bytes(content.getbuffer())
+    pictures: list[Picture.Image] = []
+    yield lambda image: pictures.append(Picture.fromarray(image).quantize())
+    pictures[0].save(path, format="GIF", save_all=True, append_images=pictures[1:], duration=1000.0 / fps, loop=0)
 
 
 typecheck_public(globals())

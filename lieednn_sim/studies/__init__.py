@@ -8,7 +8,7 @@ from lieednn_sim.studies.comparison.rows import Case, Row
 from lieednn_sim.studies.comparison.study import Comparison, compare
 from lieednn_sim.studies.comparison.summary import write_summary
 from lieednn_sim.studies.study import Study, compute
-from lieednn_sim.studies.table import Table, read_rows
+from lieednn_sim.studies.table import Table
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
@@ -20,7 +20,6 @@ __all__ = [
     "Table",
     "compare",
     "compute",
-    "read_rows",
     "replay",
     "run_case",
     "write_summary",

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hashlib
 import pickle
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from typing import Any
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.versions import versions
+from lieednn_sim.versions import commit, versions
 
 # Timeout of the scheduler's first answer [s].
 _PATIENCE = 20.0
@@ -48,35 +47,27 @@ def dask_executor(address: str) -> Iterator[DaskExecutor]:
             "such as tcp://host:8786"
         ) from None
     with Client(address, set_as_default=False) as client:
-        yield DaskExecutor(client)
+        yield DaskExecutor(client.get_executor(pure=False))
 
 
 class DaskExecutor(Executor):
     """Runs tasks on the workers of a client.
 
-    The name of a task is a hash of its inputs and of the code. On a worker with another version of the code it ends
-    with `BrokenExecutor`, which stops all the work.
+    On a worker with another version of the code a task ends with `BrokenExecutor`, which stops all the work.
     """
 
-    def __init__(self, client: Any) -> None:
-        self._client, self._executor = client, client.get_executor()
-        self._versions, self._run = versions(code=True), _runner()
-
-    @property
-    def n_workers(self) -> int:
-        """The present number of workers."""
-        return len(self._client.nthreads())
+    def __init__(self, executor: Any) -> None:
+        self._executor, self._run = executor, _runner()
+        self._made_with = {**versions(), "commit": commit() or "none"}
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
         """See `Executor.submit`."""
-        task = pickle.dumps((function, arguments, named))
-        digest = hashlib.sha256(repr(self._versions).encode() + task).hexdigest()
-        return self._executor.submit(self._run, self._versions, task, key=f"lieednn_sim-{digest}")
+        return self._executor.submit(self._run, self._made_with, pickle.dumps((function, arguments, named)))
 
 
 def _runner() -> Callable[[dict[str, str], bytes], Any]:
     # A local function is pickled by value: it also runs where there is another version of the package, or none.
-    def run(wanted: dict[str, str], task: bytes) -> Any:
+    def run(expected: dict[str, str], task: bytes) -> Any:
         import pickle
         import socket
         from concurrent.futures import BrokenExecutor
@@ -87,16 +78,13 @@ def _runner() -> Callable[[dict[str, str], bytes], Any]:
         if get_worker().state.nthreads != 1:
             raise BrokenExecutor(f"{where} has several threads; start workers with --nthreads 1")
         try:
-            from lieednn_sim.versions import versions
+            from lieednn_sim.versions import commit, versions
 
-            found = versions(code=True)
+            here = {**versions(), "commit": commit() or "none"}
             function, arguments, named = pickle.loads(task)
         except Exception as error:
             raise BrokenExecutor(f"{where} has another lieednn_sim, or none ({error!r})") from None
-        if found != wanted:
-            differ = [
-                f"{name} {found.get(name)}, here {wanted[name]}" for name in wanted if found.get(name) != wanted[name]
-            ]
+        if differ := [f"{name} {here[name]}, here {expected[name]}" for name in here if here[name] != expected[name]]:
             raise BrokenExecutor(f"{where} has {'; '.join(differ)}")
         return function(*arguments, **named)
 

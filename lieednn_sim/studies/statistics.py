@@ -9,9 +9,7 @@ from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from scipy.special import ndtri
 
-from lieednn_sim.errors import InputError
 from lieednn_sim.studies.rows import TableRow
 
 R = TypeVar("R", bound=TableRow)
@@ -61,15 +59,13 @@ def wilson(successes: int, total: int) -> tuple[float, float]:
     """Wilson's 95 % score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927).
 
     Raises:
-        InputError: not 0 <= successes <= total, or total is 0.
+        ValueError: not 0 <= successes <= total, or total is 0.
     """
-    if not 0 <= successes <= total or total == 0:
-        raise InputError(f"need 0 <= successes <= total and total > 0, got {successes} of {total}")
-    rate, z2 = successes / total, float(ndtri(0.975)) ** 2
-    centre = rate + z2 / (2 * total)
-    half = (z2 * (rate * (1.0 - rate) + z2 / (4 * total)) / total) ** 0.5
-    low, high = ((centre + end) / (1.0 + z2 / total) for end in (-half, half))
-    return max(low, 0.0), min(high, 1.0)
+    # Slow to import, and asked for at the end of a study.
+    from scipy.stats import binomtest
+
+    interval = binomtest(successes, total).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def grouped(rows: Iterable[R], columns: Sequence[str]) -> list[Group[R]]:

@@ -14,8 +14,8 @@ from rich.console import Console
 from lieednn_sim import io
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.studies.rows import TableRow
-from lieednn_sim.studies.table import Table
-from lieednn_sim.studies.user_files import UserFile, record_files
+from lieednn_sim.studies.table import SUFFIX, Table
+from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.studies.workers import run_each
 from lieednn_sim.validation import as_workers
 
@@ -26,7 +26,7 @@ class Study(ABC, Generic[R]):
     """Base class of studies: it says which cases there are, how the rows of one are computed, and what all rows share.
 
     Attributes:
-        name: name of the table's files without suffix, and of the progress bar.
+        name: name of the table's file without suffix, and of the progress bar.
         kind: class of the rows.
         user_files: the user's arms and scenes; where there are any, `run` gets them as ``user_files``.
     """
@@ -38,10 +38,6 @@ class Study(ABC, Generic[R]):
     def settings(self) -> Mapping[str, Any]:
         """Settings of all rows; a table that was made with others is refused."""
         return {}
-
-    def part(self) -> Mapping[str, Any] | None:
-        """Description of the part of a larger table that is computed; None for a whole one."""
-        return None
 
     @abstractmethod
     def todo(self, table: Table[R]) -> Sequence[tuple[Any, ...]]:
@@ -61,8 +57,9 @@ class Study(ABC, Generic[R]):
         """The rows of a case that raised, from the same arguments and the reason; unchecked."""
 
     def open(self, directory: str | os.PathLike[str]) -> Table[R]:
-        """The table in a directory, which is created if it is missing; raises as `Table`."""
-        return Table(directory, self.name, self.kind, self.settings(), self.part())
+        """The table in a directory, which is created if it is missing; raises as `Table.begin`."""
+        path = io.make_directory(directory) / f"{self.name}{SUFFIX}"
+        return Table.begin(path, self.kind, self.settings(), self.user_files)
 
 
 def compute(
@@ -87,11 +84,10 @@ def compute(
 
     Raises:
         InputError: ``jobs`` is less than 1.
-        FileError: see `Table` and `user_files.record_files`; or the table cannot be written.
+        FileError: see `Table.begin`; or the table cannot be written.
         LieEDNNError: a worker process died, or the executor gave up.
     """
     workers = as_workers("jobs", jobs)
-    record_files(io.make_directory(directory), study.user_files)
     table = study.open(directory)
     todo = study.todo(table)
     if not todo:
@@ -111,11 +107,9 @@ def compute(
     except (BrokenExecutor, CancelledError):
         raise LieEDNNError(
             "a worker process died, of too little memory, or because a script that starts workers has no "
-            f"`if __name__ == '__main__':`; finished cases are kept in {table.csv}, the same command continues, and "
+            f"`if __name__ == '__main__':`; finished cases are kept in {table.path}, the same command continues, and "
             "one job needs less memory"
             if executor is None
-            else f"the executor gave up; finished cases are kept in {table.csv}, the same command continues"
+            else f"the executor gave up; finished cases are kept in {table.path}, the same command continues"
         ) from None
-    finally:
-        table.save()
     return table

@@ -1,171 +1,241 @@
-"""The table of a study on disk: a CSV file, and a JSON file of the same name with settings and versions."""
+"""The table of a study: an SQLite file with its rows and with what they have in common."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import os
-import zlib
-from collections.abc import Mapping, Sequence
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import IO, Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.studies.rows import TableRow
-from lieednn_sim.versions import versions
+from lieednn_sim.studies.rows import TableRow, columns_of
+from lieednn_sim.studies.user_files import UserFile
+from lieednn_sim.validation import as_path
+from lieednn_sim.versions import commit, versions
 
 R = TypeVar("R", bound=TableRow)
-# Parts of a table's JSON file that describe how it was made.
-_DESCRIBED = ("settings", "versions", "part")
-# The last column of every table's file.
-_CHECKSUM = "checksum"
+SUFFIX = ".sqlite"
+# Types of columns by the annotations of a row's fields.
+_TYPES = {"str": "TEXT", "bool": "INTEGER", "int": "INTEGER", "float": "REAL"}
+# Longest wait for other processes that write [s], and most bytes of a value that is read.
+_PATIENCE, _LONGEST = 60.0, 1_000_000
 
 
 class Table(Generic[R]):
-    """Rows of one kind by their keys, in a directory; added rows are in the file at once.
+    """Rows of one kind by their keys, in a file; added rows are on the disk at once.
 
-    Memory does not grow with added rows: `rows` is read again on access.
+    Several processes may add rows at once. Memory does not grow with added rows: `rows` is read again on access.
 
     Args:
-        directory: created if missing; a table in it is continued.
-        name: name of the files, without suffix.
+        path: the file, made by `begin`.
         kind: class of the rows.
-        settings: settings of all rows, for the JSON file.
-        part: description of the part of a larger table that this is, if any, for the same file.
+
+    Attributes:
+        path: the file.
+        settings: settings of all rows.
+        versions: versions of the packages that made all rows, by their names.
+        commits: commits of the checkouts that made rows, if any.
+        user_files: the user's arms and scenes in the rows.
 
     Raises:
-        FileError: the directory holds a table made with other settings, versions or code, or an invalid one.
+        FileError: the file is missing, cannot be read, or is no table of this kind.
     """
 
-    def __init__(
-        self,
-        directory: str | os.PathLike[str],
-        name: str,
+    def __init__(self, path: str | os.PathLike[str], kind: type[R]) -> None:
+        self.path, self._kind = as_path("the name of a table's file", path), kind
+        self._rows: dict[tuple[Any, ...], R] | None = None
+        with self._connected() as base:
+            if dict(base.execute("SELECT name, sql FROM sqlite_schema")) != _statements(kind):
+                raise FileError(f"{self.path} holds no table of {kind.__name__} rows; choose another --output")
+            # In tables whose types are strict this also checks the type of each value.
+            if base.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
+                raise FileError(f"the table {self.path} is damaged; remove it, or choose another --output")
+            about = dict(base.execute("SELECT name, value FROM about"))
+        try:
+            self.settings: dict[str, Any] = dict(json.loads(about["settings"]))
+            self.versions: dict[str, str] = dict(json.loads(about["versions"]))
+            self.commits: list[str] = list(json.loads(about["commits"]))
+            self.user_files = tuple(UserFile(*map(str, file)) for file in json.loads(about["user_files"]))
+        except (KeyError, TypeError, ValueError, RecursionError) as error:
+            raise FileError(f"{self.path} does not tell how it was made ({type(error).__name__}: {error})") from None
+
+    @classmethod
+    def begin(
+        cls,
+        path: str | os.PathLike[str],
         kind: type[R],
         settings: Mapping[str, Any],
-        part: Mapping[str, Any] | None = None,
-    ) -> None:
-        self.directory = io.make_directory(directory)
-        self.csv, self.json = self.directory / f"{name}.csv", self.directory / f"{name}.json"
-        self.versions = versions(code=True)
-        self.settings, self._kind = settings, kind
-        self._description: dict[str, Any] = {"kind": name, "format": 1, "settings": settings, "versions": self.versions}
-        if part:
-            # As it will be read: with lists for tuples.
-            try:
-                self._description["part"] = json.loads(json.dumps(part))
-            except (TypeError, ValueError) as error:
-                raise InputError(f"part must hold what JSON can: {error}") from None
-        self._rows: dict[tuple[Any, ...], R] | None = {}
-        if os.path.lexists(self.csv):
-            self._check()
-            self._rows = None
-        io.save_json(self.json, self._description)
-        # Removes a line that a killed process left unfinished.
-        self.save()
+        user_files: Iterable[UserFile] = (),
+    ) -> Self:
+        """The table in a file, which is made if it is missing, to add rows.
+
+        Args:
+            path: the file, in an existing directory.
+            kind: class of the rows.
+            settings: settings of all rows, as JSON can hold them.
+            user_files: arms and scenes of the user in the rows to come; recorded with those of earlier ones.
+
+        Raises:
+            FileError: the file has rows of other settings, versions, arms or scenes, or is no such table.
+            InputError: JSON cannot hold the settings.
+        """
+        file = as_path("the name of a table's file", path)
+        io.check_outputs([file])
+        try:
+            described = {"settings": json.dumps(settings), "versions": json.dumps(versions())}
+        except (TypeError, ValueError) as error:
+            raise InputError(f"settings must hold what JSON can: {error}") from None
+        with _connected(file, "rwc") as base:
+            # Of several processes that begin, one makes the tables.
+            base.execute("BEGIN IMMEDIATE")
+            if base.execute("SELECT 1 FROM sqlite_schema").fetchone() is None:
+                for statement in _statements(kind).values():
+                    base.execute(statement)
+                values = {**described, "commits": "[]", "user_files": "[]"}
+                base.executemany("INSERT INTO about VALUES (?, ?)", values.items())
+        table = cls(file, kind)
+        table._require_same(json.loads(described["settings"]), versions(), "now")
+        table._record(user_files, [now] if (now := commit()) else [])
+        return table
 
     @property
-    def fingerprint(self) -> str:
-        """Fingerprint of how the rows are made: settings, versions and code."""
-        return io.fingerprint({}, self._description)
+    def directory(self) -> Path:
+        """The directory of the file."""
+        return self.path.parent
 
     @property
     def rows(self) -> dict[tuple[Any, ...], R]:
-        """All rows by their keys."""
+        """All rows by their keys, in the order of these."""
         if self._rows is None:
-            self._rows = read_rows(self.csv, self._kind)
+            key = ", ".join(map(_quoted, self._kind._key))
+            given = {entry.name: entry.init for entry in fields(self._kind)}
+            self._rows = {}
+            with self._connected() as base:
+                for values in base.execute(f"SELECT * FROM rows ORDER BY {key}"):
+                    named = {name: value for (name, init), value in zip(given.items(), values, strict=True) if init}
+                    row = self._kind(**named)
+                    self._rows[row.key] = row
         return self._rows
-
-    def add(self, rows: Sequence[R]) -> None:
-        """Append rows to the file."""
-        texts = [_with_checksum(row) for row in rows]
-        self._rows = None
-        try:
-            with self.csv.open("a", encoding="utf-8", newline="") as stream:
-                self._writer(stream).writerows(texts)
-        except OSError as error:
-            raise FileError(f"cannot write {self.csv}: {error.strerror or error}") from None
-
-    def save(self, rows: dict[tuple[Any, ...], R] | None = None) -> None:
-        """Write all rows, or the given ones in their place, sorted and atomically."""
-        self._rows = self.rows if rows is None else rows
-        with io.atomic_text(self.csv) as stream:
-            writer = self._writer(stream)
-            writer.writeheader()
-            writer.writerows(map(_with_checksum, self.sorted_rows()))
-
-    def _writer(self, stream: IO[str]) -> csv.DictWriter[str]:
-        return csv.DictWriter(stream, fieldnames=_columns(self._kind), lineterminator="\n")
 
     def sorted_rows(self) -> list[R]:
         """All rows in the order of their keys."""
-        return [self.rows[key] for key in sorted(self.rows)]
+        return list(self.rows.values())
 
-    def _check(self) -> None:
-        """Raise `FileError` if the existing rows were made differently."""
-        advice = f"choose another --output, or remove {self.csv}"
-        try:
-            differ = differences(how_made(self.json, self._description["kind"]), self._description)
-        except FileError as error:
-            raise FileError(
-                f"cannot continue {self.csv}, since {self.json} does not tell how it was made: {error}; {advice}"
-            ) from None
-        if differ:
-            raise FileError(f"{self.csv} was made with {'; '.join(differ)}; {advice}")
+    def add(self, rows: Sequence[R]) -> None:
+        """Add rows, or put them in the place of those with the same keys, all at once or none."""
+        names = [entry.name for entry in fields(self._kind)]
+        self._rows = None
+        with self._connected() as base:
+            base.executemany(
+                f"INSERT OR REPLACE INTO rows VALUES ({', '.join('?' * len(names))})",
+                ([getattr(row, name) for name in names] for row in rows),
+            )
+
+    def merge(self, other: Table[R]) -> None:
+        """Add the rows of another table, but for those whose keys are here.
+
+        Raises:
+            FileError: it has other settings, versions, arms or scenes, or a row that differs from the one here in more
+                than measured times; no row is added then.
+        """
+        if self.path.samefile(other.path):
+            return
+        other._require_same(self.settings, self.versions, f"in {self.path}")
+        key = ", ".join(map(_quoted, self._kind._key))
+        timed = [column.name for column in columns_of(self._kind) if column.timed]
+        names = [_quoted(entry.name) for entry in fields(self._kind) if entry.name not in timed]
+        differ = " OR ".join(f"mine.{name} IS NOT its.{name}" for name in names)
+        self._record(other.user_files, other.commits)
+        self._rows = None
+        with self._connected() as base:
+            base.execute("ATTACH ? AS part", (_address(other.path, "rw"),))
+            both = f"SELECT {key} FROM rows AS mine JOIN part.rows AS its USING ({key}) WHERE {differ} LIMIT 1"
+            if found := base.execute(both).fetchone():
+                what = ", ".join(map(str, found))
+                raise FileError(f"{self.path} and {other.path} disagree on {what}; remove one of them")
+            base.execute("INSERT OR IGNORE INTO rows SELECT * FROM part.rows")
+
+    def write_csv(self, path: str | os.PathLike[str]) -> None:
+        """Write all rows as a CSV file, in the order of their keys, below the names of the columns."""
+        names = [entry.name for entry in fields(self._kind)]
+        with io.atomic_text(path) as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(names)
+            writer.writerows([getattr(row, name) for name in names] for row in self.rows.values())
+
+    def _connected(self) -> contextlib.AbstractContextManager[sqlite3.Connection]:
+        return _connected(self.path, "rw")
+
+    def _require_same(self, settings: Mapping[str, Any], packages: Mapping[str, str], where: str) -> None:
+        """Raise `FileError` if the rows were made with other settings or versions."""
+        old, new = {**self.settings, **self.versions}, {**settings, **packages}
+        if differ := [f"{k} {old.get(k)}, {where} {new.get(k)}" for k in {**old, **new} if old.get(k) != new.get(k)]:
+            raise FileError(f"{self.path} was made with {'; '.join(differ)}; choose another --output, or remove it")
+
+    def _record(self, user_files: Iterable[UserFile], commits: Iterable[str]) -> None:
+        """Add to the record of the user's files and of commits; `FileError` if another file has the name of one."""
+        known = {file[:2]: file for file in self.user_files}
+        for file in user_files:
+            old = known.get(file[:2], file)
+            if old.fingerprint != file.fingerprint:
+                raise FileError(
+                    f"rows in {self.path} belong to another {file.kind} {file.name!r} (fingerprint "
+                    f"{io.short(old.fingerprint)}, that of {file.source} is {io.short(file.fingerprint)}); "
+                    "choose another --output, or another name for the file"
+                )
+            known[file[:2]] = file
+        self.user_files = tuple(known[key] for key in sorted(known))
+        self.commits = list(dict.fromkeys([*self.commits, *commits]))
+        values = {"user_files": self.user_files, "commits": self.commits}
+        with self._connected() as base:
+            base.executemany(
+                "UPDATE about SET value = ? WHERE name = ?",
+                [(json.dumps(value), name) for name, value in values.items()],
+            )
 
 
-def how_made(path: Path, kind: str) -> dict[str, Any]:
-    """The description in a table's JSON file; `FileError` if it is invalid."""
-    found = io.load_json(path, kind)
-    if (found.get("kind"), found.get("format")) != (kind, 1) or not all(
-        isinstance(found.get(name, {}), dict) for name in _DESCRIBED
-    ):
-        raise FileError(f"{path} is of another kind")
-    return found
+def _statements(kind: type[TableRow]) -> dict[str, str]:
+    """The statements that make the tables of a file, by their names, as SQLite keeps them."""
+    columns = []
+    for entry in fields(kind):
+        name, _, empty = str(entry.type).partition(" | ")
+        if name not in _TYPES or empty not in ("", "None"):
+            raise InputError(f"a column must be one of {', '.join(_TYPES)}, or None; {entry.name} is {entry.type}")
+        columns.append(f"{_quoted(entry.name)} {_TYPES[name]}{'' if empty else ' NOT NULL'}")
+    key = ", ".join(map(_quoted, kind._key))
+    return {
+        "about": "CREATE TABLE about (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID",
+        "rows": f"CREATE TABLE rows ({', '.join(columns)}, PRIMARY KEY ({key})) STRICT, WITHOUT ROWID",
+    }
 
 
-def differences(made: Mapping[str, Any], other: Mapping[str, Any], here: str = "now") -> list[str]:
-    """The settings in which two descriptions of tables differ; ``here`` labels the second."""
-    old, new = ({k: v for group in _DESCRIBED for k, v in one.get(group, {}).items()} for one in (made, other))
-    names = [name for name in {**new, **old} if old.get(name) != new.get(name)]
-    return [f"{name} {old.get(name)}, {here} {new.get(name)}" for name in names]
+def _quoted(name: str) -> str:
+    """A name that may be a word of SQL."""
+    return f'"{name}"'
 
 
-def _columns(kind: type[TableRow]) -> list[str]:
-    return [*(field.name for field in fields(kind)), _CHECKSUM]
+def _address(path: Path, mode: str) -> str:
+    return f"{path.resolve().as_uri()}?mode={mode}"
 
 
-def _with_checksum(row: TableRow) -> dict[str, str]:
-    texts = row.as_texts()
-    return {**texts, _CHECKSUM: checksum(texts)}
-
-
-def checksum(texts: Mapping[str, str]) -> str:
-    """CRC-32 of a row's cells, by which a changed row is known; rows are added and sorted one by one."""
-    # A damaged line may have more or fewer cells, which are a list or None here.
-    return f"{zlib.crc32(json.dumps(list(texts.items())).encode()):08x}"
-
-
-def read_rows(path: str | os.PathLike[str], kind: type[R]) -> dict[tuple[Any, ...], R]:
-    """Rows of a table, by their keys.
-
-    Raises:
-        FileError: the file is missing or not such a table.
-    """
+@contextlib.contextmanager
+def _connected(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
+    """A connection to a file, for one transaction; the default journal also works on disks that machines share."""
+    if mode == "rw" and not io.is_file(path):
+        raise FileError(f"no such file: {path}")
     try:
-        with Path(path).open(encoding="utf-8", newline="\n") as stream:
-            # A killed process may have left its last line unfinished.
-            reader = csv.DictReader((line for line in stream if line.endswith("\n")), strict=True)
-            if list(reader.fieldnames or ()) != _columns(kind):
-                raise ValueError("it has other columns")
-            found = {}
-            for texts in reader:
-                if texts.pop(_CHECKSUM) != checksum(texts):
-                    raise ValueError(f"line {reader.line_num} was changed after it was written")
-                row = kind.from_texts(texts)
-                found[row.key] = row
-            return found
-    except (OSError, ValueError, csv.Error) as error:
-        raise FileError(f"cannot continue {path}: {error}; remove it or choose another --output") from None
+        with contextlib.closing(sqlite3.connect(_address(path, mode), uri=True, timeout=_PATIENCE)) as base, base:
+            # Of a file that anyone may have made.
+            base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
+            base.execute("PRAGMA trusted_schema = OFF")
+            yield base
+    except sqlite3.DataError as error:
+        raise FileError(f"cannot read the table {path}: {error}; at most {_LONGEST} bytes of a value are") from None
+    except sqlite3.Error as error:
+        raise FileError(f"cannot use the table {path}: {error}") from None

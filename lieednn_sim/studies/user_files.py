@@ -8,14 +8,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
-from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.models import is_arm_file
 from lieednn_sim.arm.obstacles import check_home, describe, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
 
-FILE = "user_files.json"
 ARM, SCENE = "arm", "scene"
 
 
@@ -80,41 +78,6 @@ def resolve(
 
 def _or_describe(kind: str) -> str:
     return ", or describe the arm in a YAML file" if kind == ARM else ""
-
-
-def record_files(directory: str | os.PathLike[str], user_files: Iterable[UserFile]) -> None:
-    """Record the user's files beside the tables of a directory, with those of earlier runs.
-
-    Raises:
-        FileError: the directory's rows belong to another arm or scene of the same name.
-    """
-    folder = Path(directory)
-    known = {file[:2]: file for file in recorded_files(folder)}
-    for file in user_files:
-        old = known.get(file[:2], file)
-        if old.fingerprint != file.fingerprint:
-            raise FileError(
-                f"rows in {folder} belong to another {file.kind} {file.name!r} (fingerprint "
-                f"{io.short(old.fingerprint)}, that of {file.source} is {io.short(file.fingerprint)}); "
-                "choose another --output, or another name for the file"
-            )
-        known[file[:2]] = file
-    if known:
-        io.save_json(folder / FILE, {"user_files": [list(known[key]) for key in sorted(known)]})
-
-
-def recorded_files(directory: str | os.PathLike[str]) -> tuple[UserFile, ...]:
-    """The user's files recorded in a directory whose tables have rows; `FileError` when the record is malformed."""
-    path = Path(directory) / FILE
-    if not path.exists() or not any(Path(directory).glob("*.csv")):
-        return ()
-    try:
-        found = tuple(UserFile(*file) for file in io.load_json(path, "list of user files")["user_files"])
-        if not all(isinstance(value, str) for file in found for value in file):
-            raise TypeError("all values must be strings")
-    except (KeyError, TypeError) as error:
-        raise FileError(f"{path} is not a valid list of user files ({error}); choose another --output") from None
-    return found
 
 
 def load(name: str, scene: str, seed: int, user_files: Iterable[UserFile]) -> Arm:

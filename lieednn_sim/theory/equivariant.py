@@ -30,7 +30,6 @@ proves nothing here (there are networks that are stable with tanh on each axis a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar
@@ -42,16 +41,14 @@ from numpy.typing import ArrayLike
 from lieednn_sim import stability
 from lieednn_sim.lie import adjoint
 from lieednn_sim.network.checks import as_poses, as_rates, as_strengths, require_rotations
-from lieednn_sim.network.dynamics import Equilibrium, find_equilibrium
 from lieednn_sim.network.se3 import RigidNetwork
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen, set_fields
 
-# tanh(r)/r in powers of r^2. Below the angle [rad] the series is used: there the closed form of the derivative
+# The derivative of tanh(r)/r over r, in powers of r^2. Below the angle [rad] the series is used: there the closed form
 # cancels, and both are good to 3e-14.
 _SERIES_ANGLE = 0.1
-_SERIES = np.array([1.0, -1 / 3, 2 / 15, -17 / 315, 62 / 2835, -1382 / 155925, 21844 / 6081075])
-_SERIES_SLOPE = 2.0 * polynomial.polyder(_SERIES)
+_SERIES_SLOPE = 2.0 * polynomial.polyder([1.0, -1 / 3, 2 / 15, -17 / 315, 62 / 2835, -1382 / 155925, 21844 / 6081075])
 
 
 @frozen
@@ -126,45 +123,6 @@ class EquivariantLieEDNN(RigidNetwork):
         result[..., :3] += x[..., :, None] * gradient[..., None, :]
         return result
 
-    def equilibrium(self, start: ArrayLike | None = None, *, tolerance: float = 1e-12) -> Equilibrium:
-        """Find an equilibrium by the cascade: Newton's method for omega, then one linear system for v.
-
-        Args:
-            start: ``(N, 6)`` first guess, of which the rotational half is used; zero by default.
-            tolerance: on the largest entry of the vector field, as in `LieEDNN.equilibrium`.
-
-        Returns:
-            The point found and whether it converged; a certified network has exactly one equilibrium.
-        """
-        shape = self.bias.shape
-        guess = np.zeros(shape) if start is None else as_floats("start", start, shape)
-        limit = as_positive("tolerance", tolerance)
-        rotational = find_equilibrium(
-            self._rotational_field, self._rotational_jacobian, guess[:, :3], rate=self.gamma, tolerance=limit
-        )
-        omega = rotational.xi
-        gain = _gain(_length(omega))
-        matrix = self.gamma * np.eye(omega.size) - self.mu * self.rotational_weight * np.repeat(gain, 3)
-        drive = np.einsum("ijab,jb->ia", self.blocks[..., 3:, :3], gain[:, None] * omega) + self.bias[:, 3:]
-        success, message = rotational.success, rotational.message
-        try:
-            v = np.linalg.solve(matrix, self.mu * drive.ravel()).reshape(omega.shape)
-        except np.linalg.LinAlgError:
-            success, message, v = False, "no equilibrium found: v is not determined at this omega", guess[:, 3:]
-        xi = np.concatenate([omega, v], axis=1)
-        residual = float(np.abs(self.vector_field(xi)).max())
-        if success and residual > 100.0 * limit * self.gamma * (1.0 + np.abs(xi).max()):
-            success, message = False, "no equilibrium found: the linear system for v is too badly conditioned"
-        return Equilibrium(
-            success=success,
-            message=message,
-            xi=xi,
-            residual=residual,
-            # The Jacobian is block triangular: its eigenvalues are those of the two diagonal blocks.
-            spectral_abscissa=max(rotational.spectral_abscissa, float(np.linalg.eigvals(-matrix).real.max())),
-            n_newton=rotational.n_newton,
-        )
-
     def transform(self, rotation: ArrayLike, translation: ArrayLike) -> EquivariantLieEDNN:
         """The same network seen from other frames: theta_ij -> h_i theta_ij h_j^-1 and b_i -> Ad(h_i) b_i.
 
@@ -192,17 +150,6 @@ class EquivariantLieEDNN(RigidNetwork):
         product = np.einsum("ijab,...jbc->...iajc", driven, self.phi_jacobian(state))
         return product.reshape(*state.shape[:-2], 6 * self.n_driven, self.bias.size)
 
-    def _rotational_field(self, x: Floats) -> Floats:
-        omega = x.reshape(-1, 3)
-        output = _gain(_length(omega))[:, None] * omega
-        return -self.gamma * x + self.mu * (self.rotational_weight @ output.ravel() + self.bias[:, :3].ravel())
-
-    def _rotational_jacobian(self, x: Floats) -> Floats:
-        twists = np.concatenate([x.reshape(-1, 3), np.zeros((self.n_neurons, 3))], axis=1)
-        slopes = self.phi_jacobian(twists)[:, :3, :3]
-        product = np.einsum("ijab,jbc->iajc", self.blocks[..., :3, :3], slopes).reshape(x.size, x.size)
-        return -self.gamma * np.eye(x.size) + self.mu * product
-
 
 def _length(omega: Floats) -> Floats:
     """The norm r = ||omega||, ``(..., 3)`` to ``(...)``; hypot neither overflows nor underflows."""
@@ -210,19 +157,14 @@ def _length(omega: Floats) -> Floats:
 
 
 def _gain(r: Floats) -> Floats:
-    """Factor g = tanh(r)/r."""
-    return _even(r, lambda x: np.tanh(x) / x, _SERIES)
+    """Factor g = tanh(r)/r, 1 at r = 0."""
+    safe = np.maximum(r, np.finfo(float).tiny)
+    return np.asarray(np.tanh(safe) / safe)
 
 
 def _slope(r: Floats) -> Floats:
     """Factor s = g'(r)/r: the gradient of g in omega is s omega."""
-    return _even(r, lambda x: (1.0 / np.cosh(np.minimum(x, 350.0)) ** 2 - np.tanh(x) / x) / x / x, _SERIES_SLOPE)
-
-
-def _even(r: Floats, closed: Callable[[Floats], Floats], series: Floats) -> Floats:
-    """A function of r in closed form, near zero by its series in r^2."""
     small = r < _SERIES_ANGLE
-    value = np.asarray(closed(np.where(small, 1.0, r)))
-    if not small.any():
-        return value
-    return np.where(small, polynomial.polyval(np.where(small, r, 0.0) ** 2, series), value)
+    x = np.where(small, 1.0, r)
+    closed = (1.0 / np.cosh(np.minimum(x, 350.0)) ** 2 - np.tanh(x) / x) / x / x
+    return np.where(small, polynomial.polyval(np.where(small, r, 0.0) ** 2, _SERIES_SLOPE), closed)

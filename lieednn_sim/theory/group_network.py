@@ -67,45 +67,6 @@ class GroupLieEDNN(ComponentwiseNetwork):
             lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (n * d,)),
         )
 
-    @classmethod
-    def from_blocks(
-        cls,
-        group: MatrixLieGroup,
-        alpha: ArrayLike,
-        blocks: ArrayLike,
-        bias: ArrayLike,
-        *,
-        gamma: float = 1.0,
-        mu: float = 1.0,
-        activation: str = DEFAULT_ACTIVATION,
-    ) -> GroupLieEDNN:
-        """Project arbitrary weight blocks: theta_ij is the element whose adjoint matrix is nearest to W_ij / alpha_ij.
-
-        Where alpha_ij = 0 there is no such quotient; theta_ij is the identity there, and the block of the network 0.
-
-        Args:
-            group: the group of the network.
-            alpha: ``(N, N)`` connection strengths.
-            blocks: W_ij, ``(N, N, d, d)``.
-            bias: ``(N, d)``.
-            gamma, mu, activation: as in the class.
-
-        Raises:
-            InputError: wrong shapes, or an alpha_ij so small that W_ij / alpha_ij overflows.
-        """
-        strengths = as_strengths(alpha)
-        n, d = len(strengths), group.dimension
-        weights = as_floats("blocks", blocks, (n, n, d, d))
-        theta = np.zeros((n, n, group.size, group.size), dtype=group.basis.dtype) + np.eye(group.size)
-        linked = strengths != 0.0
-        with np.errstate(over="ignore"):
-            quotients = weights[linked] / strengths[linked][:, None, None]
-        if not np.isfinite(quotients).all():
-            raise InputError(f"alpha is too small for its blocks, down to {np.abs(strengths[linked]).min():g}; use 0")
-        if linked.any():
-            theta[linked] = group.project_to_adjoint(quotients)
-        return cls(group, strengths, theta, as_floats("bias", bias, (n, d)), gamma, mu, activation)
-
     @cached_property
     def blocks(self) -> Floats:
         """Weight blocks alpha_ij L[Ad(theta_ij)], ``(N, N, d, d)``."""
@@ -121,12 +82,9 @@ class GroupLieEDNN(ComponentwiseNetwork):
 
 def _as_elements(group: MatrixLieGroup, theta: ArrayLike, n: int) -> NDArray[Any]:
     theta = as_numbers("theta", theta, (n, n, group.size, group.size))
-    # Without a closed form `contains` misses elements that have no principal logarithm; `adjoint` refuses the worst.
-    if group.membership is None:
-        group.adjoint(theta)
-    elif not (inside := group.contains(theta)).all():
+    if not (inside := group.contains(theta)).all():
         raise InputError(
             f"theta must hold elements of {group.name}, {np.count_nonzero(~inside)} of {inside.size} are none; "
-            "GroupLieEDNN.from_blocks projects onto them"
+            "`project_to_adjoint` of the group finds the nearest"
         )
     return np.array(theta, dtype=group.basis.dtype)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm, logm
+from scipy.linalg import expm
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie.projection import descend
@@ -40,7 +40,7 @@ class MatrixLieGroup:
         name: name in messages.
         basis: ``(d, m, m)``, real or complex, linearly independent over the reals and closed under the commutator.
         projection: closed form of `project_to_adjoint`, ``(..., d, d)`` to ``(..., m, m)``; None to search.
-        membership: closed form of `contains`, ``(..., m, m)`` and a tolerance to booleans; None to use the logarithm.
+        membership: closed form of `contains`, ``(..., m, m)`` and a tolerance to booleans; None without one.
 
     Raises:
         InputError: the basis has another shape, is dependent, or spans no Lie algebra.
@@ -114,22 +114,6 @@ class MatrixLieGroup:
             warnings.simplefilter("ignore")
             return as_finite(f"the exponential in {self.name}", expm(self.hat(x)))
 
-    def log(self, g: ArrayLike) -> Floats:
-        """Coordinates ``(..., d)`` of the principal matrix logarithm: no eigenvalue's angle reaches pi.
-
-        Raises:
-            InputError: that logarithm is not in the algebra, as for matrices outside the group and for a few inside:
-                half turns of SO(n), -I in SU(2), the elements of SU(n) whose eigenvalue angles sum to 2 pi, not 0.
-        """
-        array = self._matrices("g", g)
-        coordinates, inside = self._try_log(array)
-        if not inside.all():
-            raise InputError(
-                f"g must have its principal logarithm in the Lie algebra of {self.name}; "
-                f"{np.count_nonzero(~inside)} of {inside.size} do not"
-            )
-        return coordinates
-
     def adjoint(self, g: ArrayLike) -> Floats:
         """Matrices L[Ad_g], ``(..., d, d)``, of g ``(..., m, m)``: column k holds the coordinates of g E_k g^-1.
 
@@ -140,10 +124,9 @@ class MatrixLieGroup:
         # Overflow is reported by `as_finite`, and below.
         with np.errstate(all="ignore"):
             try:
-                inverse = np.linalg.inv(array)
+                moved = self._conjugated(array)
             except np.linalg.LinAlgError:
                 raise InputError(f"g must be in {self.name}, got a singular matrix") from None
-            moved = array[..., None, :, :] @ self.basis @ inverse[..., None, :, :]
             columns = as_finite(f"the adjoint matrix in {self.name}", self._coordinates(moved))
             size, outside = np.linalg.norm(moved), self._outside(moved, columns)
         if not np.isfinite(size):
@@ -160,23 +143,16 @@ class MatrixLieGroup:
     def contains(self, g: ArrayLike, tolerance: float = 1e-9) -> Booleans:
         """Whether g ``(..., m, m)`` are in the group, up to about ``tolerance`` in each entry.
 
-        Without a closed form the principal logarithm decides, with its own tolerance of 1e-8; group elements for which
-        it leaves the algebra (see `log`) are then rejected.
+        Without a closed form only what is necessary is checked, up to 1e-8: that g E_k g^-1 is in the algebra.
         """
         array, tolerance = self._matrices("g", g), as_positive("tolerance", tolerance)
-        if self.membership is None:
-            return self._try_log(array)[1]
         # Overflow and division by zero compare as outside.
         with np.errstate(all="ignore"):
-            return self.membership(array, tolerance)
-
-    def in_kernel(self, g: ArrayLike, tolerance: float = 1e-9) -> Booleans:
-        """Whether Ad_g is the identity up to ``tolerance`` in each entry: g is then invisible to the network.
-
-        The kernel of a connected group is its centre (paper, App. E).
-        """
-        tolerance = as_positive("tolerance", tolerance)
-        return np.all(np.abs(self.adjoint(g) - np.eye(self.dimension)) <= tolerance, axis=(-2, -1))
+            if self.membership is not None:
+                return self.membership(array, tolerance)
+            regular = np.asarray(np.linalg.matrix_rank(array) == self.size)
+            moved = self._conjugated(np.where(regular[..., None, None], array, np.eye(self.size)))
+            return regular & (self._outside(moved, self._coordinates(moved)) <= 1.0).all(axis=-1)
 
     def random(self, rng: int | np.random.Generator, shape: tuple[int, ...] = (), scale: float = 1.0) -> Matrices:
         """Elements ``(*shape, m, m)``: exponentials of normal coordinates of standard deviation ``scale``."""
@@ -215,7 +191,7 @@ class MatrixLieGroup:
         generators = self.ad(np.eye(d))
 
         def evaluate(g: Matrices, index: NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
-            adjoint = self._adjoint_unchecked(g)
+            adjoint = np.swapaxes(self._coordinates(self._conjugated(g)), -1, -2)
             residual = adjoint - flat[index // count]
             # First order in x: Ad ad(e_i). Second order: Ad (ad(e_i) ad(e_j) + ad(e_j) ad(e_i)) / 2.
             first = (adjoint[:, None] @ generators).reshape(-1, d, d * d)
@@ -231,26 +207,9 @@ class MatrixLieGroup:
         nearest = points.reshape(len(flat), count, m, m)[np.arange(len(flat)), best]
         return nearest.reshape(*theta.shape[:-2], m, m)
 
-    def _adjoint_unchecked(self, g: Matrices) -> Floats:
-        moved = g[..., None, :, :] @ self.basis @ np.linalg.inv(g)[..., None, :, :]
-        return np.swapaxes(self._coordinates(moved), -1, -2)
-
-    def _try_log(self, g: Matrices) -> tuple[Floats, Booleans]:
-        """Least-squares coordinates of the principal logarithm, and whether they give g back."""
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            # Each result is checked below; logm only warns that some element is singular or inaccurate.
-            warnings.simplefilter("ignore")
-            matrix = _logarithms(g)
-        finite: Booleans = np.asarray(np.isfinite(matrix).all(axis=(-2, -1)))
-        matrix = np.where(finite[..., None, None], matrix, 0.0)
-        # A complex logarithm in a real algebra counts as outside by its imaginary part.
-        coordinates = self._coordinates(matrix if np.iscomplexobj(self.basis) else matrix.real)
-        inside = self._outside(matrix, coordinates) <= 1.0
-        safe = np.where(inside[..., None], coordinates, 0.0)
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            error = np.linalg.norm(expm(self.hat(safe)) - g, axis=(-2, -1))
-        return coordinates, finite & inside & (error < _TOLERANCE * np.linalg.norm(g, axis=(-2, -1)))
+    def _conjugated(self, g: Matrices) -> Matrices:
+        """The matrices g E_k g^-1, ``(..., d, m, m)``."""
+        return g[..., None, :, :] @ self.basis @ np.linalg.inv(g)[..., None, :, :]
 
     @cached_property
     def _pseudo_inverse(self) -> Floats:
@@ -274,18 +233,6 @@ class MatrixLieGroup:
         if np.iscomplexobj(self.basis):
             return as_numbers(name, value, (self.size, self.size), batched=True).astype(np.complex128)
         return as_floats(name, value, (self.size, self.size), batched=True)
-
-
-def _logarithms(g: Matrices) -> Matrices:
-    """Principal logarithms ``(..., m, m)``, NaN where SciPy gives up on one."""
-    try:
-        return np.asarray(logm(g))
-    except Exception:
-        # It raises no more specific exception, and for a whole batch when one element fails.
-        if g.ndim == 2:
-            return np.full_like(g, np.nan)
-        flat = [_logarithms(one) for one in g.reshape(-1, *g.shape[-2:])]
-        return np.stack(flat).reshape(g.shape)
 
 
 def as_numbers(name: str, value: ArrayLike, shape: tuple[int | str, ...], *, batched: bool = False) -> Matrices:

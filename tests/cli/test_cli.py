@@ -8,8 +8,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -21,7 +19,7 @@ from lieednn_sim.cli import doctor, main
 from lieednn_sim.learning import projected
 from lieednn_sim.planning import Motion
 
-FAST = ["--n-networks", "3", "--duration", "2"]
+FAST = ["--option", "n_networks=3", "--duration", "2"]
 MAIN = "import sys; from lieednn_sim.cli import main; sys.exit(main())"
 
 
@@ -29,7 +27,7 @@ MAIN = "import sys; from lieednn_sim.cli import main; sys.exit(main())"
 def run(tmp_path_factory):
     """A run directory up to the rollout."""
     directory = tmp_path_factory.mktemp("run")
-    assert main(["synthesize", "--target", "extended", "--output", str(directory), *FAST]) == 0
+    assert main(["plan", "--target", "extended", "--output", str(directory), *FAST]) == 0
     assert main(["simulate", str(directory), "--hold", "0.5"]) == 0
     return directory
 
@@ -89,7 +87,7 @@ def test_a_learned_network_goes_the_same_road(tmp_path, capsys):
     assert tip["final_mm"] < 0.1
     assert tip["final_deg"] < 0.01
     # The next network must not inherit the history of this one.
-    assert main(["synthesize", "--target", "extended", "--output", str(directory), *FAST]) == 0
+    assert main(["plan", "--target", "extended", "--output", str(directory), *FAST]) == 0
     assert {path.name for path in directory.iterdir()} == {"lieednn_sim.json", "task.json", "network.npz", "motion.npz"}
 
 
@@ -138,7 +136,7 @@ def test_a_training_that_is_ended_says_so_and_leaves_nothing_half_made(run, tmp_
     def ending(*_):
         raise error
 
-    monkeypatch.setattr(projected._ProjectedTraining, "_step", ending)
+    monkeypatch.setattr(projected.ProjectedTraining, "_step", ending)
     code, said = (130, "interrupted") if isinstance(error, KeyboardInterrupt) else (2, "No space left on device")
     directory = tmp_path / "run"
     shutil.copytree(run, directory)
@@ -148,24 +146,6 @@ def test_a_training_that_is_ended_says_so_and_leaves_nothing_half_made(run, tmp_
         assert said in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
     assert before == {path.name: path.read_bytes() for path in directory.iterdir()}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--algorithm", "adam"], "no algorithm 'adam'; allowed: literal, repaired, riemannian"),
-        (["--bias", "solved"], "the solved bias needs no learning"),
-        (["--bias", "loud"], "no bias rule 'loud'"),
-        (["--period", "0"], "period must be at least 1"),
-        (["--algorithm", "riemannian", "--period", "8"], "--period and --epochs are for the algorithms of the paper"),
-        (["--candidates", "0"], "candidates must be at least 1"),
-        (["--tolerance", "-1"], "tolerance must be positive"),
-    ],
-)
-def test_train_names_what_is_wrong_and_makes_nothing(tmp_path, capsys, arguments, message):
-    directory = tmp_path / "run"
-    assert message in fails(capsys, "train", "--target", "extended", "--output", directory, *arguments)
-    assert not directory.exists()
 
 
 @pytest.mark.usefixtures("no_plots")
@@ -188,7 +168,7 @@ def test_results_of_another_target_are_not_mixed(run, tmp_path, capsys):
     task["target"][0] = 99.0
     (directory / "task.json").write_text(json.dumps(task))
     assert "does not fit arm 'telescopic_pr': target is out of reach" in fails(capsys, "simulate", directory)
-    assert main(["synthesize", "--target", "retracted", "--output", str(directory), "--duration", "4"]) == 0
+    assert main(["plan", "--target", "retracted", "--output", str(directory), "--duration", "4"]) == 0
     assert {path.name for path in directory.iterdir()} == {"lieednn_sim.json", "task.json", "network.npz", "motion.npz"}
 
 
@@ -201,9 +181,9 @@ def test_render(run, tmp_path):
 
 def test_a_target_can_be_numbers_or_a_position(tmp_path):
     q = "-0.2,0.1,0.4,0.1,-0.3,0.1,-0.2,0.1"
-    assert main(["synthesize", "--target", q, "--output", str(tmp_path / "a"), *FAST]) == 0
+    assert main(["plan", "--target", q, "--output", str(tmp_path / "a"), *FAST]) == 0
     assert json.loads((tmp_path / "a" / "task.json").read_text())["target"][4] == -0.3
-    assert main(["synthesize", "--position", "-.9,1.2,1.2", "--output", str(tmp_path / "b"), *FAST[:2]]) == 0
+    assert main(["plan", "--position", "-.9,1.2,1.2", "--output", str(tmp_path / "b"), *FAST[:2]]) == 0
     arm = Arm.load("telescopic_pr")
     goal = arm.link_poses(arm.keyframe("extended"))[-1]
     text = ",".join(map(repr, map(float, [*goal.translation, *goal.rotation.as_rotvec()])))
@@ -245,53 +225,6 @@ def test_of_several_poses_the_nearest_is_taken_and_a_line_or_an_orientation_is_k
     assert "the planner 'dmp' cannot keep a region on the way; planners that can: lieednn-shaped" in words
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--target", "extended", "--arm", "crane"], "no arm 'crane'; allowed: telescopic_compound, telescopic_pr"),
-        (["--target", "nowhere"], "no keyframe 'nowhere'"),
-        (["--target", "1,2,3"], "target must be 8 comma-separated numbers, got 3"),
-        (["--target", "0,0,0,x,0,0,0,0"], "target must be 8 comma-separated numbers"),
-        (["--target", "0,nan,0,0,0,0,0,0"], "target must be 8 comma-separated numbers, got '0,nan"),
-        (["--target", "0,0.1,0,9,0,0,0,0"], "joint 'extend1' would be at 9 m"),
-        (["--position", "9,9,9"], "cannot reach"),
-        (["--pose", "0,0,1"], "pose must be 6 comma-separated numbers, got 3"),
-        (["--target", "extended", "--start", "0,0,0,0,0,0,0,99"], "start is out of reach"),
-        (["--target", "extended", "--duration", "1e9"], "duration must be between"),
-        (["--target", "extended", "--duration", "0.1"], "a duration of at least"),
-        (["--target", "extended", "--bias", "odd"], "no bias rule 'odd'; allowed"),
-        (["--target", "extended", "--n-networks", "0"], "n_networks must be at least 1"),
-        (["--target", "extended", "--seed", "-1"], "seed"),
-    ],
-)
-def test_bad_input_gives_one_line_and_no_network(arguments, words, tmp_path, capsys, monkeypatch):
-    # No further start helps where nothing reaches.
-    monkeypatch.setattr(importlib.import_module("lieednn_sim.arm.inverse_kinematics"), "_ATTEMPTS", 2)
-    output = tmp_path / "run"
-    assert words in fails(capsys, "synthesize", *arguments, "--output", output)
-    assert not output.exists() or list(output.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--duration", "1000"], "duration must be between 2 and 100000 time steps of 0.002 s, got 1000 s"),
-        (["--position", "1e308,0,0"], "position must not exceed 1e+100 in size, got 1e+308"),
-        (["--hold", "-1"], "hold must be between 0 and 1000 s, got -1"),
-    ],
-)
-def test_a_demo_that_cannot_be_is_refused_before_the_work(arguments, words, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("lieednn_sim.cli.planning.plan", lambda *_, **__: pytest.fail("it was planned"))
-    assert words in fails(capsys, "demo", *arguments, "--output", tmp_path / "results" / "demo")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_training_for_too_long_a_motion_is_refused_before_the_work(tmp_path, capsys):
-    words = ["train", "--target", "extended", "--duration", "1000", "--output", tmp_path / "run"]
-    assert "duration must be between" in fails(capsys, *words)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_broken_run_directories(run, tmp_path, capsys):
     assert "holds no run" in fails(capsys, "simulate", tmp_path / "missing")
     for name, damage in (("motion.npz", b"junk"), ("task.json", b"{"), ("motion.npz", None)):
@@ -314,27 +247,19 @@ def test_broken_run_directories(run, tmp_path, capsys):
     assert "rollout.npz" in fails(capsys, "render", only_task)
 
 
-def test_output_that_cannot_be_written(tmp_path, capsys):
-    (tmp_path / "file").write_text("in the way")
-    assert "cannot create directory" in fails(
-        capsys, "synthesize", "--target", "extended", "--output", tmp_path / "file" / "run", *FAST
-    )
-
-
-@pytest.mark.parametrize(("argument", "unbuffered"), [("arms", ""), ("--version", "1")])
-def test_a_full_output_gives_one_line(start, argument, unbuffered):
+def test_a_full_output_gives_one_line(start):
     with Path("/dev/full").open("w") as full:
-        process = start("-c", MAIN, argument, stdout=full, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
+        process = start("-c", MAIN, "--version", stdout=full)
         message = process.communicate()[1]
     assert message == "lieednn-sim: error: cannot write to the standard output: No space left on device\n"
     assert process.returncode == 2
 
 
-@pytest.mark.parametrize(("argument", "unbuffered"), [("arms", ""), ("--version", "1")])
-def test_an_output_that_nobody_reads_ends_the_command_in_silence(start, argument, unbuffered):
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_an_output_that_nobody_reads_ends_the_command_in_silence(start, unbuffered):
     reader, writer = os.pipe()
     os.close(reader)
-    process = start("-c", MAIN, argument, stdout=writer, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
+    process = start("-c", MAIN, "--version", stdout=writer, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
     os.close(writer)
     assert (process.stderr.read(), process.wait()) == ("", 141)
 
@@ -361,15 +286,6 @@ def test_a_path_that_the_output_cannot_spell_and_a_backend_for_windows_that_does
     assert f"wrote {tmp_path}/d\\xe9mo/metrics.json" in printed
 
 
-def test_bad_video_options_are_refused_before_the_work(tmp_path, capsys):
-    output = tmp_path / "demo"
-    assert "size must look like 1280x720" in fails(capsys, "demo", "--size", "huge", "--output", output)
-    assert "no preset 'best'" in fails(capsys, "demo", "--preset", "best", "--output", output)
-    assert "fps must be positive" in fails(capsys, "demo", "--fps", "0", "--output", output)
-    assert "no camera 'moon'" in fails(capsys, "demo", "--camera", "moon", "--output", output)
-    assert not output.exists()
-
-
 def test_without_opengl_the_demo_goes_on_without_video(tmp_path, start):
     code = (
         "import pathlib, sys\n"
@@ -386,7 +302,8 @@ def test_without_opengl_the_demo_goes_on_without_video(tmp_path, start):
     process = start("-c", code, str(tmp_path), *FAST, env=environment)
     printed, message = process.communicate()
     assert "no video: cannot render" in printed
-    assert re.search(r"^no page: viser is not installed .*: pip install 'lieednn_sim\[view\]'$", printed, re.MULTILINE)
+    missing = r"^no page: (mj)?viser is not installed .*: pip install 'lieednn_sim\[view\]'$"
+    assert re.search(missing, printed, re.MULTILINE)
     assert not (tmp_path / "motion.html").exists()
     assert printed.splitlines()[-1] == "0", "the demo went well"
     assert (tmp_path / "metrics.json").exists()
@@ -405,26 +322,15 @@ def test_interrupting_leaves_complete_files_only(tmp_path, start):
         "planning.progress = announcing\n"
         "sys.exit(main())"
     )
-    process = start("-c", code, "demo", "--no-video", "--n-networks", "999999", "--output", str(tmp_path / "demo"))
-    assert any(line == "synthesize 1 999999\n" for line in process.stdout), process.stderr.read()
+    process = start(
+        "-c", code, "demo", "--no-video", "--option", "n_networks=999999", "--output", str(tmp_path / "demo")
+    )
+    assert any(line == "plan 1 999999\n" for line in process.stdout), process.stderr.read()
     process.send_signal(signal.SIGTERM)
     _, message = process.communicate()
     assert process.returncode == 143
     assert message == "lieednn-sim: interrupted; files already reported are complete\n"
     assert not (tmp_path / "demo").exists()
-
-
-def test_help_imports_nothing_heavy():
-    code = (
-        "import sys; sys.argv = ['lieednn-sim', '--help']\n"
-        "from lieednn_sim.cli import main\n"
-        "try: main()\n"
-        "except SystemExit: pass\n"
-        "assert not {'numpy', 'mujoco', 'scipy', 'rich'} & set(sys.modules), 'heavy import'"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "synthesize" in done.stdout
 
 
 def test_doctor_reports_in_words_and_json(capsys, monkeypatch):

@@ -6,7 +6,6 @@ import json
 import re
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -26,14 +25,6 @@ MOTION = SimpleNamespace(
 )
 
 
-class Assessment(NamedTuple):
-    xi: str
-    warning: str | None
-
-    def __str__(self):
-        return self.xi
-
-
 class Network:
     """What commands ask of a network, at the equilibrium of the target alone."""
 
@@ -41,14 +32,11 @@ class Network:
     bias = np.array([[0.1, -0.7], [0.2, 0.3]])
     translation = np.array([[[3.0, 4.0, 0.0], [0.0, -1.0, 1.0]]])
 
-    def __init__(self, warning=None):
-        self.warning = warning
-
     def goal(self, xi):
         return f"goal of {xi}"
 
     def assess(self, xi):
-        return Assessment(xi, self.warning if xi.startswith("goal of ") else None)
+        return xi
 
     def robustness(self):
         return "a push of size 1"
@@ -69,38 +57,32 @@ def printed(capsys):
     return lines
 
 
-def test_synthesize_prints_its_choice(printed):
-    made = SimpleNamespace(network=Network("near the edge"), target="q", details=CertifiedDetails(7, 3), motion=MOTION)
-    planning._print_choice(SimpleNamespace(encode=lambda q: f"poses of {q}"), made, "random")
-    found = dict(line for line in printed() if len(line) == 2)
-    assert found == {
-        "quantity": "value",
-        "certificate": "globally stable",
-        "robustness": "a push of size 1",
-        "bias": "random, largest entry 0.7",
-        "networks": "7 networks drawn, 3 keep the joint limits",
-        "duration": "4.25 s",
-        "mechanism gap": "12.5 mm and 3.5 degrees at most, 0 at the target",
-        "1-norm of W": "3.46 (no network with this equilibrium below 2.35)",
-        "warning": "near the edge",
-    }
+HOW = {
+    "networks": (CertifiedDetails(7, 3), {"networks": "7 networks drawn, 3 keep the joint limits"}),
+    "teacher": (ShapedDetails(0.0135, 0.25), {"teacher": "rrt-connect", "off its path": "14 mm at the end effector"}),
+    "nothing": (None, {}),
+}
 
 
-def test_synthesize_prints_what_another_planner_made(printed):
+@pytest.mark.parametrize("how", HOW)
+def test_plan_prints_what_was_found_and_what_is_proved(printed, how):
+    details, told = HOW[how]
+    network = None if how == "nothing" else Network()
     teacher = SimpleNamespace(planner="rrt-connect")
-    how = {"teacher": teacher, "details": ShapedDetails(0.0135, 0.25)}
-    made = SimpleNamespace(planner="shaped", network=Network(), motion=MOTION, **how)
-    planning.print_outcome(made)
+    result = SimpleNamespace(planner="some", network=network, motion=MOTION, details=details, teacher=teacher)
+    planning.print_outcome(result)
     lines = printed()
+    proof = {"largest bias": "0.7", "1-norm of W": "3.46 (no network with this equilibrium below 2.35)"}
     assert dict(line for line in lines if len(line) == 2) == {
         "quantity": "value",
-        "planner": "shaped",
+        "planner": "some",
         "duration": "4.25 s",
         "mechanism gap": "12.5 mm and 3.5 degrees at most, 0 at the target",
-        "teacher": "rrt-connect",
-        "off its path": "14 mm at the end effector",
+        **told,
+        **({"proof": "none, as this planner makes no network"} if network is None else proof),
     }
-    assert lines[-2:] == [["stability: goal of the target's poses"], ["a push of size 1"]]
+    if network is not None:
+        assert lines[-2:] == [["stability: goal of the target's poses"], ["a push of size 1"]]
 
 
 @pytest.mark.parametrize(("epochs", "each"), [(600, 2500), (0, 1_500_000)])

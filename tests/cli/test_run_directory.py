@@ -253,9 +253,9 @@ def command_line(task, metrics):
     words = ["plan", "--arm", task["arm"], "--scene", task["scene"], "--scene-seed", str(task["scene_seed"])]
     words += [f"--start={numbers['start']}", f"--target={numbers['target']}", "--duration", repr(task["duration"])]
     words += ["--planner", task["planner"], "--seed", str(task["seed"])]
-    for name, value in task["options"].items():
-        if value is not None:
-            words += [f"--{name.replace('_', '-')}", str(value)]
+    words += ["--time-budget", str(task["options"]["time_budget"])]
+    for name, value in task["options"]["option"].items():
+        words += ["--option", f"{name}={','.join(map(str, value)) if isinstance(value, list) else value}"]
     told = metrics["disturbances"]
     again = ["--controller", metrics["controller"], "--hold", repr(metrics["hold"])]
     if metrics["reference_rate"] is not None:
@@ -271,8 +271,19 @@ def command_line(task, metrics):
 
 def test_a_run_can_be_made_again_from_task_and_metrics(tmp_path, capsys):
     first, second = tmp_path / "first", tmp_path / "second"
-    road = ["--target", "random:3", "--duration", "3", "--n-networks", "2", "--bias-magnitude", "0.5", "--seed", "5"]
-    assert main(["synthesize", *road, "--output", str(first)]) == 0
+    road = [
+        "--target",
+        "random:3",
+        "--duration",
+        "3",
+        "--option",
+        "n_networks=2",
+        "--option",
+        "bias_magnitudes=0.5",
+        "--seed",
+        "5",
+    ]
+    assert main(["plan", *road, "--output", str(first)]) == 0
     conditions = ["--controller", "computed-torque", "--payload", "0.3", "--mass-scale", "1.05", "--hold", "0.2"]
     conditions += ["--push", "end effector,0,-3,5.5,0.4,0.1", "--reference-rate", "250", "--position-noise", "1e-5"]
     conditions += ["--velocity-noise", "1e-4", "--noise-seed", "4"]
@@ -338,7 +349,7 @@ def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, mad
     again = ["--target", "extended", "--output", run.path]
     busy = f"another lieednn-sim is at work in {run.path}"
     with run.at_work():
-        for words in (["simulate", run.path], ["evaluate", run.path], ["synthesize", *again], ["train", *again]):
+        for words in (["simulate", run.path], ["evaluate", run.path], ["plan", *again], ["train", *again]):
             assert busy in fails(capsys, *words)
     # A video takes minutes; the plots may be made meanwhile, another rollout may not.
     with run.at_work(shared=True), run.at_work(shared=True):

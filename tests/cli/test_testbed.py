@@ -55,25 +55,9 @@ def error(capsys, *arguments):
 @pytest.mark.usefixtures("no_ink")
 def test_an_arm_of_ones_own_goes_the_whole_road_from_another_directory(own, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    arguments = [
-        "demo",
-        "--no-page",
-        "--no-video",
-        "--arm",
-        "own.xml",
-        "--links",
-        "two,tool",
-        "--base",
-        "world",
-        "--servos",
-        "design",
-        "--keyframe",
-        "bent",
-        "--home",
-        "c=0.5",
-    ]
-    arguments += ["--output", "run"]
-    assert main([*arguments, "--n-networks", "4", "--controller", "inverse-dynamics"]) == 0
+    words = "demo --no-page --no-video --arm own.xml --links two,tool --base world --servos design --keyframe bent"
+    arguments = [*words.split(), "--home", "c=0.5", "--output", "run"]
+    assert main([*arguments, "--option", "n_networks=4", "--controller", "inverse-dynamics"]) == 0
     printed = capsys.readouterr().out
     assert "target: random:0" in printed
     assert re.search(r"link 2 +tool, moved by c", printed)
@@ -101,8 +85,6 @@ def test_arms_are_listed_and_described(own, capsys):
     printed = capsys.readouterr().out
     assert re.search(r"link 1 +two, moved by \[b\]", printed)
     assert re.search(r"c +rad +-1.571 +1.571 +- +- +-", printed)
-    assert "--links, --home: for model files only" in error(capsys, "arms", "--links", "a", "--home", "c=1")
-    assert "home must look like JOINT=0.3" in error(capsys, "arms", str(own), "--home", "c")
     assert "no keyframe 'stow'; keyframes of the model: 'bent'" in error(capsys, "arms", str(own), "--keyframe", "stow")
     # The arm is straight at its reference, where nothing is further out.
     assert farthest(Arm.load(str(own), links=("two", "tool"), base="one")) == pytest.approx(0.9, abs=1e-6)
@@ -110,7 +92,7 @@ def test_arms_are_listed_and_described(own, capsys):
 
 def test_a_planners_motion_is_simulated_and_never_a_stale_one(tmp_path, capsys):
     directory = tmp_path / "run"
-    base = ["synthesize", "--target", "random:3", "--output", str(directory)]
+    base = ["plan", "--target", "random:3", "--output", str(directory)]
     assert main([*base, "--planner", "linear-attractor"]) == 0
     planned, task = Motion.load(directory / "motion.npz"), Task.load(directory / "task.json")
     assert task.planner == "linear-attractor"
@@ -122,7 +104,7 @@ def test_a_planners_motion_is_simulated_and_never_a_stale_one(tmp_path, capsys):
     )
     assert "motion.npz and" in error(capsys, "simulate", directory)
     # Another network: the motion of the old one is gone, and is refused if it comes back.
-    assert main([*base, "--n-networks", "3"]) == 0
+    assert main([*base, "--option", "n_networks=3"]) == 0
     own = Motion.load(directory / "motion.npz")
     planned.save(directory / "motion.npz")
     assert "motion.npz and" in error(capsys, "simulate", directory)
@@ -137,19 +119,8 @@ def test_a_planners_motion_is_simulated_and_never_a_stale_one(tmp_path, capsys):
 @pytest.mark.usefixtures("no_ink")
 def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
     directory = tmp_path / "run"
-    road = [
-        "demo",
-        "--no-page",
-        "--no-video",
-        "--output",
-        str(directory),
-        "--n-networks",
-        "3",
-        "--duration",
-        "3",
-        "--payload",
-        "0.5",
-    ]
+    words = "demo --no-page --no-video --option n_networks=3 --duration 3 --payload 0.5"
+    road = [*words.split(), "--output", str(directory)]
     road += ["--push", "end effector,0,-30,5.5,3.1,2", "--push", "forearm,1e-9,0,0,0.5,0.1", "--mass-scale", "1.1"]
     road += ["--reference-rate", "100", "--position-noise", "1e-6", "--velocity-noise", "1e-5", "--noise-seed", "4"]
     arm = Arm.load("telescopic_pr")
@@ -171,10 +142,8 @@ def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
 @pytest.mark.usefixtures("no_plots")
 def test_among_obstacles_the_filter_plans_and_the_clearance_is_measured(tmp_path, capsys):
     directory = tmp_path / "run"
-    assert (
-        main(["demo", "--no-page", "--no-video", "--scene", "window", "--scene-seed", "2", "--output", str(directory)])
-        == 0
-    )
+    words = "demo --no-page --no-video --scene window --scene-seed 2 --output"
+    assert main([*words.split(), str(directory)]) == 0
     task = Task.load(directory / "task.json")
     assert (task.scene, task.scene_seed, task.planner) == ("window", 2, OBSTACLE_PLANNER)
     clearance = re.search(r"least clearance ([\d.-]+) mm", capsys.readouterr().out)
@@ -198,54 +167,18 @@ def test_obstacles_of_a_file_go_the_whole_road_from_another_directory(own, tmp_p
     assert "in scene" in error(capsys, "simulate", tmp_path / "run")
 
 
-@pytest.mark.parametrize("planner", ["minimum-jerk", "own"])
-def test_a_planner_without_a_network_synthesizes_nothing(planner, tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(PLANNERS.entries, "own", PlannerEntry(PLANNERS["minimum-jerk"].load()))
-    arguments = ["synthesize", "--target", "extended", "--planner", planner, "--output", tmp_path / "run"]
-    said = error(capsys, *arguments)
-    assert f"the planner {planner} makes no network; use: lieednn-sim plan --planner {planner}" in said
-    assert not (tmp_path / "run").exists()
-
-
 def test_where_the_filter_blocks_nothing_is_left_and_the_line_says_by_what(tmp_path, capsys, monkeypatch):
     def blocked(problem):
         raise PlanError("blocked by the clearance of 'hand' from 'wall'")
 
     monkeypatch.setitem(PLANNERS.entries, OBSTACLE_PLANNER, PlannerEntry(blocked))
-    arguments = ["synthesize", "--scene", "window", "--target", "random:0", "--output", tmp_path / "run"]
+    arguments = ["plan", "--scene", "window", "--target", "random:0", "--output", tmp_path / "run"]
     assert "error: blocked by the clearance of 'hand' from 'wall'" in error(capsys, *arguments)
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--push", "link 1,1,2,3"], "a push must look like BODY,FX,FY,FZ,START,DURATION"),
-        (["--push", "moon,1,2,3,1,1"], "no body 'moon' to push; links are: link 1"),
-        (["--push", "link 1,1,2,3,1,0"], "duration must be positive"),
-        (["--payload", "-1"], "payload must not be negative"),
-        (["--reference-rate", "7"], "reference_rate must divide the simulation's 500 Hz"),
-        (["--controller", "magic"], "no controller 'magic'; allowed: computed-torque"),
-        (["--noise-seed", "-1"], "seed must be a whole number >= 0"),
-        (["--planner", "magic"], "no planner 'magic'; allowed: "),
-        (
-            ["--planner", "linear-attractor", "--bias-magnitude", "1"],
-            "--bias-magnitude applies to --planner lieednn-certified alone",
-        ),
-        (["--scene", "cave"], "no scene 'cave'; allowed: free, poles"),
-        (["--scene-seed", "-1", "--scene", "poles"], "seed"),
-        (["--links", "a,b"], "takes no import options, got"),
-        (["--arm", "nowhere.xml"], "no such file: nowhere.xml"),
-        (["--target", "random:x"], "a random target must look like random:7"),
-    ],
-)
-def test_bad_options_stop_the_demo_before_the_work(arguments, message, tmp_path, capsys):
-    assert message in error(capsys, "demo", "--output", tmp_path / "run", *arguments)
-    assert not (tmp_path / "run").exists()
-
-
 def test_a_push_after_the_end_is_no_push(tmp_path, capsys):
-    arguments = ["--output", tmp_path / "run", "--n-networks", "3", "--push", "link 1,1,2,3,9,1"]
+    arguments = ["--output", tmp_path / "run", "--option", "n_networks=3", "--push", "link 1,1,2,3,9,1"]
     assert "at 9 s would begin when the run is over, at 5 s" in error(
         capsys, "demo", "--no-page", "--no-video", *arguments
     )

@@ -53,7 +53,7 @@ def test_expert_reaches_targets_with_every_arm_and_random_actions_do_not(arm, mo
     monkeypatch.setattr(trajectories, "_PLANNING_DURATION", 6.0)
     task = make_task("reach", arm, time_limit=3.5)
     rng = np.random.default_rng(1)
-    expert = Expert(task, n_networks=2)
+    expert = Expert(task)
     rewards = {"expert": 0.0, "random": 0.0}
     for policy in rewards:
         task.begin(np.random.default_rng(0))

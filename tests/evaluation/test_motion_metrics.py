@@ -7,8 +7,7 @@ import pytest
 from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.evaluation.evaluation import Evaluation, JointUse
-from lieednn_sim.evaluation.frame_errors import FrameErrors
+from lieednn_sim.evaluation.evaluation import Evaluation, FrameErrors, JointUse
 from lieednn_sim.evaluation.motion_metrics import (
     least_clearance,
     motion_metrics,

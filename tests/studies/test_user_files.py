@@ -12,11 +12,10 @@ from lieednn_sim.arm import Arm, targets
 from lieednn_sim.cli import main
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import load_description
-from lieednn_sim.studies import Case, Comparison, Row, Settings, compute, read_rows, replay
-from lieednn_sim.studies.comparison.merging import merge
-from lieednn_sim.studies.comparison.study import Shard
+from lieednn_sim.studies import Case, Comparison, Settings, compute, replay
+from lieednn_sim.studies.comparison.study import Shard, merge
 from lieednn_sim.studies.statistics import grouped
-from lieednn_sim.studies.user_files import SCENE, describe_files, load, recorded_files, resolve
+from lieednn_sim.studies.user_files import SCENE, describe_files, load, resolve
 
 POST = {"shape": "box", "name": "post", "size": [0.1, 0.1, 2.0], "position": [0.0, 0.0, 1.2]}
 QUICK = Settings(duration=1.5, hold=0.2)
@@ -39,21 +38,20 @@ def chosen(*arms, scenes=("free",)):
 def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, capsys, undrawn):
     # The arm's home is at the height of its base, where targets in the scene are hard to find above a floor.
     (folder / "post.json").write_text(json.dumps({"floor": "none", "obstacles": [POST]}))
-    words = "compare --arms two.xml:one,tool two.xml --scenes free post.json --output out"
+    words = "compare --arms two.xml,two.xml:one,tool --scenes free,post.json --output out"
     assert main([*words.split(), *WORDS.split()]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert f"arm {LINKED}: 2 links, 2 joints, from {folder}/two.xml:one,tool" in printed
     assert f"{LINKED}: imported from two.xml" in printed
     assert f"scene post: 1 box; targets anywhere, from {folder}/post.json" in printed
-    rows = read_rows("out/comparison.csv", Row).values()
-    reasons = {group.key: group.rows[0].reason for group in grouped(rows, ("arm", "scene"))}
+    table = Comparison.read("out")
+    reasons = {group.key: group.rows[0].reason for group in grouped(table.sorted_rows(), ("arm", "scene"))}
     assert reasons == {(arm, scene): "" for arm in (PLAIN, LINKED) for scene in ("free", "post")}
     assert (folder / "out" / "comparison.html").read_text().count(f'data-arm="{LINKED}" data-scene="post"') == 1
     assert f"| {LINKED} | post | minimum-jerk | 1 of 1 |" in (folder / "out" / "comparison.md").read_text()
     # A case is made again from what the directory says.
-    rollout = replay(
-        Case.parse(f"minimum-jerk:{LINKED}:post:0"), "position-servo", QUICK, user_files=recorded_files("out")
-    )
+    case = Case.parse(f"minimum-jerk:{LINKED}:post:0")
+    rollout = replay(case, "position-servo", QUICK, user_files=table.user_files)
     assert (rollout.arm.name, rollout.arm.scene) == (LINKED, "post")
     assert rollout.arm.fingerprint == Arm.load("two.xml:one,tool", scene="post.json").fingerprint
 
@@ -91,7 +89,7 @@ def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_
         assert {key: table.rows[key] for key in before} == before
         assert len(table.rows) == 4
         (folder / "post.json").write_text(json.dumps({"obstacles": [{**POST, "position": [0.0, 0.1, 1.2]}]}))
-        with pytest.raises(FileError, match=r"rows in out belong to another scene 'post' \(.* choose another"):
+        with pytest.raises(FileError, match=r"rows in out.* belong to another scene 'post' \(.* choose another"):
             compute(replace(chosen("moved/two.xml", scenes=("post.json",)), common=QUICK), "out")
         (folder / "two.xml").write_text(two_hinges.replace('pos="0.3 0 0"', 'pos="0.31 0 0"'))
         with pytest.raises(FileError, match=r"belong to another arm 'two' .* that of .*two.xml is"):
@@ -105,7 +103,11 @@ def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_
         (folder / "post.json").write_text(json.dumps({"obstacles": [POST]}))
         (row,) = compute(replace(late, common=QUICK), "later").rows.values()
         assert "post.json has changed since the comparison began" in row.reason
-    assert [file[:2] for file in recorded_files("out")] == [("arm", "two"), ("arm", "two(tool)"), ("scene", "post")]
+    assert [file[:2] for file in Comparison.read("out").user_files] == [
+        ("arm", "two"),
+        ("arm", "two(tool)"),
+        ("scene", "post"),
+    ]
 
 
 def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(folder, in_this_process, two_hinges):
@@ -123,9 +125,9 @@ def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(f
                 f"{place}/out",
             )
     merged = merge("merged", ["here/out", "there/out"])
-    assert (len(merged.table.rows), merged.missing) == (2, {})
-    assert [file.name for file in recorded_files("merged")] == ["two"]
-    with pytest.raises(FileError, match="other/out belongs to another comparison: user_files"):
+    assert len(merged.rows) == 2
+    assert [file.name for file in merged.user_files] == ["two"]
+    with pytest.raises(FileError, match=r"mixed.* belong to another arm 'two' .* that of .*other/two.xml is"):
         merge("mixed", ["here/out", "other/out"])
 
 
@@ -149,19 +151,3 @@ def test_files_that_cannot_enter_are_refused_before_the_work(folder, arms, scene
         (folder / name).write_text('{"model": "two.xml"}')
     with pytest.raises(error, match=message):
         chosen(*arms, scenes=scenes)
-
-
-def test_lists_of_files_that_cannot_be_read_are_refused(folder):
-    (folder / "comparison.csv").write_text("")
-    for content in (
-        "{}",
-        '{"user_files": [["arm", "two"]]}',
-        '{"user_files": [["arm", "two", "two.xml", 3]]}',
-        '{"user_files": 3}',
-    ):
-        (folder / "user_files.json").write_text(content)
-        with pytest.raises(FileError, match="is not a valid list of user files"):
-            recorded_files(folder)
-    # Without rows there is nothing to mix.
-    (folder / "comparison.csv").unlink()
-    assert recorded_files(folder) == ()

@@ -11,6 +11,7 @@ from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.stability import verify
 from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.synthesis.shaping import encoder as module
+from lieednn_sim.synthesis.shaping.pairs import switches
 
 EXACT = {"rtol": 1e-9, "atol": 1e-11}
 
@@ -53,7 +54,7 @@ def test_the_true_network_follows_the_curve_and_its_closed_form(encoder):
 def test_codes_are_the_least_squares_solution(encoder):
     """The bumps by integrating single pairs, the code by a solver of its own."""
     g, network = module._basis(encoder.network.activation).fitted, encoder.network
-    a, c = module._places()
+    a, c = switches(module.CODE_PAIRS)
     slope = ACTIVATIONS[network.activation].slope
     # x' = u - x with u = 2 D g phi'(a + c g), for each pair.
     flow = solve_ivp(

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim import stability
 from lieednn_sim.errors import FileError, InputError, NotCertifiedError
 from lieednn_sim.lie import adjoint, hat
-from lieednn_sim.network import BlockNetwork, LieEDNN
+from lieednn_sim.network import LieEDNN
 from lieednn_sim.theory import EquivariantLieEDNN
 from lieednn_sim.theory.groups import group
 
@@ -80,33 +80,6 @@ def test_jacobian_against_finite_differences_also_at_rest(seed, angle):
     np.testing.assert_allclose(network.jacobian(xi), numeric, atol=3e-8 * (1.0 + np.abs(numeric).max()))
     flat = network.flat_vector_field(xi[0].ravel())
     np.testing.assert_allclose(flat, network.vector_field(xi[0]).ravel(), atol=1e-12)
-
-
-@settings(max_examples=25)
-@given(seeds, st.sampled_from([(1.0, 1.0), (2.0, 0.5), (0.3, 4.0)]))
-def test_cascade_finds_what_newton_finds_on_the_whole(seed, rates):
-    network = certified_network(seed, gamma=rates[0], mu=rates[1])
-    found, whole = network.equilibrium(), BlockNetwork.equilibrium(network)
-    assert found.success
-    assert whole.success
-    np.testing.assert_allclose(found.xi, whole.xi, atol=1e-8 * (1.0 + np.abs(whole.xi).max()))
-    # Without the coupling, which is far from normal, eigenvalues keep their digits.
-    plain = dataclasses.replace(network, translation=np.zeros((3, 3, 3)), bias=network.retarget(found.xi).bias)
-    jacobian = plain.jacobian(found.xi * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-    assert found.spectral_abscissa == pytest.approx(np.linalg.eigvals(jacobian).real.max(), abs=1e-6)
-    assert found.spectral_abscissa < 0.0
-
-
-def test_failures_of_the_search_say_so():
-    # alpha = gamma/mu: at omega = 0 nothing pulls v back.
-    still = EquivariantLieEDNN([[1.0]], np.eye(3)[None, None], np.zeros((1, 1, 3)), np.eye(6)[3][None])
-    found = still.equilibrium()
-    assert not found.success
-    assert "v is not determined" in found.message
-    # Rotating in itself and growing: no Newton, and the flow has no rest point nearby.
-    results = [random_network(seed, n=2, strength=10.0).equilibrium(np.full((2, 6), 3.0)) for seed in range(12)]
-    assert all(each.success == ("no equilibrium found" not in each.message) for each in results)
-    assert {each.success for each in results} == {True, False}
 
 
 @settings(max_examples=25)

@@ -50,18 +50,11 @@ def test_coordinates_and_brackets(one, seed):
 @every_group
 @few
 @given(seeds, st.sampled_from([0.0, 1e-12, 1e-6, 1e-3, 0.5, 2.0, 3.0]))
-def test_exp_is_in_the_group_and_log_undoes_it(one, seed, size):
+def test_exp_is_in_the_group(one, seed, size):
     x = coordinates(one, np.random.default_rng(seed), size=size)
     g = one.exp(x)
     assert one.contains(g).all()
-    np.testing.assert_allclose(one.log(g), x, atol=1e-12)
     assert replace(one, membership=None).contains(g).all()
-
-
-@pytest.mark.parametrize("distance", [1e-1, 1e-3, 1e-5])
-def test_log_near_the_half_turn(distance):
-    x = (np.pi - distance) * np.array([[1.0, 0, 0], [0.6, 0, -0.8]])
-    np.testing.assert_allclose(group("SO(3)").log(group("SO(3)").exp(x)), x, atol=1e-9)
 
 
 @every_group
@@ -148,7 +141,6 @@ def test_se3_is_the_one_of_the_package(seed):
     np.testing.assert_allclose(one.hat(twist), lie.hat(twist), atol=0)
     expected = lie.adjoint(pose.rotation.as_matrix(), pose.translation)
     np.testing.assert_allclose(one.adjoint(pose.as_matrix()), expected, atol=1e-12)
-    np.testing.assert_allclose(one.log(pose.as_matrix()), lie.log(pose), atol=1e-6)
     theta = rng.normal(size=(6, 6))
     g = RigidTransform.from_matrix(one.project_to_adjoint(theta))
     np.testing.assert_allclose(g.rotation.as_matrix(), lie.project_to_adjoint_exact(theta)[0], atol=1e-12)
@@ -171,7 +163,7 @@ def test_complex_multiplication_is_not_ad_of_nonzero_complex_but_in_that_of_its_
     """The paper's Discussion names C^x; its adjoint image is a single matrix."""
     rng = np.random.default_rng(seed)
     factor, offset, z = rng.normal(size=3) + 1j * rng.normal(size=3)
-    assert group("C^x").in_kernel(complex_number(factor))
+    np.testing.assert_allclose(group("C^x").adjoint(complex_number(factor)), np.eye(2), atol=1e-12)
     g = np.eye(3)
     g[:2, :2], g[:2, 2] = complex_number(factor), [offset.real, offset.imag]
     acting = affine(group("C^x")).adjoint(g)[2:, 2:]
@@ -202,17 +194,26 @@ def test_quaternion_multiplication_is_not_ad_of_nonzero_quaternion_but_in_that_o
 
 
 def test_kernels():
-    assert group("SU(2)").in_kernel([np.eye(2), -np.eye(2), 1j * np.diag([1.0, -1.0])]).tolist() == [True, True, False]
+    def silent(name, g):
+        one = group(name)
+        return (np.abs(one.adjoint(g) - np.eye(one.dimension)) < 1e-9).all(axis=(-2, -1)).tolist()
+
+    assert silent("SU(2)", [np.eye(2), -np.eye(2), 1j * np.diag([1.0, -1.0])]) == [True, True, False]
     roots = np.exp(2j * np.pi * np.arange(6) / 6)[:, None, None] * np.eye(3)
     assert group("SU(3)").contains(roots).tolist() == [True, False] * 3
-    assert group("SU(3)").in_kernel(roots[::2]).all()
-    assert group("GL(3)").in_kernel([-2.5 * np.eye(3), np.diag([1.0, 1.0, 1.0 + 1e-6])]).tolist() == [True, False]
+    assert all(silent("SU(3)", roots[::2]))
+    assert silent("GL(3)", [-2.5 * np.eye(3), np.diag([1.0, 1.0, 1.0 + 1e-6])]) == [True, False]
     for name in ("SO(2)", "C^x"):
-        assert group(name).in_kernel(group(name).random(0, (20,), 3.0)).all()
-    assert group("H^x").in_kernel(-3.0 * np.eye(4))
+        assert all(silent(name, group(name).random(0, (20,), 3.0)))
+    assert silent("H^x", -3.0 * np.eye(4))
     for name in ("SO(3)", "SE(2)", "SE(3)", "Sim(3)"):
-        near = group(name).exp(1e-6 * np.eye(group(name).dimension))
-        assert not group(name).in_kernel(near).any()
+        assert not any(silent(name, group(name).exp(1e-6 * np.eye(group(name).dimension))))
+
+
+def test_without_a_closed_form_membership_asks_what_an_element_does_to_the_algebra():
+    own = replace(group("SE(3)"), membership=None)
+    stretched, motion = np.diag([1.0, 2.0, 3.0, 1.0]), own.random(0)
+    assert own.contains([motion, np.zeros((4, 4)), stretched]).tolist() == [True, False, False]
 
 
 def test_random_elements_repeat_with_the_seed():
@@ -265,9 +266,6 @@ def test_independence_is_over_the_reals():
         (lambda: group("SO(3)").hat(np.zeros(4)), r"x must have shape \(\.\.\., 3\), got \(4\)"),
         (lambda: group("SO(3)").vee(np.eye(3)), r"Lie algebra of SO\(3\), got one off by"),
         (lambda: group("SO(3)").vee(1j * np.eye(3)), "complex numbers are not allowed"),
-        (lambda: group("SU(2)").log(-np.eye(2)), r"principal logarithm in the Lie algebra of SU\(2\); 1 of 1"),
-        (lambda: group("SO(3)").log([np.eye(3), np.diag([-1.0, -1, 1])]), r"SO\(3\); 1 of 2 do not"),
-        (lambda: group("GL(2)").log(np.zeros((2, 2))), r"GL\(2\); 1 of 1"),
         (lambda: group("GL(2)").adjoint(np.zeros((2, 2))), r"must be in GL\(2\), got a singular matrix"),
         (lambda: group("SO(3)").adjoint(np.diag([1.0, 2, 3])), r"must be in SO\(3\): g E_k g\^-1 leaves"),
         (lambda: group("SO(3)").project_to_adjoint(np.eye(4)), r"theta must have shape \(\.\.\., 3, 3\), got \(4, 4\)"),

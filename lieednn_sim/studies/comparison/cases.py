@@ -19,7 +19,7 @@ from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
 from lieednn_sim.planning import Plan, find_tube, plan, reference_network
 from lieednn_sim.simulation import Disturbances, Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
-from lieednn_sim.studies.comparison.rows import COLUMNS, TIMING, TUBE, Case, Row
+from lieednn_sim.studies.comparison.rows import COLUMNS, TUBE, Case, Row
 from lieednn_sim.studies.user_files import SCENE, UserFile, load
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, check_fields, set_fields
@@ -188,5 +188,5 @@ def _tube_mm(arm: Arm, made: Plan) -> float | None:
 
 
 def _measured(metrics: MotionMetrics | Evaluation, *, of_motion: bool) -> dict[str, Any]:
-    names = [column.name for column in COLUMNS if column.of_motion is of_motion and column.name not in (*TIMING, TUBE)]
-    return {name: getattr(metrics, name) for name in names}
+    own = [column for column in COLUMNS if column.of_motion is of_motion and not column.timed and column.name != TUBE]
+    return {column.name: getattr(metrics, column.name) for column in own}

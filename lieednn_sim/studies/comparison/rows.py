@@ -61,7 +61,6 @@ class Row(TableRow):
     """
 
     _key = ("arm", "scene", "planner", "controller", "seed")
-    _digits = 6
 
     arm: str
     scene: str
@@ -74,7 +73,9 @@ class Row(TableRow):
     stability: str = ""
     stability_level: str = ""
     planning_s: float | None = _of_motion(
-        "planning [s]", "CPU time of the planner, stopped at its time budget; the one column that differs between runs"
+        "planning [s]",
+        "CPU time of the planner, stopped at its time budget; the one column that differs between runs",
+        timed=True,
     )
     motion_s: float | None = _of_motion("motion [s]", "time at which the plan comes to rest")
     gap_mm: float | None = _of_motion(
@@ -153,5 +154,3 @@ COLUMNS = columns_of(Row)
 BY_NAME = {entry.name: entry for entry in COLUMNS}
 # The column that is proved rather than measured.
 TUBE = "tube_mm"
-# Columns that differ between runs.
-TIMING = ("planning_s",)

@@ -52,10 +52,15 @@ def seeds_by_planner(rows: Iterable[Row]) -> dict[str, int]:
     return {planner: len(seeds) for planner, seeds in found.items()}
 
 
+def in_order(names: Iterable[str], known: Iterable[str]) -> list[str]:
+    """Each name once, in the order of a registry, unknown ones last."""
+    found, first = set(names), list(known)
+    return [name for name in first if name in found] + sorted(found.difference(first))
+
+
 def controllers_of(rows: Iterable[Row]) -> list[str]:
-    """The controllers of rows, first those of the package in its order."""
-    found = sorted({row.controller for row in rows})
-    return [*(name for name in CONTROLLERS if name in found), *(name for name in found if name not in CONTROLLERS)]
+    """The controllers of rows, in the order of the registry."""
+    return in_order((row.controller for row in rows), CONTROLLERS)
 
 
 def failures(rows: Iterable[Row]) -> list[Failure]:

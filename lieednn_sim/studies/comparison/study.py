@@ -5,29 +5,25 @@ from __future__ import annotations
 import hashlib
 import itertools
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from rich.console import Console
-
 from lieednn_sim.arm import arm_names
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, SCENES, SLOW
 from lieednn_sim.studies.comparison.cases import FREE, Settings, failed_case, run_case
 from lieednn_sim.studies.comparison.rows import Case, Row
 from lieednn_sim.studies.statistics import numbers
 from lieednn_sim.studies.study import Study, compute
-from lieednn_sim.studies.table import Table
+from lieednn_sim.studies.table import SUFFIX, Table
 from lieednn_sim.studies.user_files import ARM, SCENE, UserFile, resolve
-from lieednn_sim.validation import as_choice, as_count
+from lieednn_sim.validation import as_choice, as_count, as_path
 from lieednn_sim.values import check_fields, set_fields
 
 DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
 DEFAULT_SCENES = (FREE, "window")
-# Those of its fields that tell which cases a comparison has.
-SELECTION = ("planners", "arms", "scenes", "controllers", "seeds", "user_files", "slow_seeds")
 
 
 @dataclass(frozen=True)
@@ -79,15 +75,17 @@ class Comparison(Study[Row]):
     planners first, so that a worker loads the arm once.
 
     Attributes:
-        planners: names of `PLANNERS`; those whose package is missing are left out.
-        arms: names of `arm_names`, or files as for `Arm.load`, which are replaced by their names.
-        scenes: names of scenes, or files of obstacles, likewise.
-        controllers: names of `CONTROLLERS`.
-        seeds: number of seeds, starting at 0.
+        planners: a name of `PLANNERS`, or several; by default all, without those whose package is missing.
+        arms: a name of `ARMS`, or several, or files as for `Arm.load`, which are replaced by their names; by default
+            all of the package.
+        scenes: a name of `SCENES`, or several, or files of obstacles, likewise; by default free,window.
+        controllers: a name of `CONTROLLERS`, or several; by default position-servo,inverse-dynamics.
+        seeds: number of seeds for each arm, scene and planner, starting at 0.
         user_files: the arms and scenes that come from files; those given here can be referred to by name.
-        slow_seeds: number of seeds of the planners whose `cost` is above `SLOW`, at most ``seeds``; None for as many.
+        slow_seeds: number of seeds of the planners whose cases take more than a second (``cost`` above `SLOW`), at
+            most ``seeds``; by default as many.
         common: settings of all rows.
-        shard: the shard of the cases that is computed, for `merging.merge`; None for all.
+        shard: the shard of the cases that is computed; None for all.
 
     Raises:
         FileError: a file is missing or cannot be read.
@@ -140,27 +138,24 @@ class Comparison(Study[Row]):
         """See `Study`."""
         return asdict(self.common)
 
-    def part(self) -> Mapping[str, Any] | None:
-        """See `Study`; a shard's description has the whole selection, for `merging.merge`."""
-        if self.shard is None:
-            return None
-        chosen = {name: getattr(self, name) for name in SELECTION}
-        return {"shard": self.shard.number, "shards": self.shard.of, **chosen, "absent": self.absent}
+    @classmethod
+    def read(cls, directory: str | os.PathLike[str]) -> Table[Row]:
+        """The table of a comparison in a directory; raises as `Table`."""
+        return Table(as_path("the name of a comparison's directory", directory) / f"{cls.name}{SUFFIX}", cls.kind)
 
-    def cases(self, absent: Collection[str] | None = None) -> list[Case]:
-        """All cases but those of absent planners, by default of `absent`."""
-        absent = self.absent if absent is None else absent
-        usable = [name for name in self.planners if name not in absent]
+    def cases(self) -> list[Case]:
+        """The cases of the shard, or all, but for those of `absent` planners."""
+        usable = [name for name in self.planners if name not in self.absent]
         few = self.seeds if self.slow_seeds is None else self.slow_seeds
         combinations = itertools.product(self.arms, self.scenes, usable, range(self.seeds))
-        cases = itertools.starmap(Case, combinations)
-        return [case for case in cases if case.seed < few or PLANNERS[case.planner].cost <= SLOW]
+        every = itertools.starmap(Case, combinations)
+        cases = [case for case in every if case.seed < few or PLANNERS[case.planner].cost <= SLOW]
+        part = self.shard
+        return [case for case in cases if part is None or Shard.holding(case, part.of) == part]
 
     def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
         """See `Study`."""
-        part = self.shard
-        cases = [case for case in self.cases() if part is None or Shard.holding(case, part.of) == part]
-        wanted = [(case, missing(table, case, self.controllers), self.common) for case in cases]
+        wanted = [(case, self._missing(table, case), self.common) for case in self.cases()]
         costs = self._planning_costs(table)
         return sorted(
             (job for job in wanted if job[1]),
@@ -176,6 +171,11 @@ class Comparison(Study[Row]):
         """See `Study`; unchecked."""
         return failed_case(*(*case, reason))
 
+    def _missing(self, table: Table[Row], case: Case) -> list[str]:
+        """The controllers for which a case has no row yet."""
+        keys = {name: (case.arm, case.scene, case.planner, name, case.seed) for name in self.controllers}
+        return [name for name, key in keys.items() if key not in table.rows]
+
     def _planning_costs(self, table: Table[Row]) -> Mapping[str, float]:
         costs = {}
         for planner in self.planners:
@@ -184,9 +184,33 @@ class Comparison(Study[Row]):
         return costs
 
 
-def missing(table: Table[Row], case: Case, controllers: Sequence[str]) -> list[str]:
-    """The controllers for which a case has no row yet."""
-    return [name for name in controllers if (case.arm, case.scene, case.planner, name, case.seed) not in table.rows]
+def settings_of(table: Table[Row]) -> Settings:
+    """The settings of a comparison's rows; `FileError` if its table holds none."""
+    try:
+        return Settings(**table.settings)
+    except (TypeError, InputError) as error:
+        raise FileError(f"{table.path} holds no settings of a comparison: {error}") from None
+
+
+def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike[str]]) -> Table[Row]:
+    """Add the rows of other comparisons, such as the shards of one, to the table in a directory.
+
+    Args:
+        directory: created if it is missing; it may hold rows already, which stay.
+        folders: directories of the other tables, which may be incomplete or still grow.
+
+    Raises:
+        InputError: there are no folders.
+        FileError: a folder holds no comparison, or those of the folders differ in settings, versions, arms or scenes,
+            or disagree on a row; see `Table.merge`. The rows of the folders before it are kept.
+    """
+    if not folders:
+        raise InputError("there is nothing to merge: give the folders of other comparisons")
+    parts = [Comparison.read(folder) for folder in folders]
+    table = Comparison(common=settings_of(parts[0])).open(directory)
+    for part in parts:
+        table.merge(part)
+    return table
 
 
 def compare(
@@ -197,11 +221,8 @@ def compare(
     scenes: Sequence[str] = (),
     controllers: Sequence[str] = (),
     seeds: int = 3,
-    slow_seeds: int | None = None,
     settings: Settings | None = None,
-    shard: Shard | None = None,
     jobs: int = 1,
-    console: Console | None = None,
     executor: Executor | None = None,
 ) -> Table[Row]:
     """Compare planners in a table, of which the rows that the directory lacks are computed.
@@ -211,10 +232,9 @@ def compare(
         table = ls.compare("out", planners=["minimum-jerk", "lieednn-certified"], arms=["telescopic_pr"], seeds=3)
         write_page("out/comparison.html", table)     # of `studies.report`
 
-    The arguments and errors are those of `Comparison` (whose ``common`` is ``settings`` here) and `study.compute`.
+    The arguments and errors are those of `Comparison` (whose ``common`` is ``settings`` here) and `study.compute`,
+    which together do the same with a progress bar, a part of the cases, or fewer seeds for slow planners.
     """
-    chosen: dict[str, Any] = {"planners": planners, "arms": arms, "scenes": scenes, "controllers": controllers}
-    study = Comparison(
-        **chosen, seeds=seeds, slow_seeds=slow_seeds, common=Settings() if settings is None else settings, shard=shard
-    )
-    return compute(study, directory, jobs=jobs, console=console, executor=executor)
+    common = Settings() if settings is None else settings
+    study = Comparison(planners, arms, scenes, controllers, seeds=seeds, common=common)
+    return compute(study, directory, jobs=jobs, executor=executor)

@@ -9,10 +9,10 @@ import numpy as np
 
 from lieednn_sim import io
 from lieednn_sim.evaluation.display import rounded
-from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
-from lieednn_sim.studies.comparison.cases import Settings
+from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.comparison.statistics import failures, seeds_by_planner, verdict
+from lieednn_sim.studies.comparison.study import settings_of
 from lieednn_sim.studies.markdown import escaped, table_head, table_line
 from lieednn_sim.studies.rows import Column
 from lieednn_sim.studies.statistics import Group, grouped, motions
@@ -64,7 +64,7 @@ def write_summary(path: str | os.PathLike[str], table: Table[Row], missing: Mapp
 
 def method(table: Table[Row]) -> str:
     """The method and the meaning of the numbers, for the head of a report."""
-    settings = Settings(**table.settings)
+    settings = settings_of(table)
     masses = (
         "" if settings.mass_scale == 1.0 else f" with {settings.mass_scale:g} times the masses the controllers know"
     )
@@ -92,6 +92,9 @@ def _seeds(table: Table[Row]) -> str:
 
 
 def _medians(group: Group[Row], columns: Sequence[Column]) -> list[str]:
-    found = [group.median(column.name) for column in columns]
-    least = [_ROUNDING if column.name.endswith(("_mm", "_deg")) else 0.0 for column in columns]
-    return ["-" if value is None else rounded(value, small) for value, small in zip(found, least, strict=True)]
+    return [shown(group.median(column.name), column.name) for column in columns]
+
+
+def shown(value: float | None, column: str = "_mm") -> str:
+    """A measured number for people, by the name of its column; a dash where there is none."""
+    return "-" if value is None else rounded(value, _ROUNDING if column.endswith(("_mm", "_deg")) else 0.0)

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Collection, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from functools import partial
-from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.budget import cpu_time
-from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstrations
@@ -74,7 +69,6 @@ def compare_models(
     leave_one_out: bool = True,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-    executor: Executor | None = None,
 ) -> tuple[list[ModelRow], dict[str, MotionModel]]:
     """Compare a shaped network with models that have as many parameters.
 
@@ -88,37 +82,28 @@ def compare_models(
         leave_one_out: fit each model again without each of the demonstrations, the network with as many hidden neurons.
         seed: seed of the starts.
         progress: called with the steps done and their total.
-        executor: runs the leave-one-out fits, with the same results; by default they run one after another here.
 
     Returns:
         A row for each model, and the models by name, the network first.
-
-    Raises:
-        LieEDNNError: the executor gave up.
     """
     names = [shaped.name, *(RIVALS if rivals is None else rivals)]
     for name in names[1:]:
         RIVALS.find(name)
     n, places = len(demonstrations), random_starts(demonstrations, starts, seed)
     folds = range(n) if leave_one_out and n > 1 else range(0)
-    fit = partial(_fit, shaped)
-    seen = {name: demonstrations if aligned is None or name == shaped.name else aligned for name in names}
-    pending = {}
-    if executor is not None:
-        pending = {(name, k): executor.submit(_left_out, fit, seen[name], name, k) for name, k in product(names, folds)}
     rows: list[ModelRow] = []
     models: dict[str, MotionModel] = {}
-    with one_blas_thread(), _cancelling(pending.values()):
+    with one_blas_thread():
         for number, name in enumerate(names):
-            begun = cpu_time()
-            shown = seen[name]
-            model: MotionModel = shaped if name == shaped.name else fit(name, shown)
-            seconds = shaped.cpu_time if name == shaped.name else cpu_time() - begun
+            start = cpu_time()
+            shown = demonstrations if aligned is None or name == shaped.name else aligned
+            model = shaped if name == shaped.name else _fit(shaped, name, shown)
+            seconds = shaped.cpu_time if name == shaped.name else cpu_time() - start
             without = []
             for k in folds:
                 if progress:
                     progress(number * (len(folds) + 1) + k, len(names) * (len(folds) + 1))
-                without.append(pending[name, k].result() if pending else _left_out(fit, shown, name, k))
+                without.append(_errors(_fit(shaped, name, shown.without(k)), shown, shown.twists[k]))
             row = ModelRow(
                 model=name,
                 n_parameters=model.n_parameters,
@@ -145,26 +130,6 @@ def _fit(shaped: ShapedMotion, name: str, demonstrations: Demonstrations) -> Mot
 def linear_attractor(demonstrations: Demonstrations, _: int) -> LinearAttractor:
     """The linear attractor of demonstrations, whose number of parameters is fixed."""
     return LinearAttractor.fit(demonstrations)
-
-
-def _left_out(
-    fit: Callable[[str, Demonstrations], MotionModel], demonstrations: Demonstrations, name: str, k: int
-) -> PathErrors:
-    """Errors of a model fitted without a demonstration, against it."""
-    with one_blas_thread():
-        return _errors(fit(name, demonstrations.without(k)), demonstrations, demonstrations.twists[k])
-
-
-@contextlib.contextmanager
-def _cancelling(futures: Collection[Future[PathErrors]]) -> Iterator[None]:
-    """Cancel all futures that have not begun when the block ends, however it ends."""
-    try:
-        yield
-    except (BrokenExecutor, CancelledError):
-        raise LieEDNNError("the executor gave up; nothing is kept, start again with the same call") from None
-    finally:
-        for future in futures:
-            future.cancel()
 
 
 def _errors(model: MotionModel, demonstrations: Demonstrations, shown: Floats) -> PathErrors:

@@ -32,7 +32,6 @@ class ModelScore(TableRow):
     """
 
     _key = ("kind", "set", "model")
-    _digits = 6
 
     kind: str
     set: str
@@ -43,7 +42,7 @@ class ModelScore(TableRow):
     starts: int | None = column("starts", "number of random starts")
     arrived: int | None = column("arrived", "random starts that arrived")
     spurious: int | None = column("spurious", "places elsewhere at which other starts came to rest")
-    fit_s: float | None = column("fit s", "CPU time of the fit")
+    fit_s: float | None = column("fit s", "CPU time of the fit", timed=True)
     mean_rms_mm: float | None = _error("RMS mm, mean")
     mean_rms_deg: float | None = _error("deg, mean")
     mean_dtwd_mm: float | None = _error("DTWD mm, mean")

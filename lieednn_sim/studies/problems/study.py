@@ -1,8 +1,7 @@
-"""Planners on published problems, with the usual statistics.
+"""Planners on published problems.
 
-Metrics have their names from robometrics (A. Fishman et al., github.com/fishbotics/robometrics), and are summarised by
-the same statistics: mean, median, 75th and 98th percentile over the solved problems; skipped problems are counted apart
-from failed ones.
+Metrics have their names from robometrics (A. Fishman et al., github.com/fishbotics/robometrics); skipped problems are
+counted apart from failed ones.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.planning.teachers import TeacherOptions
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
+from lieednn_sim.studies.rows import TableRow, column, outcome
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_count
@@ -79,7 +78,6 @@ class Solution(TableRow):
     """
 
     _key = ("problem", "number", "planner")
-    _digits = 6
 
     problem: str
     number: int
@@ -88,7 +86,9 @@ class Solution(TableRow):
     reason: str = ""
     teacher: str = ""
     solve_time: float | None = column(
-        "solve time [s]", "CPU time of the planner, stopped at its budget; the one column that differs between runs"
+        "solve time [s]",
+        "CPU time of the planner, stopped at its budget; the one column that differs between runs",
+        timed=True,
     )
     motion_time: float | None = column("motion time [s]", "that the motion takes")
     cspace_path_length: float | None = column(
@@ -102,27 +102,6 @@ class Solution(TableRow):
     def skipped(self) -> bool:
         """Whether the problem was skipped."""
         return self.reason.startswith(SKIPPED)
-
-
-MEASURED = columns_of(Solution)
-
-
-@dataclass(frozen=True)
-class Statistic:
-    """Mean, standard deviation, median, and 75th and 98th percentile of some numbers."""
-
-    mean: float
-    std: float
-    median: float
-    percent_75: float
-    percent_98: float
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Statistic | None:
-        """The statistic of some values; None where there are none."""
-        if not values:
-            return None
-        return cls(*map(float, (np.mean(values), np.std(values), *np.percentile(values, (50, 75, 98)))))
 
 
 def solve(folder: str, name: str, number: int, planner: str, budget: float) -> list[Solution]:

@@ -20,8 +20,7 @@ from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.safety_filter import FilterOptions
-from lieednn_sim.policies import Policy, make_policy
+from lieednn_sim.policies import FilterOptions, Policy, make_policy
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
 from lieednn_sim.studies.comparison.cases import FREE, arm_and_target
 from lieednn_sim.studies.reactions.recovery import PUSH_TIME, UndisturbedPath, pushing_force
@@ -82,7 +81,6 @@ class Reaction(TableRow):
     """
 
     _key = ("arm", "scene", "policy", "disturbance", "seed")
-    _digits = 4
 
     arm: str
     scene: str
@@ -105,7 +103,7 @@ class Reaction(TableRow):
     )
     path_m: float | None = column("path [m]", "length of the end effector's path")
     settled_s: float | None = column("settled after [s]", "time from which it stays within 1 mm and 0.1 degrees")
-    step_us: float | None = column("control step [us]", "median CPU time of a control step")
+    step_us: float | None = column("control step [us]", "median CPU time of a control step", timed=True)
 
     @property
     def posed(self) -> bool:

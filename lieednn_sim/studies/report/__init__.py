@@ -1,10 +1,10 @@
 """One self-contained HTML page of a comparison."""
 
 from lieednn_sim.studies.report.page import write_page
-from lieednn_sim.studies.report.videos import Clip, choose_cases, film
+from lieednn_sim.studies.report.videos import Clip, film
 from lieednn_sim.studies.report.views import View, choose_problems, view
 from lieednn_sim.typecheck import typecheck_public
 
-__all__ = ["Clip", "View", "choose_cases", "choose_problems", "film", "view", "write_page"]
+__all__ = ["Clip", "View", "choose_problems", "film", "view", "write_page"]
 
 typecheck_public(globals())

@@ -16,8 +16,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, Locator, LogFormatterMathtext, LogLocator, MaxNLocator, NullLocator
 
 from lieednn_sim.evaluation.figure_layout import fix_layout
+from lieednn_sim.registry import PLANNERS
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
-from lieednn_sim.studies.report.style import in_order, marks
+from lieednn_sim.studies.comparison.statistics import in_order
+from lieednn_sim.studies.report.style import marks
 from lieednn_sim.studies.statistics import grouped, numbers
 
 # Placeholders that `_svg` replaces by the page's colours, so that figures are readable in light and dark mode.
@@ -91,7 +93,7 @@ def plots(rows: Sequence[Row], controller: str) -> list[Plot]:
 
 
 def _success(rows: Sequence[Row], controller: str) -> Plot:
-    planners, scenes = in_order(row.planner for row in rows), _scenes(rows)
+    planners, scenes = in_order((row.planner for row in rows), PLANNERS), _scenes(rows)
     look = marks(planners)
     with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "success"}):
         figure, axes = _panel(planners)
@@ -119,7 +121,7 @@ def _few_ticks(low: float, high: float) -> Locator:
 
 
 def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> Plot:
-    planners, scenes = in_order(row.planner for row in rows), _scenes(rows)
+    planners, scenes = in_order((row.planner for row in rows), PLANNERS), _scenes(rows)
     look, thinned = marks(planners), False
     with matplotlib.rc_context(_STYLE | {"svg.hashsalt": item.column}):
         figure, axes = _panel(planners)

@@ -5,24 +5,25 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jinja2
 
 from lieednn_sim import io
 from lieednn_sim.errors import InputError
+from lieednn_sim.registry import PLANNERS
 from lieednn_sim.rendering.page import player
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
-from lieednn_sim.studies.comparison.statistics import controllers_of, failures, seeds_by_planner, verdict
-from lieednn_sim.studies.comparison.summary import method
+from lieednn_sim.studies.comparison.statistics import controllers_of, failures, in_order, seeds_by_planner, verdict
+from lieednn_sim.studies.comparison.summary import method, shown
 from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
 from lieednn_sim.studies.reactions.study import METHOD, groups
 from lieednn_sim.studies.report.figures import plots
-from lieednn_sim.studies.report.style import in_order, marks, number
+from lieednn_sim.studies.report.style import marks
 from lieednn_sim.studies.report.videos import Clip
 from lieednn_sim.studies.report.views import View
 from lieednn_sim.studies.rows import Column
-from lieednn_sim.studies.statistics import Group, grouped, motions, numbers, wilson
+from lieednn_sim.studies.statistics import Group, grouped
 from lieednn_sim.studies.table import Table
 
 # Columns of the page's table; all others are in the CSV file.
@@ -45,30 +46,7 @@ _SHOWN = (
     "gap_deg",
     "planning_s",
 )
-# Values below this are rounding [mm, deg].
-_ROUNDING = 1e-6
 _VIOLATIONS = ("position_violations", "velocity_violations", "acceleration_violations")
-
-
-@dataclass(frozen=True)
-class _Cell:
-    text: str
-    value: float | None
-
-
-@dataclass(frozen=True)
-class _Line:
-    arm: str
-    scene: str
-    planner: str
-    controller: str
-    successes: int
-    total: int
-    low: float
-    high: float
-    cells: tuple[_Cell, ...]
-    violations: int
-    stability: str
 
 
 def write_page(
@@ -100,13 +78,15 @@ def write_page(
     """
     rows, reacted = table.sorted_rows(), [] if reactions is None else reactions.sorted_rows()
     if not rows:
-        raise InputError(f"the table {table.csv} is empty; there is nothing to show")
+        raise InputError(f"the table {table.path} is empty; there is nothing to show")
     if not all(isinstance(row, Reaction) for row in reacted):
         raise InputError("reactions must be a table of the reactive benchmark, got one of another kind")
-    names = in_order(row.planner for row in rows)
+    names = in_order((row.planner for row in rows), PLANNERS)
     controllers = controllers_of(rows)
     arms = sorted({row.arm for row in rows})
     columns, counts = _columns(), seeds_by_planner(rows).values()
+    lines = grouped(rows, ("arm", "scene", "planner", "controller"))
+    lines.sort(key=lambda group: (*group.key[:2], names.index(group.key[2]), group.key[3]))
     page = (
         _environment()
         .get_template("page.html")
@@ -124,10 +104,9 @@ def write_page(
             versions=table.versions,
             missing=dict(sorted((missing or {}).items())),
             marks=marks(names),
-            findings=findings(rows),
             columns=columns,
             heads=_heads(columns),
-            lines=_lines(rows),
+            groups=lines,
             plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
             failures=failures(rows),
             views=views,
@@ -151,8 +130,13 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["rounded"] = lambda value: "-" if value is None else number(value, rounding=_ROUNDING)
+    environment.filters |= {"rounded": shown, "violations": _violations, "verdict": verdict}
     return environment
+
+
+def _violations(group: Group[Row]) -> int:
+    """Number of rollouts with a joint beyond one of its limits."""
+    return sum(any(getattr(row, name) for name in _VIOLATIONS) for row in group.rows)
 
 
 def _columns() -> list[Column]:
@@ -179,104 +163,3 @@ def _reaction_heads() -> list[tuple[str, str, bool]]:
     """As `_heads`, for the table of the reactive benchmark."""
     numbers = ("arrived", "touched", "back", *(column.heading for column in MEASURED))
     return [(name, "", False) for name in ("policy", "scene", "disturbance")] + [(name, "", True) for name in numbers]
-
-
-def _lines(rows: Sequence[Row]) -> list[_Line]:
-    groups = grouped(rows, ("arm", "scene", "planner", "controller"))
-    order = in_order(row.planner for row in rows)
-    groups.sort(key=lambda group: (*group.key[:2], order.index(group.key[2]), group.key[3]))
-    return [_line(group) for group in groups]
-
-
-def _line(group: Group[Row]) -> _Line:
-    arm, scene, planner, controller = group.key
-    low, high = group.interval
-    cells = tuple(_cell(name, group.median(name)) for name in _SHOWN)
-    violated = sum(any(getattr(row, name) for name in _VIOLATIONS) for row in group.rows)
-    return _Line(
-        arm, scene, planner, controller, group.successes, group.total, low, high, cells, violated, verdict(group.rows)
-    )
-
-
-def _cell(column: str, value: float | None) -> _Cell:
-    if value is None:
-        return _Cell("\N{EN DASH}", None)
-    return _Cell(number(value, rounding=_ROUNDING if column.endswith(("_mm", "_deg")) else 0.0), value)
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A number, its label, and details."""
-
-    value: str
-    label: str
-    detail: str
-
-
-def findings(rows: Sequence[Row]) -> list[Finding]:
-    """The headline numbers; those for which the table lacks data are left out."""
-    if not rows:
-        return []
-    # Other controllers may track up to rounding, which leaves nothing to compare.
-    controller = controllers_of(rows)[0]
-    tracked = [row for row in rows if row.controller == controller]
-    made = [
-        _success(rows),
-        _best_planners(rows),
-        _least(tracked, "tracking_rms_mm", "mm", f"least median tracking RMS with {controller}"),
-        _least(rows, "planning_s", "s", "least median planning time"),
-        _clearance(rows),
-        _stability(rows),
-    ]
-    return [finding for finding in made if finding is not None]
-
-
-def _success(rows: Sequence[Row]) -> Finding:
-    successes = sum(row.success for row in rows)
-    low, high = wilson(successes, len(rows))
-    return Finding(
-        f"{successes / len(rows):.1%}",
-        "of all rollouts succeed",
-        f"{successes} of {len(rows)}, 95 % interval {low:.1%} to {high:.1%}",
-    )
-
-
-def _best_planners(rows: Sequence[Row]) -> Finding:
-    groups = grouped(rows, ("planner",))
-    best = max(group.successes / group.total for group in groups)
-    names = in_order(group.key[0] for group in groups if group.successes / group.total == best)
-    return Finding(f"{best:.1%}", "highest success of a planner", ", ".join(names))
-
-
-def _least(rows: Sequence[Row], column: str, unit: str, label: str) -> Finding | None:
-    medians = {group.key[0]: group.median(column) for group in grouped(rows, ("planner",))}
-    found = {name: value for name, value in medians.items() if value is not None}
-    if not found:
-        return None
-    best = min(in_order(found), key=lambda name: found[name])
-    return Finding(f"{number(found[best], rounding=1e-6)} {unit}", label, best)
-
-
-def _clearance(rows: Sequence[Row]) -> Finding | None:
-    known = [(row.clearance_mm, row) for row in rows if row.clearance_mm is not None]
-    if not known:
-        return None
-    value, worst = min(known, key=lambda pair: pair[0])
-    label = "deepest penetration of any rollout" if value < 0.0 else "least clearance of any rollout"
-    return Finding(
-        f"{number(abs(value))} mm",
-        label,
-        f"{worst.planner} on {worst.arm}, {worst.scene}, seed {worst.seed}",
-    )
-
-
-def _stability(rows: Sequence[Row]) -> Finding | None:
-    verdicts = [row.stability for row in motions(rows) if row.stability not in ("", "-")]
-    if not verdicts:
-        return None
-    count = verdicts.count("global")
-    excess = numbers(rows, "gap_end_mm")
-    detail = f"{count} of {len(verdicts)} motions of networks"
-    if excess:
-        detail += f"; largest gap at the end of any plan {number(max(excess), rounding=1e-6)} mm"
-    return Finding(f"{count / len(verdicts):.1%}", "proved globally stable", detail)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,16 +12,13 @@ from pathlib import Path
 from PIL import Image
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.io import atomic_path, make_directory, short
 from lieednn_sim.rendering.ffmpeg import count_frames, read_frame
 from lieednn_sim.rendering.video import render_video
-from lieednn_sim.studies.comparison.cases import Settings, replay
+from lieednn_sim.studies.comparison.cases import replay
 from lieednn_sim.studies.comparison.rows import Case, Row
-from lieednn_sim.studies.report.style import in_order
-from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.comparison.study import settings_of
 from lieednn_sim.studies.table import Table
-from lieednn_sim.studies.user_files import recorded_files
-from lieednn_sim.validation import as_count, quoted
+from lieednn_sim.validation import quoted
 
 # Size [pixels] and frame rate [1/s] of clips, and the fraction of a clip at which its poster is taken.
 SIZE = (480, 270)
@@ -35,44 +33,23 @@ class Clip:
 
     Attributes:
         row: its row in the table.
-        path: MP4 file.
+        video: MP4 file.
         poster: JPEG of one of its frames.
     """
 
     row: Row
-    path: Path
+    video: bytes
     poster: bytes
 
     @property
     def data_uri(self) -> str:
         """The video as a data URI."""
-        return _uri("video/mp4", self.path.read_bytes())
+        return _uri("video/mp4", self.video)
 
     @property
     def poster_uri(self) -> str:
         """The poster as a data URI."""
         return _uri("image/jpeg", self.poster)
-
-
-def choose_cases(table: Table[Row], count: int) -> list[Case]:
-    """Choose up to ``count`` cases of a table: planners in turn, each in another arm and scene, successes first.
-
-    Raises:
-        InputError: ``count`` is not a whole number >= 0.
-    """
-    wanted = as_count("videos", count, least=0)
-    rows = [row for row in table.sorted_rows() if row.tracking_rms_mm is not None]
-    rows.sort(key=lambda row: not row.success)
-    places = [group.key for group in grouped(table.sorted_rows(), ("arm", "scene"))]
-    planners = in_order(row.planner for row in rows)
-    chosen: list[Case] = []
-    for turn in range(len(places)):
-        for index, planner in enumerate(planners):
-            place = places[(index + turn) % len(places)]
-            case = next((row.case for row in rows if (row.arm, row.scene) == place and row.planner == planner), None)
-            if case is not None and case not in chosen and len(chosen) < wanted:
-                chosen.append(case)
-    return chosen
 
 
 def film(
@@ -82,10 +59,9 @@ def film(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> Clip:
-    """Plan and simulate a case of a table again and render it; a video that was made from this table is reused.
+    """Plan and simulate a case of a table again and render it.
 
     Raises:
-        FileError: it cannot be written.
         InputError: the table has no such case, or it has no motion.
         RenderingUnavailableError: there is no working OpenGL.
     """
@@ -94,20 +70,11 @@ def film(
         raise InputError(f"the table has no case {quoted(str(case))} with {quoted(controller)}; compare it first")
     if row.tracking_rms_mm is None:
         raise InputError(f"case {case} has nothing to show: {row.reason}")
-    directory = make_directory(table.directory / "videos")
-    path = directory / f"{case.planner}-{case.arm}-{case.scene}-{case.seed}-{controller}-{short(table.fingerprint)}.mp4"
-    if not path.is_file():
-        with atomic_path(path) as temporary:
-            render_video(
-                replay(case, controller, Settings(**table.settings), user_files=recorded_files(table.directory)),
-                temporary,
-                size=SIZE,
-                fps=FPS,
-                preset="draft",
-                title=case.planner,
-                progress=progress,
-            )
-    return Clip(row, path, _poster(path))
+    rollout = replay(case, controller, settings_of(table), user_files=table.user_files)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "video.mp4"
+        render_video(rollout, path, size=SIZE, fps=FPS, preset="draft", title=case.planner, progress=progress)
+        return Clip(row, path.read_bytes(), _poster(path))
 
 
 def _poster(path: Path) -> bytes:

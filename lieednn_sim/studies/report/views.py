@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from lieednn_sim.errors import InputError
+from lieednn_sim.registry import PLANNERS
 from lieednn_sim.rendering.recording import Recording, record
-from lieednn_sim.studies.comparison.cases import Settings, replay
+from lieednn_sim.studies.comparison.cases import replay
 from lieednn_sim.studies.comparison.rows import Case, Row
-from lieednn_sim.studies.report.style import in_order
+from lieednn_sim.studies.comparison.statistics import in_order
+from lieednn_sim.studies.comparison.study import settings_of
 from lieednn_sim.studies.statistics import grouped
 from lieednn_sim.studies.table import Table
-from lieednn_sim.studies.user_files import recorded_files
 from lieednn_sim.validation import as_count
 
 # Planners in a view: more would be too small to see.
@@ -43,14 +44,15 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
     """Choose up to ``count`` problems of a table, and at most four planners that solved each.
 
     The problems that most planners solved come first, each arm and scene once. The planner of LieEDNN with the most
-    successes in the whole table is in every view where it succeeded; the others take turns.
+    successes in the whole table is the first of every problem where it succeeded; the others take turns.
 
     Raises:
         InputError: ``count`` is not a whole number >= 0.
     """
-    wanted = as_count("views", count, least=0)
+    most = as_count("the number of problems", count, least=0)
     solved = [row for row in table.sorted_rows() if row.success and row.controller == controller]
-    totals = {name: sum(row.planner == name for row in solved) for name in in_order(row.planner for row in solved)}
+    names = in_order((row.planner for row in solved), PLANNERS)
+    totals = {name: sum(row.planner == name for row in solved) for name in names}
     best = max((name for name in totals if name.startswith(_OWN)), key=lambda name: totals[name], default=None)
     # Of each arm in each scene, the seed that the most planners solved; the first of several.
     problems = []
@@ -61,13 +63,12 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
     problems.sort(key=lambda rows: (best not in {row.planner for row in rows}, -len(rows)))
     shown = dict.fromkeys(totals, 0)
     chosen: list[list[Case]] = []
-    for rows in problems[:wanted]:
-        names = in_order(row.planner for row in rows)
-        names.sort(key=lambda name: (name != best, shown[name]))
-        for name in names[:_TOGETHER]:
-            shown[name] += 1
+    for rows in problems[:most]:
         by_name = {row.planner: row.case for row in rows}
-        chosen.append([by_name[name] for name in names[:_TOGETHER]])
+        some = sorted(in_order(by_name, PLANNERS), key=lambda name: (name != best, shown[name]))[:_TOGETHER]
+        for name in some:
+            shown[name] += 1
+        chosen.append([by_name[name] for name in some])
     return chosen
 
 
@@ -88,6 +89,6 @@ def view(
     found = tuple(row for row in rows if row is not None)
     if len(found) < len(rows) or len({(row.arm, row.scene, row.seed) for row in found}) != 1:
         raise InputError("a view is of one problem that the table has, by one planner or more")
-    settings, files = Settings(**table.settings), recorded_files(table.directory)
-    rollouts = [replay(case, controller, settings, user_files=files) for case in cases]
+    settings = settings_of(table)
+    rollouts = [replay(case, controller, settings, user_files=table.user_files) for case in cases]
     return View(found, record(rollouts, [case.planner for case in cases], progress=progress))

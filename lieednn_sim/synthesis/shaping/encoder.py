@@ -8,8 +8,7 @@ straight to the target. With g = e^-t, r a hidden neuron's rest state and h(0) =
 
 Here u is odd in delta, and nearly linear while codes are small. So encoding is one linear least-squares problem,
 solved beforehand for all curves: a product of matrices remains. The proof of arrival is that of the weights, whatever
-the code; how close the path is to the curve is a fit. Some pairs lie beyond the ends of the way, so that the first and
-the last part of it have as many bumps as its middle.
+the code; how close the path is to the curve is a fit.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.synthesis.shaping.assembly import assemble
-from lieednn_sim.synthesis.shaping.cascade import TAIL, Parameters
+from lieednn_sim.synthesis.shaping.cascade import TAIL
 from lieednn_sim.synthesis.shaping.curve import clock_along, third_derivative
-from lieednn_sim.synthesis.shaping.pairs import LARGEST_CODE
+from lieednn_sim.synthesis.shaping.pairs import LARGEST_CODE, pairs_of, switches
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats, frozen
 
-# Pairs for each visible neuron, the part of the clock over which they are spread, and slope times spacing.
-CODE_PAIRS, _SPREAD, _SLOPE = 48, (-0.1, 1.05), 0.6
+# Pairs for each visible neuron.
+CODE_PAIRS = 48
 # Largest number of visible neurons: arrays of hidden ones grow with its square, to 0.2 GB.
 _MOST_VISIBLE = 16
 # D. Codes of the package's arms reach about a third of `LARGEST_CODE`.
@@ -177,10 +176,8 @@ class CurveEncoder:
     def _started(self, code: Floats) -> Floats:
         """Hidden starts ``(B, M, 6)`` of codes ``(B, pairs, 6N)``, which both neurons of a pair have."""
         n = self.network.n_visible
-        # To ``(B, N, 1, pairs, 6)``.
-        shift = code.reshape(-1, CODE_PAIRS, n, 1, 6).transpose(0, 2, 3, 1, 4)
-        whole = np.broadcast_to(shift, (len(code), n, 2, CODE_PAIRS, 6))
-        return self._silent + whole.reshape(-1, *self._silent.shape)
+        shift = code.reshape(-1, CODE_PAIRS, n, 6).swapaxes(1, 2)
+        return self._silent + np.stack([shift, shift], axis=2).reshape(-1, *self._silent.shape)
 
     def _require_range(self, code: Floats) -> None:
         largest = float(np.abs(code).max(initial=0.0))
@@ -218,21 +215,10 @@ class _Basis:
     starting: Floats
 
 
-def _places() -> tuple[Floats, Floats]:
-    """Equilibria a and slopes c ``(pairs,)`` of the first switches of the pairs."""
-    low, high = _SPREAD
-    c = np.full(CODE_PAIRS, _SLOPE * CODE_PAIRS / (high - low))
-    return -c * (1.0 - low - (high - low) * (np.arange(CODE_PAIRS) + 0.5) / CODE_PAIRS), c
-
-
 @lru_cache(maxsize=8)
 def _universal(n: int, activation: str) -> tuple[LieEDNN, Floats]:
     """The universal network of N visible neurons, and the hidden start of code zero."""
-    a, c = (np.tile(np.outer([1.0, -1.0], part).ravel(), n)[:, None] * np.ones(6) for part in _places())
-    alpha = np.kron(np.eye(n), np.full(2 * CODE_PAIRS, _STRENGTH))
-    network = assemble(
-        Parameters(a, c, alpha, np.tile(np.eye(3), (n, len(a), 1, 1))), 1.0, np.zeros((n, 6)), activation
-    )
+    network = assemble(pairs_of(n, CODE_PAIRS, _STRENGTH), 1.0, np.zeros((n, 6)), activation)
     if not network.certified:
         raise NotCertifiedError(f"the closed-form certificate does not hold ({network.certificate})")
     return network, network.hidden_start
@@ -241,7 +227,7 @@ def _universal(n: int, activation: str) -> tuple[LieEDNN, Floats]:
 @lru_cache(maxsize=2)
 def _basis(activation: str) -> _Basis:
     phi = ACTIVATIONS[activation].phi
-    a, c = _places()
+    a, c = switches(CODE_PAIRS)
     # An odd polynomial in d through phi(z + d) - phi(z - d) at as many d as it has terms.
     tried = LARGEST_CODE * np.arange(1.0, 1.0 + len(_POWERS)) / len(_POWERS)
     of_values = _STRENGTH * np.linalg.inv(tried[:, None] ** _POWERS)

@@ -5,28 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import motion_bench_maker
 import numpy as np
 import pytest
 
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.cli import main
 from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import least_duration
 from lieednn_sim.studies.problems import study
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.studies.problems.study import OPTIONS, PublishedProblems, Solution, Statistic, measured, solve
+from lieednn_sim.studies.problems.study import OPTIONS, PublishedProblems, Solution, measured, solve
 from lieednn_sim.studies.study import compute
-from lieednn_sim.studies.table import read_rows
-
-
-def test_statistics_are_of_what_was_solved_by_hand() -> None:
-    found = Statistic.of([1.0, 2.0, 3.0, 4.0, 10.0])
-    # 98 % of four gaps is 3.92: the fourth value and 0.92 of the last gap.
-    assert found == pytest.approx(Statistic.of([4.0, 10.0, 1.0, 3.0, 2.0]))
-    assert (found.mean, found.median, found.percent_75, found.percent_98) == pytest.approx((4.0, 3.0, 4.0, 9.52))
-    assert found.std == pytest.approx(np.sqrt(50.0 / 5.0))
-    assert Statistic.of([]) is None
+from lieednn_sim.studies.table import Table
 
 
 def test_a_straight_way_is_measured_by_hand(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,7 +102,7 @@ def test_a_study_goes_on_where_it_was_stopped(tiny: Path, tmp_path: Path, monkey
         PublishedProblems(sets, problems=0)
 
 
-def test_the_command_writes_table_and_summary(
+def test_the_script_writes_tables_and_a_summary(
     tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def here(run: Any, todo: list[tuple[object, ...]], done: Any, **_: object) -> None:
@@ -119,14 +110,10 @@ def test_the_command_writes_table_and_summary(
             done(task, run(*task), None)
 
     monkeypatch.setattr("lieednn_sim.studies.study.run_each", here)
-    words = ["problems", str(tiny), "--planners", "minimum-jerk", "--problems", "all", "--output", str(tmp_path)]
-    assert main(words) == 0
-    rows = read_rows(tmp_path / "problems.csv", Solution)
-    assert [row.success for _, row in sorted(rows.items())] == [True, True, False, False]
-    text = (tmp_path / "problems.md").read_text()
-    assert "| minimum-jerk | 4 | 1 | 1 | 2 of 3 | 21% to 94% | 2 of 2 | 0 of 1 |" in text
-    assert "| minimum-jerk | cspace_path_length: C-space path [rad] |" in text
-    assert "- 1 x minimum-jerk, as: skipped: goal is out of reach" in text
-    assert "there (post 2)\n" in text
-    assert main([*words[:5], "none", *words[6:]]) == 2
-    assert "--problems must be a number of at least 1, or all; got 'none'" in capsys.readouterr().err
+    words = ["--robots", "tiny", "--planners", "minimum-jerk", "--output", str(tmp_path)]
+    assert motion_bench_maker.main([str(tiny.parent), *words]) == 0
+    rows = Table(tmp_path / "tiny" / "problems.sqlite", Solution).sorted_rows()
+    assert [row.success for row in rows] == [True, True, False, False]
+    assert "| tiny | `minimum-jerk` | 4 | 1 | 2 of 3 |" in (tmp_path / "motion_bench_maker.md").read_text()
+    assert motion_bench_maker.main([str(tiny.parent), *words, "--problems", "0"]) == 1
+    assert "problems must be at least 1, got 0" in capsys.readouterr().err

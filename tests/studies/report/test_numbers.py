@@ -15,10 +15,8 @@ from lieednn_sim.studies.comparison.statistics import controllers_of, verdict
 from lieednn_sim.studies.comparison.summary import method
 from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
 from lieednn_sim.studies.reactions.study import Reactions
-from lieednn_sim.studies.report import choose_cases, figures, page, write_page
-from lieednn_sim.studies.report.page import _SHOWN, _columns, findings
-from lieednn_sim.studies.report.style import number
-from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.report import figures, page, write_page
+from lieednn_sim.studies.report.page import _SHOWN, _columns
 
 # In this order in the registry, and so in what is shown.
 FIRST, SECOND, THIRD = "minimum-jerk", "se3-geodesic", "rrt-connect"
@@ -52,23 +50,11 @@ def table(tmp_path):
     return made
 
 
-def test_findings_name_the_best_and_the_worst():
-    found = {finding.label: (finding.value, finding.detail) for finding in findings(ROWS)}
-    assert found["of all rollouts succeed"] == ("83.3%", "10 of 12, 95 % interval 55.2% to 95.3%")
-    assert found["highest success of a planner"] == ("100.0%", SECOND)
-    assert found["least median tracking RMS with position-servo"] == ("3 mm", SECOND)
-    assert found["least median planning time"] == ("0.5 s", THIRD)
-    assert found["deepest penetration of any rollout"] == ("2.5 mm", f"{FIRST} on an_arm, free, seed 1")
-    clear = [replace(row, clearance_mm=abs(row.clearance_mm)) for row in ROWS]
-    assert {finding.label: finding.value for finding in findings(clear)}["least clearance of any rollout"] == "2.5 mm"
-    proofs = [row(FIRST, k, stability=s, gap_end_mm=k) for k, s in enumerate(["global", "local", "global", "none"])]
-    (finding,) = (finding for finding in findings(proofs) if finding.label == "proved globally stable")
-    assert finding.value == "50.0%"
-    assert finding.detail == "2 of 4 motions of networks; largest gap at the end of any plan 3 mm"
-    # A motion counts once, whatever the number of controllers, and not where there is no network.
+def test_the_proof_of_a_motion_counts_once():
+    """Whatever the number of controllers, and not where there is no network."""
+    proofs = [row(FIRST, k, stability=s) for k, s in enumerate(["global", "local", "global", "none"])]
     followed = [*proofs, *(replace(one, controller="mocap") for one in proofs), row(FIRST, 9)]
-    (group,) = grouped(followed, ("planner",))
-    assert verdict(group.rows) == "global 2/4, local 1/4, none 1/4"
+    assert verdict(followed) == "global 2/4, local 1/4, none 1/4"
 
 
 def test_the_page_has_each_median_in_its_column(table, tmp_path):
@@ -125,22 +111,6 @@ def test_reactions_stand_below_their_heads(table, tmp_path, monkeypatch):
     expected = {"policy": "dmp", "scene": "free", "disturbance": "push", "arrived": "1/3", "touched": "1", "back": "2"}
     expected |= {column.heading: f"{measured[column.name]:g}" for column in MEASURED}
     assert dict(zip(heads, cells, strict=True)) == expected
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.0, "0"),
-        (-1.234, "\N{MINUS SIGN}1.23"),
-        (1234.5, "1234"),
-        (99999.0, "99999"),
-        (2.5e5, "2.5·10⁵"),
-        (1e-4, "10⁻⁴"),
-    ],
-)
-def test_numbers_have_three_digits_and_powers_only_where_zeros_would_be_counted(value, text):
-    assert number(value, rounding=1e-6) == text
-    assert number(5e-7, rounding=1e-6) == "< 10⁻⁶"
 
 
 def test_names_are_shown_in_markdown_as_they_are(table, tmp_path):
@@ -235,24 +205,9 @@ def test_planning_times_within_a_decade_have_a_few_labels(monkeypatch):
         assert 2 <= np.count_nonzero((low <= ticks) & (ticks <= high)) <= 6
 
 
-def test_cases_to_show_take_planners_in_turn_and_successes_first(table):
-    table.add([row(planner, seed, scene="window") for planner in (FIRST, SECOND) for seed in (4, 5)])
-    table.add([row(FIRST, 3, scene="window", **CONTACT)])
-    chosen = choose_cases(table, 9)
-    assert [(case.planner, case.scene, case.seed) for case in chosen] == [
-        (FIRST, "free", 0),
-        (SECOND, "window", 4),
-        (THIRD, "free", 0),
-        (FIRST, "window", 4),
-        (SECOND, "free", 0),
-    ]
-    assert choose_cases(table, 2) == chosen[:2]
-
-
 def test_controllers_come_in_the_order_of_the_package_then_those_that_are_not_installed_any_more():
     rows = [row(FIRST, 0, controller=name) for name in ("gone", "inverse-dynamics", "position-servo")]
     assert controllers_of(rows) == ["position-servo", "inverse-dynamics", "gone"]
-    assert findings(rows[:1])
 
 
 def test_long_lines_of_marks_are_thinned_and_keep_their_ends(monkeypatch):

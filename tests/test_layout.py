@@ -1,4 +1,4 @@
-"""The house: a room uses only what stands below it, and the front door opens onto each name."""
+"""The layout: a subpackage uses only what stands below it, and the package offers each of its names."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GROUND = (
     "_blas",
     "_mujoco",
 )
-ROOMS = (
+SUBPACKAGES = (
     "lie",
     "stability",
     "network",
@@ -47,39 +47,39 @@ ROOMS = (
 
 
 def imported(path: Path) -> set[str]:
-    """What of the package, by the name of its room, a module imports anywhere in it."""
-    rooms = set()
+    """What of the package, by the name of its subpackage, a module imports anywhere in it."""
+    subpackages = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.module == "lieednn_sim":
-            rooms |= {alias.name for alias in node.names}
+            subpackages |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("lieednn_sim."):
-            rooms.add(node.module.split(".")[1])
+            subpackages.add(node.module.split(".")[1])
         elif isinstance(node, ast.Import):
-            rooms |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("lieednn_sim.")}
-    return rooms
+            subpackages |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("lieednn_sim.")}
+    return subpackages
 
 
 def test_there_are_no_other_rooms():
     found = {
         path.name.removesuffix(".py") for path in PACKAGE.iterdir() if path.suffix == ".py" or any(path.rglob("*.py"))
     }
-    assert found - {"__pycache__", "__init__", "assets"} == {*GROUND, *ROOMS}
+    assert found - {"__pycache__", "__init__", "assets"} == {*GROUND, *SUBPACKAGES}
 
 
 def test_nothing_is_imported_from_a_room_above():
-    order = (*GROUND, *ROOMS)
+    order = (*GROUND, *SUBPACKAGES)
     upwards = {
-        f"{path.relative_to(PACKAGE)} imports {room}"
+        f"{path.relative_to(PACKAGE)} imports {subpackage}"
         for path in PACKAGE.rglob("*.py")
         if path.parent != PACKAGE or path.stem != "__init__"
-        for room in imported(path)
-        if order.index(room) > order.index(path.relative_to(PACKAGE).parts[0].removesuffix(".py"))
+        for subpackage in imported(path)
+        if order.index(subpackage) > order.index(path.relative_to(PACKAGE).parts[0].removesuffix(".py"))
     }
     assert upwards == set()
 
 
 def test_no_module_needs_itself():
-    """Not even for types, or on the way through the `__init__` of a room."""
+    """Not even for types, or on the way through the `__init__` of a subpackage."""
     paths = {path: path.relative_to(PACKAGE.parent).with_suffix("").parts for path in PACKAGE.rglob("*.py")}
     modules = {".".join(parts).removesuffix(".__init__"): path for path, parts in paths.items()}
     needs: dict[str, set[str]] = {module: set() for module in modules}
@@ -96,18 +96,18 @@ def test_no_module_needs_itself():
 
 def test_the_front_door_knows_each_name_and_where_it_lives():
     named = re.findall(r"from lieednn_sim\.(\S+) import (\w+) as \2$", Path(ls.__file__).read_text(), re.MULTILINE)
-    assert {name: room for room, name in named} == ls._ROOM_OF
+    assert {name: subpackage for subpackage, name in named} == ls._MODULE_OF
     for name in ls.__all__:
         value = getattr(ls, name)
         assert value.__name__ == name
-        assert value.__module__.startswith(f"lieednn_sim.{ls._ROOM_OF[name]}")
+        assert value.__module__.startswith(f"lieednn_sim.{ls._MODULE_OF[name]}")
     assert {*ls.__all__, "__version__"} <= set(dir(ls))
 
 
 def test_the_api_reference_has_a_page_for_each_room():
     """On which its `__all__` is, by the template."""
     listed = re.findall(r"^   lieednn_sim\.(\w+)$", (PACKAGE.parent / "docs/api/index.md").read_text(), re.MULTILINE)
-    assert listed == ["errors", *ROOMS[: ROOMS.index("cli")]]
+    assert listed == ["errors", *SUBPACKAGES[: SUBPACKAGES.index("cli")]]
 
 
 def test_an_arm_is_imported_without_the_subpackages_of_scipy():

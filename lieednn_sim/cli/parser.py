@@ -1,0 +1,202 @@
+"""The parser of a command's line, made from the signature of its function; see `signatures`."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import importlib
+import re
+import shlex
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import pairwise
+from typing import Any, NoReturn
+
+from lieednn_sim import registry
+from lieednn_sim.cli.kinds import KINDS
+from lieednn_sim.cli.signatures import Definition, Parameter, find, parameters
+from lieednn_sim.errors import InputError
+
+_PROGRAM = "lieednn-sim"
+
+
+def definition(module: str, command: str) -> Definition:
+    """The function of a command in a module of `lieednn_sim.cli`."""
+    found = find(f"lieednn_sim.cli.{module}", command)
+    assert found is not None
+    return found
+
+
+def overview(description: str, commands: Mapping[str, Mapping[str, str]]) -> str:
+    """The help of the program: its commands by groups, with the first lines of their docstrings."""
+    lines = [f"usage: {_PROGRAM} COMMAND ...", "", *textwrap.wrap(description, 100), ""]
+    for group, members in commands.items():
+        lines.append(f"{group}:")
+        for command, module in members.items():
+            summary = definition(module, command).docstring.partition("\n")[0]
+            lines.append(f"  {command:<12}{summary[0].lower()}{summary[1:].rstrip('.')}")
+        lines.append("")
+    return "\n".join(
+        [*lines, f"{_PROGRAM} COMMAND --help explains the options of a command, --version prints the version"]
+    )
+
+
+def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
+    """A call of a command's function with what the words say, of which what is not given has the function's default.
+
+    Raises:
+        InputError: the words are wrong.
+        SystemExit: the help is printed; nothing is imported for it.
+    """
+    taken = parameters(source)
+    parser = make_parser(source)
+    parser.epilog = _planner_help(words)
+    space, unknown = parser.parse_known_args(_join_negative_numbers(words))
+    line = shlex.join([_PROGRAM, source.name, *words])
+    given = vars(space) | {each.option: line for each in taken if each.kind == "CommandLine"}
+    if unknown:
+        known = [name for action in parser._actions for name in action.option_strings]
+        parser.error(f"{unknown[0]} is not understood{near(unknown[0].partition('=')[0], known)}")
+    function = getattr(importlib.import_module(source.module), source.name)
+    return partial(function, **_arguments(taken, given))
+
+
+def _planner_help(words: Sequence[str]) -> str:
+    """What ``--option`` takes for the planner that the words name, a line for each."""
+    parts = [part for word in words for part in word.split("=", 1)]
+    named = [after for part, after in pairwise(parts) if part == "--planner"]
+    entry = next((registry.PLANNERS.entries[name] for name in named if name in registry.PLANNERS.entries), None)
+    if entry is None or not isinstance(entry.takes, str) or not entry.takes:
+        return ""
+    options = find(f"lieednn_sim.{entry.place.partition(':')[0]}", entry.takes)
+    assert options is not None
+    return "\n".join(["options of this planner, for --option:", *_settings(parameters(options))])
+
+
+def _settings(taken: Iterable[Parameter], within: str = "") -> Iterator[str]:
+    for each in taken:
+        if each.group:
+            yield from _settings(each.group, f"{within}{each.name}.")
+        else:
+            yield f"{within}{each.name}={KINDS[each.kind].metavar}: {each.help}{_default(each)}"
+
+
+def near(word: str, known: Iterable[str]) -> str:
+    """A question that names the known word which is nearest to another one, if any is."""
+    found = difflib.get_close_matches(word, list(known), 1)
+    return f", did you mean {found[0]}?" if found else ""
+
+
+def make_parser(source: Definition) -> argparse.ArgumentParser:
+    """The parser of a command: its function's parameters, those in groups under a title of their own."""
+    taken = parameters(source)
+    summary, _, more = source.docstring.partition("Args:")[0].partition("\n")
+    words = [(each.option.upper(), each.required) for each in taken if each.positional]
+    parser = _Parser(
+        prog=f"{_PROGRAM} {source.name}",
+        usage=" ".join(["%(prog)s [OPTIONS]", *(word if required else f"[{word}]" for word, required in words)]),
+        description=" ".join([summary, *more.split()]),
+        formatter_class=_Help,
+        argument_default=argparse.SUPPRESS,
+    )
+    _add(parser, parser, taken)
+    return parser
+
+
+def _add(parser: argparse.ArgumentParser, group: Any, taken: Iterable[Parameter]) -> None:
+    for each in taken:
+        if each.kind == "CommandLine":
+            continue
+        if each.kind:
+            _add_option(group, each)
+        else:
+            _add(parser, parser.add_argument_group(each.help), each.group)
+
+
+def _add_option(group: Any, taken: Parameter) -> None:
+    kind = KINDS[taken.kind]
+    text = _filled(taken.help)
+    how: dict[str, Any] = {"dest": taken.option, "metavar": kind.metavar, "type": kind.read}
+    if taken.positional:
+        name, how["metavar"] = how.pop("dest"), taken.option.upper()
+        several, one = ("+", None) if taken.required else ("*", "?")
+        how["nargs"] = several if kind.words else one
+    elif taken.kind == "bool":
+        name = f"--no-{taken.option}" if taken.default else f"--{taken.option}"
+        text = f"do not {text}" if taken.default else text
+        how = {"dest": taken.option, "action": "store_false" if taken.default else "store_true"}
+    else:
+        name = f"--{taken.option}"
+        how |= {"required": taken.required, "action": kind.action} | ({"nargs": "+"} if kind.words else {})
+        text += "; may be repeated" if kind.action == "append" else ""
+    group.add_argument(name, help=text if "default" in text.lower() else text + _default(taken), **how)
+
+
+def _default(taken: Parameter) -> str:
+    value = taken.default
+    if isinstance(value, bool) or value in (None, "", ()):
+        return ""
+    entries = value if isinstance(value, tuple) else (value,)
+    texts = [f"{each:g}" if isinstance(each, float) else str(each) for each in entries]
+    return f" (default: {('x' if taken.kind == 'tuple[int, int]' else ',').join(texts)})"
+
+
+def _filled(text: str) -> str:
+    """The text with the names that there are in place of "a name of PLANNERS", or of another registry.
+
+    At the end of the text, planners say what they do.
+    """
+
+    def listed(reference: re.Match[str]) -> str:
+        found = getattr(registry, reference[1], None)
+        if found is None:
+            return reference[0]
+        if found is registry.PLANNERS and reference.end() == len(text):
+            return "".join(f"\n{name}: {entry.help}" for name, entry in found.entries.items())
+        return ", ".join(found.entries)
+
+    return re.sub(r"\ba name of (?:[a-z]\w*\.)*([A-Z_]+)", listed, text).replace("%", "%%")
+
+
+def _arguments(taken: Iterable[Parameter], given: Mapping[str, Any]) -> dict[str, Any]:
+    """The given arguments by the parameters' names, with those of groups made."""
+    values: dict[str, Any] = {}
+    for each in taken:
+        if each.group:
+            inner = _arguments(each.group, given)
+            make = dict if each.makes is None else getattr(importlib.import_module(each.makes.module), each.makes.name)
+            values[each.name] = make(**inner)
+        elif each.option in given:
+            value = given[each.option]
+            values[each.name] = tuple(value) if KINDS[each.kind].action == "append" else value
+    return values
+
+
+class _Parser(argparse.ArgumentParser):
+    """Raises `InputError` for wrong words."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message} ({self.prog} --help)")
+
+
+def _join_negative_numbers(words: Sequence[str]) -> list[str]:
+    """Rewrite ``--target -1,2`` as ``--target=-1,2``, since argparse takes a leading minus for another option."""
+    joined: list[str] = []
+    for word in words:
+        if joined and joined[-1].startswith("--") and "=" not in joined[-1] and re.match(r"-\.?\d", word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
+class _Help(argparse.HelpFormatter):
+    """Keeps line breaks, and adds none at hyphens."""
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        lines = text.splitlines()
+        return [part for line in lines for part in textwrap.wrap(line, width, break_on_hyphens=False)]
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return "\n".join(self._split_lines(text, width))

@@ -1,0 +1,65 @@
+"""Rows of the registries: what each names is there, and to list them imports nothing slow."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from lieednn_sim import registry
+from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.registry import FORMATS, LIBRARIES, PLANNERS, Entry, Registry
+
+ALL = [value for value in vars(registry).values() if isinstance(value, Registry)]
+
+
+@pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.kind)
+def test_every_row_has_a_help_and_what_it_names_is_there(kind):
+    assert len(kind) > 1
+    for name, entry in kind.items():
+        assert entry.own
+        assert entry.help, name
+        assert not entry.library or entry.library in LIBRARIES, name
+        assert not entry.takes or entry.options.__name__ == entry.takes
+        assert not entry.place or callable(entry.load()), name
+
+
+def test_a_list_of_names_imports_nothing_slow():
+    code = "import sys, lieednn_sim.registry as r; list(r.PLANNERS.entries); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert {"numpy", "mujoco", "importlib.metadata"}.isdisjoint(loaded)
+
+
+def test_names_are_looked_up_with_those_that_there_are():
+    assert PLANNERS.find("stomp") is PLANNERS["stomp"]
+    with pytest.raises(InputError, match="no planner 'stamp'; allowed: aorrtc, bit-star"):
+        PLANNERS.find("stamp")
+    with pytest.raises(InputError, match="no bias rule 'loud'; allowed: sign-matched, solved, uniform"):
+        registry.BIAS_RULES.find("loud")
+
+
+def test_what_is_not_installed_is_named_with_its_extra_and_what_else_there_is(monkeypatch):
+    monkeypatch.setattr(registry.importlib.util, "find_spec", lambda _: None)
+    assert PLANNERS.missing()["bit-star"] == FORMATS["rerun"].install.replace("rerun", "rivals")
+    PLANNERS.require("stomp")
+    words = r"'bit-star' is not installed: pip install 'lieednn_sim\[rivals\]'; or name another one.*: minimum-jerk"
+    with pytest.raises(LieEDNNError, match=words):
+        PLANNERS.require("bit-star")
+    assert registry.purpose("pyarrow") == "format lerobot, record"
+    with pytest.raises(LieEDNNError, match=r"ompl is not installed \(for planners rrt-connect, .*\): pip install"):
+        registry.optional_module("ompl.nowhere")
+
+
+def test_things_of_others_come_with_their_options_and_where_they_are_from():
+    kind = Registry("thing", {}, make=Entry, wanted="a function", group="lieednn_sim.things")
+
+    class Options: ...
+
+    thing = kind.register("own-thing", Options)(lambda: 5)
+    assert not kind["own-thing"].own
+    assert (kind["own-thing"].load(), kind["own-thing"].options) == (thing, Options)
+    (line,) = kind.origins(["own-thing", "elsewhere"])
+    assert line.startswith(f"thing own-thing: {__name__}.")
+    with pytest.raises(InputError, match="thing 'other' must be a function, got int"):
+        kind.register("other")(3)
