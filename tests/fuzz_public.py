@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import enum
 import functools
@@ -17,7 +18,6 @@ import types
 import typing
 import warnings
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
-from contextlib import redirect_stdout
 from decimal import Decimal
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -214,6 +214,9 @@ class Draw:
             keys = [self.of(inner[0]) for _ in range(choose([0, 1, 2]))]
             return {key: self.of(inner[1]) for key in keys if isinstance(key, Hashable)}
         made = self.things(kind) if isinstance(kind, type) else None
+        if made is None and dataclasses.is_dataclass(kind) and kind in public_values().values():
+            with contextlib.suppress(Exception):
+                made = kind(**self.arguments(Target(kind.__name__, None, kind)))
         return choose(junk()) if made is None else made
 
     def number(self) -> float:
@@ -258,7 +261,7 @@ def fault_of(function: Callable[..., Any], *arguments: Any, **named: Any) -> str
     """Call, and tell what is wrong: nothing if there is a result without NaN, or an error of the package."""
     unchecked = "unchecked" in (function.__doc__ or "").lower()
     try:
-        with warnings.catch_warnings(action="error"), redirect_stdout(io.StringIO()):
+        with warnings.catch_warnings(action="error"), contextlib.redirect_stdout(io.StringIO()):
             result = function(*arguments, **named)
             result = list(result) if inspect.isgenerator(result) else result
     except LieEDNNError as error:
