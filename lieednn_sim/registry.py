@@ -467,6 +467,6 @@ RIVALS: Registry[Entry] = Registry(
             "learning.demonstrations.probabilistic:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"
         ),
         "lpv-ds": Entry("learning.demonstrations.stable_mixture:StableMixture.fit", "a stable mixture of linear ones"),
-        "linear-attractor": Entry("studies.demonstrations.models:linear_attractor", "the same rate everywhere"),
+        "linear-attractor": Entry("learning.demonstrations.models:LinearAttractor.fit", "the same rate everywhere"),
     },
 )

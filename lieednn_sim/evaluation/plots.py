@@ -19,8 +19,6 @@ from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
 from lieednn_sim.evaluation.metrics import pose_errors
-from lieednn_sim.network import ACTIVATIONS, ComponentwiseNetwork
-from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice
@@ -29,9 +27,6 @@ from lieednn_sim.values import Floats
 __all__ = ["plot"]
 
 _PUSH = "0.85"
-# Hidden neurons per row in each block of a plot, most of them shown, and the line styles of their coordinates.
-_HIDDEN_IN_ROW, _MOST_HIDDEN = 4, 24
-_HIDDEN_STYLES = {"\\omega": "-", "v": ":"}
 # Most names in a row of a legend, and in one of channels.
 _MOST_IN_ROW, _LABELS_IN_ROW = 7, 5
 # Least half range of axes for errors [mm, deg] and percentages of a limit [%], so that small values look small.
@@ -40,9 +35,7 @@ _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
 _MOST_ROWS, _LONGEST_NAME = 12, 14
 
 
-def plot(
-    rollout: Rollout, directory: str | os.PathLike[str], *, network: ComponentwiseNetwork | None = None
-) -> tuple[Path, ...]:
+def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...]:
     """Plot a run in PNG files: tracking error, joints, and network and channels if it has them.
 
     The files are ``tracking.png``, ``joints.png``, ``network.png`` and ``channels.png``.
@@ -50,13 +43,11 @@ def plot(
     Args:
         rollout: the simulated run.
         directory: where the files are written or replaced; it is created if needed.
-        network: the plan's network, to show its hidden neurons, as for `plot_network`.
 
     Returns:
         The paths of the files.
 
     Raises:
-        InputError: the network is not the motion's.
         FileError: the directory cannot be written.
     """
     folder = io.make_directory(directory)
@@ -65,23 +56,18 @@ def plot(
     plot_joints(rollout, made[1])
     if rollout.motion is not None:
         made.append(folder / "network.png")
-        plot_network(rollout, made[-1], network=network)
+        plot_network(rollout, made[-1])
     if rollout.channels:
         made.append(folder / "channels.png")
         plot_channels(rollout, made[-1])
     return tuple(made)
 
 
-def plot_network(
-    rollout: Rollout, path: str | os.PathLike[str], *, network: ComponentwiseNetwork | None = None
-) -> None:
+def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
 
-    If the network is given, the outputs phi(h(t)) of its hidden neurons are shown below. It must have generated the
-    motion, without being retargeted meanwhile.
-
     Raises:
-        InputError: the rollout followed no plan, or one whose size is not the network's.
+        InputError: the rollout followed no plan.
     """
     arm, motion = rollout.arm, rollout.motion
     if motion is None:
@@ -91,12 +77,9 @@ def plot_network(
     blocks = -(-n // _MOST_ROWS)
     rows = -(-n // blocks)
     columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
-    hidden = 0 if network is None else min(network.n_hidden, _MOST_HIDDEN)
-    heights = [1.7 * rows] + ([0.5 + 1.4 * -(-hidden // (_HIDDEN_IN_ROW * blocks))] if hidden else [])
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10.0 * blocks, 1.2 + sum(heights)), layout="constrained")
-        parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-        axes = _subplots(parts[0], motion.t, rows, 2 * blocks, sharey="col")
+        figure = Figure(figsize=(10.0 * blocks, 1.2 + 1.7 * rows), layout="constrained")
+        axes = _subplots(figure, motion.t, rows, 2 * blocks, sharey="col")
         for i in range(rows * blocks):
             pair = axes[i % rows, 2 * (i // rows) : 2 * (i // rows) + 2]
             for axis, (title, unit, first, scale) in zip(pair, columns, strict=True):
@@ -115,40 +98,8 @@ def plot_network(
                 if i % rows == rows - 1 or i == n - 1:
                     axis.set_xlabel("time [s]")
                     axis.tick_params(labelbottom=True)
-        entries = _lines(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)}
-        if network is not None and hidden:
-            _plot_hidden(parts[1], motion, network, hidden, _HIDDEN_IN_ROW * blocks)
-            for kind, style in _HIDDEN_STYLES.items():
-                entries[f"hidden: $\\varphi({kind})$"] = Line2D([], [], color="0.3", ls=style)
-            if hidden < network.n_hidden:
-                entries[f"{hidden} of {network.n_hidden} hidden neurons"] = Line2D([], [], ls="")
-        _legend(figure, entries)
+        _legend(figure, _lines(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)})
         figure_layout.save_figure(figure, path)
-
-
-def _plot_hidden(figure: Any, motion: Motion, network: ComponentwiseNetwork, count: int, columns: int) -> None:
-    """Outputs of some hidden neurons, in a number of columns of a part of a figure."""
-    first, duration = network.n_visible, max(float(motion.tau[-1]), 1e-9)
-    states = network.trajectory(network.start(motion.xi[0]), duration)(motion.tau)
-    sent = network.phi(states[:, first:])
-    highest = 1.08 * ACTIVATIONS[network.activation].bound
-    # An encoder has hundreds of them: some of all kinds.
-    chosen = np.linspace(0, network.n_hidden - 1, count).astype(int)
-    rows = -(-len(chosen) // columns)
-    axes = _subplots(figure, motion.t, rows, columns, sharey=True)
-    for k, axis in enumerate(axes.ravel()):
-        if k >= len(chosen):
-            axis.set_visible(False)
-            continue
-        i = int(chosen[k])
-        for c, style in enumerate(style for style in _HIDDEN_STYLES.values() for _ in range(3)):
-            axis.plot(motion.t, sent[:, i, c], color=COLOURS[c % 3], ls=style, lw=1.0)
-        axis.set_ylim(-highest, highest)
-        kind = "clock" if i >= network.n_hidden - network.n_clock else "hidden"
-        _label(axis, "output [1]" if k % columns == 0 else "", f"neuron {first + i + 1} ({kind})", fontsize=9)
-        if k + columns >= len(chosen):
-            axis.set_xlabel("time [s]")
-            axis.tick_params(labelbottom=True)
 
 
 def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
@@ -228,8 +179,8 @@ def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequenc
         figure_layout.save_figure(figure, path)
 
 
-def _subplots(figure: Any, t: Floats, rows: int, columns: int, *, sharey: Any = False) -> Any:
-    """Axes ``(rows, columns)`` over the times t, of a figure or a part of one."""
+def _subplots(figure: Figure, t: Floats, rows: int, columns: int, *, sharey: Any = False) -> Any:
+    """Axes ``(rows, columns)`` over the times t."""
     axes = figure.subplots(rows, columns, sharex=True, sharey=sharey, squeeze=False)
     # Once for all: updating their common range after every line takes longer than the drawing.
     margin = matplotlib.rcParams["axes.xmargin"] * (t[-1] - t[0])

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.manifold import QuaternionWeights
+from lieednn_sim.learning.manifold import QuaternionWeights, weight_manifold
 from lieednn_sim.learning.options import RiemannianOptions, TrainingOptions
 from lieednn_sim.learning.projected import ProjectedTraining
 from lieednn_sim.learning.result import TrainingResult
 from lieednn_sim.learning.riemannian import RiemannianTraining
 from lieednn_sim.learning.training import Progress, TrainingProblem
 from lieednn_sim.network import DEFAULT_ACTIVATION
+from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
-from lieednn_sim.validation import Seed, as_floats
+from lieednn_sim.validation import Seed, as_floats, as_positive, as_seed
 
 
 def train(
@@ -57,8 +59,17 @@ def train(
     Raises:
         InputError: a value has the wrong shape or range.
     """
-    problem = TrainingProblem.checked(target, bias, gamma, mu, activation, group, seed)
-    size = problem.target.size
+    manifold = weight_manifold(group)
+    goal = as_floats("target", target, ("N", manifold.dimension))
+    size = goal.size
+    if size == 0:
+        raise InputError(f"target must have shape (N, {manifold.dimension}) with N >= 1, got {goal.shape}")
+    offset = as_floats("bias", bias, (), batched=True)
+    offset = as_floats("bias", offset if offset.ndim else np.full(goal.shape, offset), goal.shape)
+    if not offset.any():
+        raise InputError("bias must not be zero: zero would be an equilibrium for all weights")
+    rates = as_positive("gamma", gamma), as_positive("mu", mu), as_activation(activation)
+    problem = TrainingProblem(goal, offset, *rates, manifold, as_seed("seed", seed))
     first = None if initial_weight is None else as_floats("initial_weight", initial_weight, (size, size))
     chosen = TrainingOptions() if options is None else options
     with one_blas_thread():

@@ -30,7 +30,7 @@ _HORIZONS = 10
 # A tenth of the paper's tau, and far above the integrator's own error.
 _AT_REST = 1e-6
 # Steps of all horizons together; a hundred are usual for each.
-_FLOW_STEPS = 20_000
+_FLOW_STEPS = 4_000
 # Most that Newton steps may move a point of rest; beyond that they have found another equilibrium.
 _NEARBY = 1e-2
 

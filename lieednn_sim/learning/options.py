@@ -85,8 +85,7 @@ class TrainingOptions(LearningOptions):
         projection: ``"block-wise"`` (paper, App. F), ``"exact"`` (Frobenius-nearest), ``"scaled"`` (alpha and block
             together, alpha of either sign), or ``"none"`` (ablation).
         period: epochs between projections.
-        learn_alpha: step in alpha by dE/dalpha; otherwise alpha is fixed. The scaled projection sets alpha itself.
-        initial_alpha: initial alpha of all blocks; None for 1/(3N).
+        learn_alpha: step in alpha by dE/dalpha; otherwise alpha stays 1/(3N). The scaled projection sets alpha itself.
         step_control: ``"adaptive"``: every step is taken, and the rate follows the loss. ``"tracked"``: the steps from
             one projection to the next are a trial, repeated at a smaller rate when the equilibrium is lost or jumps by
             more than ``max_jump``.
@@ -101,7 +100,6 @@ class TrainingOptions(LearningOptions):
     projection: str = "block-wise"
     period: int = 10
     learn_alpha: bool = True
-    initial_alpha: float | None = None
     initial_rate: float = 0.02
     min_rate: float = 0.002
     max_rate: float = 0.2
@@ -124,8 +122,6 @@ class TrainingOptions(LearningOptions):
         as_choice("step control", self.step_control, STEP_CONTROLS)
         check_fields(self, as_count, "period", "max_epochs")
         check_fields(self, lambda _, flag: bool(flag), "learn_alpha", "verified_stop")
-        if self.initial_alpha is not None:
-            check_fields(self, as_positive, "initial_alpha")
 
     @property
     def most_epochs(self) -> int:

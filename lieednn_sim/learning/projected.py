@@ -26,7 +26,7 @@ class ProjectedTraining(Training[TrainingOptions]):
     def initial(self, weight: Floats) -> Iterate:
         """See `Training`; Algorithm 1 starts off the manifold."""
         options, n = self.options, len(self.problem.target)
-        alpha = np.full((n, n), options.initial_alpha or 1.0 / (3.0 * n))
+        alpha = np.full((n, n), 1.0 / (3.0 * n))
         kind = "block-wise" if options.projection == "none" else options.projection
         point = self.manifold.project(weight, alpha, kind)
         if options.step_control == "tracked" and options.projection != "none":
@@ -124,4 +124,4 @@ class ProjectedTraining(Training[TrainingOptions]):
                     change /= np.einsum("ijab,ijab->ij", now.point.adjoints, now.point.adjoints)
                 alpha = alpha - rate * change
         reached = self._find(weight, equilibrium.x, nearby)
-        return now._replace(weight=weight, alpha=alpha, equilibrium=reached, rate=rate, error=error), arrived
+        return Iterate(weight, alpha, now.point, reached, now.log_scale, rate, error), arrived

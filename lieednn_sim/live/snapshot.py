@@ -16,15 +16,9 @@ from lieednn_sim.live.session import Aim, Session
 from lieednn_sim.values import Floats
 
 _GOOD, _BAD, _IDLE = "#2f9e44", "#e03131", "#868e96"
-# Distance of a network below which rounding decides.
-_ROUNDING = 1e-9
 _TABLE = '<table style="width:100%;border-collapse:collapse;font-size:.82em;line-height:1.45">'
 _NAME = '<td style="opacity:.65;padding-right:.7em;vertical-align:top;white-space:nowrap">'
 _VALUE = '<td style="overflow-wrap:anywhere">'
-# Distance of the end effector at which the arm has arrived [m], and angle [rad].
-_ARRIVED = 1e-3, 5e-3
-# Distance within which geoms are looked at [m], and the least derivative of one that joints can change.
-_NEAR, _LEAST_SLOPE = 0.6, 1e-6
 
 
 class Snapshot(NamedTuple):
@@ -59,7 +53,7 @@ class Snapshot(NamedTuple):
     @property
     def arrived(self) -> bool:
         """Whether the end effector is within a millimetre and 5 mrad of the target."""
-        return self.distance < _ARRIVED[0] and self.angle < _ARRIVED[1]
+        return self.distance < 1e-3 and self.angle < 5e-3
 
 
 class Observer:
@@ -77,8 +71,8 @@ class Observer:
         poses = arm.link_poses(np.stack([tick.q, tick.q_ref, tick.target]))
         frames, planned, goals = poses[0], poses[1], poses[2]
         places: Floats = np.asarray(poses.translation)[:, -1]
-        near = self._collisions.distances(tick.q, _NEAR)
-        changing = np.flatnonzero(np.abs(near.jacobian).max(axis=1, initial=0.0) > _LEAST_SLOPE)
+        near = self._collisions.distances(tick.q, 0.6)
+        changing = np.flatnonzero(np.abs(near.jacobian).max(axis=1, initial=0.0) > 1e-6)
         first = int(changing[0]) if len(changing) else None
         inner = network_policy(session.policy)
         return Snapshot(
@@ -113,8 +107,8 @@ def status(snapshot: Snapshot) -> str:
     ]
     if progress is not None:
         bound = f" &le; {progress.bound:.3g} proved" if np.isfinite(progress.bound) else ", no bound proved"
-        rounded = progress.distance < _ROUNDING
-        rows += [("of the network", "below 1e-9" if rounded else f"{progress.distance:.3g}{bound}")]
+        # Below it rounding decides.
+        rows += [("of the network", "below 1e-9" if progress.distance < 1e-9 else f"{progress.distance:.3g}{bound}")]
     if snapshot.gap is not None:
         rows += [("mechanism gap", f"{_millimetres(snapshot.gap[1])}, {_degrees(snapshot.gap[0])}")]
     nearest = " and ".join(escape(name) for name in snapshot.nearest)

@@ -92,39 +92,27 @@ def find_equilibrium(
     Raises:
         LieEDNNError: the numbers are so large that the search overflows.
     """
+    x, steps, how = start.ravel().copy(), 0, "Newton converged"
+    # Squares may overflow meanwhile; a result that is not finite is rejected below.
     with np.errstate(all="ignore"):
-        # Squares may overflow meanwhile; a result that is not finite is rejected below.
         try:
-            found = _search(vector_field, jacobian, start, rate, tolerance)
+            for attempt in range(3):
+                x, n, converged = _newton(vector_field, jacobian, x, rate * tolerance)
+                steps += n
+                if converged:
+                    break
+                if attempt < 2:
+                    how = "Newton converged after following the flow"
+                    x = _follow(vector_field, x, 50.0 * 4**attempt / rate)
+            else:
+                how = "no equilibrium found: Newton stalled, also after following the flow; the network may be unstable"
+            residual = float(np.abs(vector_field(x)).max())
+            abscissa = float(np.linalg.eigvals(jacobian(x)).real.max())
         except (np.linalg.LinAlgError, ValueError) as error:
             raise LieEDNNError(f"{_OVERFLOW} ({error})") from None
-    if not (np.isfinite(found.xi).all() and np.isfinite([found.residual, found.spectral_abscissa]).all()):
+    if not (np.isfinite(x).all() and np.isfinite([residual, abscissa]).all()):
         raise LieEDNNError(_OVERFLOW)
-    return found
-
-
-def _search(
-    vector_field: VectorField, jacobian: VectorField, start: Floats, rate: float, tolerance: float
-) -> Equilibrium:
-    x, steps, how = start.ravel().copy(), 0, "Newton converged"
-    for attempt in range(3):
-        x, n, converged = _newton(vector_field, jacobian, x, rate * tolerance)
-        steps += n
-        if converged:
-            break
-        if attempt < 2:
-            how = "Newton converged after following the flow"
-            x = _follow(vector_field, x, 50.0 * 4**attempt / rate)
-    else:
-        how = "no equilibrium found: Newton stalled, also after following the flow; the network may not be stable"
-    return Equilibrium(
-        success=converged,
-        message=how,
-        xi=x.reshape(start.shape),
-        residual=float(np.abs(vector_field(x)).max()),
-        spectral_abscissa=float(np.linalg.eigvals(jacobian(x)).real.max()),
-        n_newton=steps,
-    )
+    return Equilibrium(converged, how, x.reshape(start.shape), residual, abscissa, steps)
 
 
 def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:

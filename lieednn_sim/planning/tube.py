@@ -112,8 +112,7 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
         margin: distance that everything keeps from contact [m].
 
     Raises:
-        InputError: a value is malformed or negative, the plan has no network, or its motion is not the network's path,
-            as after the safety filter.
+        InputError: a value is malformed or negative, the plan has no network, or its motion is not the network's path.
         NotCertifiedError: the network has no certificate, or nothing is proved about the growth of deviations.
         PlanError: the motion comes too close to contact for any tube.
     """
@@ -159,7 +158,7 @@ def _check_path(arm: Arm, network: ComponentwiseNetwork, motion: Motion) -> None
         states = network.trajectory(network.start(motion.xi[0]), motion.tau[-1])(motion.tau)
         own = bool(np.abs(network.visible(states) - motion.xi).max() <= _SAME)
     if not own or np.abs(arm.decode(motion.xi, start=motion.q[0]).q - motion.q).max() > _SAME:
-        raise InputError("the motion is not the path of its network, as after the safety filter: there is no tube")
+        raise InputError("the motion is not the path of its network, so there is no tube")
 
 
 class _Path:
@@ -175,7 +174,7 @@ class _Path:
         before, after = motion.qd[:-1], motion.qd[1:]
         ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
         self._accelerations = np.abs(ends).max(axis=0) / step
-        self.bounds = ClearanceBounds(arm.without_visuals, arm.deviation_groups, margin)
+        self.bounds = ClearanceBounds(arm.without_visuals, arm.retractor.groups, margin)
         twist = motion.xi * arm.twist_units
         steps = np.linalg.norm(np.diff(twist, axis=0).reshape(len(twist) - 1, -1, 2, 3), axis=-1)
         slack = np.zeros((*twist.shape[:2], 2))
@@ -226,7 +225,7 @@ class _Path:
 
     def _spread(self, radius: float, sizes: Floats) -> Floats:
         """Largest changes ``(K, G)`` of the joints for a scale of 1, proved for scales up to ``radius``."""
-        return self._arm.deviation_spread(replace(self._states, size=radius * sizes)) / radius
+        return self._arm.retractor.spread(replace(self._states, size=radius * sizes)) / radius
 
     def _scales(self, a: float, b: float, spread: Floats, most: float) -> tuple[float, float, tuple[int, int]]:
         """As `ClearanceBounds`, for an interval of samples: for all its instants, and for its middle alone."""

@@ -20,14 +20,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.values import Floats
 
-# Parts of the arm this close at home are taken for neighbours, which approach slowly: a shorter cutoff suffices [m].
-_NEIGHBOURS, _NEIGHBOUR_CUTOFF = 0.15, 0.04
-# Least distance up to which pairs are measured [m].
-_LEAST_CUTOFF = 0.001
 # Fraction of the distance of start and target that is kept where these are closer than the margin.
 _MARGIN_FRACTION = 0.8
-# Motion along the angle limit of a ball joint exceeds it to second order in a step [rad].
-_ANGLE_INSET = 5e-3
 
 
 @dataclass(frozen=True)
@@ -39,7 +33,7 @@ class FilterOptions(PlannerOptions):
         own_margin: distance that parts of the arm keep from each other [m].
         approach: upper bound on the rate c [1/s]: geoms at a distance d may approach each other at c d.
         cutoff: distance beyond which pairs are ignored [m].
-        smoothing: s, the weight of the change of velocity in the quadratic program of `filter`.
+        smoothing: s, the weight of the change of velocity in the quadratic program of `safety_filter`.
 
     Raises:
         InputError: a value is not positive.
@@ -113,9 +107,10 @@ class ClearanceBarrier:
         own, pairs = self.collisions.own, tuple(self.collisions.pairs.T)
         self._margins[pairs] = np.where(own, options.own_margin, options.margin)
         self.cutoffs = np.full(len(own), options.cutoff)
+        # Parts of the arm within 0.15 m at home are taken for neighbours, which approach slowly.
         beside = np.zeros_like(self._margins, dtype=bool)
-        beside[tuple(self.collisions.distances(arm.keyframe("home"), _NEIGHBOURS).pairs.T)] = True
-        self.cutoffs[own & beside[pairs]] = min(_NEIGHBOUR_CUTOFF, options.cutoff)
+        beside[tuple(self.collisions.distances(arm.keyframe("home"), 0.15).pairs.T)] = True
+        self.cutoffs[own & beside[pairs]] = min(0.04, options.cutoff)
         self._approach = ApproachBounds(arm, self.collisions.pairs)
         self._near: Distances
 
@@ -142,7 +137,7 @@ class ClearanceBarrier:
         stop = float((speeds / self._acceleration).max())
         times = max(1.0 / rate + h, (1.0 + h * rate) ** 2 * stop / (2.0 * self.braking_fraction))
         margins = self._margins[tuple(self.collisions.pairs.T)]
-        return np.minimum(margins + times * self._approach(q, speeds) + _LEAST_CUTOFF, self.cutoffs)
+        return np.minimum(margins + times * self._approach(q, speeds) + 1e-3, self.cutoffs)
 
     def allow(self, q: Floats) -> None:
         """Reduce the margins of pairs that are closer at ``q`` ``(n,)`` to a fraction of their distance there.
@@ -188,7 +183,8 @@ class AngleBarrier:
     def allow(self, q: Floats) -> None:
         """Tighten the limits, but not below the angles at ``q`` ``(n,)``."""
         angles = np.linalg.norm(q[self._balls], axis=1)
-        self.limits = np.minimum(np.maximum(self._largest - _ANGLE_INSET, angles), self._largest)
+        # Motion along the limit exceeds it to second order in a step.
+        self.limits = np.minimum(np.maximum(self._largest - 5e-3, angles), self._largest)
 
     def name(self, row: int) -> str:
         """As of `ClearanceBarrier`."""

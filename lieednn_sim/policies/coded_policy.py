@@ -34,8 +34,6 @@ from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.values import Floats
 
-# Fraction of the accelerations' limits by which the pace falls, and by which it may change velocities at most.
-_BRAKING, _ACCELERATION = 0.35, 0.85
 # Below this pace the arm rests.
 RESTS = 1e-3
 # Time in which the pace may fall to zero where no joint moves fast [s], and duration of the motion of rest at first.
@@ -118,7 +116,7 @@ class CodedPolicy(FeedbackPolicy):
 
     def _within_acceleration(self, wish: float, extra: Floats) -> float:
         """The pace nearest to a wish with which no joint's velocity changes by more than its limit in a period."""
-        most, change, velocity = _ACCELERATION * self._max_gain, extra - self.qd, self._velocity
+        most, change, velocity = 0.85 * self._max_gain, extra - self.qd, self._velocity
         moving = np.abs(velocity) > 1e-9
         ends = (np.array([-most, most]) - change)[:, moving] / velocity[moving]
         low = float(ends.min(axis=0).max(initial=0.0))
@@ -161,4 +159,5 @@ class CodedPolicy(FeedbackPolicy):
         self._velocity = rate * slope
         _, qd, _ = course.transition(np.linspace(0.0, course.transition.duration, 64))
         swift = np.abs(qd).max(axis=0) / self.arm.acceleration_limits
-        self._braking = _BRAKING / max(float(swift.max()), _SOONEST * _BRAKING)
+        # The pace falls by a fraction of the accelerations' limits.
+        self._braking = 0.35 / max(float(swift.max()), 0.35 * _SOONEST)

@@ -39,11 +39,10 @@ from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats
 
-# Largest |l s c| T in the certificate's norm and largest change of a switch's argument in a Runge-Kutta step, and the
-# largest number of such steps in a period.
-_MAX_STEP, _MAX_SWITCHING, _MAX_STEPS = 0.5, 0.5, 100
-# A period is run again, this often, if velocities at its end exceed their limits by more than this fraction.
-_TOO_FAST, _TRIES = 1e-3, 4
+# Largest |l s c| T in the certificate's norm, and largest change of a switch's argument, in a Runge-Kutta step.
+_MAX_STEP = 0.5
+# Largest number of such steps in a period.
+_MAX_STEPS = 100
 
 
 class NetworkPolicy(FeedbackPolicy):
@@ -130,12 +129,13 @@ class NetworkPolicy(FeedbackPolicy):
         allowed = self.allowed()
         wanted = scale * self._flow_rate + rate
         fraction = 1.0 / max(1.0, _max_abs(wanted / allowed))
-        for _ in range(_TRIES):
+        # Run again if velocities at the end exceed their limits.
+        for _ in range(4):
             x, drive, flow = self._integrate(fraction * scale, drift / scale)
             drawn, flow_rate = self._decode(x, flow, self._drawn + fraction * period * wanted)
             qd = fraction * (scale * flow_rate + rate)
             excess = _max_abs(qd / allowed)
-            if excess <= 1.0 + _TOO_FAST:
+            if excess <= 1.001:
                 break
             fraction /= excess
         self._x, self._drive, self._flow, self._flow_rate = x, drive, flow, flow_rate
@@ -173,7 +173,7 @@ class NetworkPolicy(FeedbackPolicy):
         """The state after a period of x' = scale (F(x) + drift), by RK4, and its drive and F there."""
         x, drive, gamma = self._x, self._drive, self.network.gamma
         switching = _max_abs(self._flow[self._visible :])
-        extent = scale * self.period * max(self._stiffness / _MAX_STEP, switching / _MAX_SWITCHING)
+        extent = scale * self.period * max(self._stiffness, switching) / _MAX_STEP
         count = min(math.ceil(extent), _MAX_STEPS) or 1
         pull, z = self._pull + drift / gamma, gamma * scale * self.period / count
         for _ in range(count):

@@ -31,10 +31,6 @@ from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
 
-# Time between the samples of a path that are looked at [s], and their number beyond which it is a multiple of that.
-_LOOK, _MOST_LOOKS = 0.04, 150
-# Time for which obstacles are expected to go on as they move [s].
-_FORESIGHT = 0.3
 # Configurations are one if they differ by less than this fraction of the ranges.
 _SAME = 1e-6
 
@@ -225,8 +221,9 @@ class ReplanningPolicy(CodedPolicy):
 
     def _sampled(self, motion: Callable[[Floats], Floats], begin: float, end: float) -> tuple[Floats, Floats]:
         """Times ``(K,)`` between two ones, and the configurations ``(K, n)`` of a motion there."""
-        # The same instants in each look: otherwise where a motion is blocked would change though nothing moves.
-        step = _LOOK * max(1, math.ceil((end - begin) / (_LOOK * _MOST_LOOKS)))
+        # The same instants in each look: otherwise where a motion is blocked would change though nothing moves. Every
+        # 0.04 s, or a multiple of that where there would be more than 150.
+        step = 0.04 * max(1, math.ceil((end - begin) / (0.04 * 150)))
         times = np.clip(step * np.arange(math.floor(begin / step), math.ceil(end / step) + 1), begin, end)
         return times, np.asarray(motion(times))
 
@@ -234,7 +231,8 @@ class ReplanningPolicy(CodedPolicy):
         """As `Surroundings.blocked`, were the obstacles to go on as since the last look."""
         now, last = dict(self._surroundings.places), self._last_places
         self._last_places = now
-        looks = _FORESIGHT / (self._options.look_every * self.period)
+        # For 0.3 s.
+        looks = 0.3 / (self._options.look_every * self.period)
         ahead = {name: place + looks * (place - last.get(name, place)) for name, place in now.items()}
         if all((ahead[name] == place).all() for name, place in now.items()):
             return None

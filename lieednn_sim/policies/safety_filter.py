@@ -34,14 +34,6 @@ from lieednn_sim.values import Floats, frozen
 
 # Constraints with multipliers above this hold the arm back.
 _BLOCKING_MULTIPLIER = 1e-4
-_UNBOUNDED = 1e30
-# No arm has larger positions or velocities; with larger ones the quadratic program could not tell its bounds apart.
-_LARGEST_VALUE = 1e9
-# DAQP's flag of a soft constraint, and the inverse of the weight of violating it.
-_SOFT_FLAG, _SOFTNESS = 8, 1e-4
-# Without acceleration limits, joints reach their velocity limits in this time; without those, they cross their ranges
-# in that time [s].
-_ACCELERATION_TIME, _RANGE_TIME = 0.25, 1.0
 
 
 @frozen
@@ -84,9 +76,9 @@ class SafetyFilter:
         self.timestep = h = as_positive("timestep", timestep)
         self.options = options or FilterOptions()
         velocity, acceleration = arm.velocity_limits, arm.acceleration_limits
-        self.velocity_limits = np.where(np.isfinite(velocity), velocity, arm.ranges / _RANGE_TIME)
-        fast = self.velocity_limits / _ACCELERATION_TIME
-        self.acceleration_limits = np.where(np.isfinite(acceleration), acceleration, fast)
+        # Without limits, joints cross their ranges in a second, and reach their velocity limits in a quarter of one.
+        self.velocity_limits = np.where(np.isfinite(velocity), velocity, arm.ranges)
+        self.acceleration_limits = np.where(np.isfinite(acceleration), acceleration, 4.0 * self.velocity_limits)
         self.position_limits = arm.position_limits
         self.clearance = ClearanceBarrier(arm, self.acceleration_limits, h, self.options)
         self.angles = AngleBarrier(arm)
@@ -119,23 +111,24 @@ class SafetyFilter:
             InputError: a value is malformed.
         """
         n, options = self.arm.n_joints, self.options
+        # No arm has larger values; with them the quadratic program could not tell its bounds apart.
         position, old, goal = (
-            as_floats(name, value, (n,), largest=_LARGEST_VALUE)
+            as_floats(name, value, (n,), largest=1e9)
             for name, value in (("q", q), ("velocity", velocity), ("wanted", wanted))
         )
         low, high, of_position = self._bounds(position, old)
         rows, floors, names = self._rows(position, old, low, high)
         scale = self.velocity_limits
         pull = (goal + options.smoothing * old) / scale / (1.0 + options.smoothing)
-        upper = np.concatenate([high / scale, np.full(len(rows), _UNBOUNDED)])
+        upper = np.concatenate([high / scale, np.full(len(rows), 1e30)])
         lower = np.concatenate([low / scale, floors])
         scaled = np.ascontiguousarray(rows * scale)
-        hard = np.zeros(n + len(rows), dtype=np.int32)
-        solution, _, flag, info = daqp.solve(np.eye(n), -pull, scaled, upper, lower, hard)
+        sense = np.zeros(n + len(rows), dtype=np.int32)
+        solution, _, flag, info = daqp.solve(np.eye(n), -pull, scaled, upper, lower, sense)
         if flag < 1:
-            # Come to rest, violating barriers as little as the bounds allow.
-            sense = np.concatenate([np.zeros(n), np.full(len(rows), _SOFT_FLAG)]).astype(np.int32)
-            solution, _, flag, _ = daqp.solve(np.eye(n), np.zeros(n), scaled, upper, lower, sense, rho_soft=_SOFTNESS)
+            # Come to rest, violating barriers, soft constraints now, as little as the bounds allow.
+            sense = np.repeat(np.array([0, 8], dtype=np.int32), [n, len(rows)])
+            solution, _, flag, _ = daqp.solve(np.eye(n), np.zeros(n), scaled, upper, lower, sense, rho_soft=1e-4)
             braking = np.clip(solution * scale if flag > 0 else np.zeros(n), low, high)
             missing = floors - rows @ braking
             violated = np.argsort(-missing, kind="stable")[: max(1, np.count_nonzero(missing > 0.0))]

@@ -21,13 +21,6 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
 
-# Fraction of a distance below the margin that is kept.
-_KEPT_FRACTION = 0.8
-# Fractions of the margin with which a path is searched for, where start or target are nearer than that.
-_MARGINS = (1.0, 0.5, 0.0)
-# Duration asked for [s], which nearly every motion needs more of, and how many times of it one may take.
-_DURATION, _MAX_TIME_SCALE = 0.5, 100.0
-
 
 class Surroundings:
     """The arm's scene with moving obstacles at their last known places.
@@ -83,7 +76,7 @@ class Surroundings:
         """
         if self._near is not None:
             distance, _ = self._near_pairs(*self._near.geoms(self._arm.space.to_qpos(q)), self._margin)
-            self._kept = min(self._margin, _KEPT_FRACTION * max(float(distance.min(initial=np.inf)), 0.0))
+            self._kept = min(self._margin, 0.8 * max(float(distance.min(initial=np.inf)), 0.0))
 
     def _near_pairs(self, distance: Floats, pairs: NDArray[np.int_], margin: float) -> tuple[Floats, NDArray[np.int_]]:
         """Those of the pairs ``(C, 2)`` and their distances that have a moving obstacle within a margin."""
@@ -144,10 +137,12 @@ def _path(
     seed: int,
 ) -> Motion:
     refused: InputError | None = None
-    for share in _MARGINS:
+    # With less of the margin where start or target are nearer than that.
+    for share in (1.0, 0.5, 0.0):
         there = arm.placed(places, share * margin)
         try:
-            problem = PlanningProblem(there, *ends, _DURATION, seed=seed, max_time_scale=_MAX_TIME_SCALE)
+            # Nearly every motion needs more than this, and gets it.
+            problem = PlanningProblem(there, *ends, duration=0.5, seed=seed, max_time_scale=100.0)
         except InputError as error:
             refused = error
             continue

@@ -146,8 +146,16 @@ class Log:
             q_ref: reference ``(M, n)`` of the joint coordinates at these steps, and possibly later ones [rad, m].
             qd_ref: its rates.
             conditions: further fields of the `Rollout`.
+
+        Raises:
+            InputError: a reference is malformed, or shorter than the steps.
         """
         arm, model, rows = self._simulation.arm, self._simulation.model, self._rows
+        known = (
+            as_floats("q_ref", q_ref, (arm.n_joints,), batched=True),
+            as_floats("qd_ref", qd_ref, (arm.n_joints,), batched=True),
+        )
+        q_ref, qd_ref = (as_floats("reference", value[:rows], (rows, arm.n_joints)) for value in known)
         log = {
             name: np.frombuffer(stream.getvalue(), count=rows * view.size).reshape(rows, *view.shape)
             for name, (stream, view) in self._log.items()
@@ -166,8 +174,8 @@ class Log:
             t=self._simulation.timestep * np.arange(self._first, self._first + rows, dtype=float),
             q=q,
             qd=arm.rates(q, log["qvel"]),
-            q_ref=q_ref[:rows].copy(),
-            qd_ref=qd_ref[:rows].copy(),
+            q_ref=q_ref.copy(),
+            qd_ref=qd_ref.copy(),
             ctrl=log["ctrl"],
             force=np.nan_to_num(exerted) @ basis,
             constraint_force=np.nan_to_num(log["constraints"]) @ basis,

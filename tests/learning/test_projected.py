@@ -13,7 +13,6 @@ from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, train
 from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.lie import adjoint, project_to_adjoint
-from lieednn_sim.stability import find_certificate
 from lieednn_sim.theory import group
 
 
@@ -21,22 +20,13 @@ def target(seed: int, neurons: int = 4, dimension: int = 6) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-0.8, 0.8, (neurons, dimension))
 
 
-def same(one, other) -> None:
-    """Two results are the same to the last digit."""
-    np.testing.assert_array_equal(one.weight, other.weight)
-    for name in ("epoch", "error", "accuracy", "rate", "one_norm", "infinity_norm", "equilibrium"):
-        np.testing.assert_array_equal(getattr(one.history, name), getattr(other.history, name), err_msg=name)
-    assert (one.reason, one.epochs, one.starts, one.success) == (
-        other.reason,
-        other.epochs,
-        other.starts,
-        other.success,
-    )
-
-
 def test_tracked_learning_reaches_nearly_every_target_on_the_manifold():
     results = [trained(TrainingOptions.tracked(), seed) for seed in range(12)]
     assert sum(result.success for result in results) >= 11
+    # Trials that were taken back leave gaps in the epochs, and no row.
+    assert any(len(result.history) <= result.epochs for result in results)
+    for history in (result.history for result in results):
+        assert (np.abs(np.diff(history.equilibrium, axis=0)).max(axis=(1, 2)) > 0.0).all()
     for seed, result in enumerate(results):
         assert result.structure_error < 1e-12
         if not result.success:
@@ -132,7 +122,9 @@ def test_literal_is_algorithm_1_transcribed():
 def test_same_seed_same_result_and_other_seed_another(algorithm):
     options = ALGORITHMS[algorithm].load()(max_epochs=60)
     one, two, other = (train(target(1, 2), options, seed=seed) for seed in (3, 3, 4))
-    same(one, two)
+    np.testing.assert_array_equal(one.weight, two.weight)
+    assert one.history == two.history
+    assert (one.reason, one.epochs) == (two.reason, two.epochs)
     assert not np.array_equal(one.weight, other.weight)
 
 
@@ -216,14 +208,6 @@ def test_learning_gets_closer_where_the_projection_is_slow(name):
     assert result.structure_error < 1e-9
 
 
-def test_trained_networks_seldom_carry_a_certificate_that_they_could_not_have():
-    """A trained network is checked like any other; where the search finds a certificate, it holds."""
-    result = trained(TrainingOptions.tracked(), 0)
-    certificate = find_certificate(result.network.rotational_weight)
-    abscissa = result.network.equilibrium(target(0)).spectral_abscissa
-    assert not certificate.valid or abscissa <= -certificate.rate + 1e-6
-
-
 def test_other_rates_and_activation():
     result = train(target(4), TrainingOptions.tracked(), gamma=2.0, mu=0.5, activation="arctan", bias=0.3, seed=2)
     assert result.success
@@ -236,7 +220,7 @@ def test_a_strong_bias_puts_the_first_equilibrium_far_away():
     assert result.history.error[-1] < 0.5 * result.history.error[0]
 
 
-def test_first_weights_and_strengths_can_be_chosen():
+def test_first_weights_can_be_chosen():
     given = np.random.default_rng(0).normal(size=(24, 24)) / 100.0
     first = train(target(0), TrainingOptions(max_epochs=1), initial_weight=given, seed=1).history
     assert first.one_norm[0] == pytest.approx(np.linalg.norm(given, 1))
@@ -265,8 +249,6 @@ def test_progress_is_reported():
         ({"initial_rate": 1.0}, "initial_rate must lie between min_rate 0.002 and max_rate 0.2"),
         ({"shrink": 1.5}, "shrink must be below 1"),
         ({"restarts": -1}, "restarts must be at least 0"),
-        ({"initial_alpha": float("nan")}, "initial_alpha must be finite"),
-        ({"initial_alpha": "small"}, "initial_alpha must be"),
     ],
 )
 def test_options_say_what_is_wrong(change, message):

@@ -16,8 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.synthesis.shaping.assembly import assemble
-from lieednn_sim.synthesis.shaping.cascade import TAIL, Clockwork, Parameters
+from lieednn_sim.synthesis.shaping.cascade import TAIL, Clockwork, Parameters, assemble
 from lieednn_sim.values import Floats
 
 # Number of pairs of each visible neuron of a family.
