@@ -25,7 +25,7 @@ def beside(gantry):
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name="pole", pos=[3.0, 0.8, 0.0])
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.05, 4.0, 0.0])
-    return dataclasses.replace(gantry.amid(spec, "pole"), scene="free")
+    return dataclasses.replace(gantry.with_obstacles(spec, "pole"), scene="free")
 
 
 def coming(*more):
