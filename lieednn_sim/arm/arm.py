@@ -165,7 +165,7 @@ class Arm(SerialArm):
             return self
         if self.scene != "free":
             raise InputError(f"arm {self.name!r} already has the obstacles of scene {self.scene!r}")
-        again = ("among", (Path(scene).absolute() if own else label, seed), ImportOptions())
+        again = ("with_scene", (Path(scene).absolute() if own else label, seed), ImportOptions())
         recipe = self.recipe and (*self.recipe, again)
         if own:
             arm = self.with_obstacles(load_obstacles(scene), label)
