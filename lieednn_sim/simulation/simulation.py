@@ -12,7 +12,7 @@ from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import fixed_body
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.lie import poses, rotations
+from lieednn_sim.lie import rotations, transforms
 from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sensors
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.validation import as_count, as_floats
@@ -102,7 +102,7 @@ class Simulation:
         mujoco.mj_kinematics(self.model, self.data)
         sites = self.arm.site_ids[links]
         matrices = self.data.site_xmat[sites].reshape(-1, 3, 3)
-        return poses(rotations(matrices).as_matrix(), self.data.site_xpos[sites])
+        return transforms(rotations(matrices).as_matrix(), self.data.site_xpos[sites])
 
     def move_obstacles(self) -> dict[str, Floats]:
         """Put moving obstacles where they are at the present time; returns positions ``(3,)`` by names of bodies."""
