@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import os
 from collections.abc import Callable, Mapping
@@ -16,7 +15,6 @@ from lieednn_sim.cli.kinds import CommandLine, Directory, File
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS
 from lieednn_sim.studies import Case, Comparison, compute, write_summary
-from lieednn_sim.studies.cluster import dask_executor
 from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.comparison.study import merge as merge_tables
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
@@ -64,7 +62,6 @@ def compare(
     merge: list[File] | None = None,
     output: Directory = "results/comparison",
     jobs: int | None = None,
-    scheduler: str | None = None,
     shown: Shown,
     line: CommandLine,
 ) -> None:
@@ -78,7 +75,6 @@ def compare(
         merge: run nothing, but add the rows of the tables in other directories, such as those of --shard.
         output: directory of the table.
         jobs: number of worker processes (default: one for each core).
-        scheduler: address of the scheduler of a Dask cluster, whose workers run the cases instead of --jobs.
         shown: the page.
         line: the words of the command, which the page shows.
     """
@@ -90,13 +86,9 @@ def compare(
         raise InputError("--shard makes only a part of the table; it takes no --videos, --video, --reactive or --merge")
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
-    cluster = contextlib.nullcontext() if scheduler is None else dask_executor(scheduler)
     # Several shards may grow one table.
-    folder = io.output_folder(output, "table", shared=study.shard is not None)
-    with cluster as executor, folder as directory:
-        how: dict[str, Any] = {"jobs": workers, "executor": executor, "console": to_stderr()}
-        if executor is not None:
-            console.print(f"cases wait for workers at {scheduler}")
+    with io.output_folder(output, "table", shared=study.shard is not None) as directory:
+        how: dict[str, Any] = {"jobs": workers, "console": to_stderr()}
         if merge:
             table = merge_tables(directory, merge)
         else:

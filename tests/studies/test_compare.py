@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import signal
-from concurrent.futures import Executor, Future
 from dataclasses import replace
 
 import numpy as np
@@ -31,11 +30,10 @@ QUICK = Settings(duration=1.5, hold=0.2)
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory, in_this_process):
+def finished(tmp_path_factory):
     """The directory of a small comparison."""
     directory = tmp_path_factory.mktemp("comparison")
-    with in_this_process():
-        table = compute(replace(SMALL, common=QUICK), directory)
+    table = compute(replace(SMALL, common=QUICK), directory)
     write_summary(directory / "comparison.md", table, {"rrt-star": "ompl is not installed"})
     return directory
 
@@ -113,47 +111,30 @@ def untimed(rows):
     return {key: replace(row, planning_s=None) for key, row in rows.items()}
 
 
-def test_two_runs_differ_in_the_planning_time_only(finished, tmp_path):
-    again = compute(replace(SMALL, common=QUICK), tmp_path).rows
-    assert untimed(again) == untimed(Comparison.read(finished).rows)
+def test_a_case_that_raises_is_a_row_and_is_not_tried_again(finished, tmp_path, monkeypatch):
+    def failing(case, *others):
+        if case.planner == "linear-attractor":
+            raise MemoryError("none\nleft")
+        return run_case(case, *others)
 
-
-class Backwards(Executor):
-    """Runs its tasks when it has so many, the last first, and fails with the first of all."""
-
-    def __init__(self, count):
-        self.count, self.tasks = count, []
-
-    def submit(self, function, *task):
-        self.tasks.append((future := Future(), function, task))
-        if len(self.tasks) == self.count:
-            for other, call, given in self.tasks[:0:-1]:
-                other.set_result(call(*given))
-            self.tasks[0][0].set_exception(MemoryError("none\nleft"))
-        return future
-
-
-def test_another_executor_gives_the_same_rows_in_any_order_and_what_raises_is_a_row(finished, tmp_path):
-    larger = replace(SMALL, planners=("linear-attractor", *SMALL.planners))
-    first = larger.cases()[0]
-    table = compute(replace(larger, common=QUICK), tmp_path, executor=Backwards(3))
-    found = Comparison.read(tmp_path).rows
-    assert found == table.rows
-    lost = found.pop((first.arm, first.scene, first.planner, "position-servo", 0))
+    larger = replace(SMALL, planners=("linear-attractor", *SMALL.planners), common=QUICK)
+    monkeypatch.setattr("lieednn_sim.studies.comparison.study.run_case", failing)
+    rows = compute(larger, tmp_path).rows
+    lost = rows.pop(("telescopic_pr", "free", "linear-attractor", "position-servo", 0))
     assert (lost.reason, lost.success, lost.planned) == ("error: MemoryError: none left", False, False)
-    assert untimed(found) == untimed(Comparison.read(finished).rows)
-    # Nothing is done twice, the failure no more than the others.
-    assert compute(replace(larger, common=QUICK), tmp_path, executor=Backwards(0)).rows == table.rows
+    # The others are those of another run, but for the planning time.
+    assert untimed(rows) == untimed(Comparison.read(finished).rows)
+    monkeypatch.setattr("lieednn_sim.studies.comparison.study.run_case", None)
+    assert len(compute(larger, tmp_path).rows) == 3
 
 
-def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_path, in_this_process):
+def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_path):
     shutil.copy(finished / "comparison.sqlite", tmp_path)
     # A mark in a row survives only where the row is not computed again.
     table = Comparison(common=QUICK).open(tmp_path)
     table.add([replace(row, reason="contact: marked") for row in table.sorted_rows()])
     larger = Comparison(("minimum-jerk",), ("telescopic_pr",), ("free",), ("position-servo", "mocap"), seeds=1)
-    with in_this_process():
-        table = compute(replace(larger, common=QUICK), tmp_path)
+    table = compute(replace(larger, common=QUICK), tmp_path)
     assert [(row.planner, row.controller, row.reason) for row in table.sorted_rows()] == [
         ("minimum-jerk", "mocap", ""),
         ("minimum-jerk", "position-servo", "contact: marked"),
@@ -183,7 +164,7 @@ def test_interrupting_keeps_what_is_done(tmp_path, start):
         "sys.exit(main())"
     )
     options = "--planners minimum-jerk --arms telescopic_pr --scenes free --controllers position-servo --seeds 999"
-    options += " --jobs 1 --duration 1 --hold 0"
+    options += " --jobs 2 --duration 1 --hold 0"
     process = start("-c", code, "compare", *options.split(), "--output", str(tmp_path))
     assert process.stdout.readline() == "a case is done\n", process.stderr.read()
     process.send_signal(signal.SIGINT)

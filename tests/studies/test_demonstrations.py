@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -64,8 +63,7 @@ def test_mean_errors():
 def test_a_set_that_fails_is_not_tried_again_and_other_settings_are_refused(tmp_path):
     files = [("drawn", Path("a.csv"), "m"), ("drawn", Path("b.csv"), "m")]
     study = DemonstrationSets(files, starts=3)
-    with ThreadPoolExecutor(1) as executor:
-        table = compute(dataclasses.replace(study, files=files[:1]), tmp_path, executor=executor)
+    table = compute(dataclasses.replace(study, files=files[:1]), tmp_path)
     assert {row.model for row in table.rows.values()} == set(study.models)
     assert all(row.reason.startswith("error: FileError: ") for row in table.rows.values())
     assert [case[1] for case in study.todo(table)] == ["b.csv"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -11,7 +10,7 @@ from typing import Any
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.budget import DEFAULT_TIME_BUDGET
+from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.evaluation import Evaluation
 from lieednn_sim.evaluation.metrics import evaluate
@@ -114,23 +113,23 @@ def run_case(
     """Plan once and track with every controller: one row each, with the reason for a failure; bugs are raised.
 
     Arms and scenes from files are found by their names in ``user_files``. The planning time is CPU time of this
-    process, with one BLAS thread.
+    thread, with one BLAS thread.
     """
     with one_blas_thread():
         try:
             arm, target = arm_and_target(case.arm, case.scene, case.seed, user_files)
         except LieEDNNError as error:
             return failed_case(case, controllers, settings, f"problem: {error}")
-        begun = time.process_time()
+        begun = cpu_time()
         try:
             made = _plan(case, arm, target, settings)
         except LieEDNNError as error:
-            spent = time.process_time() - begun
+            spent = cpu_time() - begun
             return failed_case(case, controllers, settings, f"plan: {error}", planning_s=spent)
         except Exception as error:
             error.add_note(f"while planning the case {case}")
             raise
-        planned = {"planning_s": time.process_time() - begun, **_stability(made.network)}
+        planned = {"planning_s": cpu_time() - begun, **_stability(made.network)}
         planned |= {TUBE: _tube_mm(arm, made), **_measured(motion_metrics(arm, made.motion), of_motion=True)}
         rows = []
         for name in controllers:

@@ -6,7 +6,6 @@ import hashlib
 import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -223,7 +222,6 @@ def compare(
     seeds: int = 3,
     settings: Settings | None = None,
     jobs: int = 1,
-    executor: Executor | None = None,
 ) -> Table[Row]:
     """Compare planners in a table, of which the rows that the directory lacks are computed.
 
@@ -237,4 +235,4 @@ def compare(
     """
     common = Settings() if settings is None else settings
     study = Comparison(planners, arms, scenes, controllers, seeds=seeds, common=common)
-    return compute(study, directory, jobs=jobs, executor=executor)
+    return compute(study, directory, jobs=jobs)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
@@ -251,7 +250,6 @@ def test_the_table_goes_on_and_the_summary_counts(tmp_path, monkeypatch):
         return [Reaction(arm, scene, policy, name, seed, reason=reason, back_s=0.1 * seed) for name in DISTURBANCES]
 
     monkeypatch.setattr(study, "run_reactions", ran)
-    monkeypatch.setattr("lieednn_sim.studies.workers.worker_pool", ThreadPoolExecutor)
     for seeds in (1, 2):
         table = compute(study.Reactions(["telescopic_pr"], ["free"], seeds, ("dmp", "tracker")), tmp_path)
     assert asked == [("dmp", 0), ("tracker", 0), ("dmp", 1), ("tracker", 1)]

@@ -18,11 +18,10 @@ SETTINGS = Settings(duration=1.2, hold=0.1)
 
 
 @pytest.fixture(scope="module")
-def table(tmp_path_factory, in_this_process):
+def table(tmp_path_factory):
     """Two planners, two scenes, two controllers, and rows of more arms and failures made up from them."""
     selection = Comparison(("minimum-jerk", "se3-geodesic"), ("telescopic_pr",), ("free",), CONTROLLERS, seeds=1)
-    with in_this_process():
-        made = compute(replace(selection, common=SETTINGS), tmp_path_factory.mktemp("table"))
+    made = compute(replace(selection, common=SETTINGS), tmp_path_factory.mktemp("table"))
     for index, row in enumerate(made.sorted_rows()):
         for arm, scene in (("telescopic_pr", "window"), ("another_arm", "free")):
             values = {"tracking_rms_mm": 10.0 ** (index - 3), "planning_s": 0.5 + index}
