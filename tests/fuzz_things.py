@@ -34,7 +34,7 @@ from lieednn_sim.rendering.recording import Recording
 from lieednn_sim.rendering.video import Camera
 from lieednn_sim.simulation.tracking import as_reference
 from lieednn_sim.studies.comparison.study import Shard
-from lieednn_sim.studies.report import Clip, View
+from lieednn_sim.studies.report import View
 
 _TWO_HINGES = """
 <mujoco><worldbody><body name="one"><joint name="a" range="-90 90"/><geom size="0.1"/>
@@ -190,7 +190,6 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Row": lambda: studies.run_case(thing("Case"), ["position-servo"], thing("Settings"))[0],
     "Table": _table,
     "Shard": lambda: Shard(1, 2),
-    "Clip": lambda: Clip(thing("Row"), Path("file.npz"), b"1"),
     "View": lambda: View((thing("Row"),), Recording(b"1", 1.0)),
     "Environment": lambda: gymnasium.Environment(time_limit=0.1),
     "VectorEnvironment": lambda: gymnasium.VectorEnvironment(2, threads=1, time_limit=0.1),

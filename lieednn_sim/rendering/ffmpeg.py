@@ -29,13 +29,6 @@ def _executable() -> str:
         raise FileError(f"cannot encode the video: {error}; or write a .gif") from None
 
 
-def _cannot_run(command: str, error: OSError) -> FileError:
-    return FileError(
-        f"cannot run ffmpeg, {command}: {error.strerror or error}; unset IMAGEIO_FFMPEG_EXE to use the bundled one, or "
-        "write a .gif"
-    )
-
-
 @contextlib.contextmanager
 def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
     """Yield a function that appends an RGB picture ``(height, width, 3)``; the file is complete after the block.
@@ -61,7 +54,10 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
                 command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True
             )
         except OSError as error:
-            raise _cannot_run(command[0], error) from None
+            raise FileError(
+                f"cannot run ffmpeg, {command[0]}: {error.strerror or error}; unset IMAGEIO_FFMPEG_EXE to use the "
+                "bundled one, or write a .gif"
+            ) from None
         assert encoder.stdin is not None
         frames = encoder.stdin
 
@@ -96,21 +92,3 @@ def count_frames(path: Path) -> int:
         return int(imageio_ffmpeg.count_frames_and_secs(str(path))[0])
     except (OSError, RuntimeError):
         return 0
-
-
-def read_frame(path: Path, index: int) -> bytes:
-    """Frame ``index`` of a video, from 0, as a PNG file.
-
-    Raises:
-        FileError: the file cannot be read, or has no such frame.
-    """
-    command = [_executable(), "-v", "error", "-i", str(path), "-vf", rf"select=eq(n\,{index})"]
-    command += ["-frames:v", "1", "-f", "image2pipe", "-c:v", "png", "-"]
-    try:
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
-    except OSError as error:
-        raise _cannot_run(command[0], error) from None
-    if done.returncode != 0 or not done.stdout:
-        lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"it has no frame {index}"]
-        raise FileError(f"cannot read the video {path}: {lines[0]}; remove it")
-    return done.stdout

@@ -26,7 +26,6 @@ from lieednn_sim.cli.signatures import Definition, find, parameters
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.simulation.disturbances import Disturbances
-from lieednn_sim.studies import Case
 
 ALL = {command: module for members in COMMANDS.values() for command, module in members.items()}
 # Underscores, other scripts' digits (Arabic-Indic 12, full-width 1), blanks, infinities, other bases.
@@ -99,7 +98,6 @@ def test_texts_with_several_parts_are_read():
         lambda: joint_position(arm, "random:\u0661", "target"),
         lambda: size("\uff11\uff12x10"),
         lambda: named_numbers("a"),
-        lambda: Case.parse("a:b:c:\u0661"),
     ):
         with pytest.raises((InputError, ArgumentTypeError), match="must look like"):
             call()

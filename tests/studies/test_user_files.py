@@ -50,7 +50,7 @@ def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, caps
     assert (folder / "out" / "comparison.html").read_text().count(f'data-arm="{LINKED}" data-scene="post"') == 1
     assert f"| {LINKED} | post | minimum-jerk | 1 of 1 |" in (folder / "out" / "comparison.md").read_text()
     # A case is made again from what the directory says.
-    case = Case.parse(f"minimum-jerk:{LINKED}:post:0")
+    case = Case(LINKED, "post", "minimum-jerk", 0)
     rollout = replay(case, "position-servo", QUICK, user_files=table.user_files)
     assert (rollout.arm.name, rollout.arm.scene) == (LINKED, "post")
     assert rollout.arm.fingerprint == Arm.load("two.xml:one,tool", scene="post.json").fingerprint

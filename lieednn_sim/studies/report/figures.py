@@ -78,37 +78,14 @@ _DISTRIBUTIONS = (
 
 
 def plots(rows: Sequence[Row], controller: str) -> list[Plot]:
-    """Plot success by planner and scene, and distributions of measured columns, for one arm.
+    """Plot distributions of measured columns by planner and scene, for one arm.
 
     Args:
         rows: rows of one arm.
         controller: the controller whose rollouts are shown.
     """
     chosen = [row for row in rows if row.controller == controller]
-    made = [_success(chosen, controller)] if chosen else []
-    for item in _DISTRIBUTIONS:
-        if numbers(chosen, item.column):
-            made.append(_distribution(chosen, item, controller))
-    return made
-
-
-def _success(rows: Sequence[Row], controller: str) -> Plot:
-    planners, scenes = in_order((row.planner for row in rows), PLANNERS), _scenes(rows)
-    look = marks(planners)
-    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "success"}):
-        figure, axes = _panel(planners)
-        for group in grouped(rows, ("planner", "scene")):
-            planner, scene = group.key
-            y = planners.index(planner) + _offset(scenes, scene)
-            low, high = group.interval
-            axes.plot([100 * low, 100 * high], [y, y], color=look[planner].colour, lw=1.6, alpha=0.65)
-            rate = 100 * group.successes / group.total
-            axes.plot(rate, y, _SCENE_MARKERS[scenes.index(scene) % 7], color=look[planner].colour, ms=5.5)
-        axes.set_xlim(-3, 103)
-        axes.set_xlabel("success [%]")
-        _legend(figure, scenes)
-        svg = _svg(figure)
-    return Plot("Success", f"fraction of rollouts with {controller}, bars: Wilson's 95 % interval", svg)
+    return [_distribution(chosen, item, controller) for item in _DISTRIBUTIONS if numbers(chosen, item.column)]
 
 
 def _few_ticks(low: float, high: float) -> Locator:
