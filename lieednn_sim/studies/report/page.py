@@ -18,8 +18,7 @@ from lieednn_sim.studies.comparison.statistics import controllers_of, failures, 
 from lieednn_sim.studies.comparison.summary import method, shown
 from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
 from lieednn_sim.studies.reactions.study import METHOD, groups
-from lieednn_sim.studies.report.figures import plots
-from lieednn_sim.studies.report.style import marks
+from lieednn_sim.studies.report.figures import marks, plots
 from lieednn_sim.studies.report.views import View
 from lieednn_sim.studies.rows import Column
 from lieednn_sim.studies.statistics import Group, grouped

@@ -11,7 +11,7 @@ import pytest
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies import Case, Comparison, Row, Settings, compute
 from lieednn_sim.studies.report import choose_problems, page, view, write_page
-from lieednn_sim.studies.report.style import marks
+from lieednn_sim.studies.report.figures import marks
 
 CONTROLLERS = ("position-servo", "computed-torque")
 SETTINGS = Settings(duration=1.2, hold=0.1)
