@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 
 from lieednn_sim import io
-from lieednn_sim.studies.demonstrations.study import DemonstrationSets, ModelScore
+from lieednn_sim.studies.demonstrations.study import DemonstrationSets, ModelScore, models
 from lieednn_sim.studies.markdown import table_head, table_line
 from lieednn_sim.studies.statistics import grouped
 from lieednn_sim.studies.study import compute
@@ -111,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ]
     study = DemonstrationSets(files, given.starts)
     made = compute(study, given.output, jobs=given.jobs, console=Console(stderr=True))
-    found = sorted(made.rows.values(), key=lambda row: (row.set, study.models.index(row.model)))
+    found = sorted(made.rows.values(), key=lambda row: (row.set, models().index(row.model)))
     lines = ["# Models of demonstrations", "", "`python scripts/evaluate_demonstrations.py FOLDER`", "", *NOTES, ""]
     for kind in KINDS:
         if sets := [row for row in found if row.kind == kind and row.success]:

@@ -48,38 +48,33 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     # Plots only go to files; a backend that the user chose for windows may not exist here.
     os.environ["MPLBACKEND"] = "agg"
-    # A terminated run cleans up like an interrupted one.
-    with Interruption(last=argv is None) as interruption:
-        try:
-            call = bind(words)
-            interruption.importing = False
+    interruption = Interruption(last=argv is None)
+    try:
+        call = bind(words)
+        # From here on a terminated run cleans up like an interrupted one.
+        with interruption:
             code = int(call() or 0)
             # An output that takes no more is noticed here, not at exit.
             print(end="", flush=True)
-            # Libraries may swallow an interruption.
-            return code if interruption.received is None else interruption.report()
-        except KeyboardInterrupt:
+        return code if interruption.received is None else interruption.report()
+    except KeyboardInterrupt:
+        return interruption.report()
+    except Exception as error:
+        if interruption.received is not None:
             return interruption.report()
-        except Exception as error:
-            if interruption.received is not None:
-                # Libraries may turn an interruption into other exceptions.
-                return interruption.report()
-            if isinstance(error, BrokenPipeError):
-                # The output's reader closed it, as in `lieednn-sim demo | head`.
-                _drop_output()
-                return 141
-            if isinstance(error, OSError) and not isinstance(error, LieEDNNError):
-                # Of the system: no more open files, processes or space.
-                failed = (
-                    "cannot write to the standard output" if _output_failed() else "the system does not permit this"
-                )
-                error = FileError(f"{failed}: {error.strerror or error}")
-            elif isinstance(error, MemoryError):
-                error = LieEDNNError(f"out of memory ({error})" if str(error) else "out of memory")
-            elif not isinstance(error, LieEDNNError):
-                raise
-            say(f"error: {error}")
-            return 2
+        if isinstance(error, BrokenPipeError) and _output_failed():
+            # The output's reader closed it, as in `lieednn-sim demo | head`.
+            return 141
+        if isinstance(error, OSError) and not isinstance(error, LieEDNNError):
+            # Of the system: no more open files, processes or space.
+            failed = "cannot write to the standard output" if _output_failed() else "the system does not permit this"
+            error = FileError(f"{failed}: {error.strerror or error}")
+        elif isinstance(error, MemoryError):
+            error = LieEDNNError(f"out of memory ({error})" if str(error) else "out of memory")
+        elif not isinstance(error, LieEDNNError):
+            raise
+        say(f"error: {error}")
+        return 2
 
 
 def bind(words: Sequence[str]) -> Callable[[], Any]:
@@ -102,15 +97,13 @@ def _print_version() -> None:
 
 
 def _output_failed() -> bool:
-    """Whether the standard output can no longer be written, as on a full disk; then it is discarded."""
+    """Whether the standard output can no longer be written, as on a full disk.
+
+    Then what waits there is discarded, since writing it would fail again at exit.
+    """
     try:
         print(flush=True)  # flushing alone tells nothing of an output without a buffer
     except OSError:
-        _drop_output()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return True
     return False
-
-
-def _drop_output() -> None:
-    """Discard what is buffered for the standard output, since writing it would fail again at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

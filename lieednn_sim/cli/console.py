@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from lieednn_sim.cli.interruption import check
 from lieednn_sim.errors import NotCertifiedError
 from lieednn_sim.network import ComponentwiseNetwork
 
@@ -42,12 +41,9 @@ def progress(what: str) -> Iterator[Callable[[int, int], None]]:
         shown = bar.add_task(what, total=None)
 
         def update(done: int, total: int) -> None:
-            check()
             bar.update(shown, completed=done, total=total)
 
-        check()
         yield update
-        check()
 
 
 def print_stability(network: ComponentwiseNetwork, xi: ArrayLike) -> None:
@@ -65,6 +61,5 @@ def one_norm(network: ComponentwiseNetwork, xi: ArrayLike) -> str:
 
 def wrote(*paths: object) -> None:
     """Print the files written."""
-    check()
     for path in paths:
         console.print(f"wrote {path}")

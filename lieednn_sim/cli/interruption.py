@@ -7,78 +7,53 @@ import os
 import signal
 import sys
 import threading
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any
 
 
 class Interruption:
-    """Context, for the main thread, in which SIGINT and SIGTERM raise `KeyboardInterrupt` once.
+    """Context, for the main thread, in which the first SIGINT or SIGTERM raises `KeyboardInterrupt`.
 
-    Python swallows exceptions that are raised in callbacks of weak references and in ``__del__``, and libraries may
-    swallow others; therefore `check` raises the interruption again between the steps of a command.
-
-    A second signal ends the process at once. So does the first one while modules are still being imported: they might
-    turn the exception into another one, and there is nothing to clean up yet. Objects that an interruption leaves half
-    released, such as an OpenGL context, may raise when Python disposes of them; these errors are not printed.
+    A second signal ends the process at once. Objects that an interruption leaves half released, such as an OpenGL
+    context, may raise when Python disposes of them; these errors are not printed.
 
     Args:
-        last: the process ends after the block; a signal that arrives later ends it at once.
+        last: the process ends after the block, and disposes of such objects then.
 
     Attributes:
-        importing: whether the first modules are still being imported.
-        received: the signal received, if any.
+        received: the signal received, if any; libraries may swallow the exception, or make another one of it.
     """
 
-    _current: Interruption | None = None
-
     def __init__(self, *, last: bool = False) -> None:
-        self.importing = True
         self.received: int | None = None
         self._last = last
         self._before: dict[int, Any] = {}
 
-    @property
-    def exit_code(self) -> int:
-        """128 plus the number of the signal, as in shells: 130 or 143."""
-        return 128 + int(self.received or signal.SIGINT)
-
     def __enter__(self) -> Interruption:
+        self._unraisable = sys.unraisablehook
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
                 # A shell's background job ignores Ctrl-C.
                 if signal.getsignal(number) is not signal.SIG_IGN:
                     self._before[number] = signal.signal(number, self._handle)
-            self._unraisable = sys.unraisablehook
-            Interruption._current = self
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if Interruption._current is self:
-            Interruption._current = None
-            if not self._last:
-                sys.unraisablehook = self._unraisable
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
-            signal.signal(number, _end if self._last else handler)
+            signal.signal(number, handler)
+        if not self._last:
+            sys.unraisablehook = self._unraisable
 
     def report(self) -> int:
-        """Print that the command was interrupted; returns the exit code."""
+        """Print that the command was interrupted; returns 128 plus the signal's number, as shells do: 130 or 143."""
         say("interrupted; files already reported are complete")
-        return self.exit_code
+        return 128 + int(self.received or signal.SIGINT)
 
     def _handle(self, number: int, _: FrameType | None) -> None:
-        if self.importing or self.received is not None:
-            _end(number)
         self.received = number
         sys.unraisablehook = lambda _: None
-        raise KeyboardInterrupt
-
-
-def check() -> None:
-    """Raise `KeyboardInterrupt` if the running command was interrupted but the exception was lost."""
-    current = Interruption._current
-    if current is not None and current.received is not None:
+        for each in self._before:
+            signal.signal(each, signal.SIG_DFL)
         raise KeyboardInterrupt
 
 
@@ -90,9 +65,3 @@ def say(message: str) -> None:
         # What waits there would fail again at exit, with another exit code.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
-
-
-def _end(number: int, _: FrameType | None = None) -> None:
-    with contextlib.suppress(OSError):
-        os.write(2, b"lieednn-sim: interrupted\n")
-    os._exit(128 + number)

@@ -1,4 +1,4 @@
-"""Ctrl-C while a command's first modules are imported ends it as in any other program, without a traceback."""
+"""Signals before and after the work of a command end it at once, as other programs, without a traceback."""
 
 from __future__ import annotations
 

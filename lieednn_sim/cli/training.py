@@ -19,8 +19,8 @@ from lieednn_sim.cli.task import TRAINED, Task
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation import plot_training
 from lieednn_sim.evaluation.display import table
-from lieednn_sim.learning import RiemannianOptions, TrainingResult, train_riemannian
-from lieednn_sim.learning import train as projected_train
+from lieednn_sim.learning import TrainingOptions, TrainingResult
+from lieednn_sim.learning import train as learn
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.motion import Motion, check_motion
@@ -144,15 +144,11 @@ def _learner(asked: Learning, xi: Floats) -> Learner:
     make = ALGORITHMS.find(asked.algorithm).load()
     changes = {"period": asked.period, "max_epochs": asked.epochs, "tolerance": asked.tolerance}
     given = {key: value for key, value in changes.items() if value is not None}
-    learn: Callable[..., TrainingResult]
-    if not isinstance(make(), RiemannianOptions):
-        learn = functools.partial(projected_train, xi, make(**given))
-    elif asked.period is not None or asked.epochs is not None:
+    if len(given) > 1 and not isinstance(make(), TrainingOptions):
         raise InputError(
             f"--period and --epochs are for the algorithms literal, repaired and tracked, not for {asked.algorithm}"
         )
-    else:
-        learn = functools.partial(train_riemannian, xi, make(**given))
+    options = make(**given)
     if asked.bias == "solved":
         raise InputError("the solved bias needs no learning; use 'lieednn-sim plan --option bias=solved'")
     magnitude = as_positive("bias magnitude", asked.bias_magnitude)
@@ -160,7 +156,7 @@ def _learner(asked: Learning, xi: Floats) -> Learner:
 
     def learner(seed: int) -> TrainingResult:
         with progress("train") as report:
-            return learn(bias=bias, seed=seed, progress=report)
+            return learn(xi, options, bias=bias, seed=seed, progress=report)
 
     return learner
 

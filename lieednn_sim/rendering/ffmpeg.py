@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
@@ -20,13 +21,6 @@ from numpy.typing import NDArray
 from lieednn_sim.errors import FileError
 
 _CRF = 10  # constant rate factor of H.264, 0 to 51: nearly lossless
-
-
-def _executable() -> str:
-    try:
-        return str(imageio_ffmpeg.get_ffmpeg_exe())
-    except RuntimeError as error:
-        raise FileError(f"cannot encode the video: {error}; or write a .gif") from None
 
 
 @contextlib.contextmanager
@@ -42,24 +36,27 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
         FileError: the encoder stopped; the message has its first line of output.
     """
     width, height = size
-    command = [_executable(), "-y", "-v", "error"]
-    command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+    command = ["-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
     command += ["-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"]
     command += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", str(_CRF), "-preset", "veryfast"]
     command += ["-movflags", "+faststart", str(path)]
     with tempfile.TemporaryFile() as words:
-        # In its own session, so that Ctrl-C does not reach it.
+        streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": words}
         try:
-            encoder = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True
-            )
-        except OSError as error:
+            # In its own session, so that Ctrl-C does not reach it.
+            encoder = subprocess.Popen([imageio_ffmpeg.get_ffmpeg_exe(), *command], start_new_session=True, **streams)
+        except (OSError, RuntimeError) as error:
             raise FileError(
-                f"cannot run ffmpeg, {command[0]}: {error.strerror or error}; unset IMAGEIO_FFMPEG_EXE to use the "
-                "bundled one, or write a .gif"
+                f"cannot run ffmpeg: {error}; unset IMAGEIO_FFMPEG_EXE to use the bundled one, or write a .gif"
             ) from None
         assert encoder.stdin is not None
         frames = encoder.stdin
+
+        def stopped() -> FileError:
+            words.seek(0)
+            lines = words.read().decode(errors="replace").strip().splitlines()
+            reason = lines[0] if lines else f"status {encoder.wait()}"
+            return FileError(f"cannot write the video, the encoder stopped ({reason}); is the disk full?")
 
         def append(picture: NDArray[np.uint8]) -> None:
             try:
@@ -67,11 +64,6 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
             except OSError:  # on Windows not a broken pipe, but an invalid argument
                 encoder.wait()
                 raise stopped() from None
-
-        def stopped() -> FileError:
-            words.seek(0)
-            lines = words.read().decode(errors="replace").strip().splitlines() or [f"status {encoder.returncode}"]
-            return FileError(f"cannot write the video, the encoder stopped ({lines[0]}); is the disk full?")
 
         try:
             yield append

@@ -26,11 +26,13 @@ class Study(ABC, Generic[R]):
     Attributes:
         name: name of the table's file without suffix, and of the progress bar.
         kind: class of the rows.
+        failed: the function that makes the rows of a case that raised, from its arguments in `todo` and the reason.
         user_files: the user's arms and scenes; where there are any, `run` gets them as ``user_files``.
     """
 
     name: ClassVar[str]
     kind: type[R]
+    failed: Callable[..., list[R]]
     user_files: tuple[UserFile, ...] = ()
 
     def settings(self) -> Mapping[str, Any]:
@@ -49,10 +51,6 @@ class Study(ABC, Generic[R]):
         It runs in another process, so it must be defined at the top of a module. Where a case fails, its rows carry the
         reason; an exception counts as a bug.
         """
-
-    @abstractmethod
-    def failed(self, case: tuple[Any, ...], reason: str) -> list[R]:
-        """The rows of a case that raised, from the same arguments and the reason; unchecked."""
 
     def open(self, directory: str | os.PathLike[str]) -> Table[R]:
         """The table in a directory, which is created if it is missing; raises as `Table.begin`."""
@@ -96,7 +94,7 @@ def compute(
         if error is not None:
             reason = f"error: {type(error).__name__}: {error}"
             shown.print("; ".join([reason, *getattr(error, "__notes__", ())]), markup=False, highlight=False)
-            rows = study.failed(case, reason)
+            rows = study.failed(*case, reason)
         table.add(rows)
 
     run_each(run, todo, add, workers=workers, title=study.name, console=shown)

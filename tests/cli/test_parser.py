@@ -123,11 +123,11 @@ def test_options_go_to_the_parameters_that_they_are_of(monkeypatch):
         "look": {"size": (64, 32)},
         "page": False,
     }
-    words = "--planners dmp,stomp --planners own --arms a.xml:one,two --video a:b:c:0 --merge x y"
+    words = "--planners dmp,stomp --planners own --arms a.xml:one,two --date 2030-01-02 --merge x y"
     seen = given_to(monkeypatch, "compare", *words.split())
     assert seen["cases"]["planners"] == ["dmp", "stomp", "own"]
     assert seen["cases"]["arms"] == ["a.xml:one,two"]
-    assert (seen["shown"].video, seen["merge"]) == (("a:b:c:0",), ["x", "y"])
+    assert (seen["shown"].date, seen["merge"]) == ("2030-01-02", ["x", "y"])
     assert seen["line"] == f"lieednn-sim compare {words}"
     assert given_to(monkeypatch, "view")["imported"] == {}
     assert given_to(monkeypatch, "export", "a", "b", "--format", "csv")["runs"] == ["a", "b"]
@@ -135,14 +135,14 @@ def test_options_go_to_the_parameters_that_they_are_of(monkeypatch):
 
 def test_the_options_of_a_planner_are_those_of_its_class(capsys):
     options = read_options(
-        ShapedOptions(), ["rate=0.5", "teacher.search.spacings=0.1,0.05", "neurons=8", "encoded=false"]
+        ShapedOptions(), ["rate=0.5", "teacher.search.spacings=0.1,0.05", "neurons=8", "teacher.polished=false"]
     )
-    assert (options.rate, options.neurons, options.encoded) == (0.5, (8,), False)
+    assert (options.rate, options.neurons, options.teacher.polished) == (0.5, (8,), False)
     assert options.teacher.search.spacings == (0.1, 0.05)
     assert options.teacher.searches == ShapedOptions().teacher.searches
     assert "teacher.search.spacings" in option_names(options)
-    for text in ("teacher=1", "rate.x=1", "teacher.speed=1", "encoded=yes"):
-        with pytest.raises(InputError, match=r"NAME=VALUE with a name of|option encoded must be true or false"):
+    for text in ("teacher=1", "rate.x=1", "teacher.speed=1", "teacher.polished=yes"):
+        with pytest.raises(InputError, match=r"NAME=VALUE with a name of|option polished must be true or false"):
             read_options(ShapedOptions(), [text])
     # Of another package, where annotations may be the types themselves.
     own = make_dataclass("Own", [("gain", float, 1.0), ("sizes", tuple[int, ...], (1,)), ("call", object, None)])

@@ -93,6 +93,7 @@ class Comparison(Study[Row]):
     """
 
     name, kind = "comparison", Row
+    failed = staticmethod(failed_case)
 
     planners: Sequence[str] = ()
     arms: Sequence[str] = ()
@@ -165,10 +166,6 @@ class Comparison(Study[Row]):
     def run(self) -> Callable[..., list[Row]]:
         """See `Study`."""
         return run_case
-
-    def failed(self, case: tuple[Any, ...], reason: str) -> list[Row]:
-        """See `Study`; unchecked."""
-        return failed_case(*(*case, reason))
 
     def _missing(self, table: Table[Row], case: Case) -> list[str]:
         """The controllers for which a case has no row yet."""

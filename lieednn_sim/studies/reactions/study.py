@@ -7,7 +7,6 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from lieednn_sim import io
 from lieednn_sim.studies.markdown import escaped, table_head, table_line
@@ -60,6 +59,7 @@ class Reactions(Study[Reaction]):
     """
 
     name, kind = "reactions", Reaction
+    failed = staticmethod(failed_reactions)
 
     arms: Sequence[str]
     scenes: Sequence[str]
@@ -82,10 +82,6 @@ class Reactions(Study[Reaction]):
     def run(self) -> Callable[..., list[Reaction]]:
         """See `Study`."""
         return run_reactions
-
-    def failed(self, case: tuple[Any, ...], reason: str) -> list[Reaction]:
-        """See `Study`; unchecked."""
-        return failed_reactions(*(*case, reason))
 
 
 class ReactionGroup(Group[Reaction]):
