@@ -51,9 +51,10 @@ class PublishedProblem(NamedTuple):
 class ProblemSets:
     """The problems of one robot: a folder with ``SET/scene0001.yaml``, ``SET/request0001.yaml`` ... anywhere in it.
 
-    Beside them it has a URDF, and perhaps an SRDF. Of several URDF files, ``..._spherized.urdf`` is taken. The arm's joints are those of the goals, one per link; other
-    joints are locked where the first problem starts. Collisions that an SRDF disables are ignored, and so are those
-    with neighbours and bodies welded to these; without an SRDF the import decides (`importer.import_arm`).
+    Beside them it has a URDF (of several, ``..._spherized.urdf`` is taken), and perhaps an SRDF. The arm's joints are
+    those of the goals, one per link; other joints are locked where the first problem starts. Collisions that an SRDF
+    disables are ignored, and so are those with neighbours and bodies welded to these; without an SRDF the import
+    decides (`importer.import_arm`).
 
     Args:
         folder: folder of the robot, with its name.
