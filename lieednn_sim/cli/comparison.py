@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from lieednn_sim import io
+from lieednn_sim.arm.obstacles import describe, load_obstacles
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.cli.kinds import CommandLine, Directory, File
@@ -18,7 +19,7 @@ from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.comparison.study import merge as merge_tables
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
 from lieednn_sim.studies.report import View, choose_problems, view, write_page
-from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
+from lieednn_sim.studies.user_files import ARM, bare_arm
 from lieednn_sim.validation import as_count
 from lieednn_sim.values import check_fields
 
@@ -113,12 +114,13 @@ def _print_found(study: Comparison) -> None:
     for file in study.user_files:
         if file.kind == ARM:
             arm = bare_arm(file.source)
-            console.print(
-                f"arm {file.name}: {arm.n_links} links, {arm.n_joints} joints, from {file.source}", markup=False
-            )
+            what = f"{arm.n_links} links, {arm.n_joints} joints"
+        else:
+            what, _ = describe(load_obstacles(file.source))
+        console.print(f"{file.kind} {file.name}: {what}, from {file.source}", markup=False)
+        if file.kind == ARM:
             print_import_report(arm)
-    others = PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers)
-    for line in others + describe_files(study.arms, study.scenes, study.user_files):
+    for line in PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers):
         console.print(line, markup=False)
 
 
