@@ -18,7 +18,7 @@ from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
 from lieednn_sim.planning import Plan, find_tube, plan, reference_network
 from lieednn_sim.simulation import Disturbances, Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
-from lieednn_sim.studies.comparison.rows import COLUMNS, TUBE, Case, Row
+from lieednn_sim.studies.comparison.rows import BY_NAME, Case, Row
 from lieednn_sim.studies.user_files import SCENE, UserFile, load
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, check_fields, set_fields
@@ -130,7 +130,7 @@ def run_case(
             error.add_note(f"while planning the case {case}")
             raise
         planned = {"planning_s": cpu_time() - begun, **_stability(made.network)}
-        planned |= {TUBE: _tube_mm(arm, made), **_measured(motion_metrics(arm, made.motion), of_motion=True)}
+        planned |= {"tube_mm": _tube_mm(arm, made), **_measured(motion_metrics(arm, made.motion))}
         rows = []
         for name in controllers:
             try:
@@ -138,7 +138,7 @@ def run_case(
             except LieEDNNError as error:
                 rows += failed_case(case, [name], settings, f"simulation: {error}", **planned)
             else:
-                values = {**planned, **_measured(evaluation, of_motion=False)}
+                values = _measured(evaluation) | planned
                 rows.append(_row(case, name, settings, evaluation.shortfall, **values))
         return rows
 
@@ -186,6 +186,5 @@ def _tube_mm(arm: Arm, made: Plan) -> float | None:
         return None
 
 
-def _measured(metrics: MotionMetrics | Evaluation, *, of_motion: bool) -> dict[str, Any]:
-    own = [column for column in COLUMNS if column.of_motion is of_motion and not column.timed and column.name != TUBE]
-    return {column.name: getattr(metrics, column.name) for column in own}
+def _measured(metrics: MotionMetrics | Evaluation) -> dict[str, Any]:
+    return {name: getattr(metrics, name) for name in BY_NAME if hasattr(metrics, name)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 
 from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
@@ -131,8 +131,5 @@ class Row(TableRow):
         return not self.reason.startswith(("plan:", "problem:", "error:"))
 
 
-FIELDS = tuple(entry.name for entry in fields(Row))
 COLUMNS = columns_of(Row)
 BY_NAME = {entry.name: entry for entry in COLUMNS}
-# The column that is proved rather than measured.
-TUBE = "tube_mm"

@@ -14,7 +14,6 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, SCENES, SLOW
 from lieednn_sim.studies.comparison.cases import FREE, Settings, failed_case, run_case
 from lieednn_sim.studies.comparison.rows import Case, Row
-from lieednn_sim.studies.statistics import numbers
 from lieednn_sim.studies.study import Study, compute
 from lieednn_sim.studies.table import SUFFIX, Table
 from lieednn_sim.studies.user_files import ARM, SCENE, UserFile, resolve
@@ -156,10 +155,9 @@ class Comparison(Study[Row]):
     def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
         """See `Study`."""
         wanted = [(case, self._missing(table, case), self.common) for case in self.cases()]
-        costs = self._planning_costs(table)
         return sorted(
             (job for job in wanted if job[1]),
-            key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -costs[job[0].planner]),
+            key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -PLANNERS[job[0].planner].cost),
         )
 
     @property
@@ -171,13 +169,6 @@ class Comparison(Study[Row]):
         """The controllers for which a case has no row yet."""
         keys = {name: (case.arm, case.scene, case.planner, name, case.seed) for name in self.controllers}
         return [name for name, key in keys.items() if key not in table.rows]
-
-    def _planning_costs(self, table: Table[Row]) -> Mapping[str, float]:
-        costs = {}
-        for planner in self.planners:
-            known = numbers([row for row in table.rows.values() if row.planner == planner], "planning_s")
-            costs[planner] = max(known) if known else PLANNERS[planner].cost
-        return costs
 
 
 def settings_of(table: Table[Row]) -> Settings:
