@@ -15,7 +15,7 @@ from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import poses
+from lieednn_sim.lie import transforms
 from lieednn_sim.validation import as_count, as_floats, quoted
 from lieednn_sim.values import Floats
 
@@ -195,7 +195,7 @@ class SerialArm:
             frame = frame @ moved[..., i, :, :]
             frames.append(frame)
         stacked = np.stack(frames, axis=-3)
-        return poses(stacked[..., :3, :3], stacked[..., :3, 3])
+        return transforms(stacked[..., :3, :3], stacked[..., :3, 3])
 
     def tip(self, q: ArrayLike) -> Floats:
         """Positions of the end effector in the world, ``(..., n)`` to ``(..., 3)`` [m]: those of the last link frame.

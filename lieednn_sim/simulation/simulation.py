@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.lie import poses, rotations
+from lieednn_sim.lie import rotations, transforms
 from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sensors
 from lieednn_sim.simulation.moving_obstacles import Moved
 from lieednn_sim.simulation.plant import make_plant
@@ -95,7 +95,7 @@ class Simulation:
         mujoco.mj_kinematics(self.model, self.data)
         sites = self.arm.site_ids[links]
         matrices = self.data.site_xmat[sites].reshape(-1, 3, 3)
-        return poses(rotations(matrices).as_matrix(), self.data.site_xpos[sites])
+        return transforms(rotations(matrices).as_matrix(), self.data.site_xpos[sites])
 
     def reset(self, q: ArrayLike, qd: ArrayLike | None = None) -> None:
         """Start again at time 0 from joint coordinates ``(n,)`` and their rates, by default zero.

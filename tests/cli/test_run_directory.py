@@ -169,9 +169,9 @@ def test_an_arm_that_changed_since_is_refused(tmp_path, made, capsys):
 
 def test_obstacles_belong_to_the_arm():
     arm = Arm.load("telescopic_pr")
-    seen = {arm.fingerprint, *(arm.among("poles", seed).fingerprint for seed in range(3))}
+    seen = {arm.fingerprint, *(arm.with_scene("poles", seed).fingerprint for seed in range(3))}
     assert len(seen) == 4
-    assert arm.among("poles", 1).fingerprint == Arm.load("telescopic_pr", "poles", 1).fingerprint
+    assert arm.with_scene("poles", 1).fingerprint == Arm.load("telescopic_pr", "poles", 1).fingerprint
 
 
 def test_a_new_simulation_leaves_nothing_of_the_first(tmp_path, made, capsys):

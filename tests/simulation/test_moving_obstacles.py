@@ -16,7 +16,7 @@ def beside(gantry):
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name="ball", pos=[3.0, 0.0, 0.0])
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.2, 0.0, 0.0])
-    return gantry.amid(spec, "ball")
+    return gantry.with_obstacles(spec, "ball")
 
 
 # At 2 m/s from 0.5 s on.
