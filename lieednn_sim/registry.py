@@ -53,7 +53,6 @@ LIBRARIES: Mapping[str, Library] = {
     "rosbags": Library("ros2"),
     "pyarrow": Library("lerobot"),
     "rerun": Library("rerun", distribution="rerun-sdk"),
-    "distributed": Library("cluster", "comparisons on a Dask cluster"),
 }
 
 

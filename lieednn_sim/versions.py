@@ -10,16 +10,14 @@ from pathlib import Path
 
 # All results depend on the former, and those of some planners on the latter.
 _PACKAGES, _OPTIONAL = ("lieednn_sim", "mujoco", "numpy", "scipy"), ("daqp", "ompl", "toppra")
-# Cached, since every task on a cluster asks.
-_version = cache(metadata.version)
 
 
 def versions(*, optional: bool = False) -> dict[str, str]:
     """Versions by package, optionally with those of the planners' installed libraries."""
-    found = {name: _version(name) for name in _PACKAGES}
+    found = {name: metadata.version(name) for name in _PACKAGES}
     for name in _OPTIONAL if optional else ():
         with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = _version(name)
+            found[name] = metadata.version(name)
     return found
 
 

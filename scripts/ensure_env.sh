@@ -12,7 +12,7 @@ made_in=$venv/.made-in
 extras=gymnasium,rivals,timing,view
 group=
 if [ "$wanted" = dev ]; then
-    extras=$extras,cbirrt,cluster,onnx,ros2,lerobot,rerun
+    extras=$extras,cbirrt,onnx,ros2,lerobot,rerun
     group="--group dev"
 fi
 if [ -n "${PYTHON:-}" ]; then pythons=("$PYTHON"); else pythons=(python3.11 python3.12 python3.13 python3 python); fi

@@ -18,8 +18,8 @@ import numpy as np
 from rich.console import Console
 
 from lieednn_sim import io
-from lieednn_sim.studies.demonstrations.study import DemonstrationSets, ModelScore
-from lieednn_sim.studies.markdown import table_head, table_line
+from lieednn_sim.studies import markdown
+from lieednn_sim.studies.demonstrations.study import DemonstrationSets, ModelScore, models
 from lieednn_sim.studies.statistics import grouped
 from lieednn_sim.studies.study import compute
 
@@ -49,16 +49,16 @@ def table(found: Sequence[ModelScore], kind: str) -> list[str]:
     turns = kind == "robottasks"
     columns = ["RMS mm", *(["deg"] if turns else []), "DTWD mm", "Frechet mm"]
     heads = [f"{column}, {what}" for what in ("mean", "training", "left out") for column in columns]
-    lines = table_head(["set", "model", "parameters", *heads, "goal mm", "arrived", "spurious", "fit s"])
     keys = ["rms_mm", *(["rms_deg"] if turns else []), "dtwd_mm", "frechet_mm"]
     shown = [*(f"{what}_{key}" for what in ("mean", "training", "left_out") for key in keys), "training_goal_mm"]
+    lines = []
     for row in found:
         cells = [row.set, row.model, str(row.n_parameters), *(_number(getattr(row, name)) for name in shown)]
-        lines.append(table_line([*cells, f"{row.arrived}/{row.starts}", str(row.spurious), f"{row.fit_s:.1f}"]))
+        lines.append([*cells, f"{row.arrived}/{row.starts}", str(row.spurious), f"{row.fit_s:.1f}"])
     for group in grouped(found, ("model",)):
         means = [_number(float(np.mean(group.values(name)))) for name in shown]
-        lines.append(table_line(["**mean**", group.key[0], "", *means, "", "", ""]))
-    return lines
+        lines.append(["**mean**", group.key[0], "", *means, "", "", ""])
+    return markdown.table(["set", "model", "parameters", *heads, "goal mm", "arrived", "spurious", "fit s"], lines)
 
 
 def verdicts(found: Sequence[ModelScore], kind: str) -> list[str]:
@@ -111,11 +111,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ]
     study = DemonstrationSets(files, given.starts)
     made = compute(study, given.output, jobs=given.jobs, console=Console(stderr=True))
-    found = sorted(made.rows.values(), key=lambda row: (row.set, study.models.index(row.model)))
+    found = sorted(made.rows.values(), key=lambda row: (row.set, models().index(row.model)))
     lines = ["# Models of demonstrations", "", "`python scripts/evaluate_demonstrations.py FOLDER`", "", *NOTES, ""]
     for kind in KINDS:
         if sets := [row for row in found if row.kind == kind and row.success]:
-            lines += [f"## {kind}", "", *verdicts(sets, kind), "", *table(sets, kind), ""]
+            lines += [f"## {kind}", "", *verdicts(sets, kind), *table(sets, kind), ""]
     with io.atomic_text(given.output / "demonstrations.md") as stream:
         stream.write("\n".join(lines))
     print(given.output / "demonstrations.md")

@@ -37,18 +37,6 @@ while not truncated:
 assert info["success"], info
 PYTHON
             ;;
-        cluster)
-            python - <<'PYTHON'
-from subprocess import run
-
-from distributed import LocalCluster
-
-local = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "protocol": "tcp://", "dashboard_address": None}
-what = "--arms telescopic_pr --scenes free --planners minimum-jerk --seeds 1 --views 0 --output table"
-with LocalCluster(**local) as cluster:
-    run(["lieednn-sim", "compare", "--scheduler", cluster.scheduler_address, *what.split()], check=True)
-PYTHON
-            ;;
     esac
 }
 
@@ -81,7 +69,7 @@ fresh() {
 echo "| Python | extra | seconds |"
 echo "| --- | --- | --- |"
 for python in ${PYTHONS:-3.11 3.12 3.13}; do
-    for extra in ${EXTRAS:-none rivals cbirrt timing gymnasium view cluster}; do
+    for extra in ${EXTRAS:-none rivals cbirrt timing gymnasium view}; do
         try "$python" "$extra" fresh "$python" "$extra"
     done
     try "$python" "none, by uvx" uvx --python "$python" --from "$wheel" lieednn-sim demo --no-video

@@ -13,7 +13,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -268,19 +267,6 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     from lieednn_sim.studies.report import figures, page
 
     monkeypatch.setattr(page, "plots", lambda rows, controller: [figures.Plot(controller, repr(rows), "")])
-
-
-@pytest.fixture(scope="session")
-def in_this_process() -> Callable[[], contextlib.AbstractContextManager[None]]:
-    """In this context comparisons start no worker processes, each of which imports everything first."""
-
-    @contextlib.contextmanager
-    def without_workers() -> Iterator[None]:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("lieednn_sim.studies.workers.worker_pool", lambda _: ThreadPoolExecutor(1))
-            yield
-
-    return without_workers
 
 
 @pytest.fixture

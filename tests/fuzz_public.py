@@ -152,7 +152,7 @@ BY_NAME: dict[str, Callable[[Things], list[Any]]] = {
     **dict.fromkeys(("count", "jobs", "episodes"), _one_of(1, 0, -1)),
     "size": _one_of((64, 48), (10**9, 2), (3, 3)),
     "shape": _one_of((), (2,), (2, 3), (10**9, 10**9), (-1,)),
-    **dict.fromkeys(("console", "executor"), _one_of(None)),
+    "console": _one_of(None),
 }
 
 

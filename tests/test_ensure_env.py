@@ -97,7 +97,7 @@ def test_what_the_tests_need_is_added_and_serves_the_demo_too(checkout):
     assert checkout.ensure().returncode == 0
     done = checkout.ensure("dev")
     assert done.returncode == 0, done.stderr
-    extras = "gymnasium,rivals,timing,view,cbirrt,cluster,onnx,ros2,lerobot,rerun"
+    extras = "gymnasium,rivals,timing,view,cbirrt,onnx,ros2,lerobot,rerun"
     assert checkout.installed() == ["pip>=25.1", f".[{extras}] --group dev"]
     (checkout.venv / ".lieednn-sim-demo").unlink()
     assert checkout.ensure().returncode == 0

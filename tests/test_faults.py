@@ -7,15 +7,14 @@ import os
 import resource
 import signal
 import tempfile
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.studies import Comparison, Settings, compute, workers
+from lieednn_sim.errors import FileError
+from lieednn_sim.studies import Comparison
 
 # A process that ends itself by SIGKILL where it is told to: no moment to wait for, no time to clean up.
 KILL = "import os, signal, sys\nkill = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -60,7 +59,7 @@ def test_a_demo_that_is_killed_leaves_what_it_had_finished(tmp_path, start):
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
 
 
-def test_a_comparison_that_is_killed_goes_on_from_its_table(tmp_path, start, undrawn, in_this_process):
+def test_a_comparison_that_is_killed_goes_on_from_its_table(tmp_path, start, undrawn):
     code = """
 from lieednn_sim.cli import main
 from lieednn_sim.studies import table
@@ -73,49 +72,11 @@ if __name__ == "__main__":
     words += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0", "--output", str(tmp_path)]
     die(start, code, "compare", *words)
     ((_, row),) = Comparison.read(tmp_path).rows.items()
-    with in_this_process():
-        assert main(["compare", *words]) == 0
+    assert main(["compare", *words]) == 0
     rows = Comparison.read(tmp_path).rows
     assert len(rows) == 2
     # Not computed again, for that takes another time.
     assert row in rows.values()
-
-
-def test_a_worker_that_is_killed_loses_no_finished_case(tmp_path, monkeypatch, in_this_process):
-    """The first worker to finish its case dies with the next one."""
-    pool = workers.worker_pool
-    rows = []
-
-    class Deadly:
-        def __init__(self, executor):
-            self.executor = executor
-
-        def submit(self, function, case, *arguments):
-            if case.seed > 0:
-                rows.append(self.first.result())
-                return self.executor.submit(os.kill, next(iter(self.executor._processes)), signal.SIGKILL)
-            self.first = self.executor.submit(function, case, *arguments)
-            return self.first
-
-    class Context:
-        def __init__(self, workers):
-            self.inner = pool(workers)
-
-        def __enter__(self):
-            return Deadly(self.inner.__enter__())
-
-        def __exit__(self, *reason):
-            return self.inner.__exit__(*reason)
-
-    monkeypatch.setattr(workers, "worker_pool", Context)
-    selection = Comparison(("minimum-jerk",), ("telescopic_pr",), ("free",), ("computed-torque",), seeds=2)
-    settings = Settings(duration=1.0, hold=0.0)
-    with pytest.raises(LieEDNNError, match=r"a worker process died, .* continues, and one job needs less"):
-        compute(replace(selection, common=settings), tmp_path)
-    assert list(Comparison.read(tmp_path).rows.values()) == rows[0]
-    monkeypatch.undo()
-    with in_this_process():
-        assert len(compute(replace(selection, common=settings), tmp_path).rows) == 2
 
 
 def test_a_full_disk_leaves_the_run_as_it_was(run, capsys):

@@ -71,9 +71,9 @@ def walk(folder):
     demo = ["demo", "--no-video", "--output", f"{folder}/run", "--duration", "1", "--hold", "0", "--planner"]
     assert main([*demo, "linear-attractor"]) == 0
     few = ["--planners", "minimum-jerk,linear-attractor", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1"]
-    assert main(["compare", *few, "--jobs", "1", "--views", "0", "--videos", "0", "--output", f"{folder}/table"]) == 0
+    assert main(["compare", *few, "--jobs", "2", "--views", "0", "--output", f"{folder}/table"]) == 0
 
-    # After the commands, whose worker imports what is imported here.
+    # After the commands, whose workers import what is imported here.
     import importlib, pkgutil
     import lieednn_sim
 

@@ -143,7 +143,7 @@ def test_claims_on_tasks_hold_where_the_network_is_no_worse():
         ),
     ]
     lines = evaluate_demonstrations.table(rows, "robottasks")
-    assert cells(lines[3])[:6] == ["first", "dmp", "7", "1.00", "0.10", "100"]
+    assert cells(lines[4])[:6] == ["first", "dmp", "7", "1.00", "0.10", "100"]
     assert cells(lines[-2])[:6] == ["**mean**", "lieednn-shaped", "", "1.50", "0.27", "100"]
     for lost in ({"arrived": 2}, {"spurious": 1}):
         rows[0] = measured("first", "lieednn-shaped", **lost)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -14,8 +13,6 @@ from matplotlib.figure import Figure
 from paper import claims, experiments, measures, plan, results, style
 from paper.check_measures import checked
 from rich.console import Console
-
-from lieednn_sim.studies import workers
 
 TINY = plan.Plan("quick", 5, 1, 1, 150, 20, 10, 20)
 # A training in milliseconds, another kind of job, a check, and a job that cannot be done.
@@ -45,9 +42,8 @@ def quiet() -> Console:
 
 
 def test_a_tiny_run_writes_a_report_with_a_verdict_for_every_claim(tmp_path, few_jobs, monkeypatch):
-    # Other tests start worker processes and lay figures out; to embed a subset of a font takes as long as all else, and
+    # Other tests lay figures out; to embed a subset of a font takes as long as all else, and
     # what is drawn well as a PNG is drawn well as a PDF: one is.
-    monkeypatch.setattr(workers, "worker_pool", lambda _: ThreadPoolExecutor(1))
     monkeypatch.setattr(style, "fix_layout", lambda figure, _: figure.set_layout_engine(None))
     monkeypatch.setitem(style.STYLE, "pdf.fonttype", 3)
     draw, drawn = Figure.savefig, set()
@@ -60,7 +56,7 @@ def test_a_tiny_run_writes_a_report_with_a_verdict_for_every_claim(tmp_path, few
             target.write_bytes(bytes(2000))
 
     monkeypatch.setattr(Figure, "savefig", one_pdf)
-    path = reproduce_paper.reproduce(TINY, tmp_path, 2, "the command", quiet())
+    path = reproduce_paper.reproduce(TINY, tmp_path, 1, "the command", quiet())
     text = path.read_text(encoding="utf-8")
     rows = re.findall(r"^\|.*\*\*(.+?)\*\* \|$", text, flags=re.MULTILINE)
     assert len(rows) == len(claims.CLAIMS)
@@ -75,18 +71,17 @@ def test_a_tiny_run_writes_a_report_with_a_verdict_for_every_claim(tmp_path, few
     # A second run finds everything done.
     assert len(list((tmp_path / "jobs").iterdir())) == len(few_jobs)
     monkeypatch.setattr(results, "run", None)
-    assert results.run_all(few_jobs, tmp_path / "jobs", 2, quiet()) == []
+    assert results.run_all(few_jobs, tmp_path / "jobs", 1, quiet()) == []
 
 
 def test_only_what_is_missing_runs_and_a_failure_loses_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(workers, "worker_pool", ThreadPoolExecutor)
     (failure,) = results.run_all([FEW[0], BROKEN], tmp_path, 1, quiet())
     assert "period" in failure
     done = tmp_path / f"{FEW[0].key}.npz"
     before = done.stat().st_mtime_ns
     # Damage counts as missing.
     (tmp_path / f"{FEW[1].key}.npz").write_bytes(b"half a file")
-    assert results.run_all(FEW, tmp_path, 2, quiet()) == []
+    assert results.run_all(FEW, tmp_path, 1, quiet()) == []
     assert done.stat().st_mtime_ns == before
     found = results.Results.collect(TINY, [*FEW, BROKEN], lambda job: results.load(job, tmp_path))
     assert found.missing == (BROKEN,)

@@ -90,7 +90,7 @@ def test_the_table_of_real_robots(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "out" / "robots.md").read_text() == table
 
 
-def test_the_table_of_demonstrations(tmp_path, monkeypatch, in_this_process):
+def test_the_table_of_demonstrations(tmp_path, monkeypatch):
     (tmp_path / "robottasks").mkdir()
     s = np.linspace(0.0, 1.0, 30)[:, None]
     turns = np.concatenate([np.cos(0.4 * s), np.sin(0.4 * s), 0.0 * s, 0.0 * s], axis=1)
@@ -98,8 +98,7 @@ def test_the_table_of_demonstrations(tmp_path, monkeypatch, in_this_process):
     np.save(tmp_path / "robottasks" / "bend.npy", rows)
     monkeypatch.setattr("lieednn_sim.evaluation.paths.SAMPLES", 60)
     words = [str(tmp_path), "--starts", "3", "--output", str(tmp_path / "out")]
-    with in_this_process():
-        evaluate_demonstrations.main(words)
+    evaluate_demonstrations.main(words)
     first = (tmp_path / "out" / "demonstrations.md").read_text()
     assert "| bend | lieednn-shaped | 40 |" in first
     assert "- Every start arrives, and there is no other attractor: holds.\n" in first

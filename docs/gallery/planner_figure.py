@@ -8,8 +8,6 @@ measures. It saves the figure as PDF for the paper and as PNG for slides. There 
 page is built quickly; more seeds, arms and scenes are a change of one line each.
 """
 
-from concurrent.futures import ThreadPoolExecutor
-
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -17,14 +15,13 @@ import lieednn_sim as ls
 from lieednn_sim.studies import Settings
 
 # %%
-# Each run is in ``comparison/comparison.sqlite`` at once; an interrupted comparison continues from there. By default it
-# uses worker processes, which in a script need the guard ``if __name__ == "__main__":``; for a few runs a thread will
-# do.
+# Each run is in ``comparison/comparison.sqlite`` at once; an interrupted comparison continues from there. With
+# ``jobs=4`` it uses worker processes, which in a script need the guard ``if __name__ == "__main__":``.
 
 planners = ["minimum-jerk", "se3-geodesic", "dmp", "lieednn-certified", "lieednn-shaped"]
 case = {"arms": ["telescopic_pr"], "scenes": ["free"], "controllers": ["inverse-dynamics"]}
-how = {"settings": Settings(duration=2.0, hold=0.2), "executor": ThreadPoolExecutor(1)}
-rows = ls.compare("comparison", planners=planners, seeds=3, **case, **how).sorted_rows()
+settings = Settings(duration=2.0, hold=0.2)
+rows = ls.compare("comparison", planners=planners, seeds=3, **case, settings=settings).sorted_rows()
 runs = {name: [row for row in rows if row.planner == name] for name in planners}
 measures, values = ("path_m", "jerk_joints", "gap_mm"), {}
 print(f"{'planner':<18}  arrived  proof   path [m]  jerk [ranges/s³]  gap [mm]")

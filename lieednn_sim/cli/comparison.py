@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from lieednn_sim import io
+from lieednn_sim.arm.obstacles import describe, load_obstacles
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.cli.kinds import CommandLine, Directory, File
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS
-from lieednn_sim.studies import Case, Comparison, compute, write_summary
-from lieednn_sim.studies.cluster import dask_executor
+from lieednn_sim.studies import Case, Comparison, Row, Table, compute, write_summary
 from lieednn_sim.studies.comparison.study import Shard
 from lieednn_sim.studies.comparison.study import merge as merge_tables
 from lieednn_sim.studies.reactions.study import Reactions, write_reactions
-from lieednn_sim.studies.report import choose_problems, film, view, write_page
-from lieednn_sim.studies.user_files import ARM, bare_arm, describe_files
+from lieednn_sim.studies.report import View, choose_problems, view, write_page
+from lieednn_sim.studies.user_files import ARM, bare_arm
 from lieednn_sim.validation import as_count
+from lieednn_sim.values import check_fields
 
 # What is written beside the table.
 _OUTPUTS = ("comparison.csv", "comparison.md", "comparison.html", "reactions.csv", "reactions.md")
-_Wanted = TypeVar("_Wanted")
-_Shown = TypeVar("_Shown")
 
 
 @dataclass(frozen=True)
@@ -37,22 +34,18 @@ class Shown:
     Attributes:
         reactive: number of seeds for a benchmark of policies that are pushed, loaded and given another target.
         views: number of problems that the page shows in 3D, with the motions of several planners.
-        videos: number of cases of which to make videos.
-        video: a case of which to make a video, planner:arm:scene:seed.
         date: date to print at the top of the page (default: none).
+
+    Raises:
+        InputError: a number is negative.
     """
 
     reactive: int = 0
     views: int = 1
-    videos: int = 0
-    video: tuple[str, ...] = ()
     date: str = ""
 
-    def check(self) -> list[Case]:
-        """The cases of ``video``; raises `InputError` for what is no number or no case."""
-        for name in ("videos", "views", "reactive"):
-            as_count(name, getattr(self, name), least=0)
-        return [Case.parse(text) for text in self.video]
+    def __post_init__(self) -> None:
+        check_fields(self, as_count, "reactive", "views", least=0)
 
 
 def compare(
@@ -64,7 +57,6 @@ def compare(
     merge: list[File] | None = None,
     output: Directory = "results/comparison",
     jobs: int | None = None,
-    scheduler: str | None = None,
     shown: Shown,
     line: CommandLine,
 ) -> None:
@@ -78,25 +70,18 @@ def compare(
         merge: run nothing, but add the rows of the tables in other directories, such as those of --shard.
         output: directory of the table.
         jobs: number of worker processes (default: one for each core).
-        scheduler: address of the scheduler of a Dask cluster, whose workers run the cases instead of --jobs.
         shown: the page.
         line: the words of the command, which the page shows.
     """
     study = Comparison(**cases, shard=None if shard is None else Shard.parse(shard))
     workers = as_count("jobs", os.cpu_count() or 1 if jobs is None else jobs)
-    # Check values before any work.
-    chosen = shown.check()
-    if study.shard is not None and (shown.videos or chosen or shown.reactive or merge):
-        raise InputError("--shard makes only a part of the table; it takes no --videos, --video, --reactive or --merge")
+    if study.shard is not None and (shown.reactive or merge):
+        raise InputError("--shard makes only a part of the table; it takes no --reactive or --merge")
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
-    cluster = contextlib.nullcontext() if scheduler is None else dask_executor(scheduler)
     # Several shards may grow one table.
-    folder = io.output_folder(output, "table", shared=study.shard is not None)
-    with cluster as executor, folder as directory:
-        how: dict[str, Any] = {"jobs": workers, "executor": executor, "console": to_stderr()}
-        if executor is not None:
-            console.print(f"cases wait for workers at {scheduler}")
+    with io.output_folder(output, "table", shared=study.shard is not None) as directory:
+        how: dict[str, Any] = {"jobs": workers, "console": to_stderr()}
         if merge:
             table = merge_tables(directory, merge)
         else:
@@ -111,18 +96,13 @@ def compare(
                 Reactions(study.arms, study.scenes, shown.reactive, user_files=study.user_files), directory, **how
             )
         controller = study.controllers[0]
-        problems = choose_problems(table, shown.views, controller)
-        places = {f"{some[0].arm}, {some[0].scene}": some for some in problems}
-        views = _shown("view", places, lambda some, **told: view(table, some, controller, **told))
-        solved = itertools.chain(*choose_problems(table, shown.videos, controller))
-        filmed = {str(case): case for case in (*chosen, *itertools.islice(solved, shown.videos))}
-        clips = _shown("video", filmed, lambda case, **told: film(table, case, controller, **told))
+        views = _views(table, choose_problems(table, shown.views, controller), controller)
         head = {"command": line, "date": shown.date}
         outputs = [directory / name for name in _OUTPUTS if reactions is not None or not name.startswith("reactions")]
         with io.atomic_paths(outputs) as (rows, summary, page, *more):
             table.write_csv(rows)
             write_summary(summary, table, study.absent)
-            write_page(page, table, missing=study.absent, views=views, clips=clips, reactions=reactions, **head)
+            write_page(page, table, missing=study.absent, views=views, reactions=reactions, **head)
             if reactions is not None:
                 reactions.write_csv(more[0])
                 write_reactions(more[1], reactions)
@@ -134,22 +114,23 @@ def _print_found(study: Comparison) -> None:
     for file in study.user_files:
         if file.kind == ARM:
             arm = bare_arm(file.source)
-            console.print(
-                f"arm {file.name}: {arm.n_links} links, {arm.n_joints} joints, from {file.source}", markup=False
-            )
+            what = f"{arm.n_links} links, {arm.n_joints} joints"
+        else:
+            what, _ = describe(load_obstacles(file.source))
+        console.print(f"{file.kind} {file.name}: {what}, from {file.source}", markup=False)
+        if file.kind == ARM:
             print_import_report(arm)
-    others = PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers)
-    for line in others + describe_files(study.arms, study.scenes, study.user_files):
+    for line in PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers):
         console.print(line, markup=False)
 
 
-def _shown(kind: str, wanted: Mapping[str, _Wanted], make: Callable[..., _Shown]) -> list[_Shown]:
-    """Views or videos of what is wanted, by the words for each; prints why one cannot be shown."""
-    made: list[_Shown] = []
-    for words, each in wanted.items():
+def _views(table: Table[Row], problems: Sequence[Sequence[Case]], controller: str) -> list[View]:
+    """Views of problems; prints why one cannot be shown."""
+    views: list[View] = []
+    for cases in problems:
         try:
-            with progress(f"{kind} {len(made) + 1}") as report:
-                made.append(make(each, progress=report))
+            with progress(f"view {len(views) + 1}") as report:
+                views.append(view(table, cases, controller, progress=report))
         except LieEDNNError as error:
-            console.print(f"no {kind} of {words}: {error}")
-    return made
+            console.print(f"no view of {cases[0].arm}, {cases[0].scene}: {error}")
+    return views

@@ -4,7 +4,6 @@ What is read may hold anything, so its size, memory and time are bounded. A fold
 a small file that it is ours and for what; see `output_folder`.
 """
 
-from lieednn_sim.io.reading import LARGEST_FILE as LARGEST_FILE
 from lieednn_sim.io.reading import LARGEST_TEXT as LARGEST_TEXT
 from lieednn_sim.io.reading import Archive as Archive
 from lieednn_sim.io.reading import is_file as is_file
@@ -12,7 +11,6 @@ from lieednn_sim.io.reading import load_arrays as load_arrays
 from lieednn_sim.io.reading import load_description as load_description
 from lieednn_sim.io.reading import load_json as load_json
 from lieednn_sim.io.reading import opened as opened
-from lieednn_sim.io.reading import parse_object as parse_object
 from lieednn_sim.io.reading import read_array as read_array
 from lieednn_sim.io.reading import take as take
 from lieednn_sim.io.writing import MARK as MARK

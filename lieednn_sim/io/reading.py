@@ -131,13 +131,6 @@ def load_description(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
 def _load_object(path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any]) -> dict[str, Any]:
     with opened(as_path("path", path), LARGEST_TEXT) as stream:
         content = stream.read()
-    return parse_object(content, path, what, parse)
-
-
-def parse_object(
-    content: bytes, path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any] = parse_yaml
-) -> dict[str, Any]:
-    """Parse the content of a file, YAML by default; `FileError` if it is not a mapping."""
     try:
         value = parse(content)
         if not isinstance(value, dict):

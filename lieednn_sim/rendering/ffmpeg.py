@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -21,22 +21,6 @@ from numpy.typing import NDArray
 from lieednn_sim.errors import FileError
 
 _CRF = 10  # constant rate factor of H.264, 0 to 51: nearly lossless
-
-
-def _start(arguments: Sequence[str], **streams: Any) -> subprocess.Popen[bytes]:
-    """Start ffmpeg in its own session, so that Ctrl-C does not reach it."""
-    try:
-        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", *arguments]
-        return subprocess.Popen(command, start_new_session=True, **streams)
-    except (OSError, RuntimeError) as error:
-        raise FileError(
-            f"cannot run ffmpeg: {error}; unset IMAGEIO_FFMPEG_EXE to use the bundled one, or write a .gif"
-        ) from None
-
-
-def _reason(words: bytes, otherwise: str) -> str:
-    """The first line of what ffmpeg said, or something else if it said nothing."""
-    return (words.decode(errors="replace").strip().splitlines() or [otherwise])[0]
 
 
 @contextlib.contextmanager
@@ -52,18 +36,26 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
         FileError: the encoder stopped; the message has its first line of output.
     """
     width, height = size
-    command = ["-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+    command = ["-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
     command += ["-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"]
     command += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", str(_CRF), "-preset", "veryfast"]
     command += ["-movflags", "+faststart", str(path)]
     with tempfile.TemporaryFile() as words:
-        encoder = _start(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words)
+        streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": words}
+        try:
+            # In its own session, so that Ctrl-C does not reach it.
+            encoder = subprocess.Popen([imageio_ffmpeg.get_ffmpeg_exe(), *command], start_new_session=True, **streams)
+        except (OSError, RuntimeError) as error:
+            raise FileError(
+                f"cannot run ffmpeg: {error}; unset IMAGEIO_FFMPEG_EXE to use the bundled one, or write a .gif"
+            ) from None
         assert encoder.stdin is not None
         frames = encoder.stdin
 
         def stopped() -> FileError:
             words.seek(0)
-            reason = _reason(words.read(), f"status {encoder.wait()}")
+            lines = words.read().decode(errors="replace").strip().splitlines()
+            reason = lines[0] if lines else f"status {encoder.wait()}"
             return FileError(f"cannot write the video, the encoder stopped ({reason}); is the disk full?")
 
         def append(picture: NDArray[np.uint8]) -> None:
@@ -92,19 +84,3 @@ def count_frames(path: Path) -> int:
         return int(imageio_ffmpeg.count_frames_and_secs(str(path))[0])
     except (OSError, RuntimeError):
         return 0
-
-
-def read_frame(path: Path, index: int) -> bytes:
-    """Frame ``index`` of a video, from 0, as a PNG file.
-
-    Raises:
-        FileError: the file cannot be read, or has no such frame.
-    """
-    command = ["-i", str(path), "-vf", rf"select=eq(n\,{index})", "-frames:v", "1"]
-    command += ["-f", "image2pipe", "-c:v", "png", "-"]
-    pipe = subprocess.PIPE
-    with _start(command, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe) as reader:
-        frame, words = reader.communicate()
-    if reader.returncode != 0 or not frame:
-        raise FileError(f"cannot read the video {path}: {_reason(words, f'it has no frame {index}')}; remove it")
-    return frame

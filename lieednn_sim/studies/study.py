@@ -1,18 +1,16 @@
-"""The base class of studies: cases that run on several cores or any executor, into a table that can be continued."""
+"""The base class of studies: cases that run on several cores, into a table that can be continued."""
 
 from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor
 from functools import partial
 from typing import Any, ClassVar, Generic, TypeVar
 
 from rich.console import Console
 
 from lieednn_sim import io
-from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.studies.rows import TableRow
 from lieednn_sim.studies.table import SUFFIX, Table
 from lieednn_sim.studies.user_files import UserFile
@@ -28,11 +26,13 @@ class Study(ABC, Generic[R]):
     Attributes:
         name: name of the table's file without suffix, and of the progress bar.
         kind: class of the rows.
+        failed: the function that makes the rows of a case that raised, from its arguments in `todo` and the reason.
         user_files: the user's arms and scenes; where there are any, `run` gets them as ``user_files``.
     """
 
     name: ClassVar[str]
     kind: type[R]
+    failed: Callable[..., list[R]]
     user_files: tuple[UserFile, ...] = ()
 
     def settings(self) -> Mapping[str, Any]:
@@ -52,10 +52,6 @@ class Study(ABC, Generic[R]):
         reason; an exception counts as a bug.
         """
 
-    @abstractmethod
-    def failed(self, case: tuple[Any, ...], reason: str) -> list[R]:
-        """The rows of a case that raised, from the same arguments and the reason; unchecked."""
-
     def open(self, directory: str | os.PathLike[str]) -> Table[R]:
         """The table in a directory, which is created if it is missing; raises as `Table.begin`."""
         path = io.make_directory(directory) / f"{self.name}{SUFFIX}"
@@ -68,16 +64,15 @@ def compute(
     *,
     jobs: int = 1,
     console: Console | None = None,
-    executor: Executor | None = None,
 ) -> Table[R]:
     """Compute the rows that a directory's table lacks; finished cases are kept when it is interrupted.
 
     Args:
         study: the study.
         directory: directory of the table.
-        jobs: number of worker processes.
+        jobs: number of worker processes; with 1 the cases run in this process. A script that starts workers needs
+            `if __name__ == "__main__":`, as always with Python's `multiprocessing`.
         console: console for a progress bar and for errors; None for neither.
-        executor: runs the cases instead of worker processes; the rows are the same.
 
     Returns:
         The table, including rows of earlier runs.
@@ -85,7 +80,7 @@ def compute(
     Raises:
         InputError: ``jobs`` is less than 1.
         FileError: see `Table.begin`; or the table cannot be written.
-        LieEDNNError: a worker process died, or the executor gave up.
+        LieEDNNError: a worker process died.
     """
     workers = as_workers("jobs", jobs)
     table = study.open(directory)
@@ -99,17 +94,8 @@ def compute(
         if error is not None:
             reason = f"error: {type(error).__name__}: {error}"
             shown.print("; ".join([reason, *getattr(error, "__notes__", ())]), markup=False, highlight=False)
-            rows = study.failed(case, reason)
+            rows = study.failed(*case, reason)
         table.add(rows)
 
-    try:
-        run_each(run, todo, add, workers=workers, title=study.name, console=shown, executor=executor)
-    except (BrokenExecutor, CancelledError):
-        raise LieEDNNError(
-            "a worker process died, of too little memory, or because a script that starts workers has no "
-            f"`if __name__ == '__main__':`; finished cases are kept in {table.path}, the same command continues, and "
-            "one job needs less memory"
-            if executor is None
-            else f"the executor gave up; finished cases are kept in {table.path}, the same command continues"
-        ) from None
+    run_each(run, todo, add, workers=workers, title=study.name, console=shown)
     return table

@@ -105,11 +105,6 @@ class Table(Generic[R]):
         return table
 
     @property
-    def directory(self) -> Path:
-        """The directory of the file."""
-        return self.path.parent
-
-    @property
     def rows(self) -> dict[tuple[Any, ...], R]:
         """All rows by their keys, in the order of these."""
         if self._rows is None:

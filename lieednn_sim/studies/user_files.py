@@ -11,8 +11,7 @@ from typing import NamedTuple
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.models import is_arm_file
 from lieednn_sim.arm.obstacles import check_home, describe, is_scene_file, load_obstacles, scene_label
-from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.errors import FileError, InputError, LieEDNNError
+from lieednn_sim.errors import FileError, InputError
 
 ARM, SCENE = "arm", "scene"
 
@@ -99,22 +98,3 @@ def load(name: str, scene: str, seed: int, user_files: Iterable[UserFile]) -> Ar
 def _check_unchanged(file: UserFile, fingerprint: str) -> None:
     if file.fingerprint != fingerprint:
         raise FileError(f"{file.source} has changed since the comparison began; start again with another --output")
-
-
-def describe_files(arms: Iterable[str], scenes: Iterable[str], user_files: Sequence[UserFile]) -> list[str]:
-    """A line for each scene from a file, and one for each pair of an arm and a scene for which no target is found."""
-    own = {file.name for file in user_files}
-    lines = [
-        f"scene {one.name}: {describe(load_obstacles(one.source))[0]}, from {one.source}"
-        for one in user_files
-        if one.kind == SCENE
-    ]
-    for arm in arms:
-        for scene in scenes:
-            if own.isdisjoint((arm, scene)):
-                continue
-            try:
-                draw_target(load(arm, scene, 0, user_files))
-            except LieEDNNError as error:
-                lines.append(f"no case of arm {arm} in scene {scene} with seed 0: {error}")
-    return lines

@@ -10,13 +10,12 @@ import itertools
 import math
 import multiprocessing
 import os
-import queue
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
-from functools import cache, partial
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
+from functools import cache
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from time import monotonic
@@ -28,15 +27,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
 
-# Tasks submitted at once: enough for a cluster, while memory does not grow with the study.
-_AHEAD = 4096
-# Largest fraction of a process's time that `released` takes; when it last did its work, and how long that took [s].
-_RELEASING = 0.05
-_released = (-math.inf, 0.0)
-# What reaches a whole process group, and whether the system can block it.
-_GROUP, _BLOCKS = {signal.SIGINT}, hasattr(signal, "pthread_sigmask")
-# Most processes that a pool can have on Windows.
-_MOST_ON_WINDOWS = 61
+# When `released` last did its work, by `monotonic` [s].
+_last_released = -math.inf
 
 
 class _Worker(SpawnProcess):
@@ -46,10 +38,10 @@ class _Worker(SpawnProcess):
     """
 
     def start(self) -> None:
-        if not _BLOCKS:
+        if not hasattr(signal, "pthread_sigmask"):
             super().start()
             return
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, _GROUP)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             super().start()
         finally:
@@ -67,7 +59,8 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     None of them survives the block, however it ends; other children of this process are left alone.
     """
     context: Any = _Context()
-    workers = min(workers, _MOST_ON_WINDOWS) if sys.platform == "win32" else workers
+    if sys.platform == "win32":
+        workers = min(workers, 61)  # the most that a pool can have there
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker, initargs=(_modules(),))
     try:
@@ -90,71 +83,80 @@ def run_each(
     workers: int,
     title: str,
     console: Console,
-    executor: Executor | None = None,
 ) -> None:
-    """Run tasks on worker processes, or on an executor, which stays open.
+    """Run tasks on worker processes, or in this process where one worker is enough.
 
     Args:
-        run: runs a task; it, its arguments and results must be picklable.
+        run: runs a task; for worker processes it, its arguments and results must be picklable.
         todo: arguments of each task.
         done: called here when a task ends, in any order, with its arguments, its result, and its exception.
-        workers: most worker processes, without an executor.
+        workers: most worker processes.
         title: title of the progress bar.
         console: console for the bar.
-        executor: runs the tasks instead of worker processes.
 
     Raises:
-        BrokenExecutor: a worker process died.
-        LieEDNNError: the executor has lost its workers, or has unsuitable ones.
-        CancelledError: the executor gave up a task.
+        LieEDNNError: a worker process died.
     """
-    if not todo:
-        return
-    waiting, ended = iter(todo), queue.SimpleQueue[Future[Any]]()
-    running: dict[Future[Any], tuple[Any, ...]] = {}
-    pools = worker_pool(min(workers, len(todo))) if executor is None else contextlib.nullcontext(executor)
+    workers = min(workers, len(todo))
+    pools = worker_pool(workers) if workers > 1 else contextlib.nullcontext()
     with pools as pool, progress_bar(console) as progress:
-        bar = progress.add_task(title, total=len(todo))
+        ended = _here(run, todo) if pool is None else _on_workers(pool, run, todo, 2 * workers)
+        for outcome in progress.track(ended, total=len(todo), description=title):
+            done(*outcome)
+
+
+_Outcome = tuple[tuple[Any, ...], Any, Exception | None]
+
+
+def _here(run: Callable[..., Any], todo: Sequence[tuple[Any, ...]]) -> Iterator[_Outcome]:
+    for task in todo:
+        result = error = None
         try:
-            for _ in todo:
-                for task in itertools.islice(waiting, _AHEAD - len(running)):
-                    future = pool.submit(partial(released, run), *task)
-                    running[future] = task
-                    future.add_done_callback(ended.put)
-                future = ended.get()
+            result = released(run, *task)
+        except Exception as caught:
+            error = caught
+        yield task, result, error
+
+
+def _on_workers(
+    pool: ProcessPoolExecutor, run: Callable[..., Any], todo: Sequence[tuple[Any, ...]], ahead: int
+) -> Iterator[_Outcome]:
+    """The outcomes of tasks as they end; few are submitted ahead, so that memory does not grow with the study."""
+    waiting = iter(todo)
+    running = {pool.submit(released, run, *task): task for task in itertools.islice(waiting, ahead)}
+    try:
+        while running:
+            ended = wait(running, return_when=FIRST_COMPLETED).done
+            # What is finished counts before a worker that died.
+            for future in sorted(ended, key=lambda future: isinstance(future.exception(), BrokenExecutor)):
                 task, error = running.pop(future), future.exception()
-                if isinstance(error, BrokenExecutor) and executor is not None:
-                    raise LieEDNNError(
-                        f"the executor gave up: {error}; finished work is kept, the same command continues"
-                    )
-                if isinstance(error, Exception) and not isinstance(error, BrokenExecutor):
-                    done(task, None, error)
-                else:
-                    done(task, future.result(), None)
-                progress.update(bar, advance=1)
-        finally:
-            # Worker processes are stopped by `worker_pool` instead.
-            for future in running if executor is not None else ():
-                future.cancel()
+                if isinstance(error, BrokenExecutor) or not isinstance(error, Exception | None):
+                    raise error
+                yield task, None if error else future.result(), error
+            running |= {pool.submit(released, run, *task): task for task in itertools.islice(waiting, len(ended))}
+    except BrokenExecutor:
+        raise LieEDNNError(
+            "a worker process died, of too little memory, or because a script that starts workers has no "
+            "`if __name__ == '__main__':`; finished work is kept, the same command continues, and one job needs less "
+            "memory"
+        ) from None
 
 
 def released(run: Callable[..., Any], *task: Any) -> Any:
-    """Run a task, then return the memory that it used to the system.
+    """Run a task, then return the memory that it used to the system, at most every five seconds.
 
     A reference cycle of a few Python objects may hold megabytes of MuJoCo's or OMPL's, which Python does not count when
     it decides whether to collect cycles; and arrays of many sizes leave holes in the heap of glibc, which keeps them.
-    Without this, workers grew from 0.2 to 0.8 GB in a thousand cases. In an executor's process, where a collection has
-    much to search, it is done less often than after each task, so that it takes at most a twentieth of the time.
+    Without this, workers grew from 0.2 to 0.8 GB in a thousand cases. To search for cycles takes about 50 ms.
     """
-    global _released
+    global _last_released
     try:
         return run(*task)
     finally:
-        begun, (last, took) = monotonic(), _released
-        if took <= _RELEASING * (begun - last):
+        if monotonic() - _last_released > 5.0:
             gc.collect()
             _trim()(0)
-            _released = monotonic(), monotonic() - begun
+            _last_released = monotonic()
 
 
 @cache
@@ -180,9 +182,6 @@ def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:
     except KeyboardInterrupt:
         console.print(f"stopped; finished {kept} are kept, the same command continues from there")
         return 130
-    except BrokenExecutor:
-        console.print("a worker process died (out of memory?); the same command continues, --jobs 1 needs less memory")
-        return 1
     except (LieEDNNError, OSError) as error:
         console.print(f"error: {error}", markup=False, emoji=False, highlight=False)
         return 1
@@ -203,11 +202,7 @@ def _prepare_worker(modules: Sequence[str]) -> None:
             importlib.import_module(name)
     # Ctrl-C reaches the whole process group; the main process stops the workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if _BLOCKS:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _GROUP)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    # What is imported stays: with it, `released` would take 50 ms in place of 2.
-    gc.freeze()
 
 
 def _end_with_parent() -> None:

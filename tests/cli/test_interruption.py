@@ -119,7 +119,7 @@ if __name__ == "__main__":
     sys.exit(main())
 """
     )
-    words = ["compare", "--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--jobs", "1"]
+    words = ["compare", "--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--jobs", "2"]
     process = start(str(script), *words, "--output", str(tmp_path / "out"), start_new_session=True)
     _, errors = process.communicate()
     assert process.returncode == 130
@@ -167,7 +167,7 @@ def test_too_few_open_files_are_an_error_as_others(tmp_path, start):
         resource.setrlimit(resource.RLIMIT_NOFILE, (12, 12))
 
     words = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--output", str(tmp_path)]
-    process = start("-m", "lieednn_sim", "compare", *words, "--jobs", "1", preexec_fn=limited)
+    process = start("-m", "lieednn_sim", "compare", *words, "--jobs", "2", preexec_fn=limited)
     *bar, line = process.communicate()[1].splitlines()
     assert process.returncode == 2
     assert "Traceback" not in "".join(bar)

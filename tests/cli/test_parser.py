@@ -26,7 +26,6 @@ from lieednn_sim.cli.signatures import Definition, find, parameters
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.simulation.disturbances import Disturbances
-from lieednn_sim.studies import Case
 
 ALL = {command: module for members in COMMANDS.values() for command, module in members.items()}
 # Underscores, other scripts' digits (Arabic-Indic 12, full-width 1), blanks, infinities, other bases.
@@ -99,7 +98,6 @@ def test_texts_with_several_parts_are_read():
         lambda: joint_position(arm, "random:\u0661", "target"),
         lambda: size("\uff11\uff12x10"),
         lambda: named_numbers("a"),
-        lambda: Case.parse("a:b:c:\u0661"),
     ):
         with pytest.raises((InputError, ArgumentTypeError), match="must look like"):
             call()
@@ -125,11 +123,11 @@ def test_options_go_to_the_parameters_that_they_are_of(monkeypatch):
         "look": {"size": (64, 32)},
         "page": False,
     }
-    words = "--planners dmp,stomp --planners own --arms a.xml:one,two --video a:b:c:0 --merge x y"
+    words = "--planners dmp,stomp --planners own --arms a.xml:one,two --date 2030-01-02 --merge x y"
     seen = given_to(monkeypatch, "compare", *words.split())
     assert seen["cases"]["planners"] == ["dmp", "stomp", "own"]
     assert seen["cases"]["arms"] == ["a.xml:one,two"]
-    assert (seen["shown"].video, seen["merge"]) == (("a:b:c:0",), ["x", "y"])
+    assert (seen["shown"].date, seen["merge"]) == ("2030-01-02", ["x", "y"])
     assert seen["line"] == f"lieednn-sim compare {words}"
     assert given_to(monkeypatch, "view")["imported"] == {}
     assert given_to(monkeypatch, "export", "a", "b", "--format", "csv")["runs"] == ["a", "b"]

@@ -7,6 +7,7 @@ import pytest
 from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.motion_metrics import (
     least_clearance,
     motion_metrics,
@@ -66,6 +67,8 @@ def test_a_circle_has_the_curvature_of_its_radius(gantry):
     # Three samples have a curvature, here |(1, 0) x (0, 2)| / 1, and no third difference.
     assert rms_curvature([[-0.1, 0.1, 0.0], [0.0, 0.0, 0.0], [0.1, 0.1, 0.0]], 0.1) == pytest.approx(20.0)
     assert rms_curvature(np.zeros((2, 3)), 0.1) is None
+    with pytest.raises(InputError, match="path must have shape"):
+        rms_curvature(np.ones((50, 2)), 0.01)
     short = motion_metrics(gantry, motion_of(gantry, t[:3], q[:3], qd[:3]))
     assert short.jerk_effector == 0.0
 

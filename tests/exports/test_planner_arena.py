@@ -27,7 +27,7 @@ def comparison(tmp_path):
     table.add([row("minimum-jerk", "free", seed, planning_s=0.25 + seed, motion_s=4.0) for seed in range(3)])
     table.add([row("dmp", "free", 0, "plan: no way"), row("dmp", "free", 1, "contact: a and b", planning_s=0.5)])
     table.add([row("dmp", "window", 0, planning_s=0.125, tracking_rms_mm=0.1)])
-    return table.directory
+    return table.path.parent
 
 
 def test_the_tool_of_ompl_makes_its_database_of_the_logs(comparison, tmp_path, monkeypatch, capsys):
@@ -64,7 +64,7 @@ def test_what_is_no_comparison_or_has_no_rows_is_refused(tmp_path, monkeypatch, 
     assert "comparison.sqlite" in capsys.readouterr().err
     table = Comparison().open("empty")
     with pytest.raises(InputError, match="has no rows"):
-        export(table.directory, "out", format="plannerarena")
+        export(table.path.parent, "out", format="plannerarena")
     with pytest.raises(InputError, match="has no rate"):
-        export(table.directory, "out", format="plannerarena", rate=100.0)
+        export(table.path.parent, "out", format="plannerarena", rate=100.0)
     assert not (tmp_path / "out").exists()

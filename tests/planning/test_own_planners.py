@@ -57,14 +57,13 @@ def installed(folder: Path, points: str, **modules: str) -> None:
     sys.path.insert(0, str(folder))
 
 
-def test_the_example_appears_in_table_and_page(tmp_path, capsys, undrawn, in_this_process):
+def test_the_example_appears_in_table_and_page(tmp_path, capsys, undrawn):
     code = re.search(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)[1]
     point = re.search(r'planners"\]\n(.*?)\n', DOCUMENT.read_text())[1]
     assert len(code.splitlines()) <= 40
     installed(tmp_path / "site", point.replace('"', ""), my_planners=code)
     words = "compare --planners one-detour,minimum-jerk --arms telescopic_pr --scenes free --controllers mocap"
-    with in_this_process():
-        assert main([*f"{words} --seeds 1 --duration 2 --hold 0 --output".split(), str(tmp_path / "out")]) == 0
+    assert main([*f"{words} --seeds 1 --duration 2 --hold 0 --jobs 1 --output".split(), str(tmp_path / "out")]) == 0
     with (tmp_path / "out" / "comparison.csv").open(newline="") as file:
         rows = {row["planner"]: row for row in csv.DictReader(file)}
     assert rows["one-detour"]["reason"] == ""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.registry import Entry, Registry
 from lieednn_sim.studies.demonstrations import models as compared
 from lieednn_sim.studies.demonstrations.models import compare_models, mean_of
-from lieednn_sim.studies.demonstrations.study import DemonstrationSets
+from lieednn_sim.studies.demonstrations.study import DemonstrationSets, models
 from lieednn_sim.studies.study import compute
 from lieednn_sim.synthesis import ShapingOptions
 
@@ -64,11 +63,10 @@ def test_mean_of():
 def test_a_set_that_fails_is_not_tried_again_and_other_settings_are_refused(tmp_path):
     files = [("drawn", Path("a.csv"), "m"), ("drawn", Path("b.csv"), "m")]
     study = DemonstrationSets(files, starts=3)
-    with ThreadPoolExecutor(1) as executor:
-        table = compute(dataclasses.replace(study, files=files[:1]), tmp_path, executor=executor)
-    assert {row.model for row in table.rows.values()} == set(study.models)
+    table = compute(dataclasses.replace(study, files=files[:1]), tmp_path)
+    assert {row.model for row in table.rows.values()} == set(models())
     assert all(row.reason.startswith("error: FileError: ") for row in table.rows.values())
     assert [case[1] for case in study.todo(table)] == ["b.csv"]
     with pytest.raises(FileError, match="was made with"):
         dataclasses.replace(study, starts=4).open(tmp_path)
-    assert len(study.open(tmp_path).rows) == len(study.models)
+    assert len(study.open(tmp_path).rows) == len(models())

@@ -13,11 +13,11 @@ from lieednn_sim.studies import Case, Comparison, Row
 from lieednn_sim.studies.comparison.study import Shard, merge
 
 WORDS = ["--arms", "telescopic_pr", "--scenes", "free", "--planners", "minimum-jerk,lieednn-trained", "--seeds", "5"]
-WORDS += ["--slow-seeds", "2", "--controllers", "mocap,computed-torque", "--output"]
+WORDS += ["--slow-seeds", "2", "--controllers", "mocap,computed-torque", "--jobs", "1", "--output"]
 
 
 @pytest.fixture(autouse=True)
-def invented(monkeypatch, in_this_process):
+def invented(monkeypatch):
     """Rows whose numbers follow from the case, but for a planning time that is another each time."""
     clock = itertools.count()
 
@@ -30,8 +30,6 @@ def invented(monkeypatch, in_this_process):
         ]
 
     monkeypatch.setattr("lieednn_sim.studies.comparison.study.run_case", run)
-    with in_this_process():
-        yield
 
 
 @pytest.fixture

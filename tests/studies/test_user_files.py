@@ -15,11 +15,11 @@ from lieednn_sim.io import load_description
 from lieednn_sim.studies import Case, Comparison, Settings, compute, replay
 from lieednn_sim.studies.comparison.study import Shard, merge
 from lieednn_sim.studies.statistics import grouped
-from lieednn_sim.studies.user_files import SCENE, describe_files, load, resolve
+from lieednn_sim.studies.user_files import SCENE, load, resolve
 
 POST = {"shape": "box", "name": "post", "size": [0.1, 0.1, 2.0], "position": [0.0, 0.0, 1.2]}
 QUICK = Settings(duration=1.5, hold=0.2)
-WORDS = "--planners minimum-jerk --controllers position-servo --seeds 1 --duration 1.5 --hold 0.2 --jobs 1"
+WORDS = "--planners minimum-jerk --controllers position-servo --seeds 1 --duration 1.5 --hold 0.2 --jobs 2"
 PLAIN, LINKED = "two", "two(one,tool)"
 
 
@@ -50,19 +50,16 @@ def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, caps
     assert (folder / "out" / "comparison.html").read_text().count(f'data-arm="{LINKED}" data-scene="post"') == 1
     assert f"| {LINKED} | post | minimum-jerk | 1 of 1 |" in (folder / "out" / "comparison.md").read_text()
     # A case is made again from what the directory says.
-    case = Case.parse(f"minimum-jerk:{LINKED}:post:0")
+    case = Case(LINKED, "post", "minimum-jerk", 0)
     rollout = replay(case, "position-servo", QUICK, user_files=table.user_files)
     assert (rollout.arm.name, rollout.arm.scene) == (LINKED, "post")
     assert rollout.arm.fingerprint == Arm.load("two.xml:one,tool", scene="post.json").fingerprint
 
 
-def test_an_arm_that_finds_no_target_in_a_scene_is_told_and_is_a_row(folder, in_this_process, monkeypatch):
+def test_an_arm_that_finds_no_target_in_a_scene_is_a_row(folder, monkeypatch):
     monkeypatch.setattr(targets, "_ATTEMPTS", 10)  # in vain with 400 as well
     selection = chosen("two.xml", scenes=("free", "shelf"))
-    (line,) = describe_files(selection.arms, selection.scenes, selection.user_files)
-    assert line.startswith(f"no case of arm {PLAIN} in scene shelf with seed 0: no target was found for arm 'two'")
-    with in_this_process():
-        rows = compute(replace(selection, common=QUICK), "out").rows.values()
+    rows = compute(replace(selection, common=QUICK), "out").rows.values()
     assert {row.scene: row.reason[:8] for row in rows} == {"free": "", "shelf": "problem:"}
 
 
@@ -78,31 +75,30 @@ def test_the_file_of_a_scene_is_read_once_for_its_arm(folder, monkeypatch):
         load("telescopic_pr", "post", 0, resolve(SCENE, ["post.json"], ())[1])
 
 
-def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_process, two_hinges):
-    with in_this_process():
-        before = compute(replace(chosen("two.xml"), common=QUICK), "out").rows
-        # Elsewhere, the same arm; and another beside it.
-        (folder / "moved").mkdir()
-        (folder / "two.xml").rename(folder / "moved" / "two.xml")
-        selection = chosen("moved/two.xml", "moved/two.xml:tool", scenes=("free", "post.json"))
-        table = compute(replace(selection, common=QUICK), "out")
-        assert {key: table.rows[key] for key in before} == before
-        assert len(table.rows) == 4
-        (folder / "post.json").write_text(json.dumps({"obstacles": [{**POST, "position": [0.0, 0.1, 1.2]}]}))
-        with pytest.raises(FileError, match=r"rows in out.* belong to another scene 'post' \(.* choose another"):
-            compute(replace(chosen("moved/two.xml", scenes=("post.json",)), common=QUICK), "out")
-        (folder / "two.xml").write_text(two_hinges.replace('pos="0.3 0 0"', 'pos="0.31 0 0"'))
-        with pytest.raises(FileError, match=r"belong to another arm 'two' .* that of .*two.xml is"):
-            compute(replace(chosen("two.xml"), common=QUICK), "out")
-        # One that changes between the choice and the work is no other arm by the same name.
-        late = chosen("two.xml")
-        object.__setattr__(late, "user_files", tuple(file._replace(fingerprint="0" * 64) for file in late.user_files))
-        (row,) = compute(replace(late, common=QUICK), "late").rows.values()
-        assert "two.xml has changed since the comparison began" in row.reason
-        late = chosen("two.xml", scenes=("post.json",))
-        (folder / "post.json").write_text(json.dumps({"obstacles": [POST]}))
-        (row,) = compute(replace(late, common=QUICK), "later").rows.values()
-        assert "post.json has changed since the comparison began" in row.reason
+def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, two_hinges):
+    before = compute(replace(chosen("two.xml"), common=QUICK), "out").rows
+    # Elsewhere, the same arm; and another beside it.
+    (folder / "moved").mkdir()
+    (folder / "two.xml").rename(folder / "moved" / "two.xml")
+    selection = chosen("moved/two.xml", "moved/two.xml:tool", scenes=("free", "post.json"))
+    table = compute(replace(selection, common=QUICK), "out")
+    assert {key: table.rows[key] for key in before} == before
+    assert len(table.rows) == 4
+    (folder / "post.json").write_text(json.dumps({"obstacles": [{**POST, "position": [0.0, 0.1, 1.2]}]}))
+    with pytest.raises(FileError, match=r"rows in out.* belong to another scene 'post' \(.* choose another"):
+        compute(replace(chosen("moved/two.xml", scenes=("post.json",)), common=QUICK), "out")
+    (folder / "two.xml").write_text(two_hinges.replace('pos="0.3 0 0"', 'pos="0.31 0 0"'))
+    with pytest.raises(FileError, match=r"belong to another arm 'two' .* that of .*two.xml is"):
+        compute(replace(chosen("two.xml"), common=QUICK), "out")
+    # One that changes between the choice and the work is no other arm by the same name.
+    late = chosen("two.xml")
+    object.__setattr__(late, "user_files", tuple(file._replace(fingerprint="0" * 64) for file in late.user_files))
+    (row,) = compute(replace(late, common=QUICK), "late").rows.values()
+    assert "two.xml has changed since the comparison began" in row.reason
+    late = chosen("two.xml", scenes=("post.json",))
+    (folder / "post.json").write_text(json.dumps({"obstacles": [POST]}))
+    (row,) = compute(replace(late, common=QUICK), "later").rows.values()
+    assert "post.json has changed since the comparison began" in row.reason
     assert [file[:2] for file in Comparison.read("out").user_files] == [
         ("arm", "two"),
         ("arm", "two(tool)"),
@@ -110,7 +106,7 @@ def test_a_table_goes_on_with_the_same_files_and_refuses_others(folder, in_this_
     ]
 
 
-def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(folder, in_this_process, two_hinges):
+def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(folder, two_hinges):
     for place, model in (
         ("here", two_hinges),
         ("there", two_hinges),
@@ -118,12 +114,11 @@ def test_shards_of_files_that_lie_elsewhere_merge_unless_they_make_another_arm(f
     ):
         (folder / place).mkdir()
         (folder / place / "two.xml").write_text(model)
-    with in_this_process():
-        for number, place in ((1, "here"), (2, "there"), (2, "other")):
-            compute(
-                replace(chosen(f"{place}/two.xml"), seeds=2, common=QUICK, shard=Shard(number, 2)),
-                f"{place}/out",
-            )
+    for number, place in ((1, "here"), (2, "there"), (2, "other")):
+        compute(
+            replace(chosen(f"{place}/two.xml"), seeds=2, common=QUICK, shard=Shard(number, 2)),
+            f"{place}/out",
+        )
     merged = merge("merged", ["here/out", "there/out"])
     assert len(merged.rows) == 2
     assert [file.name for file in merged.user_files] == ["two"]

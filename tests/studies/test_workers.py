@@ -1,17 +1,18 @@
-"""Worker processes: none outlives the block that started it, and no other child is touched. Any executor does."""
+"""Worker processes: none outlives the block that started it, and no other child is touched."""
 
 from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import operator
 import os
 import signal
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from rich.console import Console
 
+from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Entry
 from lieednn_sim.studies import workers
 from lieednn_sim.studies.workers import run_each, worker_pool
@@ -45,47 +46,31 @@ def test_a_block_that_fails_leaves_no_worker_and_no_other_child_is_stopped(reaso
         other.close()
 
 
-def test_a_block_that_ends_well_finishes_its_work_and_leaves_no_worker():
-    with worker_pool(1) as pool:
-        results = [pool.submit(abs, -value) for value in range(3)]
-    assert [future.result() for future in results] == [0, 1, 2]
-    assert multiprocessing.active_children() == []
+def test_outcomes_come_as_tasks_end_and_few_are_submitted_ahead(monkeypatch):
+    submitted, results = [], {}
 
-
-def test_an_executor_holds_few_tasks_at_once_and_is_left_open(monkeypatch):
-    monkeypatch.setattr(workers, "_AHEAD", 3)
-    held, most, results = set(), [], {}
-
-    class Counting(ThreadPoolExecutor):
+    class Recording(ThreadPoolExecutor):
         def submit(self, *task):
-            held.add(task[1:])
-            most.append(len(held))
+            submitted.append(len(submitted) - len(results))
             return super().submit(*task)
 
+    monkeypatch.setattr(workers, "worker_pool", Recording)
+
     def done(task, result, error):
-        held.remove(task)
         results[task] = result or type(error)
 
     tasks = [(value, value % 5) for value in range(20)]
-    with Counting(2) as pool:
-        run_each(divmod, tasks, done, workers=1, title="", console=Console(quiet=True), executor=pool)
-        assert pool.submit(abs, -1).result() == 1
-    assert max(most[:20]) == 3
-    assert results == {(a, b): divmod(a, b) if b else ZeroDivisionError for a, b in tasks}
+    for number in (1, 2):
+        results.clear()
+        run_each(divmod, tasks, done, workers=number, title="", console=Console(quiet=True))
+        assert results == {(a, b): divmod(a, b) if b else ZeroDivisionError for a, b in tasks}
+    assert (len(submitted), max(submitted)) == (20, 3)
 
 
-def test_what_has_not_begun_is_cancelled_when_the_work_stops():
-    ran, over = [], threading.Event()
-
-    def work(number):
-        ran.append(number)
-        assert number == 0 or over.wait(60)
-
-    def done(*_):
-        raise KeyboardInterrupt
-
-    with ThreadPoolExecutor(1) as pool:
-        with pytest.raises(KeyboardInterrupt):
-            run_each(work, [(0,), (1,), (2,)], done, workers=1, title="", console=Console(quiet=True), executor=pool)
-        over.set()
-    assert 2 not in ran
+def test_a_worker_that_dies_loses_no_finished_task(monkeypatch):
+    monkeypatch.setattr(workers, "worker_pool", lambda _: worker_pool(1))
+    kept, tasks = [], [(abs, -1), (os._exit, 1), (abs, -2)]
+    with pytest.raises(LieEDNNError, match=r"a worker process died, .* continues, and one job needs less"):
+        run_each(operator.call, tasks, lambda *it: kept.append(it), workers=2, title="", console=Console(quiet=True))
+    assert kept == [((abs, -1), 1, None)]
+    assert multiprocessing.active_children() == []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -11,7 +10,7 @@ from typing import Any
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.budget import DEFAULT_TIME_BUDGET
+from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.evaluation import Evaluation
 from lieednn_sim.evaluation.metrics import evaluate
@@ -19,7 +18,7 @@ from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
 from lieednn_sim.planning import Plan, find_tube, plan, reference_network
 from lieednn_sim.simulation import Disturbances, Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
-from lieednn_sim.studies.comparison.rows import COLUMNS, TUBE, Case, Row
+from lieednn_sim.studies.comparison.rows import BY_NAME, Case, Row
 from lieednn_sim.studies.user_files import SCENE, UserFile, load
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, check_fields, set_fields
@@ -114,24 +113,24 @@ def run_case(
     """Plan once and track with every controller: one row each, with the reason for a failure; bugs are raised.
 
     Arms and scenes from files are found by their names in ``user_files``. The planning time is CPU time of this
-    process, with one BLAS thread.
+    thread, with one BLAS thread.
     """
     with one_blas_thread():
         try:
             arm, target = arm_and_target(case.arm, case.scene, case.seed, user_files)
         except LieEDNNError as error:
             return failed_case(case, controllers, settings, f"problem: {error}")
-        begun = time.process_time()
+        begun = cpu_time()
         try:
             made = _plan(case, arm, target, settings)
         except LieEDNNError as error:
-            spent = time.process_time() - begun
+            spent = cpu_time() - begun
             return failed_case(case, controllers, settings, f"plan: {error}", planning_s=spent)
         except Exception as error:
             error.add_note(f"while planning the case {case}")
             raise
-        planned = {"planning_s": time.process_time() - begun, **_stability(made.network)}
-        planned |= {TUBE: _tube_mm(arm, made), **_measured(motion_metrics(arm, made.motion), of_motion=True)}
+        planned = {"planning_s": cpu_time() - begun, **_stability(made.network)}
+        planned |= {"tube_mm": _tube_mm(arm, made), **_measured(motion_metrics(arm, made.motion))}
         rows = []
         for name in controllers:
             try:
@@ -139,7 +138,7 @@ def run_case(
             except LieEDNNError as error:
                 rows += failed_case(case, [name], settings, f"simulation: {error}", **planned)
             else:
-                values = {**planned, **_measured(evaluation, of_motion=False)}
+                values = _measured(evaluation) | planned
                 rows.append(_row(case, name, settings, evaluation.shortfall, **values))
         return rows
 
@@ -187,6 +186,5 @@ def _tube_mm(arm: Arm, made: Plan) -> float | None:
         return None
 
 
-def _measured(metrics: MotionMetrics | Evaluation, *, of_motion: bool) -> dict[str, Any]:
-    own = [column for column in COLUMNS if column.of_motion is of_motion and not column.timed and column.name != TUBE]
-    return {column.name: getattr(metrics, column.name) for column in own}
+def _measured(metrics: MotionMetrics | Evaluation) -> dict[str, Any]:
+    return {name: getattr(metrics, name) for name in BY_NAME if hasattr(metrics, name)}

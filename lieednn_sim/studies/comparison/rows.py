@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 
-from lieednn_sim.errors import InputError
 from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
-from lieednn_sim.validation import quoted
 
 _of_motion = partial(column, of_motion=True)
 
@@ -20,22 +18,6 @@ class Case:
     scene: str
     planner: str
     seed: int
-
-    @classmethod
-    def parse(cls, text: str) -> Case:
-        """Read ``planner:arm:scene:seed``.
-
-        Raises:
-            InputError: the text is not of that form.
-        """
-        parts = text.split(":")
-        if len(parts) != 4 or not all(parts) or not (parts[3].isascii() and parts[3].isdecimal()):
-            raise InputError(
-                f"a case must look like planner:arm:scene:seed, e.g. se3-geodesic:telescopic_pr:free:0, "
-                f"got {quoted(text)}"
-            )
-        planner, arm, scene, seed = parts
-        return cls(arm, scene, planner, int(seed))
 
     def __str__(self) -> str:
         return f"{self.planner}:{self.arm}:{self.scene}:{self.seed}"
@@ -149,8 +131,5 @@ class Row(TableRow):
         return not self.reason.startswith(("plan:", "problem:", "error:"))
 
 
-FIELDS = tuple(entry.name for entry in fields(Row))
 COLUMNS = columns_of(Row)
 BY_NAME = {entry.name: entry for entry in COLUMNS}
-# The column that is proved rather than measured.
-TUBE = "tube_mm"

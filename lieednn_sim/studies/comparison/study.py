@@ -6,7 +6,6 @@ import hashlib
 import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -15,7 +14,6 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, SCENES, SLOW
 from lieednn_sim.studies.comparison.cases import FREE, Settings, failed_case, run_case
 from lieednn_sim.studies.comparison.rows import Case, Row
-from lieednn_sim.studies.statistics import numbers
 from lieednn_sim.studies.study import Study, compute
 from lieednn_sim.studies.table import SUFFIX, Table
 from lieednn_sim.studies.user_files import ARM, SCENE, UserFile, resolve
@@ -94,6 +92,7 @@ class Comparison(Study[Row]):
     """
 
     name, kind = "comparison", Row
+    failed = staticmethod(failed_case)
 
     planners: Sequence[str] = ()
     arms: Sequence[str] = ()
@@ -156,10 +155,9 @@ class Comparison(Study[Row]):
     def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
         """See `Study`."""
         wanted = [(case, self._missing(table, case), self.common) for case in self.cases()]
-        costs = self._planning_costs(table)
         return sorted(
             (job for job in wanted if job[1]),
-            key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -costs[job[0].planner]),
+            key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -PLANNERS[job[0].planner].cost),
         )
 
     @property
@@ -167,21 +165,10 @@ class Comparison(Study[Row]):
         """See `Study`."""
         return run_case
 
-    def failed(self, case: tuple[Any, ...], reason: str) -> list[Row]:
-        """See `Study`; unchecked."""
-        return failed_case(*(*case, reason))
-
     def _missing(self, table: Table[Row], case: Case) -> list[str]:
         """The controllers for which a case has no row yet."""
         keys = {name: (case.arm, case.scene, case.planner, name, case.seed) for name in self.controllers}
         return [name for name, key in keys.items() if key not in table.rows]
-
-    def _planning_costs(self, table: Table[Row]) -> Mapping[str, float]:
-        costs = {}
-        for planner in self.planners:
-            known = numbers([row for row in table.rows.values() if row.planner == planner], "planning_s")
-            costs[planner] = max(known) if known else PLANNERS[planner].cost
-        return costs
 
 
 def settings_of(table: Table[Row]) -> Settings:
@@ -223,7 +210,6 @@ def compare(
     seeds: int = 3,
     settings: Settings | None = None,
     jobs: int = 1,
-    executor: Executor | None = None,
 ) -> Table[Row]:
     """Compare planners in a table, of which the rows that the directory lacks are computed.
 
@@ -237,4 +223,4 @@ def compare(
     """
     common = Settings() if settings is None else settings
     study = Comparison(planners, arms, scenes, controllers, seeds=seeds, common=common)
-    return compute(study, directory, jobs=jobs, executor=executor)
+    return compute(study, directory, jobs=jobs)

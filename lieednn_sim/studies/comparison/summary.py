@@ -13,7 +13,8 @@ from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLAT
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.comparison.statistics import failures, seeds_by_planner, verdict
 from lieednn_sim.studies.comparison.study import settings_of
-from lieednn_sim.studies.markdown import escaped, table_head, table_line
+from lieednn_sim.studies.markdown import escaped
+from lieednn_sim.studies.markdown import table as markdown_table
 from lieednn_sim.studies.rows import Column
 from lieednn_sim.studies.statistics import Group, grouped, motions
 from lieednn_sim.studies.table import Table
@@ -37,21 +38,20 @@ def write_summary(path: str | os.PathLike[str], table: Table[Row], missing: Mapp
     lines = ["# Planners and controllers compared", "", method(table), ""]
     if missing:
         lines += ["## Not compared", "", *(f"- {name}: {reason}" for name, reason in sorted(missing.items())), ""]
-    lines += ["## Motions", "", *table_head(["arm", "scene", "planner", "made", "stability"], of_motion)]
+    made = []
     for group in grouped(rows, ("arm", "scene", "planner")):
         own = motions(group.rows)
-        made = f"{sum(row.planned for row in own)} of {len(own)}"
-        lines.append(table_line([*group.key, made, verdict(group.rows), *_medians(group, of_motion)]))
-    lines += [
-        "",
-        "## Tracking",
-        "",
-        *table_head(["arm", "scene", "planner", "controller", "success", "95 %"], of_rollout),
-    ]
+        planned = f"{sum(row.planned for row in own)} of {len(own)}"
+        made.append([*map(escaped, group.key), planned, verdict(group.rows), *_medians(group, of_motion)])
+    followed = []
     for group in grouped(rows, ("arm", "scene", "planner", "controller")):
         low, high = group.interval
-        cells = [*group.key, f"{group.successes} of {group.total}", f"{low:.0%} to {high:.0%}"]
-        lines.append(table_line([*cells, *_medians(group, of_rollout)]))
+        cells = [*map(escaped, group.key), f"{group.successes} of {group.total}", f"{low:.0%} to {high:.0%}"]
+        followed.append([*cells, *_medians(group, of_rollout)])
+    heads = ["arm", "scene", "planner", "made", "stability", *(column.heading for column in of_motion)]
+    lines += ["## Motions", *markdown_table(heads, made)]
+    heads = ["arm", "scene", "planner", "controller", "success", "95 %", *(column.heading for column in of_rollout)]
+    lines += ["", "## Tracking", *markdown_table(heads, followed)]
     lines += ["", "## Failures", ""]
     for failure in failures(rows):
         counts = ", ".join(f"{name} {count}" for name, count in failure.counts)

@@ -82,6 +82,16 @@ def scored(kind: str, name: str, row: ModelRow) -> ModelScore:
     return ModelScore(kind, name, row.model, n_parameters=row.n_parameters, fit_s=row.fit_s, **there, **errors)
 
 
+def models() -> list[str]:
+    """Names of the models, the network first."""
+    return [ShapedMotion.name, *RIVALS]
+
+
+def failed(kind: str, path: str, _unit: str, _starts: int, reason: str) -> list[ModelScore]:
+    """Rows of models that could not be fitted, with the reason."""
+    return [ModelScore(kind, Path(path).stem, model, reason=reason) for model in models()]
+
+
 @dataclass(frozen=True)
 class DemonstrationSets(Study[ModelScore]):
     """A shaped network and its rivals on sets of demonstrations, each in a file.
@@ -92,6 +102,7 @@ class DemonstrationSets(Study[ModelScore]):
     """
 
     name, kind = "demonstrations", ModelScore
+    failed = staticmethod(failed)
 
     files: Sequence[tuple[str, Path, str]]
     starts: int = 1000
@@ -100,24 +111,15 @@ class DemonstrationSets(Study[ModelScore]):
         """See `Study`."""
         return {"starts": self.starts}
 
-    @property
-    def models(self) -> list[str]:
-        """Names of the models, the network first."""
-        return [ShapedMotion.name, *RIVALS]
-
     def todo(self, table: Table[ModelScore]) -> list[tuple[str, str, str, int]]:
         """See `Study`."""
         return [
             (kind, str(path), unit, self.starts)
             for kind, path, unit in self.files
-            if any((kind, path.stem, model) not in table.rows for model in self.models)
+            if any((kind, path.stem, model) not in table.rows for model in models())
         ]
 
     @property
     def run(self) -> Callable[..., list[ModelScore]]:
         """See `Study`."""
         return score
-
-    def failed(self, case: tuple[Any, ...], reason: str) -> list[ModelScore]:
-        """See `Study`; unchecked."""
-        return [ModelScore(case[0], Path(case[1]).stem, model, reason=reason) for model in self.models]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import tarfile
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -26,14 +25,9 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer import import_arm
 from lieednn_sim.arm.obstacles import shapes
 from lieednn_sim.errors import FileError
-from lieednn_sim.io import LARGEST_FILE, LARGEST_TEXT, opened
 from lieednn_sim.validation import as_floats, as_path
 from lieednn_sim.values import Floats
 
-# A file of a problem, in the archive or the folder: set, kind and number.
-_MEMBER = re.compile(r"(?:.*/)?([^/]+)/(scene|request)(\d+)\.yaml")
-# Bytes of a model; spherised ones have megabytes.
-_LARGEST_MODEL = 10**8
 # Limits, such as pi, are given to five decimals; starts and goals in full precision [rad, m].
 _LAST_DIGIT = 1e-5
 # Dimensions of primitives other than boxes, in the order of the messages.
@@ -55,11 +49,12 @@ class PublishedProblem(NamedTuple):
 
 
 class ProblemSets:
-    """The problems of one robot: a folder with ``problems.tar.bz2`` or ``problems/``, a URDF, and perhaps an SRDF.
+    """The problems of one robot: a folder with ``SET/scene0001.yaml``, ``SET/request0001.yaml`` ... anywhere in it.
 
-    Of several URDF files, ``..._spherized.urdf`` is taken. The arm's joints are those of the goals, one per link; other
-    joints are locked where the first problem starts. Collisions that an SRDF disables are ignored, and so are those
-    with neighbours and bodies welded to these; without an SRDF the import decides (`importer.import_arm`).
+    Beside them it has a URDF (of several, ``..._spherized.urdf`` is taken), and perhaps an SRDF. The arm's joints are
+    those of the goals, one per link; other joints are locked where the first problem starts. Collisions that an SRDF
+    disables are ignored, and so are those with neighbours and bodies welded to these; without an SRDF the import
+    decides (`importer.import_arm`).
 
     Args:
         folder: folder of the robot, with its name.
@@ -70,10 +65,23 @@ class ProblemSets:
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = as_path("the folder of problems", folder).resolve()
-        self.model = _one(self.folder, "*_spherized.urdf", "*.urdf")
+        models = [*self.folder.glob("*_spherized.urdf")] or [*self.folder.glob("*.urdf")]
+        if len(models) != 1:
+            names = ", ".join(sorted(path.name for path in models)) or "none"
+            raise FileError(f"{self.folder} must hold one *_spherized.urdf, or else one *.urdf, got {names}")
+        self.model = models[0]
         found = sorted(self.folder.glob("*.srdf"))
         self.semantics = found[0] if len(found) == 1 else None
-        self._texts = _read(self.folder)
+        # By set, number and kind.
+        self._files: dict[tuple[str, int, str], Path] = {}
+        for path in self.folder.rglob("*.yaml"):
+            if named := re.fullmatch(r"(scene|request)(\d+)", path.stem):
+                self._files[path.parent.name.removesuffix(f"_{self.robot}"), int(named[2]), named[1]] = path
+        if not self._files:
+            raise FileError(
+                f"{self.folder} holds no problems: no SET/scene0001.yaml with a SET/request0001.yaml; unpack their "
+                "archive there"
+            )
 
     @property
     def robot(self) -> str:
@@ -83,9 +91,9 @@ class ProblemSets:
     @cached_property
     def fingerprint(self) -> str:
         """Fingerprint of all files that the problems are read from."""
-        texts = {f"{key}": text for key, text in self._texts.items()}
-        texts |= {path.suffix: _content(path) for path in (self.model, self.semantics) if path}
-        return io.fingerprint({key: np.frombuffer(text, np.uint8) for key, text in texts.items()}, {})
+        files = {f"{key}": path for key, path in self._files.items()}
+        files |= {path.suffix: path for path in (self.model, self.semantics) if path}
+        return io.fingerprint({key: np.frombuffer(_content(path), np.uint8) for key, path in files.items()}, {})
 
     def selection(self, count: int | None = None) -> list[tuple[str, int]]:
         """Choose ``count`` problems, by default all, from each set in turn and spread evenly over it.
@@ -94,7 +102,7 @@ class ProblemSets:
             Set and number of each. The choice is the same for everyone, and any beginning of the list covers all sets.
         """
         sets: dict[str, list[int]] = {}
-        for name, number, kind in sorted(self._texts):
+        for name, number, kind in sorted(self._files):
             if kind == "request":
                 sets.setdefault(name, []).append(number)
         total = sum(map(len, sets.values()))
@@ -113,7 +121,7 @@ class ProblemSets:
         request, scene = (self._message(name, number, kind) for kind in ("request", "scene"))
         with _malformed(where):
             start, goal = _start(request), _goal(request)
-            entries = list(_obstacles(scene, self._root))
+            entries = list(_obstacles(scene, self._tree[1]))
         if goal.keys() != set(self.arm.joint_names):
             raise FileError(f"{where} is for the joints {', '.join(goal)}, not {', '.join(self.arm.joint_names)}")
         if moved := [joint for joint, q in self._locked.items() if start.get(joint, q) != q]:
@@ -137,10 +145,11 @@ class ProblemSets:
             InputError: the model holds no such arm.
         """
         start, goal = self._first
-        if missing := [joint for joint in goal if joint not in self._children]:
+        children, _ = self._tree
+        if missing := [joint for joint in goal if joint not in children]:
             raise FileError(f"{self.model} has no joint {', '.join(missing)}, for which goals are given")
         home = {joint: q for joint, q in start.items() if joint in goal} | self._locked
-        spec, report = import_arm(self.model, links=[self._children[joint] for joint in goal], home=home, floor="none")
+        spec, report = import_arm(self.model, links=[children[joint] for joint in goal], home=home, floor="none")
         if self.semantics:
             for old in [*spec.excludes, *spec.pairs]:
                 spec.delete(old)
@@ -153,109 +162,37 @@ class ProblemSets:
     @cached_property
     def _first(self) -> tuple[dict[str, float], dict[str, float]]:
         """Start and goal of the first problem by joint."""
-        name, number, _ = min(self._texts)
+        name, number, _ = min(self._files)
         with _malformed(f"problem {number} of {name} in {self.folder}"):
             request = self._message(name, number, "request")
             return _start(request), _goal(request)
 
     @cached_property
-    def _children(self) -> dict[str, str]:
-        """The link that each joint of the URDF moves."""
-        return {joint.attrib["name"]: _moved(joint) for joint in self._joints if joint.get("type") != "fixed"}
-
-    @cached_property
-    def _root(self) -> str:
-        """The root link, in whose frame all obstacles are given."""
-        moved = set(map(_moved, self._joints))
+    def _tree(self) -> tuple[dict[str, str], str]:
+        """The link that each joint of the URDF moves, but for fixed ones, and the root link, where obstacles are."""
         with _malformed(self.model):
-            return next(
-                link.attrib["name"] for link in self._robot.iterfind("link") if link.attrib["name"] not in moved
-            )
-
-    @property
-    def _joints(self) -> list[ElementTree.Element]:
-        return self._robot.findall("joint")
-
-    @cached_property
-    def _robot(self) -> ElementTree.Element:
-        with _malformed(self.model):
-            return ElementTree.parse(self.model).getroot()
+            robot = ElementTree.parse(self.model).getroot()
+            moved = {joint: next(joint.iterfind("child")).attrib["link"] for joint in robot.findall("joint")}
+            links = [link.attrib["name"] for link in robot.iterfind("link")]
+            root = next(link for link in links if link not in moved.values())
+            return {joint.attrib["name"]: link for joint, link in moved.items() if joint.get("type") != "fixed"}, root
 
     @cached_property
     def _locked(self) -> dict[str, float]:
         """Start positions, in the first problem, of the URDF's joints that are not in goals."""
         start, goal = self._first
-        return {joint: start[joint] for joint in self._children if joint not in goal and joint in start}
+        return {joint: start[joint] for joint in self._tree[0] if joint not in goal and joint in start}
 
     def _message(self, name: str, number: int, kind: str) -> dict[str, Any]:
-        content = self._texts.get((name, number, kind))
-        if content is None:
+        if (name, number, kind) not in self._files:
             raise FileError(f"{self.folder} has no {kind} {number} in the problem set {name!r}")
-        return io.parse_object(content, f"{self.folder.name}/{name}/{kind}{number:04}.yaml", kind)
-
-
-def _moved(joint: ElementTree.Element) -> str:
-    """The link that a joint of a URDF moves."""
-    child = joint.find("child")
-    if child is None or not child.get("link"):
-        raise FileError(f"joint {joint.get('name')!r} of the URDF moves no link")
-    return child.attrib["link"]
-
-
-def _read(folder: Path) -> dict[tuple[str, int, str], bytes]:
-    """The files of all problems by set, number, and kind: ``scene`` or ``request``."""
-    texts = {}
-    inside = folder / "problems"
-    for name, content in _inside(inside) if inside.is_dir() else _unpacked(_one(folder, "problems.tar*")):
-        if matched := _matched(name):
-            texts[matched[1].removesuffix(f"_{folder.name}"), int(matched[3]), matched[2]] = content
-    if not texts:
-        raise FileError(f"{folder} holds no problems: no SET/scene0001.yaml with a SET/request0001.yaml")
-    return texts
-
-
-def _inside(folder: Path) -> Iterator[tuple[str, bytes]]:
-    return ((str(path), _content(path)) for path in sorted(folder.rglob("*.yaml")) if _matched(str(path)))
-
-
-def _matched(name: str) -> re.Match[str] | None:
-    return _MEMBER.fullmatch(name.replace(os.sep, "/"))
+        return io.load_description(self._files[name, number, kind], kind)
 
 
 def _content(path: Path) -> bytes:
-    with opened(path, _LARGEST_MODEL) as stream:
+    # Spherised models have megabytes.
+    with io.opened(path, 10**8) as stream:
         return stream.read()
-
-
-def _unpacked(archive: Path) -> Iterator[tuple[str, bytes]]:
-    try:
-        with tarfile.open(archive) as members:
-            for member in members:
-                if member.offset_data + member.size > LARGEST_FILE:
-                    raise FileError(f"{archive} unpacks to more than {LARGEST_FILE} bytes, which are not read")
-                if not member.isfile() or not _matched(member.name):
-                    continue
-                if member.size > LARGEST_TEXT:
-                    raise FileError(
-                        f"{archive}: {member.name} has {member.size} bytes; at most {LARGEST_TEXT} are read"
-                    )
-                if content := members.extractfile(member):
-                    yield member.name, content.read()
-    except FileError:
-        raise
-    except (OSError, EOFError, tarfile.TarError) as error:
-        raise FileError(f"cannot read {archive}: {error}") from None
-
-
-def _one(folder: Path, *patterns: str) -> Path:
-    """The single file that matches the first pattern with any matches."""
-    for pattern in patterns:
-        found = sorted(folder.glob(pattern))
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise FileError(f"{folder} holds several of {pattern}: {', '.join(path.name for path in found)}; keep one")
-    raise FileError(f"no {' nor '.join(patterns)} in {folder}; give the folder of one robot")
 
 
 @contextlib.contextmanager

@@ -188,6 +188,7 @@ class PublishedProblems(Study[Solution]):
     """
 
     name, kind = "problems", Solution
+    failed = staticmethod(failed)
 
     sets: ProblemSets
     planners: Sequence[str] = DEFAULT_PLANNERS
@@ -215,7 +216,3 @@ class PublishedProblems(Study[Solution]):
     def run(self) -> Callable[..., list[Solution]]:
         """See `Study`."""
         return solve
-
-    def failed(self, case: tuple[Any, ...], reason: str) -> list[Solution]:
-        """See `Study`; unchecked."""
-        return failed(*(*case, reason))

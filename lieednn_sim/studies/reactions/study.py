@@ -7,10 +7,10 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from lieednn_sim import io
-from lieednn_sim.studies.markdown import escaped, table_head, table_line
+from lieednn_sim.studies.markdown import escaped
+from lieednn_sim.studies.markdown import table as markdown_table
 from lieednn_sim.studies.reactions.cases import (
     COMPARED,
     DISTURBANCES,
@@ -60,6 +60,7 @@ class Reactions(Study[Reaction]):
     """
 
     name, kind = "reactions", Reaction
+    failed = staticmethod(failed_reactions)
 
     arms: Sequence[str]
     scenes: Sequence[str]
@@ -82,10 +83,6 @@ class Reactions(Study[Reaction]):
     def run(self) -> Callable[..., list[Reaction]]:
         """See `Study`."""
         return run_reactions
-
-    def failed(self, case: tuple[Any, ...], reason: str) -> list[Reaction]:
-        """See `Study`; unchecked."""
-        return failed_reactions(*(*case, reason))
 
 
 class ReactionGroup(Group[Reaction]):
@@ -128,14 +125,15 @@ def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> Non
         METHOD,
         "",
         f"Arms: {escaped(', '.join(arms))}; {seeds} seed{'s' if seeds != 1 else ''}; medians.",
-        "",
     ]
-    lines += table_head(["scene", "disturbance", "policy", "arrived", "touched", "back"], MEASURED)
+    medians = []
     for group in groups(rows):
         counts = [f"{group.successes} of {group.total}", str(group.touched)]
         counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
         cells = ["-" if value is None else f"{value:.3g}" for value in group.medians]
-        lines.append(table_line([*group.key, *counts, *cells]))
+        medians.append([*map(escaped, group.key), *counts, *cells])
+    heads = ["scene", "disturbance", "policy", "arrived", "touched", "back", *(column.heading for column in MEASURED)]
+    lines += markdown_table(heads, medians)
     unposed = Counter((row.scene, row.disturbance, row.policy, row.reason) for row in rows if not row.posed)
     failed = [row for row in rows if row.reason.startswith(("plan", "simulation", "error"))]
     lines += ["", "## Could not be run", ""] if failed or unposed else []

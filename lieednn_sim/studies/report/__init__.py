@@ -1,10 +1,9 @@
 """One self-contained HTML page of a comparison."""
 
 from lieednn_sim.studies.report.page import write_page
-from lieednn_sim.studies.report.videos import Clip, film
 from lieednn_sim.studies.report.views import View, choose_problems, view
 from lieednn_sim.typecheck import typecheck_public
 
-__all__ = ["Clip", "View", "choose_problems", "film", "view", "write_page"]
+__all__ = ["View", "choose_problems", "view", "write_page"]
 
 typecheck_public(globals())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, Locator, LogFormatterMathtext, LogLocator, MaxNLocator, NullLocator
 
-from lieednn_sim.evaluation.figure_layout import fix_layout
+from lieednn_sim.evaluation.figure_layout import COLOURS, fix_layout
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
 from lieednn_sim.studies.comparison.statistics import in_order
-from lieednn_sim.studies.report.style import marks
+from lieednn_sim.studies.rows import Column
 from lieednn_sim.studies.statistics import grouped, numbers
 
 # Placeholders that `_svg` replaces by the page's colours, so that figures are readable in light and dark mode.
@@ -52,6 +52,26 @@ _MARKS = 200
 
 
 @dataclass(frozen=True)
+class Mark:
+    """Colour of a planner in all figures and tables, and the shape of its mark in the page's styles."""
+
+    colour: str
+    shape: str
+
+
+def marks(names: Iterable[str]) -> dict[str, Mark]:
+    """A mark for each planner, which does not depend on the other names."""
+    colours, shapes = (*COLOURS, "#8C8C8C"), ("round", "diamond", "square", "triangle")
+    known = list(PLANNERS)
+    order = known + sorted(set(names) - set(known))
+    # Each repetition of the colours has another shape.
+    return {
+        name: Mark(colours[index % len(colours)], shapes[index // len(colours) % len(shapes)])
+        for index, name in enumerate(order)
+    }
+
+
+@dataclass(frozen=True)
 class Plot:
     """A figure of the page."""
 
@@ -60,55 +80,25 @@ class Plot:
     svg: str
 
 
-@dataclass(frozen=True)
-class _Distribution:
-    column: str
-    title: str
-    label: str
-    logarithmic: bool
-
-
-_DISTRIBUTIONS = (
-    _Distribution("tracking_rms_mm", "Tracking error", "RMS, worst link [mm]", True),
-    _Distribution("clearance_mm", "Least clearance", "along the simulated motion [mm]", False),
-    _Distribution("planning_s", "Planning time", "CPU [s]", True),
-    _Distribution("path_ranges", "Path length", "in joint space [ranges]", False),
-    _Distribution("jerk_effector", "Smoothness", "RMS jerk of the end effector [m/s³]", True),
-)
+# Columns that are drawn, and whether on a logarithmic axis.
+_DRAWN = {
+    "tracking_rms_mm": True,
+    "clearance_mm": False,
+    "planning_s": True,
+    "path_ranges": False,
+    "jerk_effector": True,
+}
 
 
 def plots(rows: Sequence[Row], controller: str) -> list[Plot]:
-    """Plot success by planner and scene, and distributions of measured columns, for one arm.
+    """Plot distributions of measured columns by planner and scene, for one arm.
 
     Args:
         rows: rows of one arm.
         controller: the controller whose rollouts are shown.
     """
     chosen = [row for row in rows if row.controller == controller]
-    made = [_success(chosen, controller)] if chosen else []
-    for item in _DISTRIBUTIONS:
-        if numbers(chosen, item.column):
-            made.append(_distribution(chosen, item, controller))
-    return made
-
-
-def _success(rows: Sequence[Row], controller: str) -> Plot:
-    planners, scenes = in_order((row.planner for row in rows), PLANNERS), _scenes(rows)
-    look = marks(planners)
-    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "success"}):
-        figure, axes = _panel(planners)
-        for group in grouped(rows, ("planner", "scene")):
-            planner, scene = group.key
-            y = planners.index(planner) + _offset(scenes, scene)
-            low, high = group.interval
-            axes.plot([100 * low, 100 * high], [y, y], color=look[planner].colour, lw=1.6, alpha=0.65)
-            rate = 100 * group.successes / group.total
-            axes.plot(rate, y, _SCENE_MARKERS[scenes.index(scene) % 7], color=look[planner].colour, ms=5.5)
-        axes.set_xlim(-3, 103)
-        axes.set_xlabel("success [%]")
-        _legend(figure, scenes)
-        svg = _svg(figure)
-    return Plot("Success", f"fraction of rollouts with {controller}, bars: Wilson's 95 % interval", svg)
+    return [_distribution(chosen, BY_NAME[name], controller) for name in _DRAWN if numbers(chosen, name)]
 
 
 def _few_ticks(low: float, high: float) -> Locator:
@@ -120,15 +110,15 @@ def _few_ticks(low: float, high: float) -> Locator:
     return LogLocator(subs=(1.0, 2.0, 5.0), numticks=8)
 
 
-def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> Plot:
+def _distribution(rows: Sequence[Row], column: Column, controller: str) -> Plot:
     planners, scenes = in_order((row.planner for row in rows), PLANNERS), _scenes(rows)
-    look, thinned = marks(planners), False
-    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": item.column}):
+    look, thinned, logarithmic = marks(planners), False, _DRAWN[column.name]
+    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": column.name}):
         figure, axes = _panel(planners)
         for group in grouped(rows, ("planner", "scene")):
             planner, scene = group.key
-            values = np.array(group.values(item.column))
-            if item.logarithmic:
+            values = np.array(group.values(column.name))
+            if logarithmic:
                 values = np.maximum(values, _FLOOR)
             if not len(values):
                 continue
@@ -143,7 +133,7 @@ def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> 
             marker = _SCENE_MARKERS[scenes.index(scene) % 7]
             axes.plot(shown, spread, marker, color=colour, ms=2.8, alpha=0.75, mew=0)
             axes.plot([np.median(values)] * 2, [y - 0.16, y + 0.16], color=colour, lw=2.2)
-        if item.logarithmic:
+        if logarithmic:
             axes.set_xscale("log")
             low, high = axes.get_xlim()
             # Labels at 1, 2, 5 below two decades, and at powers of ten above.
@@ -151,18 +141,18 @@ def _distribution(rows: Sequence[Row], item: _Distribution, controller: str) -> 
             axes.xaxis.set_major_locator(_few_ticks(low, high) if few else LogLocator(numticks=8))
             axes.xaxis.set_minor_locator(NullLocator())
             axes.xaxis.set_major_formatter(FormatStrFormatter("%g") if few else LogFormatterMathtext())
-        elif item.column == "clearance_mm":
+        elif column.name == "clearance_mm":
             axes.axvline(0.0, color=_INK, lw=0.9, ls="--")
         else:
             axes.set_xlim(left=0.0)
-        axes.set_xlabel(item.label)
+        axes.set_xlabel(column.heading)
         _legend(figure, scenes)
         svg = _svg(figure)
-    each = "one mark a motion" if BY_NAME[item.column].of_motion else f"one mark a rollout with {controller}"
-    note = "; values below 10⁻⁶ mm are drawn there" if item.column == "tracking_rms_mm" else ""
+    each = "one mark a motion" if column.of_motion else f"one mark a rollout with {controller}"
+    note = "; values below 10⁻⁶ mm are drawn there" if column.name == "tracking_rms_mm" else ""
     if thinned:
         note += f"; at most {_MARKS} in a line are marked, evenly spaced in rank"
-    return Plot(item.title, f"{each}, bar: quartiles, line: median{note}", svg)
+    return Plot(column.heading, f"{column.meaning}: {each}, bar: quartiles, line: median{note}", svg)
 
 
 def _panel(planners: Sequence[str]) -> tuple[Figure, Axes]:

@@ -1,4 +1,4 @@
-"""The page: a table of medians, plots, failures and videos in one HTML file without external resources."""
+"""The page: a table of medians, plots, motions in 3D and failures in one HTML file without external resources."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ from lieednn_sim.studies.comparison.statistics import controllers_of, failures, 
 from lieednn_sim.studies.comparison.summary import method, shown
 from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
 from lieednn_sim.studies.reactions.study import METHOD, groups
-from lieednn_sim.studies.report.figures import plots
-from lieednn_sim.studies.report.style import marks
-from lieednn_sim.studies.report.videos import Clip
+from lieednn_sim.studies.report.figures import marks, plots
 from lieednn_sim.studies.report.views import View
 from lieednn_sim.studies.rows import Column
 from lieednn_sim.studies.statistics import Group, grouped
@@ -55,7 +53,6 @@ def write_page(
     *,
     missing: Mapping[str, str] | None = None,
     views: Sequence[View] = (),
-    clips: Sequence[Clip] = (),
     command: str = "",
     date: str = "",
     reactions: Table[Reaction] | None = None,
@@ -67,7 +64,6 @@ def write_page(
         table: table of the comparison.
         missing: planners that could not be compared, with the reason.
         views: problems to show in 3D; with them the page has viser's player once.
-        clips: videos to embed.
         command: command that made the table.
         date: date for the page's head; none when empty, so that the page depends on the table alone.
         reactions: results of the reactive benchmark, for a section of their own.
@@ -112,7 +108,6 @@ def write_page(
             views=views,
             # What ends a script element must not be in the text of one.
             player=json.dumps(player("RECORDING")).replace("</", "<\\/") if views else "",
-            clips=clips,
             reactions=groups(reacted) if reacted else [],
             reaction_heads=_reaction_heads(),
             reaction_method=METHOD,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import tarfile
 from pathlib import Path
 
 import mujoco
@@ -62,23 +61,11 @@ def test_a_goal_beyond_a_limit_by_rounding_is_on_it(tiny: Path) -> None:
     assert goal[1] == arm.position_limits[1, 1] == 3.14159
 
 
-def test_an_archive_reads_like_a_folder(tiny: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "tiny"
-    folder.mkdir()
-    for name in ("tiny_spherized.urdf", "tiny.srdf"):
-        shutil.copy(tiny / name, folder)
-    with tarfile.open(folder / "problems.tar.bz2", "w:bz2") as archive:
-        archive.add(tiny / "problems", "problems")
-    one, other = ProblemSets(tiny), ProblemSets(folder)
-    assert one.fingerprint == other.fingerprint
-    assert one.problem("post", 1).arm.fingerprint == other.problem("post", 1).arm.fingerprint
-
-
 def test_the_list_takes_the_sets_in_turn_and_evenly(tiny: Path) -> None:
     sets = ProblemSets(tiny)
     assert sets.selection() == [("easy", 1), ("post", 1), ("easy", 2), ("post", 2)]
     assert sets.selection(2) == [("easy", 1), ("post", 1)]
-    sets._texts = {(name, number, "request"): b"" for name in ("a", "b", "c") for number in range(1, 101)}
+    sets._files = {(name, number, "request"): tiny for name in ("a", "b", "c") for number in range(1, 101)}
     # Five of a and b, four of c would be 14; from 1 on in steps of 20.
     assert sets.selection(14) == [
         (name, number) for number in (1, 21, 41, 61, 81) for name in ("a", "b", "c") if (name, number) != ("c", 81)
@@ -89,8 +76,11 @@ def test_the_list_takes_the_sets_in_turn_and_evenly(tiny: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda folder: (folder / "tiny_spherized.urdf").unlink(), "no *_spherized.urdf nor *.urdf"),
-        (lambda folder: shutil.rmtree(folder / "problems"), "no problems.tar* in"),
+        (
+            lambda folder: (folder / "tiny_spherized.urdf").unlink(),
+            "or else one *.urdf, got none",
+        ),
+        (lambda folder: shutil.rmtree(folder / "problems"), "holds no problems: no SET/scene0001.yaml"),
         (
             lambda folder: (folder / "tiny.srdf").write_text("<robot"),
             "is not as MotionBenchMaker writes it (ParseError",

@@ -10,19 +10,18 @@ import pytest
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies import Case, Comparison, Row, Settings, compute
-from lieednn_sim.studies.report import choose_problems, film, page, videos, view, write_page
-from lieednn_sim.studies.report.style import marks
+from lieednn_sim.studies.report import choose_problems, page, view, write_page
+from lieednn_sim.studies.report.figures import marks
 
 CONTROLLERS = ("position-servo", "computed-torque")
 SETTINGS = Settings(duration=1.2, hold=0.1)
 
 
 @pytest.fixture(scope="module")
-def table(tmp_path_factory, in_this_process):
+def table(tmp_path_factory):
     """Two planners, two scenes, two controllers, and rows of more arms and failures made up from them."""
     selection = Comparison(("minimum-jerk", "se3-geodesic"), ("telescopic_pr",), ("free",), CONTROLLERS, seeds=1)
-    with in_this_process():
-        made = compute(replace(selection, common=SETTINGS), tmp_path_factory.mktemp("table"))
+    made = compute(replace(selection, common=SETTINGS), tmp_path_factory.mktemp("table"))
     for index, row in enumerate(made.sorted_rows()):
         for arm, scene in (("telescopic_pr", "window"), ("another_arm", "free")):
             values = {"tracking_rms_mm": 10.0 ** (index - 3), "planning_s": 0.5 + index}
@@ -101,13 +100,6 @@ def test_planners_keep_their_marks_and_none_is_used_twice():
     assert marks([])["se3-geodesic"] == everyone["se3-geodesic"]
 
 
-def test_only_cases_with_a_motion_can_be_filmed(table):
-    with pytest.raises(InputError, match="compare it first"):
-        film(table, Case("telescopic_pr", "free", "se3-geodesic", 77), "position-servo")
-    with pytest.raises(InputError, match=r"case rrt-connect.* has nothing to show"):
-        film(table, Case("another_arm", "free", "rrt-connect", 0), "position-servo")
-
-
 def test_problems_are_those_of_the_best_of_lieednn_and_others_in_turn(tmp_path):
     """Two scenes; 'dmp' fails in one, 'lieednn-shaped' succeeds once more than 'lieednn-certified'."""
     others = ["minimum-jerk", "se3-geodesic", "linear-attractor", "dmp", "promp"]
@@ -137,14 +129,12 @@ def test_problems_are_those_of_the_best_of_lieednn_and_others_in_turn(tmp_path):
 
 @pytest.fixture(scope="module")
 def browser(table, figures_kept, tmp_path_factory, opened):
-    """The page with a video, open in the browser."""
+    """The page with two views, open in the browser."""
     path = tmp_path_factory.mktemp("page") / "page.html"
-    with figures_kept(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(videos, "FPS", 10)
-        clip = film(table, Case("telescopic_pr", "free", "se3-geodesic", 0), "position-servo")
+    with figures_kept():
         cases = [Case("telescopic_pr", "free", planner, 0) for planner in ("minimum-jerk", "se3-geodesic")]
         shown = view(table, cases, "position-servo")
-        write_page(path, table, views=[shown, shown], clips=[clip, replace(clip)])
+        write_page(path, table, views=[shown, shown])
     assert path.stat().st_size < 3e6
     return opened(path.as_uri(), 1280, 1000)
 
@@ -175,7 +165,7 @@ def test_in_a_browser_the_page_loads_without_a_complaint(browser):
     assert browser.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")
     browser.set_window_size(1280, 1000)
     drawn = browser.execute_script("return [...document.querySelectorAll('figure svg')].map(s => s.getBBox().width)")
-    assert len(drawn) == 12  # six figures for each of two arms
+    assert len(drawn) == 10  # five figures for each of two arms
     assert min(drawn) > 100
 
 
@@ -220,19 +210,6 @@ def test_in_a_browser_filters_hide_rows_and_figures(browser):
     # The page filters again after the form is reset, which is after the click has returned.
     wait = pytest.importorskip("selenium.webdriver.support.wait")
     wait.WebDriverWait(browser, 60.0).until(lambda driver: len(column(driver, 0)) == total)
-
-
-@pytest.mark.browser
-@pytest.mark.rendering
-def test_in_a_browser_the_video_plays(browser):
-    played = browser.execute_async_script(
-        "const done = arguments[0], video = document.querySelector('video'); video.muted = true;"
-        "video.addEventListener('ended', () => done([video.currentTime, video.videoWidth, video.videoHeight]));"
-        "video.addEventListener('error', () => done(['error', video.error.message]));"
-        "video.play().catch(reason => done(['refused', String(reason)]))"
-    )
-    assert played[0] == pytest.approx(SETTINGS.duration + SETTINGS.hold, abs=0.1)
-    assert played[1:] == [480, 270]
 
 
 @pytest.mark.browser
