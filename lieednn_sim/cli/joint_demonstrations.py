@@ -12,7 +12,6 @@ from lieednn_sim.cli.arguments import ChosenArm
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.cli.task import DEMONSTRATED
 from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
 from lieednn_sim.studies.demonstrations.joints import joints_table, motion_to, study_joints
@@ -71,7 +70,7 @@ def learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run:
             )
         duration = float(motion.t[-1])
         asked = {"files": list(files), **asdict(fitting)}
-        about = {"planner": DEMONSTRATED, "reason": "demonstrated", "options": asked}
+        about = {"planner": "learn", "reason": "demonstrated", "options": asked}
         task = chosen.task(arm, shown.mean[0], shown.mean[-1], duration, seed, **about)
         written = run.save_network(task, learned.network, motion)
         found = {
