@@ -22,9 +22,6 @@ except Exception:  # of several OpenGL bindings, with no common base
 
 __all__ = ["QuietWarnings", "geom_colours", "kinematics_at", "mujoco"]
 
-# The colour of a geom that has none of its own.
-_UNCOLOURED = (0.5, 0.5, 0.5, 1.0)
-
 
 class QuietWarnings:
     """Keeps MuJoCo from printing warnings and from leaving a log file behind; who uses it looks at ``data.warning``."""
@@ -48,7 +45,8 @@ def kinematics_at(model: Any, qpos: Any) -> Any:
 def geom_colours(model: Any) -> Any:
     """Colours ``(G, 4)`` of all geoms, from 0 to 1: their own, else those of their materials, as MuJoCo draws them."""
     colours = model.geom_rgba.copy()
-    of_material = (model.geom_matid >= 0) & (colours == _UNCOLOURED).all(axis=1)
+    # Grey is the colour of a geom that has none of its own.
+    of_material = (model.geom_matid >= 0) & (colours == (0.5, 0.5, 0.5, 1.0)).all(axis=1)
     colours[of_material] = model.mat_rgba[model.geom_matid[of_material]]
     return colours
 

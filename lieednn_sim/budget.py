@@ -21,6 +21,9 @@ from lieednn_sim.validation import as_positive
 # CPU time of a planner [s]; far more than any needs for the arms of the package.
 DEFAULT_TIME_BUDGET = 60.0
 
+# CPU time that the calling thread has used [s], from an arbitrary zero.
+cpu_time = time.thread_time
+
 # Time at which the present work must end, by `cpu_time`, and its budget [s].
 _LIMIT: ContextVar[tuple[float, float] | None] = ContextVar("lieednn_sim time limit", default=None)
 
@@ -28,11 +31,6 @@ _LIMIT: ContextVar[tuple[float, float] | None] = ContextVar("lieednn_sim time li
 def as_time_budget(name: str, value: float) -> float:
     """Return ``value`` as a positive number of seconds, or infinity for no limit; else raise `InputError`."""
     return math.inf if isinstance(value, float) and value == math.inf else as_positive(name, value)
-
-
-def cpu_time() -> float:
-    """CPU time that the calling thread has used [s], from an arbitrary zero."""
-    return time.thread_time()
 
 
 @contextlib.contextmanager

@@ -440,7 +440,7 @@ ALGORITHMS: Registry[Entry] = Registry(
     "algorithm",
     {
         "literal": Entry("learning.options:TrainingOptions.literal", "as printed in the paper"),
-        "repaired": Entry("learning.options:TrainingOptions.repaired", "its equations, repaired"),
+        "repaired": Entry("learning.options:TrainingOptions", "its equations, repaired"),
         "tracked": Entry("learning.options:TrainingOptions.tracked", "the same, with the equilibrium tracked"),
         "riemannian": Entry("learning.options:RiemannianOptions", "on the manifold of scaled adjoints"),
         "stability-aware": Entry("learning.options:RiemannianOptions.stability_aware", "the same, certified all along"),
@@ -467,6 +467,6 @@ RIVALS: Registry[Entry] = Registry(
             "learning.demonstrations.probabilistic:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"
         ),
         "lpv-ds": Entry("learning.demonstrations.stable_mixture:StableMixture.fit", "a stable mixture of linear ones"),
-        "linear-attractor": Entry("studies.demonstrations.models:linear_attractor", "the same rate everywhere"),
+        "linear-attractor": Entry("learning.demonstrations.models:LinearAttractor.fit", "the same rate everywhere"),
     },
 )

@@ -181,6 +181,14 @@ def as_positive(name: str, value: float) -> float:
     return number
 
 
+def as_nonnegative(name: str, value: float, largest: float = LARGEST) -> float:
+    """Return ``value`` as a float from 0 to ``largest``, or raise `InputError`."""
+    number = float(as_floats(name, value, (), largest=largest))
+    if number < 0.0:
+        raise InputError(f"{name} must not be negative, got {number:g}")
+    return number
+
+
 def as_ratio(gamma: float, mu: float) -> float:
     """Return gamma/mu of two positive floats, from 1 / `LARGEST` to `LARGEST` like them, or raise `InputError`."""
     return as_positive("gamma/mu", as_positive("gamma", gamma) / as_positive("mu", mu))

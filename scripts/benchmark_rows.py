@@ -93,8 +93,8 @@ def epoch_costs(targets: list[np.ndarray], epochs: int) -> dict[str, list[float]
     """Microseconds per epoch of each learning algorithm, for each target."""
     algorithms = {
         "literal Algorithm 1": TrainingOptions.literal(max_epochs=max(epochs // 10, 1)),
-        "repaired Algorithm 1": TrainingOptions.repaired(max_epochs=epochs),
-        "repaired, no projection": TrainingOptions.repaired(max_epochs=epochs, projection="none"),
+        "repaired Algorithm 1": TrainingOptions(max_epochs=epochs),
+        "repaired, no projection": TrainingOptions(max_epochs=epochs, projection="none"),
         "tracked": TrainingOptions.tracked(),
     }
     costs: dict[str, list[float]] = {name: [] for name in algorithms}
@@ -190,7 +190,7 @@ def floor(arm: Arm, controller: str, followed: Rollout, bare: bool) -> Simulatio
     """A plant at the start of a rollout, with the controls of its first step, with or without visual geoms."""
     arm = arm.without_visuals if bare else arm
     driver = make_controller(controller, arm, Reference.of(arm, followed.q_ref, followed.qd_ref))
-    plant = make_plant(arm, None, driver.add_bodies if driver.adds_bodies else None)
+    plant = make_plant(arm, None, driver.add_bodies)
     driver.equip(plant)
     simulation = Simulation(arm, plant)
     simulation.reset(followed.q[0])

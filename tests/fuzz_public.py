@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import enum
 import functools
 import importlib
@@ -10,13 +12,12 @@ import io
 import os
 import pkgutil
 import random
-import sys
+import reprlib
 import traceback
 import types
 import typing
 import warnings
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
-from contextlib import redirect_stdout
 from decimal import Decimal
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +26,7 @@ import numpy as np
 
 import lieednn_sim
 from lieednn_sim import typecheck
+from lieednn_sim.arm import Arm
 from lieednn_sim.errors import LieEDNNError
 
 # What NumPy may say to a function that its docstring calls unchecked: those of inner loops.
@@ -60,15 +62,14 @@ def public_values() -> dict[str, Any]:
 
 @functools.cache
 def targets() -> list[Target]:
-    """All functions, constructors, methods and properties that are public."""
+    """All functions, constructors, and methods with parameters that are public."""
     found = []
     for name, value in public_values().items():
         if not inspect.isclass(value):
             found.append(Target(name, None, value))
             continue
-        if issubclass(value, dict | enum.Enum):
-            continue
-        if not inspect.isabstract(value):
+        # Tuples take anything.
+        if not (issubclass(value, tuple | dict | enum.Enum) or inspect.isabstract(value)):
             found.append(Target(name, None, value))
         for each in dir(value):
             owner = next((cls for cls in value.__mro__ if each in vars(cls)), object)
@@ -78,15 +79,9 @@ def targets() -> list[Target]:
             raw = vars(owner)[each]
             if isinstance(raw, classmethod | staticmethod):
                 found.append(Target(f"{name}.{each}", None, getattr(value, each)))
-            elif isinstance(raw, types.FunctionType):
+            elif isinstance(raw, types.FunctionType) and len(inspect.signature(raw).parameters) > 1:
                 found.append(Target(f"{name}.{each}", value, raw))
-            elif isinstance(raw, property | functools.cached_property):
-                found.append(Target(f"{name}.{each}", value, functools.partial(_get, each)))
     return found
-
-
-def _get(name: str, self: object) -> Any:
-    return getattr(self, name)
 
 
 class Junk:
@@ -109,31 +104,33 @@ def junk() -> list[Any]:
     return [*numbers, *texts, *lists, *arrays, *others]
 
 
-# Texts that are good somewhere, and some that are good nowhere.
-_TEXTS = """
+# Texts that are good nowhere, and some that are good somewhere.
+BAD_WORDS = ["", "a\0b", "x" * 5000, *["1e308", "nan", "-inf", "1_000", "٣", "../../..", "None", "[bold]", "-"]]
+_GOOD_WORDS = """
     telescopic_pr telescopic_compound free poles home extended tanh uniform sign-matched position-servo reach track keep
     inverse-dynamics lieednn-certified minimum-jerk se3-geodesic RK45 RK4 Euler gradient gauss-newton squared newton
-    length time m wxyz base SE(3) SO(2) SU(3) GL(2) R^3 affine(C^x) rgb_array draft disabled plan nan 1_000 ٣ ../../..
-    None [bold] - file.npz file.txt two.xml new .
+    length time m wxyz base SE(3) SO(2) SU(3) GL(2) R^3 affine(C^x) rgb_array draft disabled plan file.npz file.txt
+    two.xml new .
 """
-WORDS = [*_TEXTS.split(), "", "a\0b", "x" * 5000, "link 1"]
+WORDS = [*BAD_WORDS, *_GOOD_WORDS.split(), "link 1"]
 COUNTS = [0, 1, 1, 2, 2, 3, 5, 8, -1, 1000, 10**9, 2**53, 2**64 - 1, 10**5000]
-SIZES = [0.0, 1.0, 0.1, 0.5, 2.0, -1.0, 5e-324, 1e-160, 1e-8, 1e3, 1e8, 1e50, 9e99, 1.7e308, np.inf, -np.inf, np.nan]
+# Lengths that are good somewhere, and those that are good nowhere.
+SIZES = [0.0, 5e-324, 1e-308, 1e-160, 1e-99, 1e-8, 0.1, 0.5, 1.0, 2.0, np.pi, 1e3, 1e8, 1e50, 9e99]
+BAD_SIZES = [1e101, 1.7e308, np.inf, -np.inf, np.nan]
 SHAPES = [(), (0,), (1,), (3,), (6,), (8,), (2, 6), (4, 6), (1, 6), (0, 6), (3, 3), (6, 6), (4, 4), (24, 24), (2, 2)]
 SHAPES += [(0, 0), (5, 2), (5, 3), (5, 7), (5, 8), (2, 3, 3), (7, 2, 6), (3, 0, 6), (2, 2, 3), (2, 2, 3, 3)]
 PATHS = ["new.npz", "new.json", "new.csv", "new.gif", "new.html", "gone/new.npz", "folder", "file.npz", "file.txt"]
 
-Things = Callable[[str], Any]
+Things = Callable[[type], Any]
 
 
 def _postures(things: Things) -> list[Any]:
-    arm = things("Arm")
-    home = arm.keyframe("home")
-    return [home, arm.keyframe("extended"), home.tolist(), home[None], np.stack([home, home]), 9.0 * home, home + 0.01]
+    home, extended = (things(Arm).keyframe(name) for name in ("home", "extended"))
+    return [home, extended, home.tolist(), home[None], np.stack([home, home]), 9.0 * home, home + 0.01]
 
 
 def _twists(things: Things) -> list[Any]:
-    xi = things("Arm").encode(things("Arm").keyframe("extended"))
+    xi = things(Arm).encode(things(Arm).keyframe("extended"))
     return [xi, 0.5 * xi, xi.tolist(), xi[:1], np.stack([xi, xi]), np.linspace(0.5 * xi, xi, 5), 0.0 * xi]
 
 
@@ -160,7 +157,7 @@ BY_NAME: dict[str, Callable[[Things], list[Any]]] = {
 
 
 class Draw:
-    """Random arguments; ``things`` makes a good value of a class by its name, or None."""
+    """Random arguments; ``things`` makes a good value of a class, or None."""
 
     def __init__(self, seed: int, things: Things) -> None:
         self.random, self.things = random.Random(seed), things
@@ -168,6 +165,7 @@ class Draw:
     def arguments(self, target: Target) -> dict[str, Any]:
         """Arguments by name: in half of the calls at most one of them is junk, in the others nearly a third."""
         parameters = list(inspect.signature(target.function).parameters.values())[target.owner is not None :]
+        hints = _annotations(target)
         mild, spoilt = self.random.random() < 0.5, self.random.randrange(len(parameters) + 1)
         drawn = {}
         for index, one in enumerate(parameters):
@@ -179,7 +177,7 @@ class Draw:
             elif one.name in BY_NAME and self.random.random() < 0.8:
                 drawn[one.name] = self.random.choice(BY_NAME[one.name](self.things))
             else:
-                drawn[one.name] = self.of(_type_of(one, target))
+                drawn[one.name] = self.of(hints.get(one.name, Any))
         return drawn
 
     def of(self, hint: Any) -> Any:
@@ -187,7 +185,7 @@ class Draw:
         kind, inner = typing.get_origin(hint) or hint, typing.get_args(hint)
         choose = self.random.choice
         simple: dict[Any, Callable[[], Any]] = {
-            float: lambda: choose([*SIZES, self.random.uniform(-10.0, 10.0)]),
+            float: self.number,
             int: lambda: choose(COUNTS),
             str: lambda: choose(WORDS),
             bool: lambda: choose([True, False]),
@@ -215,72 +213,69 @@ class Draw:
         if kind in (dict, Mapping):
             keys = [self.of(inner[0]) for _ in range(choose([0, 1, 2]))]
             return {key: self.of(inner[1]) for key in keys if isinstance(key, Hashable)}
-        made = self.things(getattr(kind, "__name__", str(kind)))
+        made = self.things(kind) if isinstance(kind, type) else None
+        if made is None and dataclasses.is_dataclass(kind) and kind in public_values().values():
+            with contextlib.suppress(Exception):
+                made = kind(**self.arguments(Target(kind.__name__, None, kind)))
         return choose(junk()) if made is None else made
 
-    def array(self) -> Any:
-        """Mostly of good entries, now and then with a bad one, of whole numbers, or as a list."""
-        rng, shape = np.random.default_rng(self.random.randrange(2**32)), self.random.choice(SHAPES)
-        array = self.random.choice([0.1, 1.0, *SIZES[:13]]) * rng.normal(size=shape)
-        if array.size and self.random.random() < 0.1:
-            array.flat[rng.integers(array.size)] = self.random.choice(SIZES)
+    def number(self) -> float:
+        """Of any size, mostly one that is good somewhere."""
+        size = self.random.choice(SIZES if self.random.random() < 0.8 else BAD_SIZES)
+        return self.random.choice([size, size, -size, self.random.uniform(-10.0, 10.0)])
+
+    def array(self, *shapes: tuple[int, ...]) -> Any:
+        """Of one of the shapes, mostly with entries of one good size; now and then of whole numbers, or a list."""
+        rng, shape = np.random.default_rng(self.random.randrange(2**32)), self.random.choice(shapes or SHAPES)
+        array = np.asarray(self.random.choice([0.1, 1.0, *SIZES]) * rng.normal(size=shape))
+        if array.size and self.random.random() < 0.2:
+            array.flat[rng.integers(array.size)] = self.number()
         if self.random.random() < 0.1:
             array = np.arange(array.size).reshape(shape)
-        return array.tolist() if self.random.random() < 0.2 else array
+        return array.tolist() if self.random.random() < 0.1 else array
 
 
-def _type_of(parameter: inspect.Parameter, target: Target) -> Any:
-    """The type that a parameter's annotation means where it stands, or where a base class stands."""
-    function = target.function
-    cls = function if inspect.isclass(function) else None
-    modules = [base.__module__ for base in (cls.__mro__ if cls else ())] or [inspect.unwrap(function).__module__]
-    scope = {name: value for module in reversed(modules) for name, value in vars(sys.modules[module]).items()}
-    if cls is None:
-        scope |= getattr(inspect.unwrap(getattr(function, "__func__", function)), "__globals__", {})
-    return typecheck._evaluate(parameter.annotation, scope)
+def _annotations(target: Target) -> dict[str, Any]:
+    """The types of the parameters of what is called."""
+    if inspect.isclass(target.function):
+        return typecheck.annotations_of(target.function.__init__, target.function)
+    owner = target.owner or getattr(target.function, "__self__", None)
+    return typecheck.annotations_of(getattr(target.function, "__func__", target.function), owner)
 
 
-def _leaves(value: Any, depth: int = 4) -> Iterator[Any]:
-    """All numbers of a result."""
+def leaves(value: Any, depth: int = 4, *, fields: bool = False) -> Iterator[Any]:
+    """All numbers of a result, those of public fields of dataclasses included if asked for."""
     if isinstance(value, float | np.floating | np.ndarray) and np.asarray(value).dtype.kind in "fc":
         yield value
-    elif depth and isinstance(value, tuple | list | dict):
-        for item in value.values() if isinstance(value, dict) else value:
-            yield from _leaves(item, depth - 1)
+    elif isinstance(value, dict):
+        yield from leaves(list(value.values()), depth, fields=fields)
+    elif fields and dataclasses.is_dataclass(value):
+        public = [item.name for item in dataclasses.fields(value) if not item.name.startswith("_")]
+        yield from leaves([getattr(value, name) for name in public], depth, fields=fields)
+    elif depth and isinstance(value, tuple | list):
+        for item in value:
+            yield from leaves(item, depth - 1, fields=fields)
 
 
-def fault_of(target: Target, arguments: Mapping[str, Any], things: Things) -> str:
+def fault_of(function: Callable[..., Any], *arguments: Any, **named: Any) -> str:
     """Call, and tell what is wrong: nothing if there is a result without NaN, or an error of the package."""
-    instance = () if target.owner is None else (things(target.owner.__name__),)
-    unchecked = "unchecked" in (target.function.__doc__ or "").lower()
+    unchecked = "unchecked" in (function.__doc__ or "").lower()
     try:
-        with warnings.catch_warnings(action="error"), redirect_stdout(io.StringIO()):
-            result = target.function(*instance, **arguments)
+        with warnings.catch_warnings(action="error"), contextlib.redirect_stdout(io.StringIO()):
+            result = function(*arguments, **named)
             result = list(result) if inspect.isgenerator(result) else result
     except LieEDNNError as error:
         # What the caller calls a value appears whole.
-        what = arguments.get("what", "")
+        what = named.get("what", "")
         length = len(str(error)) - (len(what) if isinstance(what, str) else 0)
         return "" if length < 3000 else f"a message of {length} characters"
     except Exception as error:
         allowed = unchecked and isinstance(error, _UNCHECKED)
         return "" if allowed else "".join(traceback.format_exception(error)[-7:])
     # A constructor stores what it is given.
-    if not (unchecked or inspect.isclass(target.function)) and any(np.isnan(leaf).any() for leaf in _leaves(result)):
+    if not (unchecked or inspect.isclass(function)) and any(np.isnan(leaf).any() for leaf in leaves(result)):
         return f"NaN in {result!r}"[:1000]
     return ""
-
-
-def shown(target: Target, arguments: Mapping[str, Any]) -> str:
-    """The call as a line of code."""
-
-    def one(value: Any) -> str:
-        try:
-            return " ".join(repr(value)[:300].split())
-        except Exception:
-            return f"<{type(value).__name__}>"
-
-    return f"{target.name}({', '.join(f'{name}={one(value)}' for name, value in arguments.items())})"
 
 
 def attempt(number: int) -> str:
@@ -289,5 +284,6 @@ def attempt(number: int) -> str:
 
     target = targets()[number % len(targets())]
     arguments = Draw(number, fresh).arguments(target)
-    fault = fault_of(target, arguments, fresh)
-    return f"{number} {shown(target, arguments)}\n{fault}" if fault else ""
+    instance = () if target.owner is None else (fresh(target.owner),)
+    fault = fault_of(target.function, *instance, **arguments)
+    return f"{number} {target.name}({reprlib.repr(arguments)})\n{fault}" if fault else ""

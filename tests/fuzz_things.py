@@ -26,15 +26,9 @@ from lieednn_sim import (
 )
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.environments import gymnasium, suite, tasks
-from lieednn_sim.environments.expert import Expert
 from lieednn_sim.learning import demonstrations
-from lieednn_sim.planning import safety_filter
-from lieednn_sim.rendering import opengl
-from lieednn_sim.rendering.recording import Recording
 from lieednn_sim.rendering.video import Camera
 from lieednn_sim.simulation.tracking import as_reference
-from lieednn_sim.studies.comparison.study import Shard
-from lieednn_sim.studies.report import Clip, View
 
 _TWO_HINGES = """
 <mujoco><worldbody><body name="one"><joint name="a" range="-90 90"/><geom size="0.1"/>
@@ -42,19 +36,22 @@ _TWO_HINGES = """
 </body></worldbody></mujoco>
 """
 # Calls change these: a new one is made for each.
-CHANGING = {"Environment", "VectorEnvironment", "Reach", "Track", "Expert", "ControlEnvironment", "Camera", "Table"}
-CHANGING |= {"Simulation", "Log", "MjSpec", "Controller", "FilteredPolicy"}
+CHANGING = {"Environment", "VectorEnvironment", "Reach", "Track", "ControlEnvironment", "Camera", "Table"}
+CHANGING |= {"Simulation", "MjSpec", "Controller", "FilteredPolicy"}
 
 
 @functools.cache
 def thing(name: str) -> Any:
-    """A value of a class; None if there is no maker of it."""
-    return MAKERS[name]() if name in MAKERS else None
+    """A value of a class by its name."""
+    return MAKERS[name]()
 
 
-def fresh(name: str) -> Any:
-    """As `thing`, but new if calls change it."""
-    return MAKERS[name]() if name in CHANGING else thing(name)
+def fresh(kind: type) -> Any:
+    """A value of a class, new if calls change it; options are the usual ones. None if there is no maker of it."""
+    name = kind.__name__
+    if name.endswith("Options") and name not in MAKERS:
+        return kind()
+    return None if name not in MAKERS else MAKERS[name]() if name in CHANGING else thing(name)
 
 
 def home() -> Any:
@@ -76,8 +73,8 @@ def _demonstration() -> Any:
 
 # A policy of each class.
 POLICY_CLASSES = {"Fabric": "fabric", "MotionTracker": "tracker", "MovementPrimitive": "dmp", "PathIntegral": "mppi"}
-POLICY_CLASSES |= dict.fromkeys(("Policy", "JointPolicy"), "fabric") | {"NetworkPolicy": "linear-attractor"}
-POLICY_CLASSES |= dict.fromkeys(("ReplanningPolicy", "CodedPolicy"), "lieednn-replanning")
+POLICY_CLASSES |= {"Policy": "fabric", "JointPolicy": "fabric", "NetworkPolicy": "linear-attractor"}
+POLICY_CLASSES |= {"ReplanningPolicy": "lieednn-replanning"}
 CHANGING |= {*POLICY_CLASSES}
 
 
@@ -97,19 +94,11 @@ def _equivariant() -> Any:
     return theory.EquivariantLieEDNN(0.1 * np.eye(2), turns, np.zeros((2, 2, 3)), np.zeros((2, 6)))
 
 
-def _instant() -> Any:
-    log = fresh("Log")
-    log.step()
-    return log.instants()
-
-
 MAKERS: dict[str, Callable[[], Any]] = {
     "Arm": lambda: arm.Arm.load("telescopic_pr"),
     "MjSpec": lambda: thing("Arm").spec.copy(),
     "MjModel": lambda: thing("Arm").model,
     "MjData": lambda: mujoco.MjData(thing("Arm").model),
-    "ImportReport": lambda: arm.import_arm("two.xml")[1],
-    "Retraction": lambda: thing("Arm").decode(thing("Arm").encode(home())),
     "TaskSpaceRegion": lambda: arm.TaskSpaceRegion.line(np.zeros(3), np.ones(3)),
     "Collisions": lambda: Collisions(thing("Arm")),
     "RigidTransform": lambda: thing("Arm").link_poses(home()),
@@ -118,20 +107,12 @@ MAKERS: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("LieEDNN", "ComponentwiseNetwork", "BlockNetwork"), lambda: thing("Synthesis").network),
     "Activation": lambda: network.ACTIVATIONS["arctan"],
     "Verdict": lambda: thing("LieEDNN").assess(),
-    "Condition": lambda: thing("Verdict").conditions[0],
-    "Certificate": lambda: thing("LieEDNN").certificate,
-    "Contraction": lambda: thing("Verdict").contraction,
     "Robustness": lambda: thing("LieEDNN").robustness(),
-    "Guarantee": lambda: thing("Robustness").guarantees[0],
     "Decay": lambda: stability.Decay(thing("Robustness"), 6),
-    "LogNorms": lambda: stability.log_norms(np.eye(2)),
-    "WeightedNorm": lambda: stability.weighted_norm(np.eye(2)),
     "MatrixLieGroup": lambda: theory.group("SO(3)"),
     "GroupLieEDNN": lambda: theory.complex_network(0.1 * np.eye(2), np.ones(2)),
     "EquivariantLieEDNN": _equivariant,
-    "SmoothnessBounds": lambda: theory.smoothness_bounds(0.1 * np.eye(2), np.ones(2), 1.0, gamma=1.0, mu=1.0),
     "ShapingOptions": lambda: synthesis.ShapingOptions(neurons=(2,)),
-    "Shaping": lambda: thing("ShapedMotion").shaping,
     "CurveEncoder": lambda: synthesis.CurveEncoder(2),
     "Demonstration": _demonstration,
     "Demonstrations": lambda: demonstrations.align([thing("Demonstration")] * 2, samples=9),
@@ -140,45 +121,27 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "RiemannianOptions": lambda: learning.RiemannianOptions(max_start_epochs=3, restarts=0),
     "TrainingResult": lambda: learning.train(0.1 * np.ones((1, 6)), thing("TrainingOptions")),
     "History": lambda: thing("TrainingResult").history,
-    "StopReason": lambda: thing("TrainingResult").reason,
-    "Sensitivity": lambda: learning.sensitivity(thing("LieEDNN"), 0.4 * thing("Arm").encode(home())),
     "Plan": lambda: ls.plan(thing("Arm"), 0.99 * home(), planner="minimum-jerk", duration=0.5, max_time_scale=20.0),
     "Motion": lambda: thing("Plan").motion,
     "Tube": lambda: planning.find_tube(thing("Arm"), ls.plan(thing("Arm"), home(), planner="linear-attractor")),
-    **{name: getattr(planning, name) for name in planning.__all__ if name.endswith("Options")},
-    "PlannerOptions": planning.CertifiedOptions,
-    "PlanningProblem": lambda: planning.PlanningProblem(thing("Arm"), home(), 0.99 * home(), 0.5),
-    "FilterOptions": safety_filter.FilterOptions,
-    "SafetyFilter": lambda: safety_filter.SafetyFilter(thing("Arm"), 0.01),
-    "FilterStep": lambda: thing("SafetyFilter").step(home(), 0.0 * home(), 0.0 * home()),
-    "Limit": lambda: thing("SafetyFilter").limits[0],
-    "Barrier": lambda: thing("SafetyFilter").barriers[0],
+    "SafetyFilter": lambda: policies.SafetyFilter(thing("Arm"), 0.01),
     "ModelPlan": lambda: ls.plan_in(
         thing("MjModel"), thing("MjData"), ["turn"], [0.1], planner="minimum-jerk", duration=0.5, max_time_scale=20.0
     ),
     "Move": lambda: ls.Move([0.1], planner="minimum-jerk", duration=0.5, max_time_scale=20.0),
-    "Actuate": lambda: ls.Actuate({}, 0.1),
     "PlanSequence": lambda: ls.plan_sequence(
-        thing("MjModel"), thing("MjData"), ["turn"], [thing("Move"), thing("Actuate")]
+        thing("MjModel"), thing("MjData"), ["turn"], [thing("Move"), ls.Actuate({}, 0.1)]
     ),
-    "SequencePart": lambda: thing("PlanSequence").parts[0],
     "ModelRun": lambda: ls.run_in(thing("MjModel"), thing("MjData"), thing("ModelPlan"), hold=0.0),
     "Rollout": lambda: ls.simulate(thing("Arm"), thing("Plan"), hold=0.0),
     "Rollouts": lambda: ls.simulate_many(thing("Arm"), [thing("Plan")] * 2, hold=0.0, threads=1),
-    "Disturbances": lambda: ls.Disturbances(payload=0.1),
     "Channel": lambda: ls.Channel("centre of mass", "m", lambda data: data.subtree_com[0]),
     "Push": lambda: ls.Push("link 1", (1.0, 0.0, 0.0), 0.0, 0.1),
     "MovingObstacle": lambda: simulation.MovingObstacle("floor", (0.0, 1.0), ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))),
     "Simulation": lambda: simulation.Simulation(thing("Arm")),
-    "Log": lambda: simulation.Log(fresh("Simulation")),
-    "Instant": _instant,
-    "Following": lambda: ls.follow(fresh("Policy"), home(), 0.1),
-    "Feedback": policies.Feedback,
     **{name: functools.partial(_policy, kind) for name, kind in POLICY_CLASSES.items()},
-    "FilteredPolicy": lambda: _policy("linear-attractor", safety=safety_filter.FilterOptions()),
-    "PolicyTask": lambda: policies.PolicyTask(thing("Arm"), home(), home()),
-    "LoopReport": lambda: policies.control_loop(fresh("Policy"), home, lambda q, qd: None, home(), 0.02),
-    "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), 1, None),
+    "FilteredPolicy": lambda: _policy("linear-attractor", safety=policies.FilterOptions()),
+    "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), len(thing("Motion").q), None),
     "Controller": lambda: simulation.CONTROLLERS["position-servo"].load()(thing("Arm"), thing("Reference")),
     "Evaluation": lambda: ls.evaluate(thing("Rollout")),
     "Settings": lambda: studies.Settings(duration=0.5, hold=0.0),
@@ -186,19 +149,14 @@ MAKERS: dict[str, Callable[[], Any]] = {
         ("minimum-jerk",), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1
     ),
     "Study": lambda: thing("Comparison"),
-    "Case": lambda: studies.Case("telescopic_pr", "free", "minimum-jerk", 0),
-    "Row": lambda: studies.run_case(thing("Case"), ["position-servo"], thing("Settings"))[0],
+    "Row": lambda: studies.run_case(
+        studies.Case("telescopic_pr", "free", "minimum-jerk", 0), ["position-servo"], thing("Settings")
+    )[0],
     "Table": _table,
-    "Shard": lambda: Shard(1, 2),
-    "Clip": lambda: Clip(thing("Row"), Path("file.npz"), b"1"),
-    "View": lambda: View((thing("Row"),), Recording(b"1", 1.0)),
     "Environment": lambda: gymnasium.Environment(time_limit=0.1),
     "VectorEnvironment": lambda: gymnasium.VectorEnvironment(2, threads=1, time_limit=0.1),
     "Reach": lambda: tasks.Reach(time_limit=0.1),
     "Track": lambda: tasks.Track(time_limit=0.1),
-    "ArmTask": lambda: thing("Reach"),
-    "Expert": lambda: Expert(fresh("Track")),
     "ControlEnvironment": lambda: suite.load(random=0, time_limit=0.1),
     "Camera": lambda: Camera(thing("Arm"), size=(64, 48)),
-    "Backend": opengl.choose_backend,
 }

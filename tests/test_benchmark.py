@@ -16,7 +16,7 @@ import pytest
 from benchmark_rows import Row, ratios
 
 from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.learning import projected
+from lieednn_sim.learning import training
 from lieednn_sim.planning import plan
 from lieednn_sim.policies import POLICIES
 from lieednn_sim.simulation import follow, simulate
@@ -31,7 +31,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark_rows, "follow", lambda policy, target, _: follow(policy, target, 0.2))
     monkeypatch.setattr(benchmark_rows, "FRAMES", 2)
     monkeypatch.setattr(benchmark, "SIZES", (2, 3))
-    for module in (attempts, projected):
+    for module in (attempts, training):
         monkeypatch.setattr(module, "cpu_time", time.thread_time)
     codes = []
     monkeypatch.setattr(benchmark, "peak_memory", lambda code: codes.append(code) or 9)

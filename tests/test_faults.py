@@ -19,14 +19,13 @@ from lieednn_sim.studies import Comparison, Settings, compute, workers
 
 # A process that ends itself by SIGKILL where it is told to: no moment to wait for, no time to clean up.
 KILL = "import os, signal, sys\nkill = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
-# The progress of one step is where it dies.
+# The progress of the simulation is where it dies.
 AT_PROGRESS = """
 import contextlib
 from lieednn_sim.cli import main, commands
-stage = sys.argv.pop()
 @contextlib.contextmanager
 def deadly(what):
-    yield kill if what == stage else (lambda *_: None)
+    yield kill if what == "simulate" else (lambda *_: None)
 commands.progress = deadly
 sys.exit(main())
 """
@@ -55,7 +54,7 @@ def run(tmp_path_factory):
 
 def test_a_demo_that_is_killed_leaves_what_it_had_finished(tmp_path, start):
     directory = tmp_path / "run"
-    die(start, AT_PROGRESS, "demo", "--no-page", "--no-video", *PLAN, "--output", directory, "simulate")
+    die(start, AT_PROGRESS, "demo", "--no-page", "--no-video", *PLAN, "--output", directory)
     assert names(directory) == {"lieednn_sim.json", "task.json", "network.npz", "motion.npz"}
     # The lock died with it, and the next step goes on from there.
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
@@ -80,16 +79,6 @@ if __name__ == "__main__":
     assert len(rows) == 2
     # Not computed again, for that takes another time.
     assert row in rows.values()
-
-
-@pytest.mark.rendering
-def test_a_video_that_is_killed_leaves_none_and_the_next_is_whole(run, start, tmp_path):
-    film = tmp_path / "film.gif"
-    words = ["render", run.path, "--output", film, "--preset", "draft", "--size", "64x48", "--fps", "2"]
-    die(start, AT_PROGRESS, *words, "render")
-    assert not film.exists()
-    assert main([str(word) for word in words]) == 0
-    assert film.stat().st_size > 100
 
 
 def test_a_worker_that_is_killed_loses_no_finished_case(tmp_path, monkeypatch, in_this_process):

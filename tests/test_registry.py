@@ -46,7 +46,7 @@ def test_what_is_not_installed_is_named_with_its_extra_and_what_else_there_is(mo
     words = r"'bit-star' is not installed: pip install 'lieednn_sim\[rivals\]'; or name another one.*: minimum-jerk"
     with pytest.raises(LieEDNNError, match=words):
         PLANNERS.require("bit-star")
-    assert registry.purpose("pyarrow") == "format lerobot, record"
+    assert registry.purpose("pyarrow") == "format lerobot"
     with pytest.raises(LieEDNNError, match=r"ompl is not installed \(for planners rrt-connect, .*\): pip install"):
         registry.optional_module("ompl.nowhere")
 

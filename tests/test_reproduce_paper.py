@@ -173,7 +173,7 @@ def test_verdicts_of_the_checks_follow_from_the_numbers():
 def test_a_thinned_history_keeps_the_extremes():
     from lieednn_sim.learning import TrainingOptions, train
 
-    history = train(experiments.target(0), TrainingOptions.repaired(max_epochs=700), seed=0).history
+    history = train(experiments.target(0), TrainingOptions(max_epochs=700), seed=0).history
     thin = experiments.thinned(history)
     assert len(thin["epoch"]) <= experiments.N_BINS
     assert thin["error_low"].min() == history.error.min()

@@ -137,4 +137,5 @@ def test_rows_of_a_planner_that_fails_and_of_a_task_left_out(tmp_path, monkeypat
     tasks.main([*words[:1], "boom", *words[2:]])
     assert "| x | 0 of 1 | 1 | 60 | 40 | 11.00 | 1.00 |" in (tmp_path / "tasks.md").read_text()
     assert task_cases.Boom().missed({"tip_mm": 11.0, "clearance_mm": 29.0}) == ["tip_mm", "clearance_mm"]
-    assert tuple(tasks.TASKS) == reference._TASKS
+    films = {f"tasks_{name}.gif" for name in tasks.TASKS}
+    assert films <= set(reference.STUDIES["tasks"]["outputs"])

@@ -14,12 +14,12 @@ import pytest
 from numpy.typing import ArrayLike
 
 import lieednn_sim as ls
-from lieednn_sim import learning, lie, planning, simulation, stability, synthesis, theory
+from lieednn_sim import learning, lie, simulation, stability, synthesis
 from lieednn_sim.arm import Arm
 from lieednn_sim.environments import tasks
 from lieednn_sim.environments.gymnasium import VectorEnvironment
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations import Demonstration, ShapedMotion, align, load_demonstrations
+from lieednn_sim.learning.demonstrations import Demonstration, ShapedMotion, align
 from lieednn_sim.network import BlockNetwork
 from lieednn_sim.stability import certificate
 from lieednn_sim.typecheck import typechecked
@@ -166,15 +166,6 @@ def network():
     return ls.synthesize(XI).unwrap()
 
 
-def policy():
-    return ls.NetworkPolicy(ARM, network())
-
-
-@functools.cache
-def short():
-    return ls.plan(ARM, 0.99 * HOME, planner="minimum-jerk", duration=0.5, max_time_scale=20.0)
-
-
 @functools.cache
 def shown():
     s = np.linspace(0.0, 1.0, 5)
@@ -184,28 +175,15 @@ def shown():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: learning.sensitivity(None, XI), "network must be a LieEDNN"),
-        (lambda: planning.retime(ARM, "motion"), "motion must be a Motion"),
-        (lambda: planning.reference_network("arm"), "arm must be an Arm"),
-        (lambda: align(5), "demonstrations must be a list"),
-        (lambda: align([shown()]), r"demonstrations\[0\] must be a Demonstration"),
         (lambda: ShapedMotion.fit([1]), "demonstrations must be Demonstrations"),
-        (lambda: load_demonstrations(5), "files must be a list"),
-        (lambda: ls.follow(policy(), HOME, 0.1, disturbances=5), "disturbances must be Disturbances"),
-        (lambda: ls.NetworkPolicy(ARM, network(), "100"), "rate must be a number"),
-        (lambda: ls.simulate(ARM, short(), progress=5), "progress must be a function"),
+        (lambda: simulation.Simulation(ARM, disturbances=5), "disturbances must be Disturbances"),
         (lambda: ls.simulate_many(ARM, np.array(1.0)), "motions must be a list"),
-        (lambda: ls.plan(ARM, HOME, fastest=np.zeros(2)), "fastest must be True or False"),
-        (lambda: ls.synthesize(XI, gamma=b"1"), "gamma must be a number"),
-        (lambda: synthesis.synthesize_many([XI], bias_magnitude=RAGGED), "bias_magnitude must be an array of numbers"),
         (lambda: ls.train(XI, bias=RAGGED), "bias must be an array of numbers"),
         (lambda: synthesis.shape(np.array(1.0)), "curve must have shape"),
         (lambda: lie.hat(RAGGED), "vector must be an array of numbers"),
-        (lambda: theory.curvature(RAGGED, RAGGED), "xi_dot must be an array of numbers"),
         (lambda: network().robustness(range(10**12)), "pushed must name coordinates"),
         (lambda: network().assess()["x" * 10**6], "no condition 'x+' ... \\(1000000 characters\\)"),
         (lambda: ARM.unit(8), "joint must be at most 7"),
-        (lambda: shown().only(1), "index must be at most 0"),
         (lambda: ls.Disturbances.from_json({}), "these are no disturbances: KeyError: 'pushes'"),
         (lambda: tasks.make_task("reach").target(0.0), "no episode has begun: reset first"),
         (lambda: BlockNetwork.load("network.npz"), "a BlockNetwork is read by its own class"),

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import lieednn_sim as ls
-from lieednn_sim.learning import RiemannianOptions, TrainingOptions, train_riemannian
+from lieednn_sim.learning import RiemannianOptions, TrainingOptions
 
 # %%
 # The target is random, as in the paper. The printed algorithm integrates the network in each epoch and descends on the
@@ -25,9 +25,9 @@ from lieednn_sim.learning import RiemannianOptions, TrainingOptions, train_riema
 target = np.random.default_rng(8).uniform(-0.8, 0.8, (4, 6))
 results = {
     "as printed": ls.train(target, TrainingOptions.literal(max_epochs=300)),
-    "repaired": ls.train(target, TrainingOptions.repaired()),
+    "repaired": ls.train(target, TrainingOptions()),
     "tracked": ls.train(target, TrainingOptions.tracked()),
-    "certified": train_riemannian(target, RiemannianOptions(certified=True)),
+    "certified": ls.train(target, RiemannianOptions(certified=True)),
 }
 for name, result in results.items():
     print(f"{name:<10}  {result.message}, {result.cpu_time:.2f} s")

@@ -19,7 +19,7 @@ for hour in (10, 2):
     angle = np.pi * hour / 6
     place = (1.6, 0.3 - 0.6 * np.sin(angle), 1.4 + 0.6 * np.cos(angle))
     motion = ls.plan(arm, ls.solve_ik(arm, place), planner="minimum-jerk").motion
-    codes.append(encoder.codes(motion.xi))
+    codes.append(encoder.code(motion.xi))
     ends.append(motion.xi[[0, -1]])
 
 # %%

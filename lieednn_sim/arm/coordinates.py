@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy
@@ -56,15 +55,9 @@ class Coordinates:
         """Return n."""
         return len(self.names)
 
-    @cached_property
-    def _uncoupled(self) -> bool:
-        """Whether each coordinate is one of MuJoCo's, in order: then there is nothing to multiply."""
-        unit = np.eye(len(self))
-        return np.array_equal(self.coupling, unit) and np.array_equal(self.rates, unit)
-
     def to_qpos(self, q: Floats) -> Floats:
         """``(..., n)`` to ``(..., nq)``."""
-        qpos = (q if self._uncoupled else q @ self.coupling.T) + self.offset
+        qpos = q @ self.coupling.T + self.offset
         if len(self.balls):
             turns = scipy.spatial.transform.Rotation.from_rotvec(q[..., self.balls])
             qpos[..., self.ball_addresses] = turns.as_quat(scalar_first=True)
@@ -85,8 +78,7 @@ class Coordinates:
         """Rates ``(..., n)`` at q to ``(..., nv)``; a ball turns at J_r(w) dw/dt in the frame of its body."""
         if q.shape != qd.shape:
             q, qd = np.broadcast_arrays(q, qd)
-        # A sum with nothing is a new array, too, whose zeros have the sign of the product's.
-        qvel = qd + 0.0 if self._uncoupled else qd @ self.rates.T
+        qvel = qd @ self.rates.T
         if len(self.balls):
             right = left_jacobian_so3(-q[..., self.balls])
             qvel[..., self.ball_rate_addresses] = (right @ qd[..., self.balls, None])[..., 0]

@@ -74,8 +74,6 @@ def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
         InputError: an entry is invalid; the message names it.
     """
     source = as_path("the name of a scene", path)
-    if not is_file(source):
-        raise FileError(f"no such file: {source}")
     spec = (
         load_spec(source)
         if source.suffix.lower() == ".xml"

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import poses, rotations
-from lieednn_sim.validation import Seed, as_floats, as_generator
+from lieednn_sim.validation import Seed, as_floats, as_generator, as_nonnegative
 from lieednn_sim.values import Floats, frozen, set_fields
 
 if TYPE_CHECKING:
@@ -22,10 +22,6 @@ _COORDINATES = ("x", "y", "z", "the rotation about x", "the rotation about y", "
 _FREE = np.full(3, np.inf)
 # Bounds and frames are at most this far away [m], so that squares stay far from overflow.
 _FARTHEST = 1e6
-
-
-def _identity() -> RigidTransform:
-    return scipy.spatial.transform.RigidTransform.identity()
 
 
 @frozen
@@ -50,7 +46,7 @@ class TaskSpaceRegion:
     pose: RigidTransform
     lower: Floats
     upper: Floats
-    offset: RigidTransform = field(default_factory=_identity)
+    offset: RigidTransform = field(default_factory=lambda: scipy.spatial.transform.RigidTransform.identity())
 
     def __post_init__(self) -> None:
         for name in ("pose", "offset"):
@@ -92,7 +88,7 @@ class TaskSpaceRegion:
             InputError: a value is malformed, or both points are the same.
         """
         first, way = as_floats("start", start, (3,)), as_floats("end", end, (3,)) - as_floats("start", start, (3,))
-        length, across = float(np.linalg.norm(way)), _as_width("tolerance", tolerance)
+        length, across = float(np.linalg.norm(way)), as_nonnegative("tolerance", tolerance, _FARTHEST)
         if not length > 0.0:
             raise InputError("a line needs two different points, got the same start and end")
         frame = scipy.spatial.transform.Rotation.align_vectors(way[None], [[1.0, 0.0, 0.0]])[0]
@@ -113,7 +109,7 @@ class TaskSpaceRegion:
         Raises:
             InputError: a value is malformed.
         """
-        width = np.full(3, _as_width("tolerance", tolerance))
+        width = np.full(3, as_nonnegative("tolerance", tolerance, _FARTHEST))
         frame = scipy.spatial.transform.Rotation.identity()
         if axis is not None:
             along = as_floats("axis", axis, (3,))
@@ -148,7 +144,7 @@ class TaskSpaceRegion:
         cls, frame: Rotation, place: Floats, low: ArrayLike, high: ArrayLike, rotation: Rotation | None, angle: float
     ) -> TaskSpaceRegion:
         """Positions within bounds ``(3,)`` along the axes of a frame, with a rotation and a deviation of it, if any."""
-        width = _FREE if rotation is None else np.full(3, _as_width("angle", angle))
+        width = _FREE if rotation is None else np.full(3, as_nonnegative("angle", angle, _FARTHEST))
         turned = np.eye(3) if rotation is None else (frame.inv() * rotation).as_matrix()
         return cls(
             poses(frame.as_matrix(), place),
@@ -195,7 +191,7 @@ class TaskSpaceRegion:
 
     def within(self, margin: float) -> TaskSpaceRegion:
         """This region with bounds moved inwards by a margin [m, rad]; where they would cross, both to their middle."""
-        inset = np.minimum(_as_width("margin", margin), 0.5 * (self.upper - self.lower))
+        inset = np.minimum(as_nonnegative("margin", margin, _FARTHEST), 0.5 * (self.upper - self.lower))
         return TaskSpaceRegion(self.pose, self.lower + inset, self.upper - inset, self.offset)
 
     def excess_slopes(self, pose: RigidTransform) -> Floats:
@@ -258,18 +254,6 @@ def _matrix(angles: Floats) -> Floats:
 
 def _as_bounds(name: str, value: ArrayLike, count: int = 6) -> Floats:
     """Bounds ``(count,)``, which may be infinite."""
-    try:
-        given = np.asarray(value)
-    except (TypeError, ValueError, MemoryError, OverflowError):  # such as lists of unequal lengths
-        return as_floats(name, value, (count,))
-    if given.dtype.kind not in "iuf" or given.shape != (count,):
-        return as_floats(name, value, (count,))
-    as_floats(name, np.where(np.isinf(given), 0.0, given), (count,), largest=_FARTHEST)
-    return np.asarray(given, dtype=np.float64)
-
-
-def _as_width(name: str, value: float) -> float:
-    width = float(as_floats(name, value, (), largest=_FARTHEST))
-    if width < 0.0:
-        raise InputError(f"{name} must not be negative, got {width:g}")
-    return width
+    bounds = as_floats(name, value, (count,), largest=np.inf)
+    as_floats(name, np.where(np.isinf(bounds), 0.0, bounds), (count,), largest=_FARTHEST)
+    return bounds

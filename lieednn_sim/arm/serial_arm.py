@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.coordinates import Coordinates
-from lieednn_sim.arm.deviations import Deviations, Group
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.errors import InputError
@@ -97,7 +96,7 @@ class SerialArm:
     @property
     def exact(self) -> bool:
         """Whether every compound joint has six degrees of freedom, so that it can take any pose."""
-        return self._retractor.exact
+        return self.retractor.exact
 
     @property
     def link_names(self) -> tuple[str, ...]:
@@ -271,25 +270,16 @@ class SerialArm:
         twist = as_floats("xi", xi, shape, batched=True) * self.twist_units
         rate = None if xi_dot is None else as_floats("xi_dot", xi_dot, shape, batched=True) * self.twist_units
         if start is None:
-            return self._retractor(twist, rate)
+            return self.retractor(twist, rate)
         begin = as_floats("start", start, (self.n_joints,), batched=True)
         if begin.ndim > 1:
             begin = as_floats("start", begin, (*twist.shape[:-2], self.n_joints))
-        return self._retractor(twist, rate, begin)
+        return self.retractor(twist, rate, begin)
 
     def gap(self, xi: ArrayLike, q: ArrayLike) -> tuple[Floats, Floats]:
         """Mechanism gap [m] and [rad], each ``(..., N)``, of states ``(..., N, 6)`` at joint positions ``(..., n)``."""
         twist = as_floats("xi", xi, (self.n_links, 6), batched=True) * self.twist_units
-        return self._retractor.gap(twist, as_floats("q", q, (*twist.shape[:-2], self.n_joints)))
-
-    @property
-    def deviation_groups(self) -> list[Group]:
-        """All joint coordinates, in the groups whose changes `deviation_spread` bounds; see `Retractor.spread`."""
-        return self._retractor.groups
-
-    def deviation_spread(self, deviations: Deviations) -> Floats:
-        """How far deviations of the links' twists change the joints decoded from them; see `Retractor.spread`."""
-        return self._retractor.spread(deviations)
+        return self.retractor.gap(twist, as_floats("q", q, (*twist.shape[:-2], self.n_joints)))
 
     @property
     def twist_units(self) -> Floats:
@@ -297,5 +287,6 @@ class SerialArm:
         return np.repeat([1.0, self.length_scale], 3)
 
     @cached_property
-    def _retractor(self) -> Retractor:
+    def retractor(self) -> Retractor:
+        """The projection of the links' poses onto the joints, by which `decode` works."""
         return Retractor(self.joints, self.length_scale)

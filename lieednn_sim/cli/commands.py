@@ -172,7 +172,6 @@ def _evaluate(run: RunDirectory) -> None:
     rollout = run.load_rollout(task, arm)
     evaluation = evaluate_rollout(rollout)
     console.print(evaluation)
-    network = run.load_network() if run.network.exists() else None
     *outputs, channels_plot = run.evaluated
     if rollout.channels:
         outputs.append(channels_plot)
@@ -186,7 +185,7 @@ def _evaluate(run: RunDirectory) -> None:
     ):
         evaluation.save_json(metrics_json)
         evaluation.save_csv(metrics_csv)
-        plots.plot_network(rollout, network_plot, network=network)
+        plots.plot_network(rollout, network_plot)
         plots.plot_tracking(rollout, tracking_plot)
         plots.plot_joints(rollout, joints_plot)
         for path in more:

@@ -17,9 +17,8 @@ from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.learning.history import History
-from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
-from lieednn_sim.network.hopfield import HopfieldNetwork
+from lieednn_sim.learning.result import History
+from lieednn_sim.network import BlockNetwork
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.validation import as_choice, as_path
@@ -29,8 +28,6 @@ from lieednn_sim.versions import versions
 PLOT_KINDS = ("png", "pdf", "svg")
 # The first two are plots of demonstrations, the third of a training, the others of a rollout.
 _PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints", "channels")
-# Classes of networks by the kind of their files.
-_NETWORKS: dict[str, type[ComponentwiseNetwork]] = {network._kind: network for network in (LieEDNN, HopfieldNetwork)}
 
 
 class RunDirectory:
@@ -115,11 +112,6 @@ class RunDirectory:
         except InputError as error:
             raise FileError(f"{self.task} does not fit arm {arm.name!r}: {error}") from None
         return task, arm
-
-    def load_network(self) -> ComponentwiseNetwork:
-        """The network; raises as `ComponentwiseNetwork.load`."""
-        arrays, meta = io.load_arrays(self.network, *_NETWORKS)
-        return _NETWORKS[meta["kind"]].restored(arrays, meta, self.network)
 
     def load_motion(self, task: Task) -> Motion:
         """The motion of the task; `FileError` if there is none, or it was made for another task."""

@@ -19,8 +19,8 @@ from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation import plot_training
 from lieednn_sim.evaluation.display import table
-from lieednn_sim.learning import RiemannianOptions, TrainingResult, train_riemannian
-from lieednn_sim.learning import train as projected_train
+from lieednn_sim.learning import TrainingOptions, TrainingResult
+from lieednn_sim.learning import train as learn
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.motion import Motion, check_motion
@@ -128,8 +128,7 @@ def _learner(asked: Learning, xi: Floats) -> Callable[..., TrainingResult]:
     make = ALGORITHMS.find(asked.algorithm).load()
     changes = {"period": asked.period, "max_epochs": asked.epochs, "tolerance": asked.tolerance}
     given = {key: value for key, value in changes.items() if value is not None}
-    riemannian = isinstance(make(), RiemannianOptions)
-    if riemannian and (asked.period is not None or asked.epochs is not None):
+    if len(given) > 1 and not isinstance(make(), TrainingOptions):
         raise InputError(
             f"--period and --epochs are for the algorithms literal, repaired and tracked, not for {asked.algorithm}"
         )
@@ -137,7 +136,7 @@ def _learner(asked: Learning, xi: Floats) -> Callable[..., TrainingResult]:
         raise InputError("the solved bias needs no learning; use 'lieednn-sim plan --option bias=solved'")
     magnitude = as_positive("bias magnitude", asked.bias_magnitude)
     bias = bias_for(asked.bias, xi, ACTIVATIONS[DEFAULT_ACTIVATION].phi(xi), 1.0, magnitude)
-    return functools.partial(train_riemannian if riemannian else projected_train, xi, make(**given), bias=bias)
+    return functools.partial(learn, xi, make(**given), bias=bias)
 
 
 def _report(result: TrainingResult, network: LieEDNN | None, xi: Floats) -> None:

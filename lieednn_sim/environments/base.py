@@ -13,7 +13,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.environments.frames import SiteFrames, pose_error_twists
 from lieednn_sim.environments.observations import Bounds, Observation, Observations, State, Target, common_bounds
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
+from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.planning.motion import steps_in
 from lieednn_sim.simulation import Simulation
 from lieednn_sim.simulation.actuators import Actuators

@@ -14,7 +14,7 @@ from lieednn_sim.planning import OBSTACLE_PLANNER
 from lieednn_sim.policies import MotionTracker, Policy, make_policy
 from lieednn_sim.registry import PLANNERS, POLICIES
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import Seed, as_count, as_seed
+from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
 
 __all__ = ["Expert"]
@@ -32,7 +32,6 @@ class Expert:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
         policy: a name of `policies.POLICIES`.
         planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, and among obstacles `OBSTACLE_PLANNER`.
-        n_networks: number of networks drawn for a plan at first, see `trajectories.planned`.
         seed: seed of the draws.
 
     Attributes:
@@ -50,7 +49,6 @@ class Expert:
         *,
         policy: str | None = None,
         planner: str | None = None,
-        n_networks: int = 2,
         seed: Seed = 0,
     ) -> None:
         inner = getattr(environment, "unwrapped", environment)
@@ -72,7 +70,6 @@ class Expert:
         if planner is not None and policy is None:
             PLANNERS.require(planner)
         self._planner = planner
-        self._n_networks = as_count("n_networks", n_networks)
         self._seed = as_seed("seed", seed)
         self._episode, self._periods = 0, 0
         self._policy: Policy
@@ -108,7 +105,7 @@ class Expert:
             return make_policy(self._kind, arm, target, rate=rate, start=task.command, seed=self._seed)
         if isinstance(task, Track):
             return _TargetFollower(arm, rate)
-        made = planned(arm, target, planner=self._planner, n_networks=self._n_networks, seed=self._seed)
+        made = planned(arm, target, planner=self._planner, seed=self._seed)
         self.certificate = made.certificate
         return MotionTracker(arm, made.spline, rate)
 

@@ -1,4 +1,4 @@
-"""Pose errors of link frames, for many environments at once, with the same rounding as for a single one."""
+"""Poses of link frames as arrays, and the errors between them, for one environment or many at once."""
 
 from __future__ import annotations
 
@@ -8,13 +8,10 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.values import Floats
 
-# Sine of half an angle below which the first terms of series are used.
-_SMALL = 1e-4
 # Indices of the factors in a cross product: of the positive terms, then of the negative ones.
 _LEFT, _RIGHT = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
-# Indices of the factors, in two rows of `SiteFrames`, of the vector part of conj(p) q: terms with p_0, terms with q_0,
-# and the cross product as above.
-_OWN, _GOAL = 12 + np.array([0, 0, 0, 1, 2, 3, *1 + _LEFT]), 12 + np.array([1, 2, 3, 0, 0, 0, *1 + _RIGHT])
+# Smallest divisor: a rotation by less is none.
+_TINY = 1e-100
 
 
 class SiteFrames:
@@ -28,12 +25,7 @@ class SiteFrames:
     def __call__(self) -> Floats:
         """Return the frames at the data's positions in a new array."""
         mujoco.mj_kinematics(self._model, self._data)
-        found = np.empty((len(self._sites), 16))
-        found[:, :3] = self._positions.take(self._sites, axis=0)
-        found[:, 3:12] = self._rotations.take(self._sites, axis=0)
-        for frame in found:
-            mujoco.mju_mat2Quat(frame[12:], frame[3:12])
-        return found
+        return _rows(self._positions.take(self._sites, axis=0), self._rotations.take(self._sites, axis=0))
 
     def at(self, qpos: Floats) -> Floats:
         """Frames ``(B, F, 16)`` at MuJoCo's positions ``(B, nq)``, to which the data is set one after the other."""
@@ -53,45 +45,37 @@ def goal_frames(arm: Arm, q: Floats, frames: slice) -> Floats:
 
 
 def _rows(positions: Floats, rotations: Floats) -> Floats:
-    found = np.concatenate([positions, rotations, np.empty((*rotations.shape[:-1], 4))], axis=-1)
-    for frame in found.reshape(-1, 16):
+    rows = np.concatenate([positions, rotations, np.empty((*rotations.shape[:-1], 4))], axis=-1)
+    for frame in rows.reshape(-1, 16):
         mujoco.mju_mat2Quat(frame[12:], frame[3:12])
-    return found
+    return rows
 
 
 def pose_error_twists(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Floats]:
     """Pose errors Log(T^-1 T_goal) as twists, for frames and goals in the format of `SiteFrames`.
 
-    If the relative rotation has the unit quaternion (c, s n), c >= 0, its angle is a = 2 atan2(s, c). With w = a n and
-    the relative translation p, v = J_l^-1 p = p - w x p / 2 + (1 - (a / 2) cot(a / 2)) / a^2 w x (w x p).
+    The same as `lie.log`, in a tenth of the time for one frame. If the relative rotation has the unit quaternion
+    (c, s n), c >= 0, its angle is a = 2 atan2(s, c). With w = a n and the relative translation p,
+    v = J_l^-1 p = p - w x p / 2 + (1 - (a / 2) cot(a / 2)) / a^2 w x (w x p).
 
     Returns:
         Twists (omega, v) ``(..., F, 6)`` [rad, m], and the largest distance ``(...)`` [m] and angle ``(...)`` [rad].
     """
-    rotation = frames[..., 3:12].reshape(*frames.shape[:-1], 3, 3)
-    place = np.vecmat(goals[..., :3] - frames[..., :3], rotation)
-    cosine = np.vecdot(frames[..., 12:], goals[..., 12:])
-    products = frames.take(_OWN, axis=-1) * goals.take(_GOAL, axis=-1)
-    axis = products[..., :3] - products[..., 3:6] - (products[..., 6:9] - products[..., 9:])
-    sine, c = np.sqrt(np.vecdot(axis, axis)), np.abs(cosine)
-    angle, safe = 2.0 * np.arctan2(sine, c), np.maximum(sine, _SMALL)
-    scale = angle / safe
-    bend = (1.0 - 0.5 * angle * c / safe) / np.maximum(angle * angle, _SMALL * _SMALL)
-    small = sine < _SMALL
-    # Array methods would call the same reduction through Python.
-    if np.logical_or.reduce(small, axis=None):
-        scale = np.where(small, 2.0 / np.maximum(c, 0.5) * (1.0 - sine * sine / 3.0), scale)
-        bend = np.where(small, 1.0 / 12.0 + angle * angle / 720.0, bend)
-    omega = np.copysign(scale, cosine)[..., None] * axis
+    place = np.vecmat(goals[..., :3] - frames[..., :3], frames[..., 3:12].reshape(*frames.shape[:-1], 3, 3))
+    own, goal = frames[..., 12:], goals[..., 12:]
+    cosine = np.vecdot(own, goal)
+    axis = own[..., :1] * goal[..., 1:] - goal[..., :1] * own[..., 1:] - _cross(own[..., 1:], goal[..., 1:])
+    sine = np.sqrt(np.vecdot(axis, axis))
+    angle = 2.0 * np.arctan2(sine, np.abs(cosine))
+    omega = np.copysign(angle / np.maximum(sine, _TINY), cosine)[..., None] * axis
     turned = _cross(omega, place)
+    # What cancels here for small angles is multiplied by their squares.
+    half = np.maximum(0.5 * angle, _TINY)
+    bend = (1.0 - half / np.tan(half)) / (4.0 * half * half)
     twist = np.concatenate([omega, place - 0.5 * turned + bend[..., None] * _cross(omega, turned)], axis=-1)
-    return twist, np.sqrt(_largest(np.vecdot(place, place))), _largest(angle)
-
-
-def _largest(values: Floats) -> Floats:
-    """Largest value along the last axis; a single one is taken in a tenth of the time of a reduction."""
-    # Array methods would call the same reduction through Python.
-    return values[..., 0] if values.shape[-1] == 1 else np.asarray(np.maximum.reduce(values, axis=-1))
+    distance = np.sqrt(np.vecdot(place, place))
+    # Array methods would call the same reductions through Python.
+    return twist, np.maximum.reduce(distance, axis=-1), np.maximum.reduce(angle, axis=-1)
 
 
 def _cross(one: Floats, other: Floats) -> Floats:

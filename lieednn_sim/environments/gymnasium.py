@@ -34,7 +34,7 @@ from lieednn_sim.environments.vector import VectorEnvironment, observation_space
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_seed, quoted
 
-__all__ = ["ENVIRONMENTS", "Environment", "VectorEnvironment", "register"]
+__all__ = ["ENVIRONMENTS", "Environment", "VectorEnvironment"]
 
 #: Name of the task of each registered Gymnasium environment, by the environment's id.
 ENVIRONMENTS = {"LieEDNN/TelescopicReach-v0": "reach", "LieEDNN/TelescopicTrack-v0": "track"}
@@ -128,19 +128,14 @@ class Environment(gymnasium.Env[Any, Floats]):
         return spaces.flatten(self._space, observation) if self._flat else observation
 
 
-def register() -> None:
-    """Register the environments with Gymnasium. Importing the module does that; repeating it is harmless."""
-    for name, task in ENVIRONMENTS.items():
-        if name not in gymnasium.registry:
-            gymnasium.register(
-                name,
-                entry_point=f"{__name__}:Environment",
-                vector_entry_point=f"{__name__}:VectorEnvironment",
-                kwargs={"task": task},
-            )
-
-
-register()
+for _id, _task in ENVIRONMENTS.items():
+    if _id not in gymnasium.registry:
+        gymnasium.register(
+            _id,
+            entry_point=f"{__name__}:Environment",
+            vector_entry_point=f"{__name__}:VectorEnvironment",
+            kwargs={"task": _task},
+        )
 
 
 typecheck_public(globals())

@@ -13,23 +13,13 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning import CertifiedOptions, Plan, plan
 from lieednn_sim.planning.time_laws import minimum_jerk_law
-from lieednn_sim.validation import Seed, as_count, as_floats, as_positive, as_seed
+from lieednn_sim.validation import Seed, as_floats, as_positive
 from lieednn_sim.values import Floats
 
 # Duration with which plans are made before they are sped up [s]; minimum jerk gives the same path in any duration.
 _PLANNING_DURATION = 10.0
-# Fraction of the velocity and acceleration limits that a plan may use; the rest is left to the servos.
-_PLAN_LIMIT_FRACTION = 0.9
-# The same for a random trajectory; the number of its sines and their frequencies [Hz]; the duration of its onset, and
-# the spacing of its samples [s].
-_RANDOM_LIMIT_FRACTION = 0.5
-_SINES, _BAND = 3, (0.1, 0.5)
-_ONSET, _SPACING = 1.5, 0.02
-# Fraction of the joint ranges that a random trajectory covers, its reduction after a contact, and the number of
-# attempts.
-_RANGE_FRACTION, _SHRINKAGE, _ATTEMPTS = 0.8, 0.85, 40
-# Rate at which random trajectories are tested for contact [Hz].
-_CHECKS_PER_SECOND = 10
+# Number of sines of a random trajectory, and of attempts to draw one.
+_SINES, _ATTEMPTS = 3, 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +51,14 @@ class JointTrajectory:
         return np.where(inside[..., None], self.spline(np.clip(times, 0.0, self.duration), 1), 0.0)
 
 
-def planned(
-    arm: Arm, target: ArrayLike | str, *, planner: str | None = None, n_networks: int = 2, seed: Seed = 0
-) -> JointTrajectory:
+def planned(arm: Arm, target: ArrayLike | str, *, planner: str | None = None, seed: Seed = 0) -> JointTrajectory:
     """A planned motion from the keyframe ``home``, as fast as 90 % of the velocity and acceleration limits allow.
 
     Args:
         arm: the arm.
         target: joint target ``(n,)``, or a keyframe's name.
-        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, to which ``n_networks`` applies.
-        n_networks: number of networks to draw at first; if their motions break limits, four times as many are drawn,
-            and then sixteen times as many.
+        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, of which two networks are drawn at
+            first; if their motions break limits, four times as many are drawn, and then sixteen times as many.
         seed: seed of the draws.
 
     Raises:
@@ -79,27 +66,27 @@ def planned(
         NotCertifiedError: no network could be certified.
         PlanError: every motion breaks a limit.
     """
-    count, seed = as_count("n_networks", n_networks), as_seed("seed", seed)
     if planner is None:
-        made = _patient_plan(arm, target, count, seed)
+        result = _patient_plan(arm, target, seed)
     else:
-        made = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
-    motion, certificate = made.motion, "" if made.network is None else str(made.network.certificate)
-    # Nothing moves if it is already there.
-    pace = _pace(arm, motion.t, motion.qd, _PLAN_LIMIT_FRACTION) or 1.0
+        result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
+    motion, certificate = result.motion, "" if result.network is None else str(result.network.certificate)
+    # The rest of the limits is left to the servos. Nothing moves if it is already there.
+    pace = _pace(arm, motion.t, motion.qd, 0.9) or 1.0
     return JointTrajectory(CubicHermiteSpline(motion.t * pace, motion.q, motion.qd / pace), certificate)
 
 
-def _patient_plan(arm: Arm, target: ArrayLike | str, n_networks: int, seed: int) -> Plan:
-    def drawn(total: int) -> Plan:
-        options = CertifiedOptions(n_networks=total)
-        return plan(arm, target, duration=_PLANNING_DURATION, max_time_scale=1.0, seed=seed, options=options)
-
+def _patient_plan(arm: Arm, target: ArrayLike | str, seed: Seed) -> Plan:
     # Few networks suffice for most targets, and each takes time.
-    for total in (n_networks, 4 * n_networks):
+    for count in (2, 8):
         with contextlib.suppress(PlanError, NotCertifiedError):
-            return drawn(total)
-    return drawn(16 * n_networks)
+            return _certified_plan(arm, target, seed, count)
+    return _certified_plan(arm, target, seed, 32)
+
+
+def _certified_plan(arm: Arm, target: ArrayLike | str, seed: Seed, count: int) -> Plan:
+    options = CertifiedOptions(n_networks=count)
+    return plan(arm, target, duration=_PLANNING_DURATION, max_time_scale=1.0, seed=seed, options=options)
 
 
 def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTrajectory:
@@ -113,13 +100,14 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTr
         NoSolutionError: every attempt touches something.
     """
     total = as_positive("duration", duration)
-    home, spread = arm.keyframe("home"), _RANGE_FRACTION
+    # A fraction of the joint ranges, which is reduced after a contact.
+    home, spread = arm.keyframe("home"), 0.8
     for _ in range(_ATTEMPTS):
         trajectory = _draw(arm, rng, home, total, spread)
-        checked = trajectory.position(np.linspace(0.0, total, int(np.ceil(_CHECKS_PER_SECOND * total)) + 1))
+        checked = trajectory.position(np.linspace(0.0, total, int(np.ceil(10.0 * total)) + 1))
         if not any(arm.contacts(q) for q in checked):
             return trajectory
-        spread *= _SHRINKAGE
+        spread *= 0.85
     raise NoSolutionError(f"no random trajectory of arm {arm.name!r} is free of contact; use another scene or seed")
 
 
@@ -133,17 +121,17 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
     ends = np.sort(home + spread * (rng.uniform(low, high, (2, n)) - home), axis=0)
     middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
     weights = rng.dirichlet(np.ones(_SINES), n)
-    omega = 2.0 * np.pi * rng.uniform(*_BAND, (n, _SINES))
+    omega = 2.0 * np.pi * rng.uniform(0.1, 0.5, (n, _SINES))
     phase = rng.uniform(0.0, 2.0 * np.pi, (n, _SINES))
     # Long enough even if it is not slowed down.
-    t = np.linspace(0.0, total, int(np.ceil(total / _SPACING)) + 1)
+    t = np.linspace(0.0, total, int(np.ceil(total / 0.02)) + 1)
     angle = omega * t[:, None, None] + phase
     wave = middle + half * (weights * np.sin(angle)).sum(axis=-1) - home
     wave_rate = half * (weights * omega * np.cos(angle)).sum(axis=-1)
-    onset = min(_ONSET, total)
+    onset = min(1.5, total)
     rise, slope = (values[:, None] for values in minimum_jerk_law(np.minimum(t / onset, 1.0)))
     q, qd = home + rise * wave, slope / onset * wave + rise * wave_rate
-    slowdown = max(1.0, _pace(arm, t, qd, _RANDOM_LIMIT_FRACTION))
+    slowdown = max(1.0, _pace(arm, t, qd, 0.5))
     return JointTrajectory(CubicHermiteSpline(t * slowdown, q, qd / slowdown))
 
 

@@ -42,7 +42,7 @@ def observation_space(bounds: Bounds) -> spaces.Dict:
 class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, Any]):
     """Many environments that are stepped together, as a Gymnasium vector environment.
 
-    Each is equal to an `Environment` with its seed, with NumPy 2.4 to the last bit.
+    Each is equal to an `Environment` with its seed, up to rounding.
 
     Args:
         num_envs: number of environments, B.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
 
 import numpy as np
 from rich.console import Group
@@ -12,11 +12,38 @@ from rich.table import Table
 
 from lieednn_sim import io
 from lieednn_sim.evaluation.display import as_text, rounded, table
-from lieednn_sim.evaluation.frame_errors import FrameErrors
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics
 from lieednn_sim.simulation import Disturbances
 from lieednn_sim.values import set_fields
 from lieednn_sim.versions import versions
+
+# A frame has settled when it stays this close to its target.
+SETTLED_TRANSLATION = 1e-3
+SETTLED_ROTATION = float(np.deg2rad(0.1))
+
+
+@dataclass(frozen=True)
+class FrameErrors:
+    """Errors of one link frame.
+
+    ``final_*`` compares the last simulated frame with the target, ``tracking_*`` the simulated with the planned frame
+    of the same instant over the whole rollout. ``settling_s`` is the time from which the frame stays within 1 mm and
+    0.1 deg of its target, None when it does not.
+    """
+
+    name: str
+    final_mm: float
+    final_deg: float
+    tracking_rms_mm: float
+    tracking_rms_deg: float
+    tracking_max_mm: float
+    tracking_max_deg: float
+    settling_s: float | None
+
+    @property
+    def arrived(self) -> bool:
+        """Whether it ends within 1 mm and 0.1 deg of its target."""
+        return self.final_mm <= 1e3 * SETTLED_TRANSLATION and self.final_deg <= np.rad2deg(SETTLED_ROTATION)
 
 
 @dataclass(frozen=True)
@@ -178,28 +205,11 @@ class Evaluation:
 
 
 def _frames(evaluation: Evaluation) -> Table:
-    rows = table(
-        f"tracking error, {evaluation.controller}",
-        "frame",
-        "final mm",
-        "deg",
-        "RMS mm",
-        "deg",
-        "max mm",
-        "deg",
-        "settled s",
-    )
+    columns = "frame", "final mm", "deg", "RMS mm", "deg", "max mm", "deg", "settled s"
+    rows = table(f"tracking error, {evaluation.controller}", *columns)
     for frame in evaluation.frames:
-        values = (
-            frame.final_mm,
-            frame.final_deg,
-            frame.tracking_rms_mm,
-            frame.tracking_rms_deg,
-            frame.tracking_max_mm,
-            frame.tracking_max_deg,
-        )
-        settled = "never" if frame.settling_s is None else f"{frame.settling_s:.2f}"
-        rows.add_row(frame.name, *(rounded(value) for value in values), settled)
+        name, *errors, settling = astuple(frame)
+        rows.add_row(name, *map(rounded, errors), _seconds(settling))
     rows.caption = (
         f"the end effector moves {evaluation.displacement_m:.2f} m (path {evaluation.path_m:.2f} m) in "
         f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}; "
@@ -234,26 +244,27 @@ def _percent(value: float, limit: float) -> str:
 def _recoveries(evaluation: Evaluation) -> Table:
     rows = table("pushes", "body", "from s", "to s", "peak mm", "deg", "recovered after s")
     for push in evaluation.recoveries:
-        recovered = "never" if push.recovery_s is None else f"{push.recovery_s:.2f}"
         peaks = (rounded(push.peak_deviation_mm), rounded(push.peak_deviation_deg))
-        rows.add_row(push.body, f"{push.start_s:g}", f"{push.end_s:g}", *peaks, recovered)
+        rows.add_row(push.body, f"{push.start_s:g}", f"{push.end_s:g}", *peaks, _seconds(push.recovery_s))
     rows.caption = "peak: largest error of any link frame against its reference"
     return rows
 
 
+def _seconds(time: float | None) -> str:
+    return "never" if time is None else f"{time:.2f}"
+
+
 def _conditions(evaluation: Evaluation) -> str:
     """Disturbances unknown to the controller, and the rate of its reference; empty if there is nothing to report."""
-    changes, said = evaluation.disturbances, []
-    if evaluation.reference_rate is not None:
-        said.append(f"reference held at {evaluation.reference_rate:g} Hz")
-    if changes.mass_scale != 1.0:
-        said.append(f"masses times {changes.mass_scale:g}")
-    if changes.payload:
-        said.append(f"payload {changes.payload:g} kg")
-    if changes.position_noise:
-        said.append(f"position noise {changes.position_noise:g}")
-    if changes.velocity_noise:
-        said.append(f"velocity noise {changes.velocity_noise:g}")
+    changes, rate = evaluation.disturbances, evaluation.reference_rate
+    words = {
+        "reference held at {:g} Hz": rate,
+        "masses times {:g}": changes.mass_scale if changes.mass_scale != 1.0 else None,
+        "payload {:g} kg": changes.payload,
+        "position noise {:g}": changes.position_noise,
+        "velocity noise {:g}": changes.velocity_noise,
+    }
+    said = [text.format(value) for text, value in words.items() if value]
     return f"conditions: {', '.join(said)}" if said else ""
 
 

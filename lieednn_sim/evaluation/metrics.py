@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.evaluation.diagnosis import error_causes
-from lieednn_sim.evaluation.evaluation import Evaluation, JointUse, Recovery
-from lieednn_sim.evaluation.frame_errors import (
+from lieednn_sim.evaluation.evaluation import (
     SETTLED_ROTATION,
     SETTLED_TRANSLATION,
-    frame_errors,
-    pose_errors,
-    settled,
+    Evaluation,
+    FrameErrors,
+    JointUse,
+    Recovery,
 )
 from lieednn_sim.evaluation.motion_metrics import least_clearance, motion_metrics, violations
 from lieednn_sim.simulation import Following, Push, Rollout
@@ -144,3 +145,34 @@ def evaluate_following(following: Following) -> FollowingErrors:
         lag_s=float((behind * velocity)[steady].sum()) / moved if moved > 0.0 else None,
         settling_s=tuple(None if time is None else time - float(t[begin]) for begin, time in spans_settled),
     )
+
+
+def pose_errors(actual: RigidTransform, wanted: RigidTransform) -> tuple[Floats, Floats]:
+    """Distance [m] and angle [rad] between poses whose shapes broadcast."""
+    difference = wanted.inv() * actual
+    return np.linalg.norm(difference.translation, axis=-1), np.asarray(difference.rotation.magnitude())
+
+
+def frame_errors(
+    i: int, name: str, t: Floats, tracking: tuple[Floats, Floats], arrival: tuple[Floats, Floats]
+) -> FrameErrors:
+    """Errors of link ``i`` at times ``(K,)``; both pairs are distances [m] and angles [rad] ``(K, N)``."""
+    distance, angle = 1e3 * tracking[0][:, i], np.rad2deg(tracking[1][:, i])
+    return FrameErrors(
+        name=name,
+        final_mm=float(1e3 * arrival[0][-1, i]),
+        final_deg=float(np.rad2deg(arrival[1][-1, i])),
+        tracking_rms_mm=float(np.sqrt(np.mean(distance**2))),
+        tracking_rms_deg=float(np.sqrt(np.mean(angle**2))),
+        tracking_max_mm=float(distance.max()),
+        tracking_max_deg=float(angle.max()),
+        settling_s=settled(t, arrival[0][:, i : i + 1], arrival[1][:, i : i + 1]),
+    )
+
+
+def settled(t: Floats, distance: Floats, angle: Floats) -> float | None:
+    """Time from which errors ``(K, N)`` stay within the bounds, None when they do not."""
+    outside = np.flatnonzero(((distance > SETTLED_TRANSLATION) | (angle > SETTLED_ROTATION)).any(axis=1))
+    if outside.size == 0:
+        return float(t[0])
+    return float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None

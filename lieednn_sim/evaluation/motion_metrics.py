@@ -14,12 +14,8 @@ from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, rms_jerk
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.validation import as_floats, as_positive
 
-# Fraction of the peak speed below which curvature is left out: near rest the direction of the path is noise.
-CURVATURE_SPEED_FRACTION = 0.05
 # Fraction by which a simulated rate may exceed its limit, for the ripple of the control loop.
 RATE_TOLERANCE = 1e-3
-# Clearance is measured at every fifth sample (10 ms at the arms' step), and at all samples with a contact.
-CLEARANCE_STRIDE = 5
 
 
 @dataclass(frozen=True)
@@ -84,7 +80,8 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
     # At rest [m/s].
     if speed.max() < 1e-9:
         return None
-    moving = speed > CURVATURE_SPEED_FRACTION * speed.max()
+    # Near rest the direction of the path is noise.
+    moving = speed > 0.05 * speed.max()
     speed = speed[moving]
     kappa = np.linalg.norm(np.cross(velocity[moving], acceleration[moving]), axis=1) / speed**3
     return float(np.sqrt((kappa**2 * speed).sum() / speed.sum()))
@@ -93,9 +90,9 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
 def least_clearance(rollout: Rollout) -> float:
     """Least clearance along the simulated motion [m]; negative in penetration, infinite where nothing can collide.
 
-    It is measured at every fifth sample, and at all samples with a contact.
+    It is measured at every fifth sample (10 ms at the arms' step), and at all samples with a contact.
     """
-    chosen = np.union1d(np.arange(0, len(rollout.t), CLEARANCE_STRIDE), np.flatnonzero(rollout.contacts))
+    chosen = np.union1d(np.arange(0, len(rollout.t), 5), np.flatnonzero(rollout.contacts))
     return Collisions(rollout.arm).least_clearance(rollout.q[chosen])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,9 @@ from matplotlib.patches import Patch
 from lieednn_sim import io
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout
+from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
-from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION, pose_errors
-from lieednn_sim.network import ACTIVATIONS, ComponentwiseNetwork
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice
@@ -28,22 +27,15 @@ from lieednn_sim.values import Floats
 __all__ = ["plot"]
 
 _PUSH = "0.85"
-# Hidden neurons per row in each block of a plot, most of them shown, and the line styles of their coordinates.
-_HIDDEN_IN_ROW, _MOST_HIDDEN = 4, 24
-_HIDDEN_STYLES = {"\\omega": "-", "v": ":"}
 # Most names in a row of a legend, and in one of channels.
 _MOST_IN_ROW, _LABELS_IN_ROW = 7, 5
 # Least half range of axes for errors [mm, deg] and percentages of a limit [%], so that small values look small.
 _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
 # Most rows of a plot of joints, and the length beyond which names are written smaller.
 _MOST_ROWS, _LONGEST_NAME = 12, 14
-# Room left of each axis for ticks and a label of two lines [inch].
-_LABEL = 0.85
 
 
-def plot(
-    rollout: Rollout, directory: str | os.PathLike[str], *, network: ComponentwiseNetwork | None = None
-) -> tuple[Path, ...]:
+def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...]:
     """Plot a run in PNG files: tracking error, joints, and network and channels if it has them.
 
     The files are ``tracking.png``, ``joints.png``, ``network.png`` and ``channels.png``.
@@ -51,13 +43,11 @@ def plot(
     Args:
         rollout: the simulated run.
         directory: where the files are written or replaced; it is created if needed.
-        network: the plan's network, to show its hidden neurons, as for `plot_network`.
 
     Returns:
         The paths of the files.
 
     Raises:
-        InputError: the network is not the motion's.
         FileError: the directory cannot be written.
     """
     folder = io.make_directory(directory)
@@ -66,23 +56,18 @@ def plot(
     plot_joints(rollout, made[1])
     if rollout.motion is not None:
         made.append(folder / "network.png")
-        plot_network(rollout, made[-1], network=network)
+        plot_network(rollout, made[-1])
     if rollout.channels:
         made.append(folder / "channels.png")
         plot_channels(rollout, made[-1])
     return tuple(made)
 
 
-def plot_network(
-    rollout: Rollout, path: str | os.PathLike[str], *, network: ComponentwiseNetwork | None = None
-) -> None:
+def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
 
-    If the network is given, the outputs phi(h(t)) of its hidden neurons are shown below. It must have generated the
-    motion, without being retargeted meanwhile.
-
     Raises:
-        InputError: the rollout followed no plan, or one whose size is not the network's.
+        InputError: the rollout followed no plan.
     """
     arm, motion = rollout.arm, rollout.motion
     if motion is None:
@@ -92,11 +77,9 @@ def plot_network(
     blocks = -(-n // _MOST_ROWS)
     rows = -(-n // blocks)
     columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
-    hidden = 0 if network is None else min(network.n_hidden, _MOST_HIDDEN)
-    below = 0.5 * bool(hidden) + 1.4 * -(-hidden // (_HIDDEN_IN_ROW * blocks))
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10.0 * blocks, 1.2 + 1.7 * rows + below))
-        axes = _subplots(figure, motion.t, rows, 2 * blocks, sharey="col", below=below)
+        figure = Figure(figsize=(10.0 * blocks, 1.2 + 1.7 * rows), layout="constrained")
+        axes = _subplots(figure, motion.t, rows, 2 * blocks, sharey="col")
         for i in range(rows * blocks):
             pair = axes[i % rows, 2 * (i // rows) : 2 * (i // rows) + 2]
             for axis, (title, unit, first, scale) in zip(pair, columns, strict=True):
@@ -115,46 +98,8 @@ def plot_network(
                 if i % rows == rows - 1 or i == n - 1:
                     axis.set_xlabel("time [s]")
                     axis.tick_params(labelbottom=True)
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        handles.append(Line2D([], [], color="0.3", ls="--", lw=0.9))
-        labels.append("target")
-        if network is not None and hidden:
-            _plot_hidden(figure, below, motion, network, hidden, _HIDDEN_IN_ROW * blocks)
-            for kind, style in _HIDDEN_STYLES.items():
-                handles.append(Line2D([], [], color="0.3", ls=style))
-                labels.append(f"hidden: $\\varphi({kind})$")
-            if hidden < network.n_hidden:
-                handles.append(Line2D([], [], ls=""))
-                labels.append(f"{hidden} of {network.n_hidden} hidden neurons")
-        figure.legend(handles, labels, loc="upper center", ncols=_MOST_IN_ROW)
+        _legend(figure, _lines(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)})
         figure_layout.save_figure(figure, path)
-
-
-def _plot_hidden(
-    figure: Figure, height: float, motion: Motion, network: ComponentwiseNetwork, count: int, columns: int
-) -> None:
-    """Outputs of some hidden neurons, in a panel of a given height [inch] and number of columns at the bottom."""
-    first, duration = network.n_visible, max(float(motion.tau[-1]), 1e-9)
-    states = network.trajectory(network.start(motion.xi[0]), duration)(motion.tau)
-    sent = network.phi(states[:, first:])
-    highest = 1.08 * ACTIVATIONS[network.activation].bound
-    # An encoder has hundreds of them: some of all kinds.
-    chosen = np.linspace(0, network.n_hidden - 1, count).astype(int)
-    rows = -(-len(chosen) // columns)
-    axes = _subplots(figure, motion.t, rows, columns, sharey=True, above=figure.get_figheight() - height - 0.35)
-    for k, axis in enumerate(axes.ravel()):
-        if k >= len(chosen):
-            axis.set_visible(False)
-            continue
-        i = int(chosen[k])
-        for c, style in enumerate(style for style in _HIDDEN_STYLES.values() for _ in range(3)):
-            axis.plot(motion.t, sent[:, i, c], color=COLOURS[c % 3], ls=style, lw=1.0)
-        axis.set_ylim(-highest, highest)
-        kind = "clock" if i >= network.n_hidden - network.n_clock else "hidden"
-        _label(axis, "output [1]" if k % columns == 0 else "", f"neuron {first + i + 1} ({kind})", fontsize=9)
-        if k + columns >= len(chosen):
-            axis.set_xlabel("time [s]")
-            axis.tick_params(labelbottom=True)
 
 
 def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
@@ -171,7 +116,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         ("rotation", "[deg]", np.rad2deg(tracking[1]), np.rad2deg(to_go[1]), np.rad2deg(SETTLED_ROTATION)),
     )
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10.0, 6.0))
+        figure = Figure(figsize=(10.0, 6.0), layout="constrained")
         axes = _subplots(figure, rollout.t, 2, 2)
         for (upper, lower), (what, unit, errors, distance, settled) in zip(axes.T, columns, strict=True):
             for name, error in zip(arm.link_names, errors.T, strict=True):
@@ -195,13 +140,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
             lower.set_xlabel("time [s]")
         for axis in axes.ravel():
             _mark_events(axis, rollout)
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        handles.append(Line2D([], [], color="0.35", lw=0.9, ls="-."))
-        labels.append("end of the motion")
-        if rollout.disturbances.pushes:
-            handles.append(Patch(color=_PUSH))
-            labels.append("push")
-        figure.legend(handles, labels, loc="upper center", ncols=min(len(labels), _MOST_IN_ROW))
+        _legend(figure, _lines(axes[0, 0]) | _events(rollout))
         figure_layout.save_figure(figure, path)
 
 
@@ -226,10 +165,10 @@ def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequenc
         values, of_unit = rollout.channels[name], lines.setdefault(rollout.channel_units[name], {})
         for index in np.ndindex(values.shape[1:]):
             of_unit[name + (f"[{', '.join(map(str, index))}]" if index else "")] = values[:, *index]
-    gap = 0.25 + 0.18 * -(-max(map(len, lines.values())) // _LABELS_IN_ROW)
+    legend = 0.25 + 0.18 * -(-max(map(len, lines.values())) // _LABELS_IN_ROW)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10.0, 0.8 + (1.8 + gap) * len(lines)))
-        axes = _subplots(figure, rollout.t, len(lines), 1, gap=gap, above=gap - 0.5)[:, 0]
+        figure = Figure(figsize=(10.0, 0.8 + (1.8 + legend) * len(lines)), layout="constrained")
+        axes = _subplots(figure, rollout.t, len(lines), 1)[:, 0]
         for axis, (unit, of_unit) in zip(axes, lines.items(), strict=True):
             for label, values in of_unit.items():
                 axis.plot(rollout.t, values, label=label)
@@ -240,53 +179,25 @@ def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequenc
         figure_layout.save_figure(figure, path)
 
 
-def _subplots(
-    figure: Figure,
-    t: Floats,
-    rows: int,
-    columns: int,
-    *,
-    gap: float = 0.35,
-    sharey: Any = False,
-    above: float = 0.0,
-    below: float = 0.0,
-) -> Any:
-    """Axes ``(rows, columns)`` over the times t under a legend, with fixed margins.
-
-    ``gap`` [inch] is the space between rows; ``above`` and ``below`` [inch] are left free for other axes.
-
-    With this many axes an automatic layout takes longer than the drawing, and so does updating their common range after
-    every line.
-    """
-    width, height = figure.get_size_inches()
-    left, right, bottom, top = _LABEL, 0.12, 0.5 + below, 0.65 + above
-    axes = figure.subplots(
-        rows,
-        columns,
-        sharex=True,
-        sharey=sharey,
-        squeeze=False,
-        gridspec_kw={
-            "left": left / width,
-            "right": 1.0 - right / width,
-            "bottom": bottom / height,
-            "top": 1.0 - top / height,
-            # In widths and heights of one of the axes.
-            "wspace": columns * _LABEL / (width - left - right - (columns - 1) * _LABEL),
-            "hspace": rows * gap / (height - bottom - top - (rows - 1) * gap),
-        },
-    )
+def _subplots(figure: Figure, t: Floats, rows: int, columns: int, *, sharey: Any = False) -> Any:
+    """Axes ``(rows, columns)`` over the times t."""
+    axes = figure.subplots(rows, columns, sharex=True, sharey=sharey, squeeze=False)
+    # Once for all: updating their common range after every line takes longer than the drawing.
     margin = matplotlib.rcParams["axes.xmargin"] * (t[-1] - t[0])
     axes[0, 0].set_xlim(t[0] - margin, t[-1] + margin)
     return axes
 
 
 def _label(axis: Any, unit: str, title: str = "", **font: Any) -> None:
-    """Set the label of the ordinate and the title at fixed places, which saves the automatic placement."""
+    """Set the label of the ordinate, and the title."""
     axis.set_ylabel(unit, **font)
-    axis.yaxis.set_label_coords(-0.48 / (axis.get_position().width * axis.figure.get_figwidth()), 0.5)
-    if title:
-        axis.set_title(title, loc="left", y=1.0, **font)
+    axis.set_title(title, loc="left", **font)
+
+
+def _legend(figure: Figure, entries: Mapping[str, Any]) -> None:
+    """Explain lines and patches by their names above all axes."""
+    columns = min(len(entries), _MOST_IN_ROW)
+    figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=columns)
 
 
 def _mark_events(axis: Any, rollout: Rollout) -> None:
@@ -294,6 +205,18 @@ def _mark_events(axis: Any, rollout: Rollout) -> None:
     axis.axvline(rollout.motion_end, color="0.35", lw=0.9, ls="-.")
     for push in rollout.disturbances.pushes:
         axis.axvspan(push.start, min(push.end, rollout.t[-1]), color=_PUSH, zorder=0)
+
+
+def _events(rollout: Rollout) -> dict[str, Any]:
+    """Entries of a legend for what `_mark_events` draws."""
+    end = {"end of the motion": Line2D([], [], color="0.35", lw=0.9, ls="-.")}
+    return end | ({"push": Patch(color=_PUSH)} if rollout.disturbances.pushes else {})
+
+
+def _lines(axis: Any) -> dict[str, Any]:
+    """Entries of a legend for the lines of an axis that have names."""
+    handles, labels = axis.get_legend_handles_labels()
+    return dict(zip(labels, handles, strict=True))
 
 
 def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
@@ -306,8 +229,8 @@ def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     blocks = -(-arm.n_joints // _MOST_ROWS)
     rows = -(-arm.n_joints // blocks)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(14.0 * blocks, 1.3 + 1.25 * rows))
-        axes = _subplots(figure, rollout.t, rows, 4 * blocks, gap=0.2)
+        figure = Figure(figsize=(14.0 * blocks, 1.3 + 1.25 * rows), layout="constrained")
+        axes = _subplots(figure, rollout.t, rows, 4 * blocks)
         for block in range(blocks):
             joints = range(block * rows, min((block + 1) * rows, arm.n_joints))
             _plot_joints(axes[:, 4 * block : 4 * block + 4], rollout, joints)
@@ -315,13 +238,8 @@ def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
             "simulated": Line2D([], [], color=COLOURS[0]),
             "reference": Line2D([], [], color=COLOURS[4], ls="--"),
             "limits": Line2D([], [], color=COLOURS[1], lw=0.8),
-            "end of the motion": Line2D([], [], color="0.35", lw=0.9, ls="-."),
         }
-        if rollout.disturbances.pushes:
-            entries["push"] = Patch(color=_PUSH)
-        figure.legend(
-            entries.values(), entries.keys(), loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(entries)
-        )
+        _legend(figure, entries | _events(rollout))
         figure_layout.save_figure(figure, path)
 
 
@@ -363,7 +281,7 @@ def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
     for what, limits in (("velocity", arm.velocity_limits), ("actuator force", arm.force_limits)):
         titles.append(f"{what}, % of its limit" if np.isfinite(limits[joints]).any() else what)
     for axis, title in zip(axes[0], titles, strict=True):
-        axis.set_title(title, loc="left", y=1.0)
+        axis.set_title(title, loc="left")
     for axis in axes[len(joints) :].ravel():
         axis.set_visible(False)
     for axis in axes[len(joints) - 1]:

@@ -74,7 +74,8 @@ def export(
     for name, one in sources.items():
         if not isinstance(one, kinds):
             raise InputError(f"the format {format} is made from {wanted}, got {quoted(one)}")
-        check_name(name)
+        if not isinstance(name, str) or name in ("", ".", "..") or as_path("the name of an export", name).name != name:
+            raise InputError(f"the name of an export must be that of a file, without folders, got {quoted(name)}")
     more = {} if chosen.of_comparison else {"rate": rate}
     with exporting(directory) as (folder, written):
         chosen.load()(sources, folder, **more)
@@ -84,12 +85,6 @@ def export(
 def samples(rollout: Rollout, rate: float | None) -> slice:
     """The rows of a rollout at a rate [Hz], or all; `InputError` if the rate does not divide the simulation's."""
     return slice(None, None, 1 if rate is None else steps_of_rate("rate", rate, rollout.timestep))
-
-
-def check_name(name: Any) -> None:
-    """Raise `InputError` if a name is not one of a file in a folder."""
-    if not isinstance(name, str) or name in ("", ".", "..") or as_path("the name of an export", name).name != name:
-        raise InputError(f"the name of an export must be that of a file, without folders, got {quoted(name)}")
 
 
 @contextmanager

@@ -87,7 +87,7 @@ def _poses(model: mujoco.MjModel, qpos: Floats) -> tuple[Floats, Floats]:
 
 def _log_geoms(stream: rr.RecordingStream, path: list[object], model: mujoco.MjModel, body: int) -> None:
     """Log the visible geoms of a body in its frame, all of a kind as one entity, and each mesh as its own."""
-    colours = _colours(model)
+    colours = np.round(255.0 * geom_colours(model)).astype(np.uint8)
     first = model.body_geomadr[body]
     geoms = np.arange(first, first + model.body_geomnum[body])
     geoms = geoms[np.isin(model.geom_group[geoms], _SHOWN_GROUPS) & (colours[geoms, 3] > 0)]
@@ -122,8 +122,3 @@ def _mesh(model: mujoco.MjModel, geom: int, colour: Any) -> rr.Mesh3D:
     triangles = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
     placed = turn.apply(vertices) + model.geom_pos[geom]
     return rr.Mesh3D(vertex_positions=placed, triangle_indices=triangles, albedo_factor=colour)
-
-
-def _colours(model: mujoco.MjModel) -> Any:
-    """Colours ``(G, 4)`` of all geoms from 0 to 255."""
-    return np.round(255.0 * geom_colours(model)).astype(np.uint8)

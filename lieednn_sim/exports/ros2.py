@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,13 @@ _STORE = get_typestore(Stores.ROS2_HUMBLE)
 _TRAJECTORY, _STATE = "trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState"
 
 
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # one of two classes
+    """Writes arrays as lists."""
+
+
+_Dumper.add_representer(np.ndarray, lambda dumper, array: dumper.represent_list(array.tolist()))
+
+
 def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = None) -> None:
     """Write ``<name>.yaml`` and the bag ``<name>_bag`` for each rollout; see `formats.export`.
 
@@ -35,60 +43,40 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
             raise InputError(
                 f"arm {rollout.arm.name!r} has ball joints, but a JointTrajectory holds hinges and slides alone"
             )
-        trajectory, rows = _trajectory(rollout, rate), samples(rollout, rate)
+        trajectory, rows, joints = _trajectory(rollout, rate), samples(rollout, rate), list(rollout.arm.joint_names)
         with (folder / f"{name}.yaml").open("w", encoding="utf-8") as stream:
-            yaml.dump(trajectory, stream, getattr(yaml, "CSafeDumper", yaml.SafeDumper), sort_keys=False)
+            yaml.dump(asdict(trajectory, dict_factory=_fields), stream, _Dumper, sort_keys=False)
         with Writer(folder / f"{name}_bag", version=9, storage_plugin=StoragePlugin.MCAP) as bag:
             planned = bag.add_connection("/joint_trajectory", _TRAJECTORY, typestore=_STORE)
             measured = bag.add_connection("/joint_states", _STATE, typestore=_STORE)
-            bag.write(planned, 0, _STORE.serialize_cdr(_as_message(trajectory), _TRAJECTORY))
+            bag.write(planned, 0, _STORE.serialize_cdr(trajectory, _TRAJECTORY))
             columns = (values[rows] for values in (rollout.t, rollout.q, rollout.qd, rollout.force))
             for t, position, velocity, effort in zip(*columns, strict=True):
-                values = {"position": position, "velocity": velocity, "effort": effort}
-                state = _STORE.types[_STATE](header=_header(_time(t)), name=trajectory["joint_names"], **values)
+                state = _STORE.types[_STATE](_header(t), joints, position, velocity, effort)
                 bag.write(measured, _nanoseconds(t), _STORE.serialize_cdr(state, _STATE))
 
 
-def _trajectory(rollout: Rollout, rate: float | None) -> dict[str, Any]:
-    """The message as YAML has it; its last point is the end of the motion at any rate."""
+def _trajectory(rollout: Rollout, rate: float | None) -> Any:
+    """The message; its last point is the end of the motion at any rate."""
     end = min(int(np.searchsorted(rollout.t, rollout.motion_end - 0.5 * rollout.timestep)), len(rollout.t) - 1)
+    point, none = _STORE.types["trajectory_msgs/msg/JointTrajectoryPoint"], np.empty(0)
     points = [
-        {
-            "positions": rollout.q_ref[row].tolist(),
-            "velocities": rollout.qd_ref[row].tolist(),
-            "accelerations": [],
-            "effort": [],
-            "time_from_start": _time(rollout.t[row]),
-        }
+        point(rollout.q_ref[row], rollout.qd_ref[row], none, none, _time("Duration", rollout.t[row]))
         for row in np.union1d(np.arange(end + 1)[samples(rollout, rate)], [end])
     ]
-    header = {"stamp": _time(0.0), "frame_id": ""}
-    return {"header": header, "joint_names": list(rollout.arm.joint_names), "points": points}
+    return _STORE.types[_TRAJECTORY](_header(0.0), list(rollout.arm.joint_names), points)
 
 
-def _as_message(trajectory: Mapping[str, Any]) -> Any:
-    duration, point = (
-        _STORE.types[kind] for kind in ("builtin_interfaces/msg/Duration", "trajectory_msgs/msg/JointTrajectoryPoint")
-    )
-    points = [
-        point(
-            time_from_start=duration(**one["time_from_start"]),
-            **{name: np.array(values, dtype=float) for name, values in one.items() if name != "time_from_start"},
-        )
-        for one in trajectory["points"]
-    ]
-    header = _header(trajectory["header"]["stamp"])
-    return _STORE.types[_TRAJECTORY](header=header, joint_names=trajectory["joint_names"], points=points)
+def _fields(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {name: value for name, value in items if name != "__msgtype__"}
 
 
-def _header(stamp: Mapping[str, int]) -> Any:
-    time = _STORE.types["builtin_interfaces/msg/Time"](**stamp)
-    return _STORE.types["std_msgs/msg/Header"](stamp=time, frame_id="")
+def _header(t: float) -> Any:
+    return _STORE.types["std_msgs/msg/Header"](_time("Time", t), frame_id="")
 
 
-def _time(t: float) -> dict[str, int]:
-    seconds, nanoseconds = divmod(_nanoseconds(t), 10**9)
-    return {"sec": seconds, "nanosec": nanoseconds}
+def _time(kind: str, t: float) -> Any:
+    return _STORE.types[f"builtin_interfaces/msg/{kind}"](*divmod(_nanoseconds(t), 10**9))
 
 
 def _nanoseconds(t: float) -> int:

@@ -4,58 +4,26 @@ What is read may hold anything, so its size, memory and time are bounded. A fold
 a small file that it is ours and for what; see `output_folder`.
 """
 
-from lieednn_sim.io.reading import (
-    LARGEST_FILE,
-    LARGEST_TEXT,
-    Archive,
-    is_file,
-    load_arrays,
-    load_description,
-    load_json,
-    opened,
-    parse_object,
-    parse_yaml,
-    read_array,
-    take,
-)
-from lieednn_sim.io.writing import (
-    MARK,
-    atomic_path,
-    atomic_paths,
-    atomic_text,
-    check_outputs,
-    fingerprint,
-    locked,
-    make_directory,
-    output_folder,
-    save_arrays,
-    save_json,
-    short,
-)
-
-__all__ = [
-    "LARGEST_FILE",
-    "LARGEST_TEXT",
-    "MARK",
-    "Archive",
-    "atomic_path",
-    "atomic_paths",
-    "atomic_text",
-    "check_outputs",
-    "fingerprint",
-    "is_file",
-    "load_arrays",
-    "load_description",
-    "load_json",
-    "locked",
-    "make_directory",
-    "opened",
-    "output_folder",
-    "parse_object",
-    "parse_yaml",
-    "read_array",
-    "save_arrays",
-    "save_json",
-    "short",
-    "take",
-]
+from lieednn_sim.io.reading import LARGEST_FILE as LARGEST_FILE
+from lieednn_sim.io.reading import LARGEST_TEXT as LARGEST_TEXT
+from lieednn_sim.io.reading import Archive as Archive
+from lieednn_sim.io.reading import is_file as is_file
+from lieednn_sim.io.reading import load_arrays as load_arrays
+from lieednn_sim.io.reading import load_description as load_description
+from lieednn_sim.io.reading import load_json as load_json
+from lieednn_sim.io.reading import opened as opened
+from lieednn_sim.io.reading import parse_object as parse_object
+from lieednn_sim.io.reading import read_array as read_array
+from lieednn_sim.io.reading import take as take
+from lieednn_sim.io.writing import MARK as MARK
+from lieednn_sim.io.writing import atomic_path as atomic_path
+from lieednn_sim.io.writing import atomic_paths as atomic_paths
+from lieednn_sim.io.writing import atomic_text as atomic_text
+from lieednn_sim.io.writing import check_outputs as check_outputs
+from lieednn_sim.io.writing import fingerprint as fingerprint
+from lieednn_sim.io.writing import locked as locked
+from lieednn_sim.io.writing import make_directory as make_directory
+from lieednn_sim.io.writing import output_folder as output_folder
+from lieednn_sim.io.writing import save_arrays as save_arrays
+from lieednn_sim.io.writing import save_json as save_json
+from lieednn_sim.io.writing import short as short

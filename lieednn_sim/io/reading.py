@@ -8,6 +8,7 @@ import math
 import os
 import re
 import stat
+import textwrap
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -32,8 +33,6 @@ _MOST_ARRAYS = 1000
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 # Format of the files of `save_arrays`, and the array that holds their metadata as JSON.
 FORMAT, META_KEY = 3, "meta_json"
-# Characters of the names in a message.
-_LONGEST = 500
 
 
 @contextlib.contextmanager
@@ -58,18 +57,22 @@ def opened(path: str | os.PathLike[str], largest: int = LARGEST_FILE) -> Iterato
     """Open a file for reading.
 
     Raises:
-        FileError: it is no regular file, as a device or a pipe, or has more than ``largest`` bytes.
-        OSError: the system cannot open it.
+        FileError: there is none, or the system cannot read it, or it is no regular file, as a device or a pipe, or has
+            more than ``largest`` bytes.
     """
-    found = Path(path).stat()
-    if stat.S_ISDIR(found.st_mode):
-        raise FileError(f"{path} is a directory, not a file")
-    if not stat.S_ISREG(found.st_mode):
-        raise FileError(f"{path} is not a regular file")
-    if found.st_size > largest:
-        raise FileError(f"{path} has {found.st_size} bytes; at most {largest} are read")
-    with Path(path).open("rb") as stream:
-        yield stream
+    with raising_file_error(f"cannot read {path}"):
+        try:
+            found = Path(path).stat()
+        except FileNotFoundError:
+            raise FileError(f"no such file: {path}") from None
+        if stat.S_ISDIR(found.st_mode):
+            raise FileError(f"{path} is a directory, not a file")
+        if not stat.S_ISREG(found.st_mode):
+            raise FileError(f"{path} is not a regular file")
+        if found.st_size > largest:
+            raise FileError(f"{path} has {found.st_size} bytes; at most {largest} are read")
+        with Path(path).open("rb") as stream:
+            yield stream
 
 
 def parse_yaml(content: bytes) -> Any:
@@ -126,7 +129,7 @@ def load_description(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
 
 
 def _load_object(path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any]) -> dict[str, Any]:
-    with raising_file_error(f"cannot read {path}"), opened(as_path("path", path), LARGEST_TEXT) as stream:
+    with opened(as_path("path", path), LARGEST_TEXT) as stream:
         content = stream.read()
     return parse_object(content, path, what, parse)
 
@@ -209,26 +212,22 @@ def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, ND
     Raises:
         FileError: the file is missing, invalid, damaged, or of another kind or format.
     """
-    source, what = as_path("path", path), f"{kinds[0]} file"
-    try:
-        with opened(source) as stream:
+    source = as_path("path", path)
+    with opened(source) as stream:
+        try:
             archive = Archive(stream)
             # NumPy stores four bytes a character.
             meta = json.loads(str(archive.read(META_KEY, 4 * LARGEST_TEXT)))
             _check_meta(meta, source, kinds)
             return {name: archive.read(name) for name in archive.names if name != META_KEY}, meta
-    except FileNotFoundError:
-        raise FileError(f"no such file: {source}") from None
-    except PermissionError:
-        raise FileError(f"cannot read {source}: permission denied") from None
-    except FileError:
-        raise
-    # All that reading a damaged archive raises.
-    except (
-        *(OSError, EOFError, LookupError, ValueError, TypeError, AttributeError, RuntimeError),
-        *(zipfile.BadZipFile, zlib.error),
-    ) as error:
-        raise FileError(f"{source} is not a readable {what} ({type(error).__name__}: {error})") from None
+        except FileError:
+            raise
+        # All that reading a damaged archive raises.
+        except (
+            *(OSError, EOFError, LookupError, ValueError, TypeError, AttributeError, RuntimeError),
+            *(zipfile.BadZipFile, zlib.error),
+        ) as error:
+            raise FileError(f"{source} is not a readable {kinds[0]} file ({type(error).__name__}: {error})") from None
 
 
 def _check_meta(meta: Any, source: Path, kinds: tuple[str, ...]) -> None:
@@ -246,7 +245,6 @@ def take(arrays: Mapping[str, NDArray[Any]], source: str | os.PathLike[str], *na
     """Return the named arrays of a loaded file, or raise `FileError` naming the first that is missing."""
     for name in names:
         if name not in arrays:
-            held = ", ".join(sorted(arrays)) or "nothing"
-            shown = held if len(held) < _LONGEST else f"{len(arrays)} others"
-            raise FileError(f"{source} has no array {name!r}; it holds: {shown}")
+            held = textwrap.shorten(", ".join(sorted(arrays)) or "nothing", 500)
+            raise FileError(f"{source} has no array {name!r}; it holds: {held}")
     return [arrays[name] for name in names]

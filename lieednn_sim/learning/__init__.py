@@ -1,15 +1,13 @@
 """Learning the weights of a LieEDNN so that its equilibrium is a given target.
 
-`train` is the paper's Algorithm 1, as printed, repaired, or with projections that keep the equilibrium.
-`train_riemannian` moves on the manifold of the weights, and can learn a certificate with them. Learning from recorded
-motions is in `lieednn_sim.learning.demonstrations`.
+`train` is the paper's Algorithm 1, as printed, repaired, or with projections that keep the equilibrium; or it moves on
+the manifold of the weights, and can learn a certificate with them. Learning from recorded motions is in
+`lieednn_sim.learning.demonstrations`.
 """
 
-from lieednn_sim.learning.history import History
+from lieednn_sim.learning.algorithms import train
 from lieednn_sim.learning.options import RiemannianOptions, TrainingOptions
-from lieednn_sim.learning.projected import train
-from lieednn_sim.learning.result import StopReason, TrainingResult
-from lieednn_sim.learning.riemannian import train_riemannian
+from lieednn_sim.learning.result import History, StopReason, TrainingResult
 from lieednn_sim.learning.sensitivity import Sensitivity, sensitivity
 from lieednn_sim.registry import ALGORITHMS
 from lieednn_sim.typecheck import typecheck_public
@@ -24,7 +22,6 @@ __all__ = [
     "TrainingResult",
     "sensitivity",
     "train",
-    "train_riemannian",
 ]
 
 typecheck_public(globals())

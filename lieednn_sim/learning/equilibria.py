@@ -29,9 +29,8 @@ _HORIZON = 15.0
 _HORIZONS = 10
 # A tenth of the paper's tau, and far above the integrator's own error.
 _AT_REST = 1e-6
-_SETTLING_STEPS = 2000
 # Steps of all horizons together; a hundred are usual for each.
-_FLOW_STEPS = 20_000
+_FLOW_STEPS = 4_000
 # Most that Newton steps may move a point of rest; beyond that they have found another equilibrium.
 _NEARBY = 1e-2
 
@@ -138,20 +137,13 @@ class EquilibriumSolver:
         """The equilibrium to which the network itself runs from ``x``: slow, for where Newton steps fail.
 
         The equilibrium may lie far from ``x``, beyond a bifurcation; unlike one found by Newton's method, it is stable.
-        The search fails after `_SETTLING_STEPS` steps of the integrator, as for a network that does not come to rest.
         """
-        field = self._field(weight)
-        run = RK45(field, 0.0, x, _HORIZONS * _HORIZON, rtol=1e-7, atol=1e-9)
-        for _ in range(_SETTLING_STEPS):
-            run.step()
-            at_rest = bool(np.abs(field(run.t, run.y)).max() < _AT_REST)
-            if at_rest or run.status != "running":
-                break
-        if not at_rest:
-            return self.at(run.y, success=False)
-        polished = self.newton(weight, run.y, tolerance=tolerance)
-        near = polished.success and np.abs(polished.x - run.y).max() < _NEARBY
-        return polished if near else self.at(run.y)
+        rest = self.flow(weight, x)
+        if not rest.success:
+            return rest
+        polished = self.newton(weight, rest.x, tolerance=tolerance)
+        near = polished.success and np.abs(polished.x - rest.x).max() < _NEARBY
+        return polished if near else rest
 
     def flow(self, weight: Floats, x: Floats) -> FlatEquilibrium:
         """Runge-Kutta 4(5) in the time unit 1/gamma until the network rests, for at most 150 units.

@@ -16,6 +16,8 @@ from lieednn_sim.theory.groups import nonzero_quaternion
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.values import Floats, frozen
 
+Network = LieEDNN | GroupLieEDNN | HopfieldNetwork
+
 # Least |alpha| in W/alpha: a block without strength has no direction.
 _SMALLEST_ALPHA = 1e-9
 # Alternations of strength and element in the scaled projection onto a group without a closed form.
@@ -53,9 +55,7 @@ class WeightManifold(Protocol):
         ``near`` is a point from which a search may start.
         """
 
-    def network(
-        self, point: WeightPoint, bias: Floats, rates: dict[str, Any]
-    ) -> LieEDNN | GroupLieEDNN | HopfieldNetwork:
+    def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> Network:
         """The network with these weights."""
 
 

@@ -14,8 +14,7 @@ from lieednn_sim.live.settings import PLANNED, Settings
 from lieednn_sim.network import BlockNetwork
 from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.safety_filter import FilterOptions
-from lieednn_sim.policies import FilteredPolicy, MotionTracker, NetworkPolicy, Policy, make_policy
+from lieednn_sim.policies import FilteredPolicy, FilterOptions, MotionTracker, NetworkPolicy, Policy, make_policy
 from lieednn_sim.stability import Certificate
 from lieednn_sim.stability.decay import Decay
 from lieednn_sim.values import Floats, frozen
@@ -50,7 +49,6 @@ class Progress:
     own: a policy that slows down is slower on the same orbit.
 
     Attributes:
-        certificate: the network's certificate.
         rate: proved rate of convergence at full speed [1/s].
         decay: the proved bound on the distance of the visible neurons; None if none was found.
         xi: ``(N, 6)`` present state.
@@ -59,7 +57,6 @@ class Progress:
         time: network time since then.
     """
 
-    certificate: Certificate
     rate: float
     decay: Decay | None
     xi: Floats
@@ -78,7 +75,7 @@ class Progress:
         except NotCertifiedError:
             decay = None
         rate = certificate.rate * policy.speed
-        blank = cls(certificate, rate, decay, policy.xi, policy.xi, np.empty(0))
+        blank = cls(rate, decay, policy.xi, policy.xi, np.empty(0))
         return blank.towards(policy, target)
 
     def towards(self, policy: Policy, target: Floats) -> Progress:

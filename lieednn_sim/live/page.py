@@ -8,7 +8,6 @@ import threading
 import time
 import warnings
 import webbrowser
-from types import TracebackType
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -70,9 +69,7 @@ class Page:
     def __enter__(self) -> Page:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def open(self) -> bool:

@@ -19,14 +19,8 @@ from lieednn_sim.values import Floats
 _RED = (222, 45, 38)
 # Most points of the travelled path, and the distance between two of them [m].
 _TRAVELLED, _SPACING = 600, 2e-3
-# Length of a force's arrow [m/N], and its largest length [m].
-_METRES_PER_NEWTON, _LONGEST = 3e-3, 0.8
 # Width / height of a picture in which all that the arm reaches is seen at first.
 _RATIO = 1.0
-# How far the arm is above the middle of a narrow screen, as a fraction of its height.
-_UPWARDS = 0.3
-# Part of a narrow screen's width that the arm takes.
-_ROOM = 0.75
 
 
 class ArmScene:
@@ -96,9 +90,10 @@ class ArmScene:
         camera = client.camera
         if camera.aspect > _RATIO:
             return
-        view = self._view.back_off(self._reached, _ROOM * camera.aspect)
+        # The arm takes three quarters of the width, and stands three tenths of the height above the middle.
+        view = self._view.back_off(self._reached, 0.75 * camera.aspect)
         height = 2.0 * np.linalg.norm(view.position - view.look_at) * np.tan(0.5 * camera.fov)
-        lower = _UPWARDS * float(height) * view.axes[1]
+        lower = 0.3 * float(height) * view.axes[1]
         with client.atomic():
             camera.position, camera.look_at = view.position - lower, view.look_at - lower
 
@@ -149,7 +144,8 @@ class ArmScene:
                 self._arrow = None
             return
         length = float(np.linalg.norm(force))
-        end = place + force * min(_METRES_PER_NEWTON, _LONGEST / length) * self._scale
+        # 3 mm for a newton, and 0.8 m at most.
+        end = place + force * min(3e-3, 0.8 / length) * self._scale
         points = np.array([[place, end]], dtype=np.float32)
         if self._arrow is None:
             size = {"shaft_radius": 0.012, "head_radius": 0.03, "head_length": 0.06}

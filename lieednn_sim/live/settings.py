@@ -24,7 +24,8 @@ class Settings:
         policy: a name of `POLICIES`.
         planner: a name of `PLANNERS`, for the policies tracker and dmp (`PLANNED`), which follow a motion; by default
             the `default_planner` of the arm.
-        rho: rate of the clock of ``lieednn-shaped``, see `ShapedOptions`.
+        rho: rate of the clock of ``lieednn-shaped``, see `ShapedOptions`; with 1 it runs the arm's universal network,
+            of thousands of coordinates, whose bound takes minutes.
         filtered: whether the policy is behind the safety filter; None if it is among obstacles.
         controller: a name of `CONTROLLERS`.
         payload: mass at the end effector that policy and controller do not know [kg].
@@ -36,7 +37,7 @@ class Settings:
 
     policy: str = "lieednn-shaped"
     planner: str | None = None
-    rho: float = 1.0
+    rho: float = 0.95
     filtered: bool | None = None
     controller: str = "inverse-dynamics"
     payload: float = 0.0
@@ -70,7 +71,7 @@ class Settings:
     def of_policy(self) -> tuple[object, ...]:
         """The values whose change needs another policy."""
         planner = self.planner if self.policy in PLANNED else ""
-        return self.policy, planner, self.rho if self.policy == "lieednn-shaped" else 1.0, self.filtered
+        return self.policy, planner, self.rho if self.policy == "lieednn-shaped" else 0.0, self.filtered
 
     @property
     def of_plant(self) -> tuple[object, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from html import escape
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -12,72 +13,47 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.live.engine import Tick
 from lieednn_sim.live.making import certificate_of, network_policy
 from lieednn_sim.live.session import Aim, Session
-from lieednn_sim.stability import Certificate
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats
 
 _GOOD, _BAD, _IDLE = "#2f9e44", "#e03131", "#868e96"
-# Distance of a network below which rounding decides.
-_ROUNDING = 1e-9
 _TABLE = '<table style="width:100%;border-collapse:collapse;font-size:.82em;line-height:1.45">'
 _NAME = '<td style="opacity:.65;padding-right:.7em;vertical-align:top;white-space:nowrap">'
 _VALUE = '<td style="overflow-wrap:anywhere">'
-# Distance of the end effector at which the arm has arrived [m], and angle [rad].
-_ARRIVED = 1e-3, 5e-3
-# Distance within which geoms are looked at [m], and the least derivative of one that joints can change.
-_NEAR, _LEAST_SLOPE = 0.6, 1e-6
 
 
-@frozen
-class Snapshot:
+class Snapshot(NamedTuple):
     """One instant of a session.
 
     Attributes:
+        session: the session.
         tick: state of the loop.
         aimed: the target that was asked for last.
-        certificate: of the policy's network; None without one.
         frames: link frames, poses of shape ``(N,)``.
         planned: link frames of the reference.
         distance: of the end effector from the target [m].
         angle: the same as an angle [rad].
         tracking: distance of the end effector from its reference [m].
-        gap_translation: largest mechanism gap of a link [m]; NaN without a network.
-        gap_rotation: the same as an angle [rad].
+        gap: ``(2,)`` largest mechanism gap of a link as an angle [rad] and as a distance [m]; None without a network.
         clearance: least distance of two geoms whose distance the joints can change [m]; infinite beyond 0.6 m.
         nearest: their names; empty beyond.
-        achieved: speed at which the loop simulates, relative to real time.
-        speed: speed at which it should.
-        paused: whether it waits.
-        busy: whether a policy or a plant is being made.
-        failure: the last error; empty if there is none.
     """
 
+    session: Session
     tick: Tick
     aimed: Aim
-    certificate: Certificate | None
     frames: RigidTransform
     planned: RigidTransform
     distance: float
     angle: float
     tracking: float
-    gap_translation: float
-    gap_rotation: float
+    gap: Floats | None
     clearance: float
     nearest: tuple[str, str]
-    achieved: float
-    speed: float
-    paused: bool
-    busy: bool
-    failure: str
 
     @property
     def arrived(self) -> bool:
         """Whether the end effector is within a millimetre and 5 mrad of the target."""
-        return self.distance < _ARRIVED[0] and self.angle < _ARRIVED[1]
-
-    @property
-    def keeps_up(self) -> bool:
-        """Whether the machine simulates as fast as it should."""
-        return self.paused or self.achieved > 0.95 * self.speed
+        return self.distance < 1e-3 and self.angle < 5e-3
 
 
 class Observer:
@@ -95,39 +71,32 @@ class Observer:
         poses = arm.link_poses(np.stack([tick.q, tick.q_ref, tick.target]))
         frames, planned, goals = poses[0], poses[1], poses[2]
         places: Floats = np.asarray(poses.translation)[:, -1]
-        near = self._collisions.distances(tick.q, _NEAR)
-        changing = np.flatnonzero(np.abs(near.jacobian).max(axis=1, initial=0.0) > _LEAST_SLOPE)
+        near = self._collisions.distances(tick.q, 0.6)
+        changing = np.flatnonzero(np.abs(near.jacobian).max(axis=1, initial=0.0) > 1e-6)
         first = int(changing[0]) if len(changing) else None
         inner = network_policy(session.policy)
-        gap = np.full(2, np.nan) if inner is None else inner.gap.max(axis=0)
         return Snapshot(
+            session,
             tick,
             session.aimed,
-            certificate_of(session.policy),
             frames,
             planned,
             float(np.linalg.norm(places[0] - places[2])),
             float((frames[-1].rotation.inv() * goals[-1].rotation).magnitude()),
             float(np.linalg.norm(places[0] - places[1])),
-            float(gap[1]),
-            float(gap[0]),
+            None if inner is None else inner.gap.max(axis=0),
             np.inf if first is None else float(near.distance[first]),
             ("", "") if first is None else self._collisions.names(near.pairs[first]),
-            session.achieved,
-            session.speed,
-            session.paused,
-            session.busy,
-            session.failure,
         )
 
 
 def status(snapshot: Snapshot) -> str:
     """What the policy does, what is proved about it, and how far it is: HTML that is readable on dark and on white."""
-    tick, progress = snapshot.tick, snapshot.tick.progress
-    problem = snapshot.aimed.problem or snapshot.failure
+    session, tick, progress = snapshot.session, snapshot.tick, snapshot.tick.progress
+    problem = snapshot.aimed.problem or session.failure
     if problem:
         said, colour = problem, _BAD
-    elif snapshot.busy:
+    elif session.busy:
         said, colour = "plans", _IDLE
     else:
         said, colour = "has arrived" if snapshot.arrived else tick.message, "inherit"
@@ -138,18 +107,17 @@ def status(snapshot: Snapshot) -> str:
     ]
     if progress is not None:
         bound = f" &le; {progress.bound:.3g} proved" if np.isfinite(progress.bound) else ", no bound proved"
-        rounded = progress.distance < _ROUNDING
-        rows += [("of the network", "below 1e-9" if rounded else f"{progress.distance:.3g}{bound}")]
-    if not np.isnan(snapshot.gap_translation):
-        gap = f"{_millimetres(snapshot.gap_translation)}, {_degrees(snapshot.gap_rotation)}"
-        rows += [("mechanism gap", gap)]
+        # Below it rounding decides.
+        rows += [("of the network", "below 1e-9" if progress.distance < 1e-9 else f"{progress.distance:.3g}{bound}")]
+    if snapshot.gap is not None:
+        rows += [("mechanism gap", f"{_millimetres(snapshot.gap[1])}, {_degrees(snapshot.gap[0])}")]
     nearest = " and ".join(escape(name) for name in snapshot.nearest)
     clearance = f"{_millimetres(snapshot.clearance)}<br>{nearest}" if any(snapshot.nearest) else "more than 600 mm"
-    pace = f"{tick.time:.1f} s, {snapshot.achieved:.2f} times real time"
-    if snapshot.paused:
+    pace = f"{tick.time:.1f} s, {session.achieved:.2f} times real time"
+    if session.paused:
         pace = f"{tick.time:.1f} s, paused"
-    elif not snapshot.keeps_up:
-        pace = f'<b style="color:{_BAD}">{pace}: this machine is too slow for {snapshot.speed:g} times</b>'
+    elif session.achieved <= 0.95 * session.speed:
+        pace = f'<b style="color:{_BAD}">{pace}: this machine is too slow for {session.speed:g} times</b>'
     rows += [("clearance", clearance), ("tracking error", _millimetres(snapshot.tracking)), ("time", pace)]
     table = "".join(f"<tr>{_NAME}{name}</td>{_VALUE}{value}</td></tr>" for name, value in rows)
     line = f'<div style="color:{colour};min-height:2.7em;font-size:.88em;padding-bottom:.3em">{escape(said)}</div>'
@@ -157,7 +125,7 @@ def status(snapshot: Snapshot) -> str:
 
 
 def _proof(snapshot: Snapshot) -> str:
-    progress, found = snapshot.tick.progress, snapshot.certificate
+    progress, found = snapshot.tick.progress, certificate_of(snapshot.session.policy)
     if found is None:
         return f'<span style="color:{_IDLE}">none</span>'
     word, colour = ("certified", _GOOD) if found.valid else ("not certified", _BAD)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 import os
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import Field, fields, replace
 from functools import cache, cached_property
 from typing import Any, ClassVar, Self
@@ -14,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim import io, stability
-from lieednn_sim.errors import FileError, InputError, NotCertifiedError
-from lieednn_sim.network.dynamics import Equilibrium, Trajectory, find_equilibrium, integrate
-from lieednn_sim.validation import as_floats, as_path, as_positive
+from lieednn_sim.errors import FileError, InputError, LieEDNNError, NotCertifiedError
+from lieednn_sim.network.dynamics import INTEGRATORS, Equilibrium, Trajectory, find_equilibrium, integrate
+from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive
 from lieednn_sim.values import Floats, read_only
 
 
@@ -30,13 +31,23 @@ class BlockNetwork(ABC):
         bias: ``(N, d)``.
         gamma: decay rate, positive.
         mu: scale of the interaction, positive.
+        hidden_start: state of the hidden neurons at time 0, ``(M, d)``; with a gain, that for visible ones at the
+            reference.
         n_clock: number of hidden neurons, the last ones, that are the clock, which drives the other hidden ones.
+        start_gain: gain K ``(dM, d (N - M))`` from visible to hidden starts, see `start`; None for zero.
+        start_reference: visible start ``(N - M, d)`` at which the hidden one is `hidden_start`; None without a gain.
+        goal_gain: gain L ``(dM, d (N - M))`` from the visible equilibrium to hidden starts, see `retarget`; None for
+            zero.
     """
 
     bias: Floats
     gamma: float
     mu: float
+    hidden_start: Floats = np.empty((0, 0))
     n_clock: int = 0
+    start_gain: Floats | None = None
+    start_reference: Floats | None = None
+    goal_gain: Floats | None = None
 
     # The kind of file that `save` writes.
     _kind: ClassVar[str]
@@ -52,26 +63,6 @@ class BlockNetwork(ABC):
         neurons = f"{n} neurons{parts if self.n_hidden else ''} of {d} coordinates{start}"
         proof = "certified" if self.certified else "not certified"
         return f"<{type(self).__name__}: {neurons}, gamma {self.gamma:g}, mu {self.mu:g}, {proof}>"
-
-    @cached_property
-    def hidden_start(self) -> Floats:
-        """State of the hidden neurons at time 0, ``(M, d)``; with a gain, that for visible ones at the reference."""
-        return read_only(np.empty((0, self.bias.shape[1])))
-
-    @cached_property
-    def start_gain(self) -> Floats | None:
-        """Gain K ``(dM, d (N - M))`` from visible to hidden starts, see `start`; None for zero."""
-        return None
-
-    @cached_property
-    def start_reference(self) -> Floats | None:
-        """Visible start ``(N - M, d)`` at which the hidden one is `hidden_start`; None without a gain."""
-        return None
-
-    @cached_property
-    def goal_gain(self) -> Floats | None:
-        """Gain L ``(dM, d (N - M))`` from the visible equilibrium to hidden starts, see `retarget`; None for zero."""
-        return None
 
     @property
     def n_neurons(self) -> int:
@@ -267,19 +258,41 @@ class BlockNetwork(ABC):
             method: a name of `dynamics.INTEGRATORS`.
             rtol: relative tolerance of the integrator.
             atol: absolute tolerance of the integrator.
+
+        Raises:
+            InputError: a value is malformed, or there is no such method.
+            LieEDNNError: the integrator failed or needed too many evaluations, as for a stiff network.
+            OutOfTimeError: the time budget is spent.
         """
-        shape = self.bias.shape
-        return integrate(
-            self.flat_vector_field,
-            as_floats("start", start, shape),
-            duration,
-            until=None if until is None else as_floats("until", until, shape),
-            seen=self._seen,
-            distance=distance,
-            method=method,
-            rtol=rtol,
-            atol=atol,
-        )
+        as_choice("method", method, INTEGRATORS)
+        for name, value in (("rtol", rtol), ("atol", atol), ("distance", distance)):
+            as_positive(name, value)
+        shape, longest = self.bias.shape, as_positive("duration", duration)
+        first = as_floats("start", start, shape).ravel()
+        # Distance of a flat state from the end, less the one asked for.
+        away: Callable[[Floats], float] | None = None
+        if until is not None:
+            goal = self._seen(as_floats("until", until, shape).ravel())
+
+            def away(x: Floats) -> float:
+                return float(np.abs(self._seen(x) - goal).max()) - distance
+
+            if away(first) <= 0.0:
+                # The end is a crossing; if the start is inside, there is none, and nothing to integrate.
+                away, longest = None, 1e-9 * longest
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            # An overflow ends the integration, or is noticed below.
+            warnings.simplefilter("ignore")
+            try:
+                solver = INTEGRATORS[method](
+                    lambda _, x: self.flat_vector_field(x), 0.0, first, longest, rtol=rtol, atol=atol
+                )
+                t, x, dense = integrate(solver, away)
+            except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+                raise LieEDNNError(f"integration of the network failed: {error}") from None
+        if not (np.isfinite(x).all() and np.isfinite(t).all()):
+            raise LieEDNNError("integration of the network failed: the state left the range of double precision")
+        return Trajectory(t=t, xi=x.reshape(-1, *shape), _dense=dense)
 
     def smallest_one_norm(self, xi: ArrayLike) -> float:
         """The smallest 1-norm of any W with which ``xi`` ``(N, d)`` is an equilibrium; above gamma/mu nearly always."""

@@ -12,8 +12,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.network.componentwise import ComponentwiseNetwork
 from lieednn_sim.values import Floats
 
-# Steps tried at most; a usual trajectory takes some twenty. What needs more is left to `dynamics.integrate`, which also
-# says why where it fails.
+# Steps tried at most; a usual trajectory takes some twenty. What needs more is left to `BlockNetwork.trajectory`, which
+# also says why where it fails.
 _MOST_STEPS = 500
 # SciPy's control of the step: its next length is the last one times a factor from least to most, a little below the
 # one at which the error would be just as large as allowed. The error of a step is of fifth order in it.
@@ -39,7 +39,7 @@ def integrate_batch(
 
     Raises:
         InputError: the networks differ in size or activation.
-        LieEDNNError: as `dynamics.integrate`.
+        LieEDNNError: as `BlockNetwork.trajectory`.
         OutOfTimeError: the time budget is spent.
     """
     kinds = {(network.bias.shape, network.activation) for network in networks}

@@ -35,7 +35,6 @@ class Activation:
         phi: the function, entry by entry, of arrays of any shape.
         slope: its derivative phi', likewise.
         slope_of_output: phi' as a function of phi, where that is cheaper; learning and shaping use it.
-        bend_of_output: phi''/phi' as a function of phi; by differences of the slope if it is not given.
         bound: least upper bound of |phi|.
 
     Raises:
@@ -46,7 +45,6 @@ class Activation:
     phi: Callable[[Floats], Floats]
     slope: Callable[[Floats], Floats]
     slope_of_output: Callable[[Floats], Floats] | None = None
-    bend_of_output: Callable[[Floats], Floats] | None = None
     bound: float = 1.0
 
     def __post_init__(self) -> None:
@@ -56,9 +54,6 @@ class Activation:
         fits = [np.abs(value + _values("phi", self.phi, -x)), np.abs(slope - measured)]
         if self.slope_of_output is not None:
             fits.append(np.abs(slope - _values("slope_of_output", self.slope_of_output, value)))
-        if self.bend_of_output is not None:
-            bend = slope * _values("bend_of_output", self.bend_of_output, value)
-            fits.append(np.abs(bend - slope * self._measured_bend(x)))
         if not all((fit < _TOLERANCE).all() for fit in fits):
             raise InputError("an activation must be odd, and its slopes must be those of its values")
         if not ((slope > 0.0) & (slope <= 1.0)).all():
@@ -71,14 +66,9 @@ class Activation:
         """The slope at ``x``, where the function has the value ``output``; unchecked."""
         return self.slope(x) if self.slope_of_output is None else self.slope_of_output(output)
 
-    def bend_at(self, x: Floats, output: Floats) -> Floats:
-        """phi''/phi' at ``x``, where the function has the value ``output``; unchecked."""
-        return self._measured_bend(x) if self.bend_of_output is None else self.bend_of_output(output)
-
-    def _measured_bend(self, x: Floats) -> Floats:
-        slope, change = self.slope(x), self.slope(x + _DIFFERENCE) - self.slope(x - _DIFFERENCE)
-        # Far out the slope may vanish in floating point.
-        return np.divide(change, 2.0 * _DIFFERENCE * slope, out=np.zeros_like(slope), where=slope > 0.0)
+    def bend(self, x: Floats) -> Floats:
+        """Second derivative at ``x``, by differences of the slope; unchecked."""
+        return (self.slope(x + _DIFFERENCE) - self.slope(x - _DIFFERENCE)) / (2.0 * _DIFFERENCE)
 
 
 def _values(name: str, function: Callable[[Floats], Floats], x: Floats) -> Floats:
@@ -100,7 +90,6 @@ ACTIVATIONS: dict[str, Activation] = {
         np.tanh,
         lambda x: 1.0 / np.cosh(np.clip(x, -350.0, 350.0)) ** 2,
         lambda y: 1.0 - y * y,
-        lambda y: -2.0 * y,
     ),
     "arctan": Activation(
         lambda x: 2.0 / np.pi * np.arctan(0.5 * np.pi * x),

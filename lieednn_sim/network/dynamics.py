@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import field
 
@@ -14,7 +13,7 @@ from scipy.optimize import brentq
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.validation import as_choice, as_floats, as_positive
+from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
 # Flat vector fields ``(dN,)`` to ``(dN,)`` and their Jacobians, ``(dN,)`` to ``(dN, dN)``.
@@ -25,13 +24,7 @@ _MAX_EVALUATIONS = 200_000
 
 _OVERFLOW = "the equilibrium cannot be found in double precision: weights, bias or start are too large"
 
-INTEGRATORS: dict[str, type[OdeSolver]] = {
-    "RK45": RK45,
-    "DOP853": DOP853,
-    "Radau": Radau,
-    "BDF": BDF,
-    "LSODA": LSODA,
-}
+INTEGRATORS: dict[str, type[OdeSolver]] = {solver.__name__: solver for solver in (RK45, DOP853, Radau, BDF, LSODA)}
 
 
 @frozen
@@ -99,39 +92,27 @@ def find_equilibrium(
     Raises:
         LieEDNNError: the numbers are so large that the search overflows.
     """
+    x, steps, how = start.ravel().copy(), 0, "Newton converged"
+    # Squares may overflow meanwhile; a result that is not finite is rejected below.
     with np.errstate(all="ignore"):
-        # Squares may overflow meanwhile; a result that is not finite is rejected below.
         try:
-            found = _search(vector_field, jacobian, start, rate, tolerance)
+            for attempt in range(3):
+                x, n, converged = _newton(vector_field, jacobian, x, rate * tolerance)
+                steps += n
+                if converged:
+                    break
+                if attempt < 2:
+                    how = "Newton converged after following the flow"
+                    x = _follow(vector_field, x, 50.0 * 4**attempt / rate)
+            else:
+                how = "no equilibrium found: Newton stalled, also after following the flow; the network may be unstable"
+            residual = float(np.abs(vector_field(x)).max())
+            abscissa = float(np.linalg.eigvals(jacobian(x)).real.max())
         except (np.linalg.LinAlgError, ValueError) as error:
             raise LieEDNNError(f"{_OVERFLOW} ({error})") from None
-    if not (np.isfinite(found.xi).all() and np.isfinite([found.residual, found.spectral_abscissa]).all()):
+    if not (np.isfinite(x).all() and np.isfinite([residual, abscissa]).all()):
         raise LieEDNNError(_OVERFLOW)
-    return found
-
-
-def _search(
-    vector_field: VectorField, jacobian: VectorField, start: Floats, rate: float, tolerance: float
-) -> Equilibrium:
-    x, steps, how = start.ravel().copy(), 0, "Newton converged"
-    for attempt in range(3):
-        x, n, converged = _newton(vector_field, jacobian, x, rate * tolerance)
-        steps += n
-        if converged:
-            break
-        if attempt < 2:
-            how = "Newton converged after following the flow"
-            x = _follow(vector_field, x, 50.0 * 4**attempt / rate)
-    else:
-        how = "no equilibrium found: Newton stalled, also after following the flow; the network may not be stable"
-    return Equilibrium(
-        success=converged,
-        message=how,
-        xi=x.reshape(start.shape),
-        residual=float(np.abs(vector_field(x)).max()),
-        spectral_abscissa=float(np.linalg.eigvals(jacobian(x)).real.max()),
-        n_newton=steps,
-    )
+    return Equilibrium(converged, how, x.reshape(start.shape), residual, abscissa, steps)
 
 
 def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
@@ -185,72 +166,28 @@ def runge_kutta_step(field: Callable[[Floats, float], Floats], x: Floats, h: flo
     return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
 
 
-def integrate(
-    vector_field: VectorField,
-    start: Floats,
-    duration: float,
-    *,
-    until: Floats | None,
-    seen: VectorField,
-    distance: float,
-    method: str,
-    rtol: float,
-    atol: float,
-) -> Trajectory:
-    """Integrate from ``start`` ``(N, d)`` for ``duration``, or until within ``distance`` of ``until`` ``(N, d)``.
+def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Floats, Floats, OdeSolution | PPoly]:
+    """Run a solver to its end, or to where ``away`` falls to zero; quicker than SciPy's `solve_ivp`.
 
-    The distance is the largest entry of |seen(x) - seen(until)|, where ``seen`` maps flat states to flat arrays.
+    Returns:
+        Times ``(K,)``, states ``(K, n)``, and the function of the time that interpolates these.
 
     Raises:
-        InputError: duration not positive, or unknown method.
-        LieEDNNError: the integrator failed or needed too many evaluations, as for a stiff network.
+        ArithmeticError: the solver fails.
+        LieEDNNError: it needs too many evaluations, as for a stiff network.
         OutOfTimeError: the time budget is spent.
     """
-    as_choice("method", method, INTEGRATORS)
-    for name, value in (("rtol", rtol), ("atol", atol), ("distance", distance)):
-        as_positive(name, value)
-    longest = as_positive("duration", duration)
-    # Distance of a flat state from the end, less the one asked for.
-    away: Callable[[Floats], float] | None = None
-    if until is not None:
-        goal = seen(until.ravel())
-
-        def away(x: Floats) -> float:
-            return float(np.abs(seen(x) - goal).max()) - distance
-
-        if away(start.ravel()) <= 0.0:
-            # The end is a crossing; if the start is inside, there is none, and nothing to integrate.
-            away, longest = None, 1e-9 * longest
-
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        # An overflow ends the integration, or is noticed below.
-        warnings.simplefilter("ignore")
-        try:
-            solver = INTEGRATORS[method](
-                lambda _, x: vector_field(x), 0.0, start.ravel(), longest, rtol=rtol, atol=atol
-            )
-            t, x, pieces = _run(solver, away)
-        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-            raise LieEDNNError(f"integration of the network failed: {error}") from None
-    if solver.nfev > _MAX_EVALUATIONS:
-        raise LieEDNNError(
-            f"the network is too stiff for {method}: more than {_MAX_EVALUATIONS} evaluations in a duration of "
-            f"{longest:g}; use method='Radau', a shorter duration or smaller weights"
-        )
-    if not (np.isfinite(x).all() and np.isfinite(t).all()):
-        raise LieEDNNError("integration of the network failed: the state left the range of double precision")
-    dense = _polynomials(t, pieces) if method == "RK45" else OdeSolution(t, pieces)
-    return Trajectory(t=t, xi=x.reshape(-1, *start.shape), _dense=dense)
-
-
-def _run(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Floats, Floats, list[DenseOutput]]:
-    """Times ``(K,)``, flat states ``(K, dN)`` and interpolants of all steps, to the end or where ``away`` is zero."""
     t, x, pieces = [solver.t], [solver.y], list[DenseOutput]()
-    while solver.status == "running" and solver.nfev <= _MAX_EVALUATIONS:
+    while solver.status == "running":
         check_time()
         message = solver.step()
         if solver.status == "failed":
             raise ArithmeticError(message)
+        if solver.nfev > _MAX_EVALUATIONS:
+            raise LieEDNNError(
+                f"the network is too stiff for {type(solver).__name__}: more than {_MAX_EVALUATIONS} evaluations in a "
+                f"duration of {solver.t_bound:g}; use method='Radau', a shorter duration or smaller weights"
+            )
         piece = solver.dense_output()
         pieces.append(piece)
         if away is not None and away(solver.y) <= 0.0:
@@ -262,7 +199,9 @@ def _run(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Flo
             break
         t.append(solver.t)
         x.append(solver.y)
-    return np.array(t), np.array(x), pieces
+    times = np.array(t)
+    dense = _polynomials(times, pieces) if isinstance(solver, RK45) else OdeSolution(times, pieces)
+    return times, np.array(x), dense
 
 
 def _polynomials(t: Floats, pieces: list[DenseOutput]) -> PPoly:

@@ -27,21 +27,9 @@ from lieednn_sim.values import Floats, frozen
 
 # The stronger the bias, the less the weights have to do and the straighter the transient; tried in turn.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
-# Used instead by default if every link moves along one screw: the straightest paths first.
-_STRAIGHT_MAGNITUDES = (1.0, 4.0, 0.5, 0.25, 0.125)
 
 # Candidates made at once: more gain little, and would delay progress reports and interrupts.
 _BATCH_SIZE = 24
-
-# Fractions of the long steps between roughly integrated states at which contact is checked, too.
-_FRACTIONS_BETWEEN = (0.25, 0.5, 0.75)
-
-# Gaps up to this are rounding errors [m], the only gaps of links with six degrees of freedom.
-_NO_GAP = 1e-9
-
-# No motion is possible below this fraction of the least duration under the limits; below 1, since sampled motions may
-# seem slightly faster than they are.
-_LEAST_TIME_SCALE = 0.99
 
 
 @dataclass(frozen=True)
@@ -134,12 +122,13 @@ class _Candidate:
     @property
     def rank(self) -> tuple[float, float, float]:
         """The smaller the better: excess over the limits, then the gap, then the length of the path."""
-        return max(self.excess, LIMIT_TOLERANCE), max(self.gap, _NO_GAP), self.length
+        # Links with six degrees of freedom have gaps by rounding alone.
+        return max(self.excess, LIMIT_TOLERANCE), max(self.gap, 1e-9), self.length
 
     @functools.cached_property
     def touches(self) -> bool:
         """Whether the configurations, or some on straight lines between them, come too near to contact."""
-        between = [start + s * (end - start) for start, end in pairwise(self.q) for s in _FRACTIONS_BETWEEN]
+        between = [start + s * (end - start) for start, end in pairwise(self.q) for s in (0.25, 0.5, 0.75)]
         for touching in self.arm.near_contacts_along(np.array([*self.q, *between])):
             check_time()
             if touching:
@@ -171,7 +160,8 @@ def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     xi = problem.arm.encode(problem.target)
     one_screw = all(joint.screw is not None for joint in problem.arm.joints.joints)
     if one_screw and options.bias_magnitudes == BIAS_MAGNITUDES:
-        options = replace(options, bias_magnitudes=_STRAIGHT_MAGNITUDES)
+        # The straightest paths first.
+        options = replace(options, bias_magnitudes=(1.0, 4.0, 0.5, 0.25, 0.125))
     magnitudes = list(options.magnitudes())
     # The numbers of networks with which a plan is tried.
     few = min(options.n_first, total) if one_screw else total
@@ -221,8 +211,8 @@ def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[Li
 def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Candidate]) -> tuple[LieEDNN, Motion]:
     """The first of the `_promising` networks with a feasible motion; raises as `certified`."""
     arm = problem.arm
-    # If no motion can be fast enough, one refusal suffices.
-    hurried = problem.duration <= _LEAST_TIME_SCALE * least_duration(arm, problem.start, problem.target)
+    # If no motion can be fast enough, one refusal suffices; sampled ones may seem slightly faster than they are.
+    hurried = problem.duration <= 0.99 * least_duration(arm, problem.start, problem.target)
     refusals: list[PlanError] = []
     for candidate in _promising(found):
         if refusals and (candidate.touches or candidate.excess > options.hopeless_excess):
@@ -258,18 +248,9 @@ def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
     yield from touching
 
 
-def rough_trajectories(networks: list[LieEDNN], start: Floats) -> list[Floats]:
-    """States ``(K, N, 6)`` of each network from ``start`` ``(N, 6)``, integrated with low accuracy for a first check.
-
-    The networks have no hidden neurons and the same decay rate.
-    """
-    return integrate_batch(networks, start, 20.0 / networks[0].gamma, rtol=1e-4, atol=1e-6)
-
-
 def _screened(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate]:
-    """The networks with their roughly integrated paths."""
-    state = arm.encode(start)
-    runs = rough_trajectories(networks, state)
+    """The networks, without hidden neurons and with one decay rate, with their roughly integrated paths."""
+    runs = integrate_batch(networks, arm.encode(start), 20.0 / networks[0].gamma, rtol=1e-4, atol=1e-6)
     # Side by side, the shorter ones padded with their ends: a retraction without closed form costs nearly as much for
     # one state as for a hundred.
     length = max(map(len, runs))

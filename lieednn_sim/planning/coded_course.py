@@ -25,15 +25,6 @@ from lieednn_sim.planning.transition import Transition
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.values import Floats
 
-# p: part of the clock that runs evenly.
-_EVEN = 0.5
-# Pieces of the motion on which the clock is computed.
-_PIECES = 128
-# The clock's rate stays as it is once y would fall below this, where a ten-thousandth of the way is left.
-_LEAST = 0.05
-# Step of the differences at the start, over the duration.
-_STEP = 1e-3
-
 
 class Clock:
     """The network's time z as a function of the time of a motion [s].
@@ -46,13 +37,14 @@ class Clock:
     def __init__(self, t: Floats, speed: Floats) -> None:
         s, duration = t / t[-1], float(t[-1])
         length = float(np.trapezoid(speed, t))
-        part = _EVEN if length > 0.0 else 1.0
+        part = 0.5 if length > 0.0 else 1.0
         rate = 3.0 * part * (1.0 - s) ** 2 / duration + (1.0 - part) * speed / max(length, 1e-300)
         steps = 0.5 * (rate[1:] + rate[:-1]) * (t[1] - t[0])
         # Summed from the end, where what is left is small.
         left = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
         y = np.cbrt(left / left[0])
-        kept = slice(int(np.flatnonzero(y >= _LEAST)[-1]) + 1)
+        # The rate stays as it is where a ten-thousandth of the way is left.
+        kept = slice(int(np.flatnonzero(y >= 0.05)[-1]) + 1)
         self._y = CubicHermiteSpline(t[kept], y[kept], -rate[kept] / left[0] / (3.0 * y[kept] ** 2))
         self._rate = self._y.derivative()
         self._last = float(t[kept][-1])
@@ -95,10 +87,11 @@ class CodedCourse:
 
     def __init__(self, arm: Arm, encoder: CurveEncoder, transition: Transition, visible: Floats) -> None:
         self.transition, duration = transition, transition.duration
-        t = np.linspace(0.0, duration, _PIECES + 1)
+        t = np.linspace(0.0, duration, 129)
         _, qd, _ = transition(t)
         self.clock = Clock(t, np.linalg.norm(qd / joint_scale(arm), axis=1))
-        h = _STEP * duration
+        # For differences at the start.
+        h = 1e-3 * duration
         times = np.concatenate([h * np.arange(4), self.clock.times(encoder.levels), [duration]])
         q, _, _ = transition(times)
         states = continued(np.concatenate([visible[None], arm.encode(q)]))[1:]

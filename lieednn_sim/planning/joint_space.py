@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.arm.contacts import ContactFinder, moving_geoms
+from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.lie import continued
 from lieednn_sim.planning.motion import Motion, check_joints
 from lieednn_sim.planning.problem import PlanningProblem
@@ -31,18 +30,15 @@ class ClearanceTest:
     Args:
         arm: the arm, in its scene.
         margin: smallest allowed distance [m].
-        own: smallest allowed distance between parts of the arm [m]; by default ``margin``.
 
     Attributes:
         tests: number of configurations tested so far, a measure of work that does not depend on the machine.
     """
 
-    def __init__(self, arm: Arm, margin: float, own: float | None = None) -> None:
-        self._arm = arm
-        self._margin, self._own = margin, margin if own is None else own
+    def __init__(self, arm: Arm, margin: float) -> None:
+        self._arm, self._margin = arm, margin
         # Visual geoms, which touch nothing, would take most of the time.
-        model = arm.without_visuals.model
-        self._finder, self._moving = ContactFinder(model, max(self._margin, self._own)), moving_geoms(model)
+        self._finder = ContactFinder(arm.without_visuals.model, margin)
         self.tests = 0
 
     def __call__(self, q: Floats) -> bool:
@@ -54,13 +50,9 @@ class ClearanceTest:
         # Converted at once and unchecked: checking each configuration would cost as much as its collision pass.
         for index, position in enumerate(self._arm.space.to_qpos(q)):
             self.tests += 1
-            if self._blocked(position):
+            if self._finder.any(position):
                 return index
         return None
-
-    def _blocked(self, qpos: Floats) -> bool:
-        """Whether something is closer than its margin; with a single margin, any contact means so."""
-        return self._finder.any(qpos) if self._own == self._margin else len(self._lacking(qpos)[0]) > 0
 
     def lack(self, q: Floats) -> Floats:
         """Missing clearance ``(K,)`` [m] at ``q`` ``(K, n)``: the sum over pairs of geoms of margin minus distance.
@@ -71,17 +63,11 @@ class ClearanceTest:
         total = np.zeros(len(q))
         for index, position in enumerate(self._arm.qpos(q)):
             self.tests += 1
-            lack, geoms = self._lacking(position)
+            distance, geoms = self._finder.geoms(position)
             # Of several contact points of two geoms the deepest counts.
-            deepest = dict(sorted(zip(map(tuple, geoms.tolist()), lack.tolist(), strict=True)))
-            total[index] = sum(deepest.values())
+            lack = sorted(zip(map(tuple, geoms.tolist()), (self._margin - distance).tolist(), strict=True))
+            total[index] = sum(max(deepest, 0.0) for deepest in dict(lack).values())
         return total
-
-    def _lacking(self, qpos: Floats) -> tuple[Floats, NDArray[np.int_]]:
-        """How much closer than their margins geoms are ``(C,)`` [m], and their ids ``(C, 2)``."""
-        distance, geoms = self._finder.geoms(qpos)
-        lack = np.where(self._moving[geoms].all(axis=1), self._own, self._margin) - distance
-        return lack[lack > 0.0], geoms[lack > 0.0]
 
 
 class Workspace:
@@ -90,24 +76,18 @@ class Workspace:
     Args:
         problem: if its start or target is closer to something than the margin, the margin is reduced.
         margin: clearance to plan with [m].
-        own: clearance between parts of the arm [m]; by default ``margin``.
 
     Attributes:
         clear: the clearance test with the reduced margin.
         collisions: signed distances of the geoms.
     """
 
-    def __init__(self, problem: PlanningProblem, margin: float, own: float | None = None) -> None:
+    def __init__(self, problem: PlanningProblem, margin: float) -> None:
         self.collisions = Collisions(problem.arm)
-        margins = np.array([margin, margin if own is None else own])
-        for q in (problem.start, problem.target):
-            near = self.collisions.distances(q, 2.0 * margins.max())
-            of_arm = moving_geoms(problem.arm.model)[near.pairs].all(axis=1)
-            nearest = [near.distance[which].min(initial=np.inf) for which in (~of_arm, of_arm)]
-            # A single margin is reduced by all distances. The clearance that motions are checked for is kept.
-            most = _KEPT_FRACTION * (np.full(2, min(nearest)) if own is None else np.array(nearest))
-            margins = np.minimum(margins, np.maximum(most, problem.arm.clearance))
-        self.clear = ClearanceTest(problem.arm, *margins)
+        ends = (problem.start, problem.target)
+        nearest = min(self.collisions.distances(q, 2.0 * margin).distance.min(initial=np.inf) for q in ends)
+        # The clearance that motions are checked for is kept.
+        self.clear = ClearanceTest(problem.arm, min(margin, max(_KEPT_FRACTION * nearest, problem.arm.clearance)))
 
 
 def clamped_knots(count: int) -> Floats:

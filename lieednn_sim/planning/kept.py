@@ -20,12 +20,6 @@ if TYPE_CHECKING:
 KEPT_DISTANCE, KEPT_ANGLE = 5e-4, np.deg2rad(0.1)
 # The same for its start and target, which lie in it up to the accuracy of inverse kinematics.
 _ENDS = 1e-4
-# Newton steps of a projection, the excess at which it ends [m, rad], and its longest step in units of joint ranges.
-_STEPS, _ACCURACY, _LONGEST = 30, 1e-11, 0.2
-# Steps in which a goal is approached, and how far inside the bounds its joint positions are [m, rad].
-_FOLLOWED, _INSET = 32, 1e-6
-# Damping where a pose does not determine the joints, relative to slopes of about 1 m or rad per range.
-_DAMPING = 1e-9
 
 
 def _end_poses(arm: Arm, q: Floats) -> RigidTransform:
@@ -50,9 +44,9 @@ def projected(arm: Arm, q: Floats, *regions: TaskSpaceRegion) -> Floats:
     low, high = arm.position_limits.T
     q = q.copy()
     left = np.arange(len(q))
-    for _ in range(_STEPS):
+    for _ in range(30):
         excess, slopes = excess_and_slopes(arm, q[left], *regions)
-        off = np.abs(excess).max(axis=1) > _ACCURACY
+        off = np.abs(excess).max(axis=1) > 1e-11
         left, excess, slopes = left[off], excess[off], slopes[off] * arm.ranges
         if not len(left):
             break
@@ -61,14 +55,16 @@ def projected(arm: Arm, q: Floats, *regions: TaskSpaceRegion) -> Floats:
         blocked = (new < low) | (new > high)
         if blocked.any():
             step = _least_step(excess, np.where(blocked[:, None], 0.0, slopes))
-        step *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
+        # No joint by more than a fifth of its range.
+        step *= np.minimum(1.0, 0.2 / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
         q[left] = arm.within_angles(np.clip(q[left] + arm.ranges * step, low, high))
     return q
 
 
 def _least_step(excess: Floats, slopes: Floats) -> Floats:
     """The least steps ``(K, n)`` that undo an excess ``(K, C)`` with slopes ``(K, C, n)``."""
-    square = slopes @ np.swapaxes(slopes, -1, -2) + _DAMPING * np.eye(excess.shape[1])
+    # Damped, where a pose does not determine the joints, relative to slopes of about 1 m or rad per range.
+    square = slopes @ np.swapaxes(slopes, -1, -2) + 1e-9 * np.eye(excess.shape[1])
     return -np.einsum("kcn,kc->kn", slopes, np.linalg.solve(square, excess[..., None])[..., 0])
 
 
@@ -77,14 +73,15 @@ def followed(arm: Arm, start: Floats, goal: TaskSpaceRegion, keep: TaskSpaceRegi
 
     The goal's bounds are widened until they hold the start, and then drawn in.
     """
-    goal, keep, q = goal.within(_INSET), keep.within(_INSET), start[None]
+    inset = 1e-6
+    goal, keep, q = goal.within(inset), keep.within(inset), start[None]
     beyond = goal.excess(arm.link_poses(start)[-1])
-    for left in np.linspace(1.0, 0.0, _FOLLOWED + 1)[1:]:
+    for left in np.linspace(1.0, 0.0, 33)[1:]:
         wide = replace(
             goal, lower=goal.lower + left * np.minimum(beyond, 0.0), upper=goal.upper + left * np.maximum(beyond, 0.0)
         )
         q = projected(arm, q, wide, keep)
-        if np.abs(excess_and_slopes(arm, q, wide, keep)[0]).max() > _INSET:
+        if np.abs(excess_and_slopes(arm, q, wide, keep)[0]).max() > inset:
             return None
     return q[0]
 

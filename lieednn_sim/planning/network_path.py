@@ -26,20 +26,10 @@ from lieednn_sim.planning.motion import Motion, check_motion, count_steps
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law, step_lengths
 from lieednn_sim.synthesis import CurveEncoder
-from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
 # Distance to the equilibrium at which the network's path is cut [network coordinates: rad, length_scale m].
 RESIDUAL = 1e-8
-# Samples of the speed per step of the integrator; between them it is interpolated with a lower order than the states.
-_SAMPLES_PER_STEP = 8
-# Accuracy to which positions on a path are found, as a fraction of its length; rounding allows no better.
-_ROUNDING = 1e-14
-# Distance at which joints have arrived [rad, m]; two configurations with the same poses differ by more.
-_ARRIVAL_DISTANCE = 1e-3
-# Joints of a universal network are decoded at every third instant of its closed form, and beyond this w, where instants
-# become denser, at all. The degree of the spline through them makes it good to a micrometre.
-_STRIDE, _DENSE, _DEGREE = 3, 0.95, 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +95,8 @@ class NetworkPath:
                 "the network does not arrive at its equilibrium from this start, or too slowly (spectral abscissa "
                 f"{equilibrium.spectral_abscissa:.2g}); use another network"
             )
-        fraction = np.arange(_SAMPLES_PER_STEP) / _SAMPLES_PER_STEP
+        # Between its samples, the speed is interpolated with a lower order than the states.
+        fraction = np.arange(8) / 8
         grid = (trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * fraction).ravel()
         grid = np.append(grid, trajectory.t[-1])
         states = trajectory(grid)
@@ -136,11 +127,12 @@ class NetworkPath:
         visible = CurveEncoder(network.n_visible, network.activation).path(network, guide.xi[0])
         w = visible.x
         speed = PchipInterpolator(w, np.linalg.norm(visible(w, 1) * units, axis=(-2, -1)))
-        some = w[(np.arange(len(w)) % _STRIDE == 0) | (w > _DENSE)]
+        # Decoded at every third instant, and at all where they become denser; the spline is good to a micrometre.
+        some = w[(np.arange(len(w)) % 3 == 0) | (w > 0.95)]
         # Both paths have about the same length.
         passed, length = np.append(0.0, np.cumsum(step_lengths(guide.xi, units))), speed.antiderivative()(some)
         near = np.stack([np.interp(length, passed, joint) for joint in guide.q.T], axis=1)
-        joints = make_interp_spline(some, arm.decode(visible(some), start=near).q, _DEGREE)
+        joints = make_interp_spline(some, arm.decode(visible(some), start=near).q, 5)
         return cls(arm, network, guide.q[0], network.bias[: network.n_visible], visible, speed, joints)
 
     def timed(self, duration: float, timestep: float, law: Law | None = None) -> Motion:
@@ -156,7 +148,8 @@ class NetworkPath:
         return motion if eased is None else self._timed(duration, timestep, eased)
 
     def _timed(self, duration: float, timestep: float, law: Law) -> Motion:
-        t, position, rate = self._positions(duration, timestep, law)
+        t = timestep * np.arange(count_steps(duration, timestep) + 1, dtype=np.float64)
+        position, rate = self._positions(t, law)
         states = self.states(position)
         if self.joints is None:
             tau, xi = position, self.network.visible(states)
@@ -169,17 +162,15 @@ class NetworkPath:
         qd[[0, -1]] = 0.0
         return Motion(t, tau, xi, self.target, q, qd, *gaps)
 
-    def _positions(self, duration: float, timestep: float, law: Law) -> tuple[Floats, Floats, Floats]:
-        """Times ``(K,)`` [s], positions on the path and their rates there, by a law."""
-        steps = count_steps(duration, timestep)
-        t = as_floats("t", timestep * np.arange(steps + 1), (steps + 1,))
+    def _positions(self, t: Floats, law: Law) -> tuple[Floats, Floats]:
+        """Positions on the path and their rates, by a law, at times ``(K,)`` [s]."""
         if (speed := self.speed) is None:
-            return t, np.zeros_like(t), np.zeros_like(t)
+            return np.zeros_like(t), np.zeros_like(t)
         length = speed.antiderivative()
         total = float(length(speed.x[-1]))
         progress, progress_rate = law(t / t[-1])
         position = _invert(length, speed, speed.x, total * progress)
-        return t, position, total * progress_rate / (t[-1] * np.maximum(speed(position), 1e-300))
+        return position, total * progress_rate / (t[-1] * np.maximum(speed(position), 1e-300))
 
 
 def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> None:
@@ -220,7 +211,8 @@ def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Moti
     check_motion(arm, motion)
     away = np.abs(motion.q[-1] - problem.target)
     joint = int(away.argmax())
-    if away[joint] > _ARRIVAL_DISTANCE:
+    # Two configurations with the same poses differ by more.
+    if away[joint] > 1e-3:
         raise PlanError(
             f"the path ends at another configuration with the target's poses: joint {arm.joint_names[joint]!r} at "
             f"{motion.q[-1, joint]:.3g} {arm.unit(joint)} in place of {problem.target[joint]:.3g}; name more links, or "
@@ -238,7 +230,7 @@ def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, w
     for _ in range(60):
         error = length(tau) - wanted
         # Solved samples are kept: rounding could lead them out of their brackets, and bisection then far away.
-        off = np.abs(error) > _ROUNDING * known[-1]
+        off = np.abs(error) > 1e-14 * known[-1]
         if not off.any():
             break
         low, high = np.where(error < 0.0, tau, low), np.where(error >= 0.0, tau, high)

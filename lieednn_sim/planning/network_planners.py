@@ -13,6 +13,7 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, ComponentwiseNetwork, LieEDNN
 from lieednn_sim.planning.certified import CandidateOptions
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
@@ -21,11 +22,7 @@ from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats
 
 # The motion ends at the learned network's equilibrium, which must be the target [rad, length_scale m].
-_LEARNED_TOLERANCE = 1e-8
-_TRACKED = TrainingOptions.tracked(tolerance=_LEARNED_TOLERANCE)
-# Largest distance of a network's equilibrium from the target [rad, length_scale m]: a hundred times the tolerance of
-# learning, and the tolerance of position limits.
-_ARRIVAL_TOLERANCE = 1e-6
+_TRACKED = TrainingOptions.tracked(tolerance=1e-8)
 
 
 @dataclass(frozen=True)
@@ -141,9 +138,9 @@ def without_weights(target: Floats) -> LieEDNN:
 def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPath:
     """The path of a network, checked to end at the problem's target."""
     path = NetworkPath.integrate(problem.arm, network, problem.start)
-    # An uncertified network may have several equilibria.
+    # An uncertified network may have several equilibria, and learning and position limits have tolerances.
     distance = float(np.abs(network.visible(path.target) - problem.arm.encode(problem.target)).max())
-    if distance > _ARRIVAL_TOLERANCE:
+    if distance > LIMIT_TOLERANCE:
         raise PlanError(
             f"the network ends at another equilibrium, {distance:.2g} from the target; use a certified network"
         )

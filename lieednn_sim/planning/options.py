@@ -15,7 +15,7 @@ from lieednn_sim.values import set_fields
 
 @dataclass(frozen=True)
 class PlannerOptions:
-    """Base class of the options of planners and of their parts, such as the filter and searches.
+    """Base class of the options of planners, of their parts, and of policies.
 
     A field takes what its annotation says: ``int`` an integer from 1 on, ``float`` a positive number, ``tuple[...]``
     one or more of its items, anything else an instance. The field's metadata may bound numbers further by ``range`` and

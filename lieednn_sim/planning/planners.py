@@ -130,7 +130,7 @@ def plan(
         duration: duration of the motion [s], rounded to a whole number of the model's time steps.
         max_time_scale: largest duration, as a multiple of `duration`, that the motion may take if the arm's limits
             require it; with 1, a motion that is too fast is refused with a sufficient duration. Learned networks always
-            keep the duration; motions through the safety filter need slightly more than it even without obstacles.
+            keep the duration.
         seed: seed of randomised planners; the same seed gives the same plan.
         time_budget: CPU time that planning may take [s]; infinity for no limit. It decides only whether there is a
             motion, never which one.

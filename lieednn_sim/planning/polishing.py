@@ -33,32 +33,8 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
-# Control points fixed at each end by its position and zero velocity and acceleration.
-_FIXED = 3
-# Share of even spacing in time of the instants; the rest of the spacing is even along the path.
-_EVEN = 0.3
-# Least minimum-jerk speed by which the bound on the length is divided, relative to the mean speed: at rest it is zero.
-_LEAST_SPEED = 0.02
-# First trust region, as the largest distance that a joint may move a link [m], its factors after a step that is taken
-# and one that is not, and the size at which the descent ends.
-_TRUST, _GROW, _SHRINK, _LEAST_TRUST = 0.1, 1.5, 0.4, 5e-3
-# A step that lowers the measure by less ends the descent.
-_LEAST_GAIN = 1e-3
 # Below this clearance [m] the logarithm is continued by a steep line, so that contact is left first.
-_TOUCHING, _STEEPNESS = 2.5e-3, 100.0
-# Weight in the measure of the mean excess over the region that is kept [1/m, 1/rad].
-_KEPT_WEIGHT = 30.0
-# Mean excess below which the projection of the motion is near it [m, rad].
-_KEPT = 0.01
-# Distances beyond the clearance sought at which a pair counts, since a step may bring it nearer [m].
-_AHEAD = 0.03
-# The clearance sought is up to this many times that of start and target, for distances between instants are less, and
-# up to an ample one [m].
-_BEYOND, _AMPLE = 1.1, 0.15
-# Fraction of the joints' ranges that control points keep from the limits if start and target do.
-_INSET = 0.005
-# How soft the quadratic program's clearances are, and DAQP's mark of soft constraints.
-_SOFTNESS, _SOFT = 1e-6, 8
+_TOUCHING = 2.5e-3
 
 
 class Polish:
@@ -90,33 +66,39 @@ class Polish:
     ) -> None:
         arm = problem.arm
         self._problem, self._scale, self._weight = problem, arm.ranges, weight
-        self._enough = max(min(_BEYOND * ends, _AMPLE), _TOUCHING)
-        self._slopes = ContactSlopes(arm, self._enough + _AHEAD, own=own)
+        # Distances between instants are less; 0.15 m is ample.
+        self._enough = max(min(1.1 * ends, 0.15), _TOUCHING)
+        # A step may bring a pair nearer by 3 cm.
+        self._slopes = ContactSlopes(arm, self._enough + 0.03, own=own)
         count = intervals + SPLINE_DEGREE
         self._basis = BSpline(clamped_knots(count), np.eye(count), SPLINE_DEGREE)
         u = np.linspace(0.0, 1.0, 1001)
-        spacing = _EVEN * u + (1.0 - _EVEN) * minimum_jerk_law(u)[0]
+        # Spaced mostly evenly along the path, and a little in time.
+        spacing = 0.3 * u + 0.7 * minimum_jerk_law(u)[0]
         self._rows = self._basis(np.interp((np.arange(instants) + 0.5) / instants, spacing, u))
-        self._free = slice(_FIXED, -_FIXED)
+        # Three control points at each end are fixed by its position and zero velocity and acceleration.
+        self._free = slice(3, -3)
         # As many instants as free control points, which can then keep all bounds there.
-        self._kept_rows = self._basis((np.arange(count - 2 * _FIXED) + 1.0) / (count - 2 * _FIXED + 1.0))
+        self._kept_rows = self._basis(np.arange(1.0, count - 5.0) / (count - 5.0))
         start, target = problem.start / arm.ranges, problem.target / arm.ranges
         self._ends = np.zeros((count, arm.n_joints))
-        self._ends[:_FIXED], self._ends[-_FIXED:] = start, target
+        self._ends[:3], self._ends[-3:] = start, target
         # The three-point Gauss rule is exact for the squared jerk, whose degree is 4.
         nodes, weights = np.polynomial.legendre.leggauss(3)
         u = (np.arange(intervals)[:, None] + 0.5 * (nodes + 1.0)).ravel() / intervals
         rate, jerk = (self._basis(u, nu=nu) for nu in (1, 3))
         share = np.tile(weights, intervals)[:, None] / (2 * intervals)
-        speed = np.maximum(minimum_jerk_law(u)[1], _LEAST_SPEED)[:, None]
+        # At rest it is zero, and the bound on the length is divided by it.
+        speed = np.maximum(minimum_jerk_law(u)[1], 0.02)[:, None]
         # A unit displacement has a squared jerk of 720. The unit is its length, at least a tenth of the joint space's.
         unit = max(float(np.linalg.norm(target - start)), 0.1 * math.sqrt(arm.n_joints))
         self._quadratic = (jerk.T @ (jerk * share) / 720.0 + rate.T @ (rate * share / speed)) / unit**2
         self._hessian = self._quadratic[self._free, self._free]
         self.straight = -np.linalg.solve(self._hessian, self._quadratic[self._free] @ self._ends)
         low, high = (arm.position_limits / arm.ranges[:, None]).T
-        self._low = np.minimum(low + _INSET, np.minimum(start, target))
-        self._high = np.maximum(high - _INSET, np.maximum(start, target))
+        # A little inside the limits, if start and target are.
+        self._low = np.minimum(low + 0.005, np.minimum(start, target))
+        self._high = np.maximum(high - 0.005, np.maximum(start, target))
         # A joint through the origin of the last frame moves no frame; only its limits bound its steps.
         self._sweep = np.maximum(sweep * arm.ranges, 1e-9)
 
@@ -148,13 +130,14 @@ class Polish:
     def measure(self, free: Floats, clearance: float) -> float:
         """The measure of a motion with this clearance [m]."""
         far = min(max(clearance, _TOUCHING), self._enough)
-        touching = _STEEPNESS * max(_TOUCHING - clearance, 0.0)
-        return math.log(self.cost(free)) - self._weight * math.log(far) + touching + _KEPT_WEIGHT * self._beyond(free)
+        touching = 100.0 * max(_TOUCHING - clearance, 0.0)
+        return math.log(self.cost(free)) - self._weight * math.log(far) + touching + 30.0 * self._beyond(free)
 
     def descend(self, free: Floats, steps: int) -> tuple[float, Floats, bool]:
         """The measure, the control points and whether they can be used after up to this many steps from a guess."""
         distances = self._distances(free)
-        clearance, trust = self._least(distances), _TRUST
+        # The trust region is the largest distance that a joint may move a link [m].
+        clearance, trust = self._least(distances), 0.1
         measure = self.measure(free, clearance)
         for _ in range(steps):
             check_time()
@@ -165,14 +148,15 @@ class Polish:
             if lower < measure:
                 gain = measure - lower
                 free, distances, clearance, measure = new, ahead, near, lower
-                if gain < _LEAST_GAIN:
+                if gain < 1e-3:
                     break
-                trust *= _GROW
+                trust *= 1.5
             else:
-                trust *= _SHRINK
-                if trust < _LEAST_TRUST:
+                trust *= 0.4
+                if trust < 5e-3:
                     break
-        return measure, free, clearance >= _TOUCHING and self._beyond(free) < _KEPT
+        # The projection of a motion that leaves the region by less on average is near it [m, rad].
+        return measure, free, clearance >= _TOUCHING and self._beyond(free) < 0.01
 
     def motion(self, problem: PlanningProblem, free: Floats) -> Motion:
         """The checked motion, in the problem's duration.
@@ -254,6 +238,7 @@ class Polish:
             rows = np.concatenate([rows, kept])
             upper, lower = (np.concatenate([side, -excess[instant, bound]]) for side in (upper, lower))
         sense = np.zeros(len(upper), dtype=np.int32)
-        sense[n * count + 1 :] = _SOFT
-        found = daqp.solve(hessian, np.append(pull, -value), rows, upper, lower, sense, rho_soft=_SOFTNESS)
+        # DAQP's mark of soft constraints.
+        sense[n * count + 1 :] = 8
+        found = daqp.solve(hessian, np.append(pull, -value), rows, upper, lower, sense, rho_soft=1e-6)
         return free + np.asarray(found[0])[:-1].reshape(n, count).T

@@ -24,15 +24,8 @@ from lieednn_sim.registry import optional_module
 
 # Pieces of the path, of equal length, with one acceleration of the law on each.
 _PIECES = 1000
-# Windows of the average, as fractions of the fastest law's duration.
-_WINDOWS = np.geomspace(0.002, 1.0, 20)
 # Instants at which laws are sampled.
 _INSTANTS = 2000
-# Bounds given to the solver for missing limits [rad/s, m/s; rad/s^2, m/s^2], far above all rates.
-_NO_LIMIT = 1e6
-# Rates sampled at the model's time step may exceed those of the law slightly. Then the duration is multiplied by this
-# factor, at most this many times.
-_STRETCH, _MAX_STRETCHES = 1.002, 20
 
 
 def retime(arm: Arm, motion: Motion) -> Motion:
@@ -54,12 +47,13 @@ def retime(arm: Arm, motion: Motion) -> Motion:
     law = path.fastest()
     duration = max(float(law.x[-1]), 2.0 * arm.timestep)
     count_steps(duration, arm.timestep)
-    for _ in range(_MAX_STRETCHES):
+    for _ in range(20):
         found = path.motion(law, math.ceil(duration / arm.timestep))
         try:
             check_motion(arm, found)
         except TooFastError:
-            duration *= _STRETCH
+            # Rates sampled at the model's time step may exceed those of the law slightly.
+            duration *= 1.002
             continue
         return found
     raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")
@@ -94,7 +88,8 @@ class _Path:
         topp = optional_module("toppra")
         constraint, algorithm = optional_module("toppra.constraint"), optional_module("toppra.algorithm")
         bounds = (self._arm.velocity_limits, self._arm.acceleration_limits)
-        limits = [np.minimum(bound, _NO_LIMIT)[:, None] * [-1.0, 1.0] for bound in bounds]
+        # The solver wants bounds in place of missing limits, far above all rates.
+        limits = [np.minimum(bound, 1e6)[:, None] * [-1.0, 1.0] for bound in bounds]
         grid = np.linspace(0.0, 1.0, _PIECES + 1)
         solver = algorithm.TOPPRA(
             [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])],
@@ -108,7 +103,7 @@ class _Path:
         # Constant acceleration on each piece.
         t = np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
         law = CubicHermiteSpline(t, grid, rate)
-        laws = [self._own, law, *(_averaged(law, window * t[-1]) for window in _WINDOWS)]
+        laws = [self._own, law, *(_averaged(law, window * t[-1]) for window in np.geomspace(0.002, 1.0, 20))]
         return min(map(self._stretched, laws), key=lambda one: float(one.x[-1]))
 
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim import io
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE
@@ -85,20 +83,6 @@ class PlanSequence:
             for part in self.parts
         )
 
-    @property
-    def plans(self) -> tuple[Plan, ...]:
-        """The plans of the moves, in order."""
-        return tuple(part.plan for part in self.parts if part.plan is not None)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write t, qpos and qvel, and what the steps are, to an ``.npz`` file, atomically."""
-        steps = [
-            {"name": part.step.name, "begin": self.t[part.first], "end": self.t[part.last], "proof": str(part)}
-            for part in self.parts
-        ]
-        arrays = {"t": self.t, "qpos": self.qpos, "qvel": self.qvel}
-        io.save_arrays(path, "sequence", arrays, {"steps": steps})
-
 
 def plan_sequence(
     model: mujoco.MjModel,
@@ -146,7 +130,8 @@ def plan_sequence(
     }
     arm = Arm.from_model(model, data, joints=joints, tip=tip, limits=limits)
     planned = _Planned(model, data, arm)
-    gripping = {k: planned.gripping(step) for k, step in enumerate(steps) if isinstance(step, Actuate)}
+    # Refused before the work.
+    gripping = {k: Gripping(model, step, planned.dofs) for k, step in enumerate(steps) if isinstance(step, Actuate)}
     parts = []
     for k, step in enumerate(steps):
         first = planned.last
@@ -169,14 +154,10 @@ class _Planned:
         self._model, self._state = copy.deepcopy(model), mujoco.MjData(model)
         mujoco.mj_copyData(self._state, model, data)
         self._state.qvel[:] = 0.0
-        self._places, _, self._dofs, _ = shared_addresses(model, arm.model)
-        self._heavy = _heavier(self._model, self._state, self._dofs)
+        self._places, _, self.dofs, _ = shared_addresses(model, arm.model)
+        self._heavy = _heavier(self._model, self._state, self.dofs)
         self.qpos, self.qvel = [data.qpos[None].copy()], [np.zeros((1, model.nv))]
         self.last = 0
-
-    def gripping(self, step: Actuate) -> Gripping:
-        """A step of controls, checked."""
-        return Gripping(self._model, step, self._dofs)
 
     def move(self, joints: Sequence[str], step: Move, common: Mapping[str, Any]) -> Plan:
         """Plan a move, and add its rows."""
@@ -190,16 +171,16 @@ class _Planned:
         state, qpos, qvel = self._state, [], []
         rest = state.qpos[self._places]
         gripping.begin(state)
-        applied = state.qfrc_applied[self._dofs]
+        applied = state.qfrc_applied[self.dofs]
         with QuietWarnings():
             mujoco.mj_forward(self._heavy, state)
             while True:
                 # Against gravity; of the last step, in which the arm was in the same place.
-                state.qfrc_applied[self._dofs] = (state.qfrc_bias - state.qfrc_passive)[self._dofs]
+                state.qfrc_applied[self.dofs] = (state.qfrc_bias - state.qfrc_passive)[self.dofs]
                 mujoco.mj_step(self._heavy, state)
                 if state.warning.number.any() or not np.isfinite(state.qvel).all():
                     raise PlanError("the simulation of the gripper diverged")
-                state.qpos[self._places], state.qvel[self._dofs] = rest, 0.0
+                state.qpos[self._places], state.qvel[self.dofs] = rest, 0.0
                 qpos.append(state.qpos.copy())
                 qvel.append(state.qvel.copy())
                 try:
@@ -207,7 +188,7 @@ class _Planned:
                         break
                 except LookupError as error:
                     raise PlanError(f"its event does not come: {error.args[0]}") from None
-        state.qfrc_applied[self._dofs] = applied
+        state.qfrc_applied[self.dofs] = applied
         self._add(np.array(qpos), np.array(qvel))
 
     def _add(self, qpos: Floats, qvel: Floats) -> None:

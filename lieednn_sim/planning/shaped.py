@@ -30,13 +30,6 @@ from lieednn_sim.values import Floats, frozen
 _TEACHER = TeacherOptions()
 # Every second sample of the teacher's motion is a sample of the curve.
 _STRIDE = 2
-# Samples of a network's motion at which it is compared with the teacher's.
-_N_COMPARED = 400
-# Fraction of the allowed deviation, which is the effector's, that is asked of all links of a shaped network. With less
-# there are more neurons, and up to 1.3 times the jerk at a rate of 0.1.
-_ASKED = 0.2
-# Configurations at which lever arms are measured.
-_N_CONFIGURATIONS = 50
 
 
 @dataclass(frozen=True)
@@ -115,7 +108,7 @@ def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) 
         path = NetworkPath.encoded(arm, network, guide, units)
     motion = in_time(timed_motion, asked, path, law_of(guide, units))
     check_kept(arm, problem.keep, motion)
-    some = motion.q[:: max(1, len(motion.q) // _N_COMPARED)]
+    some = motion.q[:: max(1, len(motion.q) // 400)]
     deviation = _deviation(arm.tip(some), arm.tip(guide.q[::_STRIDE]))
     if deviation > options.deviation:
         raise PlanError(
@@ -129,7 +122,9 @@ def _network(arm: Arm, options: ShapedOptions, curve: Floats, units: Floats) -> 
     """A network that follows a curve ``(K, N, 6)``, with ``units`` as of `lever_units`."""
     if options.rate < 1.0:
         shaping = ShapingOptions(options.rate, options.neurons, options.activation)
-        return shape(curve, _ASKED * options.deviation, units=units, options=shaping).network
+        # The deviation allowed is the effector's, and this one is of all links. With less than a fifth there are more
+        # neurons, and up to 1.3 times the jerk at a rate of 0.1.
+        return shape(curve, 0.2 * options.deviation, units=units, options=shaping).network
     try:
         return CurveEncoder(arm.n_links, options.activation).encode(curve, units)
     except InputError as error:
@@ -142,7 +137,7 @@ def lever_units(arm: Arm, q: Floats) -> Floats:
     For rotations, the longest lever arm from the frame of rotation to the end effector; for translations, the length
     scale.
     """
-    some = q[:: max(1, len(q) // _N_CONFIGURATIONS)]
+    some = q[:: max(1, len(q) // 50)]
     lever = np.linalg.norm(arm.tip_in_frames(some), axis=-1).max(axis=0)
     units = np.empty((arm.n_links, 6))
     units[:, :3], units[:, 3:] = lever[:, None], arm.length_scale

@@ -32,16 +32,6 @@ from lieednn_sim.values import Floats
 _RRT = RrtConnectOptions()
 # Least weight of a joint in the distances of the trees, as a fraction of that of the joint that moves links most.
 _LEAST_SWEEP = 0.1
-# Number of intervals of splines that keep a region.
-_KEPT_INTERVALS = 24
-# Samples of the straight motion that are looked at first, and the part of the tolerance that it may need: the rest is
-# for the network that follows it.
-_KEPT_SAMPLES, _KEPT_PART = 9, 0.01
-_LEAVES = "the straight motion leaves the region to keep"
-# A projection takes as long as so many tests of a configuration.
-_KEPT_SLOWER = 5
-# J + E of the straight motion, which no motion is below, times this: a clear motion with less ends the search for more.
-_NEARLY_STRAIGHT = 1.05 * 2.0
 
 
 @dataclass(frozen=True)
@@ -114,13 +104,11 @@ def _motions(problem: PlanningProblem, options: TeacherOptions) -> Iterator[tupl
 def _straight(problem: PlanningProblem) -> Motion:
     """The motion by minimum jerk, in the region to keep, if any."""
     if problem.keep is not None:
-        some = np.linspace(problem.start, problem.target, _KEPT_SAMPLES)
-        if outside(problem.arm, problem.keep, some) > _KEPT_PART:
-            raise PlanError(_LEAVES)
-    motion = interpolation.minimum_jerk(problem)
-    if problem.keep is not None and outside(problem.arm, problem.keep, motion.q) > _KEPT_PART:
-        raise PlanError(_LEAVES)
-    return motion
+        some = np.linspace(problem.start, problem.target, 200)
+        # A small part of what is allowed; the rest is for the network that follows it.
+        if outside(problem.arm, problem.keep, some) > 0.01:
+            raise PlanError("the straight motion leaves the region to keep")
+    return interpolation.minimum_jerk(problem)
 
 
 class _Search:
@@ -135,7 +123,8 @@ class _Search:
 
     def enough(self, cost: float) -> bool:
         """Whether a clear motion of this cost ends the search for more."""
-        return cost <= _NEARLY_STRAIGHT
+        # The straight motion, which none is below, costs 2.
+        return cost <= 1.05 * 2.0
 
     def onto(self, scale: Floats) -> Callable[[Floats], Floats] | None:
         """What moves points of a tree, in units of ``scale`` ``(n,)``, to where they may be; None for anywhere."""
@@ -209,8 +198,8 @@ class _KeptSearch(_Search):
 
     def __init__(self, problem: PlanningProblem, options: TeacherOptions) -> None:
         super().__init__(problem, options)
-        # Straight shortcuts would leave the region.
-        self.intervals, self.checks, self.shortcuts = _KEPT_INTERVALS, self.checks // _KEPT_SLOWER, 0
+        # A projection takes as long as five tests. Straight shortcuts would leave the region.
+        self.intervals, self.checks, self.shortcuts = 24, self.checks // 5, 0
 
     def enough(self, cost: float) -> bool:
         """See `_Search`."""

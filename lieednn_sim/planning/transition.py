@@ -28,13 +28,6 @@ from lieednn_sim.values import Floats, frozen
 _FADING = np.array(
     [[1.0, 0.0, 0.0, -10.0, 15.0, -6.0], [0.0, 1.0, 0.0, -6.0, 8.0, -3.0], [0.0, 0.0, 0.5, -1.5, 1.5, -0.5]]
 )
-_MINIMUM_JERK = np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
-# Largest speed and acceleration of the minimum-jerk law on [0, 1].
-_FASTEST, _STRONGEST = 1.875, 10.0 / np.sqrt(3.0)
-# Factors on the base's duration, and durations of the fade over the transition's, that are tried in turn.
-_SLOWER, _FADES = (1.0, 1.25, 1.6, 2.2, 3.0), (1.0, 0.5, 0.25, 0.12, 0.06)
-# Samples at which a transition is checked: of its fade, and of all.
-_FADE_SAMPLES, _SAMPLES = 16, 48
 # Fraction of the limits of velocity and acceleration that a base may take; together with the corrections.
 BASE_FRACTION, FRACTION = 0.5, 0.8
 
@@ -109,12 +102,14 @@ def transition(
     # The base's own acceleration may be left out: it begins at rest, and a spline's is no exact one.
     differences[2] = now.qdd
     refusal = "no transition keeps the limits of the joints"
-    moves = bool((np.abs(differences) > 1e-12).any())
-    for slower, share in product(_SLOWER, _FADES if moves else (1.0,)):
+    # Durations of the fade over the transition's.
+    shares = (1.0, 0.5, 0.25, 0.12, 0.06) if (np.abs(differences) > 1e-12).any() else (1.0,)
+    for slower, share in product((1.0, 1.25, 1.6, 2.2, 3.0), shares):
         duration = slower * float(base.x[-1])
         fade = share * duration
         found = Transition(base, slower, differences, fade)
-        t = np.concatenate([np.linspace(0.0, fade, _FADE_SAMPLES), np.linspace(0.0, duration, _SAMPLES)])
+        of_fade = np.linspace(0.0, fade, 16)
+        t = np.concatenate([of_fade, np.linspace(0.0, duration, 48)])
         q, qd, qdd = found(t)
         if (
             (np.abs(qd) > FRACTION * arm.velocity_limits).any()
@@ -123,7 +118,7 @@ def transition(
         ):
             continue
         # All samples of a fade that takes the whole motion are there twice.
-        blocked = None if clear is None else clear(q[_FADE_SAMPLES * (share == 1.0) :])
+        blocked = None if clear is None else clear(q[len(of_fade) * (share == 1.0) :])
         if blocked is None:
             return found
         refusal = f"no transition keeps clear of {blocked}"
@@ -133,11 +128,10 @@ def transition(
 def straight(arm: Arm, start: Floats, target: Floats, least: float) -> PPoly:
     """The straight minimum-jerk motion within `BASE_FRACTION` of the limits, in at least ``least`` [s]."""
     distance = np.abs(target - start)
-    fast = (_FASTEST * distance / (BASE_FRACTION * arm.velocity_limits)).max()
-    strong = np.sqrt((_STRONGEST * distance / (BASE_FRACTION * arm.acceleration_limits)).max())
-    duration = max(least, float(fast), float(strong))
-    powers = _MINIMUM_JERK / duration ** np.arange(6)
-    factors = powers[::-1, None, None] * (target - start)
+    # The law's largest speed and acceleration on [0, 1].
+    duration = max(least, _slower(arm, 1.875 * distance, 10.0 / np.sqrt(3.0) * distance))
+    powers = np.array([6.0, -15.0, 10.0, 0.0, 0.0, 0.0]) / duration ** np.arange(5.0, -1.0, -1.0)
+    factors = powers[:, None, None] * (target - start)
     factors[-1] += start
     return PPoly(factors, [0.0, duration])
 
@@ -145,9 +139,12 @@ def straight(arm: Arm, start: Floats, target: Floats, least: float) -> PPoly:
 def along(arm: Arm, motion: Motion) -> PPoly:
     """A planned motion as a base, slowed down until it keeps `BASE_FRACTION` of the limits."""
     spline = CubicHermiteSpline(motion.t, motion.q, motion.qd)
-    accelerations = np.abs(np.diff(motion.qd, axis=0)) / motion.timestep
-    fast = (np.abs(motion.qd) / (BASE_FRACTION * arm.velocity_limits)).max()
-    strong = np.sqrt((accelerations / (BASE_FRACTION * arm.acceleration_limits)).max())
-    slower = max(1.0, float(fast), float(strong))
+    slower = max(1.0, _slower(arm, motion.qd, np.diff(motion.qd, axis=0) / motion.timestep))
     powers = slower ** -np.arange(3.0, -1.0, -1.0)
     return PPoly(spline.c * powers[:, None, None], slower * spline.x)
+
+
+def _slower(arm: Arm, rates: Floats, accelerations: Floats) -> float:
+    """How many times longer a motion of these rates must take to keep `BASE_FRACTION` of the limits."""
+    fast = (np.abs(rates) / (BASE_FRACTION * arm.velocity_limits)).max()
+    return float(max(fast, np.sqrt((np.abs(accelerations) / (BASE_FRACTION * arm.acceleration_limits)).max())))

@@ -47,18 +47,10 @@ from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
-# Instants of a first estimate; intervals to begin with; and the fraction of the least bound at single instants that the
-# bound for all of them must reach.
-_INSTANTS, _INTERVALS, _SHARPNESS = 16, 48, 0.95
-# Largest number of configurations at which distances are measured.
-_EVALUATIONS = 4000
-# Largest size that is looked for, smallest one at which the projection is bounded [m], and the factor between trials.
-_LARGEST, _SMALLEST, _SHRINK = 0.1, 1e-4, 0.85
-# Largest difference of a motion's states and joints from those computed again, and what is allowed for it and for
-# clipping joints to their limits [rad, m].
-_SAME, _ROUNDING = 1e-6, 5e-6
-# Larger errors of tracking and margins are refused [rad, m].
-_MOST = 1e3
+# Smallest size at which the projection is bounded [m].
+_SMALLEST = 1e-4
+# Largest difference of a motion's states and joints from those computed again [rad, m].
+_SAME = 1e-6
 
 
 @frozen
@@ -120,14 +112,13 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
         margin: distance that everything keeps from contact [m].
 
     Raises:
-        InputError: a value is malformed or negative, the plan has no network, or its motion is not the network's path,
-            as after the safety filter.
+        InputError: a value is malformed or negative, the plan has no network, or its motion is not the network's path.
         NotCertifiedError: the network has no certificate, or nothing is proved about the growth of deviations.
         PlanError: the motion comes too close to contact for any tube.
     """
-    given = as_floats("tracking", tracking, (), batched=True, largest=_MOST)
+    given = as_floats("tracking", tracking, (), batched=True, largest=1e3)
     errors = np.broadcast_to(as_floats("tracking", given, (arm.n_joints,) if given.ndim else ()), arm.n_joints)
-    keep = float(as_floats("margin", margin, (), largest=_MOST))
+    keep = float(as_floats("margin", margin, (), largest=1e3))
     if (errors < 0.0).any() or keep < 0.0:
         raise InputError(f"tracking and margin must not be negative, got {errors.min():g} and {keep:g}")
     network, motion = plan.network, plan.motion
@@ -167,14 +158,15 @@ def _check_path(arm: Arm, network: ComponentwiseNetwork, motion: Motion) -> None
         states = network.trajectory(network.start(motion.xi[0]), motion.tau[-1])(motion.tau)
         own = bool(np.abs(network.visible(states) - motion.xi).max() <= _SAME)
     if not own or np.abs(arm.decode(motion.xi, start=motion.q[0]).q - motion.q).max() > _SAME:
-        raise InputError("the motion is not the path of its network, as after the safety filter: there is no tube")
+        raise InputError("the motion is not the path of its network, so there is no tube")
 
 
 class _Path:
     """A motion as a continuous path, and its clearance."""
 
     def __init__(self, arm: Arm, motion: Motion, tracking: Floats, margin: float) -> None:
-        self._arm, self._motion, self._rest = arm, motion, tracking + _ROUNDING
+        # Besides tracking, for what motions differ from those computed again, and for clipping joints to their limits.
+        self._arm, self._motion, self._rest = arm, motion, tracking + 5.0 * _SAME
         self._spline = CubicHermiteSpline(motion.t, motion.q, motion.qd)
         self._rates = self._spline.derivative()
         # Along a cubic the acceleration is linear.
@@ -182,7 +174,7 @@ class _Path:
         before, after = motion.qd[:-1], motion.qd[1:]
         ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
         self._accelerations = np.abs(ends).max(axis=0) / step
-        self.bounds = ClearanceBounds(arm.without_visuals, arm.deviation_groups, margin)
+        self.bounds = ClearanceBounds(arm.without_visuals, arm.retractor.groups, margin)
         twist = motion.xi * arm.twist_units
         steps = np.linalg.norm(np.diff(twist, axis=0).reshape(len(twist) - 1, -1, 2, 3), axis=-1)
         slack = np.zeros((*twist.shape[:2], 2))
@@ -197,25 +189,26 @@ class _Path:
             PlanError: there is none.
         """
         last = len(self._motion.t) - 1
-        # A first estimate at some instants: at this size the projection is then bounded.
-        spread, best, t, pair = self._spread(_SMALLEST, sizes), _LARGEST, 0.0, (-1, -1)
-        for k in np.linspace(0, last, _INSTANTS) if np.isfinite(spread).all() else ():
+        # A first estimate at some instants, of 0.1 m at most: at this size the projection is then bounded.
+        spread, best, t, pair = self._spread(_SMALLEST, sizes), 0.1, 0.0, (-1, -1)
+        for k in np.linspace(0, last, 16) if np.isfinite(spread).all() else ():
             _, there, geoms = self._scales(k, k, spread, best)
             if there < best:
                 best, t, pair = there, k * self._motion.timestep, geoms
         while best >= _SMALLEST and not np.isfinite(spread := self._spread(best, sizes)).all():
-            best, pair = _SHRINK * best, (-1, -1)
+            best, pair = 0.85 * best, (-1, -1)
         if best < _SMALLEST:
             raise PlanError(
                 f"there is no tube of {1e3 * _SMALLEST:g} mm: the motion comes too close to contact, or the joints "
                 "nearest to the network's state may jump"
             )
-        edges = np.linspace(0.0, last, min(_INTERVALS, last) + 1)
+        edges = np.linspace(0.0, last, min(48, last) + 1)
         heap: list[tuple[float, float, float]] = [(-1.0, a, b) for a, b in pairwise(edges)]
-        for _ in range(_EVALUATIONS):
+        # The bound for all instants must come near the least one at single instants, for at most so many measurements.
+        for _ in range(4000):
             check_time()
             scale, a, b = heapq.heappop(heap)
-            if scale >= _SHARPNESS * best:
+            if scale >= 0.95 * best:
                 heapq.heappush(heap, (scale, a, b))
                 break
             middle = 0.5 * (a + b)
@@ -232,7 +225,7 @@ class _Path:
 
     def _spread(self, radius: float, sizes: Floats) -> Floats:
         """Largest changes ``(K, G)`` of the joints for a scale of 1, proved for scales up to ``radius``."""
-        return self._arm.deviation_spread(replace(self._states, size=radius * sizes)) / radius
+        return self._arm.retractor.spread(replace(self._states, size=radius * sizes)) / radius
 
     def _scales(self, a: float, b: float, spread: Floats, most: float) -> tuple[float, float, tuple[int, int]]:
         """As `ClearanceBounds`, for an interval of samples: for all its instants, and for its middle alone."""

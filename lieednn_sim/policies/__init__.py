@@ -4,6 +4,7 @@
 real one.
 """
 
+from lieednn_sim.policies.barriers import FilterOptions
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.fabric import Fabric, FabricOptions
 from lieednn_sim.policies.feedback import Feedback
@@ -16,6 +17,7 @@ from lieednn_sim.policies.networks import CertifiedPolicyOptions
 from lieednn_sim.policies.path_integral import PathIntegral, PathIntegralOptions
 from lieednn_sim.policies.primitive import MovementPrimitive, PrimitiveOptions
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
+from lieednn_sim.policies.safety_filter import FilterStep, SafetyFilter
 from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.policies.tracker import MotionTracker
 from lieednn_sim.registry import POLICIES
@@ -27,6 +29,8 @@ __all__ = [
     "Fabric",
     "FabricOptions",
     "Feedback",
+    "FilterOptions",
+    "FilterStep",
     "FilteredPolicy",
     "JointPolicy",
     "LoopReport",
@@ -40,6 +44,7 @@ __all__ = [
     "PrimitiveOptions",
     "ReplanningOptions",
     "ReplanningPolicy",
+    "SafetyFilter",
     "control_loop",
     "make_policy",
     "register_policy",

@@ -34,8 +34,6 @@ from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.values import Floats
 
-# Fraction of the accelerations' limits by which the pace falls, and by which it may change velocities at most.
-_BRAKING, _ACCELERATION = 0.35, 0.85
 # Below this pace the arm rests.
 RESTS = 1e-3
 # Time in which the pace may fall to zero where no joint moves fast [s], and duration of the motion of rest at first.
@@ -72,7 +70,6 @@ class CodedPolicy(FeedbackPolicy):
     def __init__(self, arm: Arm, rate: float = 100.0, *, feedback: Feedback | None = FEEDBACK) -> None:
         super().__init__(arm, rate, feedback)
         self._encoder = CurveEncoder(arm.n_links)
-        self._low, self._high = arm.position_limits.T
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
@@ -96,7 +93,8 @@ class CodedPolicy(FeedbackPolicy):
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""
         self.decide(target)
-        pull, pull_rate = self._listen(measured)
+        self._waiting, pulled = self._listen(measured, self.drawn)
+        pull, pull_rate = pulled or (0.0, np.zeros_like(self.drawn))
         course, ahead = self.course, self.rest_at - self.time
         wish = self._waiting * min(1.0, math.sqrt(2.0 * self._braking * max(ahead, 0.0)))
         guess = self._within_acceleration(wish, pull_rate)
@@ -113,21 +111,12 @@ class CodedPolicy(FeedbackPolicy):
         slower = 1.0 / max(1.0, float((np.abs(wanted) / self.allowed()).max()))
         self._limited = slower * pace < 0.99 * self._waiting
         self._pace_rate, self.pace = (slower * pace - self.pace) / self.period, slower * pace
-        qd, inside = slower * wanted, np.clip(self.arm.within_angles(drawn), self._low, self._high)
-        self.drawn = drawn
-        return inside, np.where(np.abs(inside - drawn) > 0.0, 0.0, qd)
-
-    def _listen(self, measured: Floats | None) -> tuple[Floats, Floats]:
-        """Set s, and return the pull of the measured joints on the flat visible state and on the configuration."""
-        self._waiting, strength = self._response(measured, self.drawn)
-        if strength == 0.0 or measured is None:
-            return np.zeros_like(self.course.state.x), np.zeros_like(self.drawn)
-        there, here = self.arm.encode(np.stack([measured, self.drawn]))
-        return strength * (there - here).ravel(), strength * (measured - self.drawn)
+        self.drawn, inside = drawn, self._within_limits(drawn)
+        return inside, np.where(inside == drawn, slower * wanted, 0.0)
 
     def _within_acceleration(self, wish: float, extra: Floats) -> float:
         """The pace nearest to a wish with which no joint's velocity changes by more than its limit in a period."""
-        most, change, velocity = _ACCELERATION * self._max_gain, extra - self.qd, self._velocity
+        most, change, velocity = 0.85 * self._max_gain, extra - self.qd, self._velocity
         moving = np.abs(velocity) > 1e-9
         ends = (np.array([-most, most]) - change)[:, moving] / velocity[moving]
         low = float(ends.min(axis=0).max(initial=0.0))
@@ -170,4 +159,5 @@ class CodedPolicy(FeedbackPolicy):
         self._velocity = rate * slope
         _, qd, _ = course.transition(np.linspace(0.0, course.transition.duration, 64))
         swift = np.abs(qd).max(axis=0) / self.arm.acceleration_limits
-        self._braking = _BRAKING / max(float(swift.max()), _SOONEST * _BRAKING)
+        # The pace falls by a fraction of the accelerations' limits.
+        self._braking = 0.35 / max(float(swift.max()), 0.35 * _SOONEST)

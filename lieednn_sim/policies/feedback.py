@@ -63,6 +63,7 @@ class FeedbackPolicy(Policy):
     """Base class of policies that wait for an arm that does not keep up, and report by how much.
 
     Attributes:
+        range: ``(n,)`` lengths of the joints' ranges [rad, m].
         pace: factor l s of the last period.
         behind: error e at the beginning of the last period.
     """
@@ -71,7 +72,7 @@ class FeedbackPolicy(Policy):
 
     def __init__(self, arm: Arm, rate: float, feedback: Feedback | None) -> None:
         super().__init__(arm, rate)
-        self._feedback, self._range = feedback, arm.ranges
+        self._feedback, self.range = feedback, arm.ranges
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
@@ -82,29 +83,35 @@ class FeedbackPolicy(Policy):
         """The factors s and k d [1/s] for the measured joints and the reference of the same instant; sets `behind`."""
         if measured is None or self._feedback is None:
             return 1.0, 0.0
-        self.behind = float((np.abs(measured - drawn) / self._range).max())
+        self.behind = float((np.abs(measured - drawn) / self.range).max())
         return self._feedback.response(self.behind)
+
+    def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:
+        """The factor s, and the pull of the measured joints, if any: on links' coordinates, flat, and on the joints."""
+        waiting, strength = self._response(measured, drawn)
+        if measured is None or strength == 0.0:
+            return waiting, None
+        there, here = self.arm.encode(np.stack([measured, drawn]))
+        return waiting, (strength * (there - here).ravel(), strength * (measured - drawn))
+
+    def _within_limits(self, q: Floats) -> Floats:
+        """Joint coordinates ``(n,)`` at the position limits where they are beyond."""
+        (low, high), balls = self.arm.position_limits.T, self.arm.space.balls
+        # Joints seldom are beyond, and the check of what is given takes longer than this.
+        if len(balls) and (np.linalg.norm(q[balls], axis=1) > high[balls[:, 0]]).any():
+            q = self.arm.within_angles(q)
+        return np.minimum(np.maximum(q, low), high)
 
     @property
     def message(self) -> str:
         """See `Policy`."""
-        return describe(self.pace, self.behind, limited=self._limited)
+        if self.pace > 0.99:
+            return super().message
+        slowed = f"moves at {100 * self.pace:.2g} % of its speed"
+        if self._limited:
+            return f"{slowed}, within the joints' limits"
+        return f"{slowed}, waiting for a joint {100 * self.behind:.2g} % of its range away"
 
     def channels(self) -> Floats:
         """See `Policy`."""
         return np.array([self.pace, self.behind])
-
-
-def describe(pace: float, behind: float, *, limited: bool) -> str:
-    """What a policy with feedback did in a period, in words, for `Policy.message`.
-
-    Args:
-        pace: fraction of its speed at which it ran.
-        behind: error e as a fraction of the joints' ranges.
-        limited: whether joint limits slowed it down.
-    """
-    if pace > 0.99:
-        return "moves"
-    if limited:
-        return f"moves at {100 * pace:.2g} % of its speed, within the joints' limits"
-    return f"moves at {100 * pace:.2g} % of its speed, waiting for a joint {100 * behind:.2g} % of its range away"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lieednn_sim.planning.safety_filter import FilterOptions, SafetyFilter
+from lieednn_sim.policies.barriers import FilterOptions
 from lieednn_sim.policies.base import Policy
+from lieednn_sim.policies.safety_filter import SafetyFilter
 from lieednn_sim.values import Floats
 
 # Rate at which the reference is pulled towards the unfiltered one [1/s].
@@ -25,7 +26,6 @@ class FilteredPolicy(Policy):
     Attributes:
         inner: the wrapped policy.
         blocking: what held the reference back in the last period, see `FilterStep`.
-        clearance: see `FilterStep` [m].
         braked: see `FilterStep`.
 
     Raises:
@@ -45,7 +45,7 @@ class FilteredPolicy(Policy):
         self._filter = SafetyFilter(self.arm, self.period, self._options)
         self._filter.allow(q)
         self.blocking: tuple[str, ...] = ()
-        self.clearance, self.braked = float("inf"), False
+        self.braked = False
 
     def see(self, places: Mapping[str, Floats]) -> None:
         """See `Policy`; raises `InputError` for names of no obstacles."""
@@ -58,7 +58,7 @@ class FilteredPolicy(Policy):
         q, qd = self.inner.step(measured, target)
         error = q - self.q - 0.5 * self.period * self.qd
         step = self._filter.step(self.q, self.qd, qd + _TRACKING_GAIN * error)
-        self.blocking, self.clearance, self.braked = step.blocking, step.clearance, step.braked
+        self.blocking, self.braked = step.blocking, step.braked
         moved = self.q + 0.5 * self.period * (self.qd + step.velocity)
         # The inner policy takes the filtered reference for its own.
         self.inner.q, self.inner.qd = moved, step.velocity

@@ -24,15 +24,12 @@ class JointPolicy(FeedbackPolicy):
 
     Attributes:
         y: ``(n,)`` state y, joint coordinates [rad, m].
-        range: ``(n,)`` lengths of the joints' ranges [rad, m].
         pace: factor l s of the last period.
         behind: error e of `feedback` at the beginning of the last period.
     """
 
     def __init__(self, arm: Arm, rate: float = 100.0, *, feedback: Feedback | None = FEEDBACK) -> None:
         super().__init__(arm, rate, feedback)
-        self._low, self._high = arm.position_limits.T
-        self.range = arm.ranges
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
@@ -48,9 +45,8 @@ class JointPolicy(FeedbackPolicy):
         slower = 1.0 / max(1.0, float((np.abs(wanted) / self.allowed()).max()))
         self.pace, self._limited = slower * waiting, slower < 1.0
         self.elapse(self.pace * self.period)
-        y = np.clip(self.arm.within_angles(self.y + self.period * slower * wanted), self._low, self._high)
-        qd, self.y = np.where((y == self._low) | (y == self._high), 0.0, slower * wanted), y
-        return y, qd
+        self.y = y = self._within_limits(self.y + self.period * slower * wanted)
+        return y, np.where((y[:, None] == self.arm.position_limits).any(axis=1), 0.0, slower * wanted)
 
     @abstractmethod
     def velocity(self, target: Floats, waiting: float) -> Floats:

@@ -11,7 +11,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import Motion, Plan
 from lieednn_sim.planning.options import PlannerOptions, given_options
-from lieednn_sim.planning.safety_filter import FilterOptions
+from lieednn_sim.policies.barriers import FilterOptions
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.filtered import FilteredPolicy

@@ -39,11 +39,10 @@ from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats
 
-# Largest |l s c| T in the certificate's norm and largest change of a switch's argument in a Runge-Kutta step, and the
-# largest number of such steps in a period.
-_MAX_STEP, _MAX_SWITCHING, _MAX_STEPS = 0.5, 0.5, 100
-# A period is run again, this often, if velocities at its end exceed their limits by more than this fraction.
-_TOO_FAST, _TRIES = 1e-3, 4
+# Largest |l s c| T in the certificate's norm, and largest change of a switch's argument, in a Runge-Kutta step.
+_MAX_STEP = 0.5
+# Largest number of such steps in a period.
+_MAX_STEPS = 100
 
 
 class NetworkPolicy(FeedbackPolicy):
@@ -63,15 +62,9 @@ class NetworkPolicy(FeedbackPolicy):
         network: the network.
         speed: its speed c [1/s].
         xi: ``(N, 6)`` state of all neurons.
-        jumped: whether the last target was faster than the joints' limits.
-        time_scale: factor l of the last period, below 1 where limits slowed the network down.
         pace: factor l s of the last period.
         behind: error e of `feedback` at the beginning of the last period.
         pulled: whether measured joints pulled the state in the last period, which is then no orbit of the network.
-        limit_excess: largest excess of the decoded joints over their position limits since the reset [rad, m], not
-            positive if they kept the limits; the reference stops at the limits.
-        gap_translation: largest mechanism gap since the reset [m].
-        gap_rotation: largest mechanism gap since the reset, as an angle [rad].
         gap: ``(N, 2)`` mechanism gap of each link in the last period: angle [rad] and distance [m].
 
     Raises:
@@ -101,9 +94,6 @@ class NetworkPolicy(FeedbackPolicy):
             raise InputError(
                 f"speed must be at most {fastest:.3g} per second for this network at {self.rate:g} Hz, got {speed:g}"
             )
-        self._low, self._high = arm.position_limits.T
-        self._balls = arm.space.balls
-        self._widest = self._high[self._balls[:, 0]].tolist()
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
@@ -120,60 +110,43 @@ class NetworkPolicy(FeedbackPolicy):
         self._drawn, self._flow_rate = q, self.qd
         # The pull towards the network's rest state.
         self._pull = np.zeros(self.xi.size)
-        self.jumped, self.pulled, self.time_scale = False, False, 1.0
-        self.gap = np.zeros((self.arm.n_links, 2))
-        self.limit_excess, self._gap = -np.inf, np.zeros((self.arm.n_links, 2))
+        self.pulled, self.gap = False, np.zeros((self.arm.n_links, 2))
 
     @property
     def state(self) -> Floats:
         """``(N, 6)``, as `xi`."""
         return self.xi
 
-    @property
-    def gap_rotation(self) -> float:
-        """See the class."""
-        return float(self._gap[:, 0].max())
-
-    @property
-    def gap_translation(self) -> float:
-        """See the class."""
-        return float(self._gap[:, 1].max())
-
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""
         period = self.period
         drift, rate = self._aim(target)
-        waiting, pull = self._listen(measured)
-        scale = waiting * self.speed
+        waiting, pull = self._listen(measured, self._drawn)
+        scale, self.pulled = waiting * self.speed, pull is not None
         if pull is not None:
-            drift, rate = drift + pull[0], rate + pull[1]
+            drift, rate = drift.copy(), rate + pull[1]
+            drift[: self._visible] += pull[0]
         allowed = self.allowed()
         wanted = scale * self._flow_rate + rate
         fraction = 1.0 / max(1.0, _max_abs(wanted / allowed))
-        for _ in range(_TRIES):
+        # Run again if velocities at the end exceed their limits.
+        for _ in range(4):
             x, drive, flow = self._integrate(fraction * scale, drift / scale)
             drawn, flow_rate = self._decode(x, flow, self._drawn + fraction * period * wanted)
             qd = fraction * (scale * flow_rate + rate)
             excess = _max_abs(qd / allowed)
-            if excess <= 1.0 + _TOO_FAST:
+            if excess <= 1.001:
                 break
             fraction /= excess
         self._x, self._drive, self._flow, self._flow_rate = x, drive, flow, flow_rate
-        self.xi, self.time_scale, self.pace = x.reshape(self.xi.shape), fraction, fraction * waiting
-        self._limited = fraction < 1.0
+        self.xi, self.pace, self._limited = x.reshape(self.xi.shape), fraction * waiting, fraction < 1.0
         self.gap = self._retraction.gap
-        self._gap = np.maximum(self._gap, self.gap)
-        outside = max(np.maximum(self._low - drawn, drawn - self._high).tolist())
-        self.limit_excess = max(self.limit_excess, outside)
-        if outside > 0.0 or self._turned_far(drawn):
-            inside = np.minimum(np.maximum(self.arm.within_angles(drawn), self._low), self._high)
-            drawn, qd = inside, np.where(inside == drawn, qd, 0.0)
-        self._drawn = drawn
-        return drawn, qd
+        self._drawn = inside = self._within_limits(drawn)
+        return inside, np.where(inside == drawn, qd, 0.0)
 
     def _aim(self, target: Floats) -> tuple[Floats, Floats]:
         """Set the goal of all neurons, in the middle of the period; its velocity, flat, and the joints' with it."""
-        before, self.jumped = self._aimed, False
+        before, jumped = self._aimed, False
         moving = self._still
         if before is not None and self._settled and target is before[0]:
             return moving
@@ -181,36 +154,16 @@ class NetworkPolicy(FeedbackPolicy):
         self._aimed, aim = (target, goal), goal
         if before is not None:
             rate = (target - before[0]) * self.rate
-            self.jumped = bool(has_jumped(self.arm, rate))
-            if self._feedforward and not self.jumped and rate.any():
+            jumped = bool(has_jumped(self.arm, rate))
+            if self._feedforward and not jumped and rate.any():
                 moving = (goal - before[1]) * self.rate, rate
                 aim = goal + 0.5 * self.period * moving[0]
         self._settled = aim is goal
         self._pull = aim - self._stepping.drive(aim)
         self._flow = self._field(self._x, self._drive)
-        if before is None or self.jumped:
+        if before is None or jumped:
             _, self._flow_rate = self._decode(self._x, self._flow, self._drawn)
         return moving
-
-    def _listen(self, measured: Floats | None) -> tuple[float, tuple[Floats, Floats] | None]:
-        """How far the clock waits for the measured joints, and how they pull the flat state and its configuration."""
-        self.pulled = False
-        waiting, strength = self._response(measured, self._drawn)
-        if measured is None or strength == 0.0:
-            return waiting, None
-        self.pulled = True
-        there, here = self.arm.encode(np.stack([measured, self._drawn]))
-        pull = np.zeros(self.xi.size)
-        pull[: self._visible] = strength * (there - here).ravel()
-        return waiting, (pull, strength * (measured - self._drawn))
-
-    def _turned_far(self, q: Floats) -> bool:
-        """Whether a ball joint is beyond its largest angle."""
-        if not self._widest:
-            return False
-        return any(
-            math.hypot(*turn) > widest for turn, widest in zip(q[self._balls].tolist(), self._widest, strict=True)
-        )
 
     def _field(self, x: Floats, drive: Floats) -> Floats:
         """Flat field F at a state with its drive."""
@@ -220,7 +173,7 @@ class NetworkPolicy(FeedbackPolicy):
         """The state after a period of x' = scale (F(x) + drift), by RK4, and its drive and F there."""
         x, drive, gamma = self._x, self._drive, self.network.gamma
         switching = _max_abs(self._flow[self._visible :])
-        extent = scale * self.period * max(self._stiffness / _MAX_STEP, switching / _MAX_SWITCHING)
+        extent = scale * self.period * max(self._stiffness, switching) / _MAX_STEP
         count = min(math.ceil(extent), _MAX_STEPS) or 1
         pull, z = self._pull + drift / gamma, gamma * scale * self.period / count
         for _ in range(count):

@@ -27,10 +27,8 @@ from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats
 
-# Number of velocity knots over the horizon; cost of contact [1/s].
-_KNOTS, _TOUCHING = 4, 1e3
-# Armature and velocity gain so far above the arm's own that joints take their commanded velocities at once.
-_INERTIA, _GAIN = 1e4, 1e9
+# Number of velocity knots over the horizon.
+_KNOTS = 4
 
 
 @dataclass(frozen=True)
@@ -122,7 +120,7 @@ def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
             actuator = spec.add_actuator(
                 trntype=mujoco.mjtTrn.mjTRN_JOINT, target=arm.model.joint(joint).name, gear=gear.tolist()
             )
-            actuator.set_to_velocity(kv=_GAIN)
+            actuator.set_to_velocity(kv=1e9)
     for sensor in list(spec.sensors):
         spec.delete(sensor)
     wanted = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND) | 1 << int(mujoco.mjtConDataField.mjCONDATA_DIST)
@@ -134,7 +132,8 @@ def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
         off.mjDSBL_GRAVITY | off.mjDSBL_EQUALITY | off.mjDSBL_LIMIT | off.mjDSBL_FRICTIONLOSS | off.mjDSBL_SPRING
     )
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    model.opt.timestep, model.dof_armature[:] = step, _INERTIA
+    # With the gain, so far above the arm's own inertia that joints take their commanded velocities at once.
+    model.opt.timestep, model.dof_armature[:] = step, 1e4
     return model
 
 
@@ -217,7 +216,7 @@ class PathIntegral(JointPolicy):
         configurations, clearance = self._rollouts(self.y, velocities * self.range)
         off = (((target - configurations) / self.range) ** 2).sum(axis=2)
         near = np.maximum(1.0 - clearance / self._near, 0.0)
-        rate = off + (velocities**2).sum(axis=2) / c**2 + options.nearness * near**2 + _TOUCHING * (clearance < 0.0)
+        rate = off + (velocities**2).sum(axis=2) / c**2 + options.nearness * near**2 + 1e3 * (clearance < 0.0)
         return np.asarray(options.step * rate.sum(axis=1) + off[:, -1] / c)
 
     def _at(self, times: Floats) -> Floats:

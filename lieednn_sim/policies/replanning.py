@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -25,15 +26,11 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.transition import along, straight
 from lieednn_sim.policies.coded_policy import RESTS, CodedPolicy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
-from lieednn_sim.policies.surroundings import PathSearch, Surroundings
+from lieednn_sim.policies.surroundings import Surroundings, search_path
 from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
 
-# Time between the samples of a path that are looked at [s], and their number beyond which it is a multiple of that.
-_LOOK, _MOST_LOOKS = 0.04, 150
-# Time for which obstacles are expected to go on as they move [s].
-_FORESIGHT = 0.3
 # Configurations are one if they differ by less than this fraction of the ranges.
 _SAME = 1e-6
 
@@ -110,7 +107,7 @@ class ReplanningPolicy(CodedPolicy):
         self._surroundings = Surroundings(self.arm, 0.5 * self._options.margin)
         self._periods = self._searches = 0
         self._goal: Floats | None = None
-        self._search: tuple[PathSearch, int] | None = None
+        self._search: tuple[Future[Motion], int] | None = None
         self._path: PPoly | None = None
         self._last_places: dict[str, Floats] = {}
         self._clear_way()
@@ -168,7 +165,7 @@ class ReplanningPolicy(CodedPolicy):
         given, base = self._given, straight(self.arm, self.drawn, goal, self._options.least_duration)
         if given is not None and self.changes == 0:
             off = np.stack([given.q[0] - self.drawn, given.q[-1] - goal])
-            if (np.abs(off) < _SAME * self._range).all():
+            if (np.abs(off) < _SAME * self.range).all():
                 base = along(self.arm, given)
         try:
             self._turn_to(base)
@@ -187,11 +184,9 @@ class ReplanningPolicy(CodedPolicy):
         rest = max(self.time + self.stopping, min(self._blocked_at, self.time + lead))
         self._ends_at = rest
         q, _, _ = self.course.transition(np.array([rest]))
-        start = np.clip(self.arm.within_angles(q[0]), self._low, self._high)
+        ends, options = (self._within_limits(q[0]), goal), self._options
         seed, self._searches = self._seed + self._searches, self._searches + 1
-        options = self._options
-        places = self._surroundings.places
-        search = PathSearch(self.arm, places, (start, goal), options.margin, options.search, seed)
+        search = search_path(self.arm, self._surroundings.places, ends, options.margin, options.search, seed)
         self._search = search, self._periods + options.search_periods
         self._reason = "a path is searched for"
 
@@ -199,7 +194,7 @@ class ReplanningPolicy(CodedPolicy):
         """Take the path that was searched for, if it is there and due."""
         if self._search is not None:
             search, due = self._search
-            if not (search.done if self._options.at_once else self._periods >= due):
+            if not (search.done() if self._options.at_once else self._periods >= due):
                 return
             self._search = None
             try:
@@ -226,8 +221,9 @@ class ReplanningPolicy(CodedPolicy):
 
     def _sampled(self, motion: Callable[[Floats], Floats], begin: float, end: float) -> tuple[Floats, Floats]:
         """Times ``(K,)`` between two ones, and the configurations ``(K, n)`` of a motion there."""
-        # The same instants in each look: otherwise where a motion is blocked would change though nothing moves.
-        step = _LOOK * max(1, math.ceil((end - begin) / (_LOOK * _MOST_LOOKS)))
+        # The same instants in each look: otherwise where a motion is blocked would change though nothing moves. Every
+        # 0.04 s, or a multiple of that where there would be more than 150.
+        step = 0.04 * max(1, math.ceil((end - begin) / (0.04 * 150)))
         times = np.clip(step * np.arange(math.floor(begin / step), math.ceil(end / step) + 1), begin, end)
         return times, np.asarray(motion(times))
 
@@ -235,7 +231,8 @@ class ReplanningPolicy(CodedPolicy):
         """As `Surroundings.blocked`, were the obstacles to go on as since the last look."""
         now, last = dict(self._surroundings.places), self._last_places
         self._last_places = now
-        looks = _FORESIGHT / (self._options.look_every * self.period)
+        # For 0.3 s.
+        looks = 0.3 / (self._options.look_every * self.period)
         ahead = {name: place + looks * (place - last.get(name, place)) for name, place in now.items()}
         if all((ahead[name] == place).all() for name, place in now.items()):
             return None

@@ -21,13 +21,6 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
 
-# Fraction of a distance below the margin that is kept.
-_KEPT_FRACTION = 0.8
-# Fractions of the margin with which a path is searched for, where start or target are nearer than that.
-_MARGINS = (1.0, 0.5, 0.0)
-# Duration asked for [s], which nearly every motion needs more of, and how many times of it one may take.
-_DURATION, _MAX_TIME_SCALE = 0.5, 100.0
-
 
 class Surroundings:
     """The arm's scene with moving obstacles at their last known places.
@@ -83,7 +76,7 @@ class Surroundings:
         """
         if self._near is not None:
             distance, _ = self._near_pairs(*self._near.geoms(self._arm.space.to_qpos(q)), self._margin)
-            self._kept = min(self._margin, _KEPT_FRACTION * max(float(distance.min(initial=np.inf)), 0.0))
+            self._kept = min(self._margin, 0.8 * max(float(distance.min(initial=np.inf)), 0.0))
 
     def _near_pairs(self, distance: Floats, pairs: NDArray[np.int_], margin: float) -> tuple[Floats, NDArray[np.int_]]:
         """Those of the pairs ``(C, 2)`` and their distances that have a moving obstacle within a margin."""
@@ -105,8 +98,15 @@ class Surroundings:
         return model
 
 
-class PathSearch:
-    """A search for a path by RRT-Connect in a thread of its own, whose result depends on its arguments alone.
+def search_path(
+    arm: Arm,
+    places: Mapping[str, Floats],
+    ends: tuple[Floats, Floats],
+    margin: float,
+    options: RrtConnectOptions,
+    seed: int,
+) -> Future[Motion]:
+    """Search for a path by RRT-Connect in a thread of its own; the result depends on the arguments alone.
 
     Args:
         arm: the arm, in its scene.
@@ -115,33 +115,11 @@ class PathSearch:
         margin: distance to keep from moving obstacles where start and target allow it [m].
         options: options of the search.
         seed: its seed.
+
+    Returns:
+        The motion; asked for its result, it raises `LieEDNNError` if there is no path, or OMPL is not installed.
     """
-
-    def __init__(
-        self,
-        arm: Arm,
-        places: Mapping[str, Floats],
-        ends: tuple[Floats, Floats],
-        margin: float,
-        options: RrtConnectOptions,
-        seed: int,
-    ) -> None:
-        self._future: Future[Motion] = _worker(os.getpid()).submit(
-            _path, arm, dict(places), ends, margin, options, seed
-        )
-
-    @property
-    def done(self) -> bool:
-        """Whether the search is over."""
-        return self._future.done()
-
-    def result(self) -> Motion:
-        """The motion found, which is waited for.
-
-        Raises:
-            LieEDNNError: there is no path, or OMPL is not installed.
-        """
-        return self._future.result()
+    return _worker(os.getpid()).submit(_path, arm, dict(places), ends, margin, options, seed)
 
 
 @cache
@@ -159,10 +137,12 @@ def _path(
     seed: int,
 ) -> Motion:
     refused: InputError | None = None
-    for share in _MARGINS:
+    # With less of the margin where start or target are nearer than that.
+    for share in (1.0, 0.5, 0.0):
         there = arm.placed(places, share * margin)
         try:
-            problem = PlanningProblem(there, *ends, _DURATION, seed=seed, max_time_scale=_MAX_TIME_SCALE)
+            # Nearly every motion needs more than this, and gets it.
+            problem = PlanningProblem(there, *ends, duration=0.5, seed=seed, max_time_scale=100.0)
         except InputError as error:
             refused = error
             continue

@@ -9,9 +9,10 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
@@ -22,18 +23,20 @@ from lieednn_sim.errors import FileError
 _CRF = 10  # constant rate factor of H.264, 0 to 51: nearly lossless
 
 
-def _executable() -> str:
+def _start(arguments: Sequence[str], **streams: Any) -> subprocess.Popen[bytes]:
+    """Start ffmpeg in its own session, so that Ctrl-C does not reach it."""
     try:
-        return str(imageio_ffmpeg.get_ffmpeg_exe())
-    except RuntimeError as error:
-        raise FileError(f"cannot encode the video: {error}; or write a .gif") from None
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", *arguments]
+        return subprocess.Popen(command, start_new_session=True, **streams)
+    except (OSError, RuntimeError) as error:
+        raise FileError(
+            f"cannot run ffmpeg: {error}; unset IMAGEIO_FFMPEG_EXE to use the bundled one, or write a .gif"
+        ) from None
 
 
-def _cannot_run(command: str, error: OSError) -> FileError:
-    return FileError(
-        f"cannot run ffmpeg, {command}: {error.strerror or error}; unset IMAGEIO_FFMPEG_EXE to use the bundled one, or "
-        "write a .gif"
-    )
+def _reason(words: bytes, otherwise: str) -> str:
+    """The first line of what ffmpeg said, or something else if it said nothing."""
+    return (words.decode(errors="replace").strip().splitlines() or [otherwise])[0]
 
 
 @contextlib.contextmanager
@@ -49,21 +52,19 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
         FileError: the encoder stopped; the message has its first line of output.
     """
     width, height = size
-    command = [_executable(), "-y", "-v", "error"]
-    command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+    command = ["-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
     command += ["-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"]
     command += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", str(_CRF), "-preset", "veryfast"]
     command += ["-movflags", "+faststart", str(path)]
     with tempfile.TemporaryFile() as words:
-        # In its own session, so that Ctrl-C does not reach it.
-        try:
-            encoder = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True
-            )
-        except OSError as error:
-            raise _cannot_run(command[0], error) from None
+        encoder = _start(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words)
         assert encoder.stdin is not None
         frames = encoder.stdin
+
+        def stopped() -> FileError:
+            words.seek(0)
+            reason = _reason(words.read(), f"status {encoder.wait()}")
+            return FileError(f"cannot write the video, the encoder stopped ({reason}); is the disk full?")
 
         def append(picture: NDArray[np.uint8]) -> None:
             try:
@@ -71,11 +72,6 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
             except OSError:  # on Windows not a broken pipe, but an invalid argument
                 encoder.wait()
                 raise stopped() from None
-
-        def stopped() -> FileError:
-            words.seek(0)
-            lines = words.read().decode(errors="replace").strip().splitlines() or [f"status {encoder.returncode}"]
-            return FileError(f"cannot write the video, the encoder stopped ({lines[0]}); is the disk full?")
 
         try:
             yield append
@@ -104,13 +100,11 @@ def read_frame(path: Path, index: int) -> bytes:
     Raises:
         FileError: the file cannot be read, or has no such frame.
     """
-    command = [_executable(), "-v", "error", "-i", str(path), "-vf", rf"select=eq(n\,{index})"]
-    command += ["-frames:v", "1", "-f", "image2pipe", "-c:v", "png", "-"]
-    try:
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
-    except OSError as error:
-        raise _cannot_run(command[0], error) from None
-    if done.returncode != 0 or not done.stdout:
-        lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"it has no frame {index}"]
-        raise FileError(f"cannot read the video {path}: {lines[0]}; remove it")
-    return done.stdout
+    command = ["-i", str(path), "-vf", rf"select=eq(n\,{index})", "-frames:v", "1"]
+    command += ["-f", "image2pipe", "-c:v", "png", "-"]
+    pipe = subprocess.PIPE
+    with _start(command, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe) as reader:
+        frame, words = reader.communicate()
+    if reader.returncode != 0 or not frame:
+        raise FileError(f"cannot read the video {path}: {_reason(words, f'it has no frame {index}')}; remove it")
+    return frame

@@ -87,10 +87,6 @@ def _connect(
 
 # White on a dark, semi-transparent panel, which is readable on any background.
 _INK, _PANEL = (255, 255, 255, 255), (20, 26, 33, 150)
-# Font size as a fraction of the frame's height, and the smallest readable one [pixels].
-_FONT_FRACTION, _SMALLEST_FONT = 1.0 / 34.0, 9
-# Frames below this height [pixels] have no room for a caption.
-_LEAST_HEIGHT = 160
 # The legend of `Overlay`'s colours.
 KEY = ((PLANNED_COLOUR, "planned"), (TRACED_COLOUR, "travelled"))
 
@@ -98,12 +94,12 @@ KEY = ((PLANNED_COLOUR, "planned"), (TRACED_COLOUR, "travelled"))
 def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.uint8]:
     """A copy of a frame ``(height, width, 3)`` with lines of text and the colour legend in its upper left corner.
 
-    Frames that are too small are returned unchanged.
+    Frames below 160 pixels, which have no room for it, are returned unchanged.
     """
     height = image.shape[0]
-    if height < _LEAST_HEIGHT:
+    if height < 160:
         return image
-    size = max(_SMALLEST_FONT, round(_FONT_FRACTION * height))
+    size = max(9, round(height / 34.0))  # smaller letters cannot be read
     font, step, margin = _font(size), round(1.35 * size), round(0.7 * size)
     widths = [font.getlength(line) for line in lines]
     widths.append(sum(font.getlength(text) + 3.0 * size for _, text in KEY))

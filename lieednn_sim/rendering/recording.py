@@ -19,9 +19,6 @@ from lieednn_sim.values import Floats
 _RATE = 25  # poses per second
 _WIDE = 16.0 / 9.0  # widest picture that a view is made for: width / height
 _MARGIN = 1.2  # room around what a view contains, as a factor
-_GAP = 1.1  # distance of arms side by side over the width of one
-_FIELD_OF_VIEW = np.deg2rad(30.0)  # of arms side by side: narrow, so that all are seen from the same side
-_PLANNED_POINTS = 100  # of a path that is drawn
 
 
 @dataclass(frozen=True)
@@ -74,10 +71,12 @@ def record(
     if len(rollouts) > 1:
         right = view.axes[0] * [1.0, 1.0, 0.0]
         right /= np.linalg.norm(right)
-        spacing = _GAP * float(np.ptp(held @ right))
+        # A tenth of its width is left free between one arm and the next.
+        spacing = 1.1 * float(np.ptp(held @ right))
         offsets = np.outer(np.arange(len(rollouts)) * spacing, right)
         there = (held + offsets[:, None]).reshape(-1, 3)
-        view = viser_scene.Viewpoint(view.position, view.look_at, _FIELD_OF_VIEW).back_off(there, _WIDE)
+        # Narrow, so that all are seen from the same side.
+        view = viser_scene.Viewpoint(view.position, view.look_at, np.deg2rad(30.0)).back_off(there, _WIDE)
         ratio = _WIDE
     with viser_scene.quiet_server() as server:
         view.place(server)
@@ -123,7 +122,7 @@ class _Copy:
         )
         self._data = mujoco.MjData(shapes.model)
         stage.mark(self._shown, self._data, marker, stage.target(rollout))
-        self._samples = np.unique(np.linspace(0, len(rollout.t) - 1, _PLANNED_POINTS + 1, dtype=int))
+        self._samples = np.unique(np.linspace(0, len(rollout.t) - 1, 101, dtype=int))
         self._plan = stage.planned_frames(rollout)[self._samples, -1, :3, 3]
         off = np.linalg.norm(self._plan - self._way[self._samples], axis=1)
         self._followed = off < scale * TRACED_RADIUS

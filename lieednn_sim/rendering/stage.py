@@ -24,13 +24,8 @@ _LIGHTS = (((-0.33, 0.43, -0.84), 0.45, True), ((-0.45, -0.72, -0.54), 0.2, Fals
 # Colours of the target marker: its axes, and the ball around them.
 _AXES = ((0.87, 0.20, 0.20, 1.0), (0.20, 0.68, 0.28, 1.0), (0.18, 0.40, 0.88, 1.0))
 _GLASS = (0.08, 0.75, 0.70, 0.35)
-_AZIMUTH, _ELEVATION = 125.0, -20.0  # of the default camera [degrees]
-_CONFIGURATIONS = 64  # number of random configurations from which the arm's workspace is estimated
 _PLANE, _NO_MARKER = int(mujoco.mjtGeom.mjGEOM_PLANE), -1
-_MOVED = 1e-3  # least way of a geom that counts as moving [m]
-_INSTANTS = 25  # at which it is looked where things of a given model are
 _OVERVIEW = "overview"  # the camera of the package's own scenes
-_LARGE = 1.3  # extent of the view [m] from which on what is drawn around the arm has its full size
 _UNSEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}  # no effect on contacts and dynamics
 
 
@@ -42,7 +37,7 @@ def reached(arm: Shown) -> Floats:
     if not isinstance(arm, Arm):
         return _corners(arm, kinematics_at(arm, arm.qpos0), np.ones(arm.ngeom, dtype=bool)).reshape(-1, 3)
     low, high = arm.position_limits.T
-    configurations = np.random.default_rng(0).uniform(low, high, (_CONFIGURATIONS, arm.n_joints))
+    configurations = np.random.default_rng(0).uniform(low, high, (64, arm.n_joints))
     places = arm.link_poses(np.vstack([arm.keyframe("home"), arm.within_angles(configurations)])).translation
     return np.vstack([arm.base.translation, np.asarray(places).reshape(-1, 3)])
 
@@ -91,7 +86,7 @@ def occupied(run: Run) -> Floats:
 
 
 def _occupied_in(run: ModelRun) -> Floats:
-    """Points around the geoms of the bodies in question, at some instants."""
+    """Points around the geoms of the bodies in question, at some instants; what moves by a millimetre counts."""
     model, data = run.model, mujoco.MjData(run.model)
     wanted = np.zeros(model.ngeom, dtype=bool)
     body = named_frame(model, run.tip).body
@@ -99,10 +94,10 @@ def _occupied_in(run: ModelRun) -> Floats:
         wanted |= model.geom_bodyid == body
         body = int(model.body_parentid[body])
     found = []
-    for data.qpos[:] in run.qpos[np.linspace(0, len(run.t) - 1, _INSTANTS, dtype=int)]:
+    for data.qpos[:] in run.qpos[np.linspace(0, len(run.t) - 1, 25, dtype=int)]:
         mujoco.mj_kinematics(model, data)
         found.append(_corners(model, data, np.ones(model.ngeom, dtype=bool)))
-    wanted |= np.ptp(found, axis=0).max(axis=(1, 2)) > _MOVED
+    wanted |= np.ptp(found, axis=0).max(axis=(1, 2)) > 1e-3
     return np.array(found)[:, wanted & (model.geom_type != _PLANE)].reshape(-1, 3)
 
 
@@ -145,8 +140,8 @@ def camera(what: Shown, name: str | None, points: Floats) -> mujoco.MjvCamera:
 
 
 def scale(what: Shown, points: Floats) -> float:
-    """Scale of lengths and widths that are drawn around an arm: 1 in the package's scenes, less for small arms."""
-    return 1.0 if _OVERVIEW in cameras(what) else min(1.0, float(np.linalg.norm(np.ptp(points, axis=0))) / _LARGE)
+    """Scale of lengths and widths that are drawn around an arm: 1 in the package's scenes and from 1.3 m on."""
+    return 1.0 if _OVERVIEW in cameras(what) else min(1.0, float(np.linalg.norm(np.ptp(points, axis=0))) / 1.3)
 
 
 def framing(what: Shown, points: Floats) -> mujoco.MjvCamera:
@@ -158,7 +153,7 @@ def framing(what: Shown, points: Floats) -> mujoco.MjvCamera:
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = centre
     camera.distance = radius / np.sin(0.5 * np.deg2rad(model_of(what).vis.global_.fovy))
-    camera.azimuth, camera.elevation = _AZIMUTH, _ELEVATION
+    camera.azimuth, camera.elevation = 125.0, -20.0
     return camera
 
 
@@ -179,25 +174,20 @@ def staged(arm: Shown, points: Floats) -> tuple[mujoco.MjModel, int]:
         return made, _NO_MARKER
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "target")
     marked = body >= 0 and model.body_mocapid[body] >= 0
-    sky = bool((model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any())
-    if marked and sky and model.nlight and arm.import_report is None:
+    if marked and arm.import_report is None:
         return copy.deepcopy(model), int(model.body_mocapid[body])
     spec = arm.spec.copy()
     spec.compiler.discardvisual = False  # with the default of URDF files, all of this would vanish
     names = {element.name for kind in (spec.textures, spec.materials, spec.bodies) for element in kind}
-    own = arm.import_report is None
-    if not own:
-        # Robots bring a spotlight at most, around which all is dark.
-        for light in list(spec.lights):
-            spec.delete(light)
-        spec.visual.map.shadowclip, spec.visual.map.shadowscale = 1.4, 0.6
-    if not (own and model.nlight):
-        spec.visual.headlight.ambient = [0.4] * 3
-        spec.visual.headlight.diffuse = [0.4] * 3
-        for direction, diffuse, shadow in _LIGHTS:
-            light = spec.worldbody.add_light(pos=-4.0 * np.array(direction), dir=direction, castshadow=shadow)
-            light.type, light.diffuse = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, [diffuse] * 3
-    if not sky:
+    # Robots bring a spotlight at most, around which all is dark.
+    for light in list(spec.lights):
+        spec.delete(light)
+    spec.visual.map.shadowclip, spec.visual.map.shadowscale = 1.4, 0.6
+    spec.visual.headlight.ambient = spec.visual.headlight.diffuse = [0.4] * 3
+    for direction, diffuse, shadow in _LIGHTS:
+        light = spec.worldbody.add_light(pos=-4.0 * np.array(direction), dir=direction, castshadow=shadow)
+        light.type, light.diffuse = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, [diffuse] * 3
+    if not (model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any():
         spec.add_texture(
             name=unused("sky", names),
             type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,

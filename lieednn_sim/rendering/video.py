@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import io
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from PIL import Image as Picture
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
@@ -225,15 +223,9 @@ def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[
         with ffmpeg.mp4_writer(path, size, fps) as append:
             yield append
         return
-    # In memory, where it is small: what does not fit on the disk the library would try to write again as it is deleted.
-    content = io.BytesIO()
-    writer: Any = imageio.get_writer(content, format="GIF", mode="I", duration=1000.0 / fps, loop=0)
-    try:
-        yield writer.append_data
-    finally:
-        # imageio's own `with` leaves the file open when the block fails.
-        writer.close()
-    path.write_bytes(content.getbuffer())
+    pictures: list[Picture.Image] = []
+    yield lambda image: pictures.append(Picture.fromarray(image).quantize())
+    pictures[0].save(path, format="GIF", save_all=True, append_images=pictures[1:], duration=1000.0 / fps, loop=0)
 
 
 typecheck_public(globals())

@@ -37,7 +37,6 @@ class ModelActuators:
 
     def __init__(self, model: mujoco.MjModel, basis: Floats) -> None:
         moments = actuator_moments(model)
-        self._nv = int(model.nv)
         self.driving = _moving(moments, basis)
         self._moment = np.where(self.driving[:, None], moments, 0.0)
         self.transmission = transmission = self._moment @ basis
@@ -49,10 +48,9 @@ class ModelActuators:
         self._bias = np.where(self.driving, model.actuator_biasprm[:, :3].T, 0.0)
         self.servos = self.driving & (self._bias[1] / self._gain < 0.0)
         self._idle = np.where(self.driving, 0.0, _home_controls(model))
-        self._scalars = np.flatnonzero(np.isin(model.jnt_type, _SCALAR))
-        self._positions = model.jnt_qposadr[self._scalars], model.jnt_dofadr[self._scalars]
-        balls = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL))
-        self._balls = [(int(model.jnt_qposadr[ball]), int(model.jnt_dofadr[ball])) for ball in balls]
+        # The positions at which all lengths are zero: those of quaternions are their references.
+        self._model, self._zero = model, model.qpos0.copy()
+        self._zero[model.jnt_qposadr[np.isin(model.jnt_type, _SCALAR)]] = 0.0
 
     def require_servos(self) -> None:
         """Raise `InputError` unless every driving actuator is a position servo."""
@@ -64,14 +62,12 @@ class ModelActuators:
 
     def lengths(self, qpos: Floats) -> Floats:
         """Lengths ``(..., nu)`` at positions ``(..., nq)``; zero for actuators that do not move the arm."""
-        if qpos.shape[-1] == self._nv:
+        if self._model.nq == self._model.nv:
             # Without quaternions both have the same layout.
             return np.matvec(self._moment, qpos)
-        x = np.zeros((*qpos.shape[:-1], self._nv))
-        x[..., self._positions[1]] = qpos[..., self._positions[0]]
-        for position, dof in self._balls:
-            for index in np.ndindex(qpos.shape[:-1]):
-                mujoco.mju_quat2Vel(x[index][dof : dof + 3], qpos[index][position : position + 4], 1.0)
+        x = np.zeros((*qpos.shape[:-1], self._model.nv))
+        for index in np.ndindex(qpos.shape[:-1]):
+            mujoco.mj_differentiatePos(self._model, x[index], 1.0, self._zero, qpos[index])
         return np.matvec(self._moment, x)
 
     def velocities(self, qvel: Floats) -> Floats:
@@ -133,7 +129,12 @@ class Actuators(ModelActuators):
 
     def __init__(self, arm: Arm) -> None:
         super().__init__(arm.model, tangent_basis(arm))
-        _check_complete(arm, self.transmission)
+        if np.linalg.matrix_rank(self.transmission) < arm.n_joints:
+            bare = [repr(arm.joint_names[k]) for k in range(arm.n_joints) if not self.transmission[:, k].any()]
+            why = (
+                f"no actuator moves {', '.join(bare)}" if bare else "its actuators cannot move all joints independently"
+            )
+            raise InputError(f"arm {arm.name!r} cannot be driven: {why}")
 
 
 def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
@@ -167,20 +168,6 @@ def _check(model: mujoco.MjModel, driving: NDArray[np.bool_]) -> None:
                 "need <position>, <motor>, or <general> with fixed gain, affine bias and no dynamics, on joints or "
                 "fixed tendons"
             )
-
-
-def _check_complete(arm: Arm, transmission: Floats) -> None:
-    if np.linalg.matrix_rank(transmission) == arm.n_joints:
-        return
-    bare = [name for name, column in zip(arm.joint_names, transmission.T, strict=True) if not column.any()]
-    raise InputError(
-        f"arm {arm.name!r} cannot be driven: "
-        + (
-            f"no actuator moves {', '.join(map(repr, bare))}"
-            if bare
-            else "its actuators cannot move all joints independently"
-        )
-    )
 
 
 def _home_controls(model: mujoco.MjModel) -> Floats:

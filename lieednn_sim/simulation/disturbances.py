@@ -14,7 +14,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.moving_obstacles import MovingObstacle
-from lieednn_sim.validation import as_floats, as_positive, as_seed, quoted
+from lieednn_sim.validation import as_floats, as_nonnegative, as_positive, as_seed, quoted
 from lieednn_sim.values import Floats, check_fields, set_fields
 
 
@@ -38,7 +38,7 @@ class Push:
     def __post_init__(self) -> None:
         force = as_floats("force", self.force, (3,))
         set_fields(self, force=tuple(float(value) for value in force))
-        check_fields(self, _as_least_zero, "start")
+        check_fields(self, as_nonnegative, "start")
         check_fields(self, as_positive, "duration")
 
     @property
@@ -86,7 +86,7 @@ class Disturbances:
     def __post_init__(self) -> None:
         set_fields(self, pushes=tuple(sorted(self.pushes, key=lambda push: push.start)))
         check_fields(self, as_positive, "mass_scale")
-        check_fields(self, _as_least_zero, "payload", "position_noise", "velocity_noise")
+        check_fields(self, as_nonnegative, "payload", "position_noise", "velocity_noise")
         check_fields(self, as_seed, "seed")
 
     def to_json(self) -> dict[str, Any]:
@@ -213,10 +213,3 @@ def tangent_basis(arm: Arm) -> Floats:
     """
     rates = np.eye(arm.n_joints)
     return arm.qvel(np.zeros_like(rates), rates).T
-
-
-def _as_least_zero(name: str, value: float) -> float:
-    number = float(as_floats(name, value, ()))
-    if number < 0.0:
-        raise InputError(f"{name} must not be negative, got {number:g}")
-    return number

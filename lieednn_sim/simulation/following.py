@@ -38,6 +38,9 @@ class Following:
         states: ``(L, ...)`` the policy's states at the beginnings of the L control periods; ``(L, N, 6)`` of a network.
         period: simulation steps in a control period.
         step_time: ``(L,)`` CPU time of each step of the policy [s]; only this differs between two equal runs.
+
+    Raises:
+        InputError: the target is not of the rollout's times and joints.
     """
 
     rollout: Rollout
@@ -45,6 +48,9 @@ class Following:
     states: Floats
     period: int
     step_time: Floats = field(repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        as_floats("target", self.target, self.rollout.q.shape)
 
     @property
     def jumps(self) -> tuple[float, ...]:

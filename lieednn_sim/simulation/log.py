@@ -168,6 +168,9 @@ class Log:
     def instants(self) -> Instant:
         """All instants so far, along the first axis of every array."""
         rows, log = self._rows, {name: self._read(*pair) for name, pair in self._log.items()}
+        # Gravity compensation that bypasses MuJoCo's actuators, which have to exert it, too.
+        model = self._simulation.model
+        bypassing = log["compensation"] * (model.jnt_actgravcomp[model.dof_jntid] == 0)
         matrices = log["rotations"][:, self._sites].reshape(rows, len(self._sites), 3, 3)
         contacts, contact_force = np.zeros(rows, dtype=int), np.zeros(rows)
         for row, touching, force in self._contacts:
@@ -177,7 +180,7 @@ class Log:
             qpos=log["qpos"].copy(),
             qvel=log["qvel"].copy(),
             ctrl=log["ctrl"].copy(),
-            actuator_force=log["actuators"] + self._compensated * log["compensation"],
+            actuator_force=log["actuators"] + bypassing,
             constraint_force=log["constraints"].copy(),
             link_position=log["positions"][:, self._sites],
             link_quaternion=rotations(matrices).as_quat(scalar_first=True),
@@ -200,12 +203,6 @@ class Log:
 
     def _read(self, stream: io.BytesIO, view: Floats) -> Floats:
         return np.frombuffer(stream.getvalue(), count=self._rows * view.size).reshape(self._rows, *view.shape)
-
-    @property
-    def _compensated(self) -> NDArray[np.bool_]:
-        """Dofs ``(nv,)`` whose gravity compensation bypasses MuJoCo's actuators, which have to exert it, too."""
-        model = self._simulation.model
-        return ~model.jnt_actgravcomp[model.dof_jntid].astype(bool)
 
     def _largest_contact(self) -> float:
         wrench, largest = np.zeros(6), 0.0

@@ -37,10 +37,6 @@ _ARRAYS = (
 _CHANNEL = "channel "
 
 
-def _zeros() -> Floats:
-    return np.zeros(0)
-
-
 @frozen
 class Rollout:
     """Log of a simulation and of its conditions; row k of every array over time belongs to time ``t[k]``.
@@ -87,14 +83,14 @@ class Rollout:
     link_quaternion: Floats
     contacts: NDArray[np.int_]
     motion_end: float
-    contact_force: Floats = field(default_factory=_zeros)
+    contact_force: Floats = field(default_factory=lambda: np.zeros(0))
     channels: Mapping[str, Floats] = field(default_factory=dict)
     channel_units: Mapping[str, str] = field(default_factory=dict)
     controller: str = "position-servo"
     reference_rate: float | None = None
     disturbances: Disturbances = field(default_factory=Disturbances)
     motion: Motion | None = None
-    target: Floats = field(default_factory=_zeros)
+    target: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         k = len(as_times("t", self.t))

@@ -33,7 +33,7 @@ def make_controlled(
     """A controller by name, and the simulation of the plant that it drives, without visual geoms."""
     bare = arm.without_visuals
     driver = make_controller(controller, bare, reference)
-    plant = make_plant(bare, disturbances, driver.add_bodies if driver.adds_bodies else None)
+    plant = make_plant(bare, disturbances, driver.add_bodies)
     driver.equip(plant)
     return driver, Simulation(arm, plant, disturbances=disturbances)
 

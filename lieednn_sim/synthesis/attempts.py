@@ -12,10 +12,9 @@ from lieednn_sim.budget import cpu_time
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.synthesis.bias import bias_for, equation_columns, impossibility
-from lieednn_sim.synthesis.problem import Problem
+from lieednn_sim.synthesis.problem import Problem, contracted, random_starts
 from lieednn_sim.synthesis.result import Synthesis
 from lieednn_sim.synthesis.search import QUATERNION_BOUNDS, feasible_points, polish, smallest_eigenvalue_point
-from lieednn_sim.synthesis.starts import contracted, random_starts
 from lieednn_sim.validation import as_count, as_positive
 from lieednn_sim.values import Floats
 
@@ -148,16 +147,8 @@ def attempt_all(
     begun = cpu_time()
     rule = bias if isinstance(bias, str) else None
     tasks = []
-    # Candidates of a plan have one target and few magnitudes.
-    known: dict[tuple[bytes, float], Floats] = {}
     for k, (target, state) in enumerate(zip(targets, ACTIVATIONS[options.activation].phi(targets), strict=True)):
-        if isinstance(bias, str):
-            asked = target.tobytes(), magnitudes[k]
-            if asked not in known:
-                known[asked] = bias_for(bias, target, state, options.ratio, magnitudes[k])
-            offset = known[asked]
-        else:
-            offset = bias[k]
+        offset = bias_for(bias, target, state, options.ratio, magnitudes[k]) if isinstance(bias, str) else bias[k]
         tasks.append(_Task(target, state, offset, generators[k], options, begun))
     solved = rule == "solved"
     if not solved:

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim.errors import InputError
 from lieednn_sim.stability.norms import as_weight, log_norms
-from lieednn_sim.validation import as_finite, as_floats, as_positive, as_ratio
+from lieednn_sim.validation import as_finite, as_floats, as_nonnegative, as_positive, as_ratio
 from lieednn_sim.values import Floats
 
 # Largest velocity: larger than elsewhere, since velocities only divide.
@@ -65,9 +64,7 @@ def smoothness_bounds(
     matrix = as_weight("weight", weight)
     drive = float(np.abs(as_floats("bias", bias, (len(matrix),))).max())
     decay, scale = as_positive("gamma", gamma), as_positive("mu", mu)
-    size = float(as_floats("radius", radius, ()))
-    if size < 0.0:
-        raise InputError(f"radius must not be negative, got {size:g}")
+    size = as_nonnegative("radius", radius)
     most, slope = as_positive("output_bound", output_bound), as_positive("lipschitz", lipschitz)
     norm = log_norms(matrix).infinity_norm
     velocity = decay * size + scale * norm * most + scale * drive

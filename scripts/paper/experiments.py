@@ -42,7 +42,7 @@ def trained(algorithm: str, changes: dict[str, Any], seed: int) -> Outcome:
 def riemannian(seed: int, **options: Any) -> Outcome:
     """Learning on the manifold itself."""
     settings = learning.RiemannianOptions(**options)
-    return _training(*_timed(lambda: learning.train_riemannian(target(seed), settings, bias=BIAS, seed=seed)), seed)
+    return _training(*_timed(lambda: train(target(seed), settings, bias=BIAS, seed=seed)), seed)
 
 
 def synthesis(seed: int) -> Outcome:

@@ -29,9 +29,9 @@ TRAININGS: dict[str, tuple[str, dict[str, Any]]] = {
     "tracked": ("tracked", {}),
 }
 RIEMANNIAN: dict[str, dict[str, Any]] = {
-    "Riemannian gradient": {"method": "gradient", "certified": False},
-    "Riemannian Gauss-Newton": {"method": "gauss-newton", "certified": False},
-    "stability-aware": {"method": "gauss-newton", "certified": True},
+    "Riemannian gradient": {"direction": "gradient", "certified": False},
+    "Riemannian Gauss-Newton": {"direction": "gauss-newton", "certified": False},
+    "stability-aware": {"direction": "gauss-newton", "certified": True},
 }
 
 
@@ -104,7 +104,7 @@ def jobs(plan: Plan) -> list[Job]:
             options = {"algorithm": algorithm, "changes": {**changes, **limits}, "seed": seed}
             found.append(Job(name, "train", options))
     for name, settings in RIEMANNIAN.items():
-        steps = {"max_start_epochs": plan.gradient_steps, "restarts": 0} if settings["method"] == "gradient" else {}
+        steps = {"max_start_epochs": plan.gradient_steps, "restarts": 0} if settings["direction"] == "gradient" else {}
         found += [Job(name, "riemannian", {**settings, **steps, "seed": seed}) for seed in range(plan.targets)]
     for seed in range(plan.targets):
         found.append(Job("certified synthesis", "synthesis", {"seed": seed}))

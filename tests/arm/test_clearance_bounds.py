@@ -35,7 +35,7 @@ def test_within_the_scale_nothing_comes_nearer_than_the_margin(name, scene):
     """Corners of the set, where the distance is measured by MuJoCo; large turns show the terms of second order."""
     arm = Arm.load(name, scene, 0)
     rng, margin = np.random.default_rng(0), 0.002
-    groups = arm.deviation_groups
+    groups = arm.retractor.groups
     bounds, collisions = ClearanceBounds(arm, groups, margin), Collisions(arm)
     home, least, largest = arm.keyframe("home"), np.inf, 0.0
     for _ in range(4):

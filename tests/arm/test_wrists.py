@@ -52,23 +52,6 @@ def test_a_way_of_states_is_followed_on_the_branch_on_which_it_begins():
     assert np.abs(arm.decode(arm.encode(way * [1.0, 1.0, -1.0, 1.0])).q[:, 2] + way[:, 2]).max() > 0.1
 
 
-def test_two_wrists_that_are_built_alike_are_each_followed_on_the_branch_on_which_they_begin():
-    wrists = "".join(
-        f"""<body pos=".4 0 0"><joint name="roll{i}" range="-3 3"/><geom size=".02"/>
-        <body><joint name="bend{i}" axis="0 1 0" range="-1.5 1.5"/><geom size=".02"/>
-        <body name="hand{i}"><joint name="turn{i}" range="-3 3"/><geom size=".02" pos=".1 0 .1"/>"""
-        for i in (1, 2)
-    )
-    xml = f"""<mujoco><compiler angle="radian"/><worldbody><body name="shoulder"><joint axis="0 1 0" range="-1 1"/>
-      <geom size=".02"/>{wrists}{"</body>" * 7}</worldbody>
-      <keyframe><key name="home" qpos="0 .3 .8 .2 .3 .8 .2"/></keyframe></mujoco>"""
-    spec, _ = import_arm(mujoco.MjSpec.from_string(xml), links=["shoulder", "hand1", "hand2"], floor="none")
-    arm, s = Arm.from_spec(spec, Path("wrists.xml"), "wrists"), np.linspace(0.0, 1.0, 300)[:, None]
-    way = (1.0 - s) * [0.1, 0.3, 0.9, 0.2, -2.8, -0.9, -2.9] + s * [0.5, 2.9, 0.2, -2.8, -1.9, -0.3, -1.4]
-    for ends in (way, way * [1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0]):
-        np.testing.assert_allclose(arm.decode(arm.encode(ends), start=ends[0]).q, ends, atol=1e-9)
-
-
 def test_postures_that_poses_hardly_tell_apart_are_known_by_the_least_singular_value():
     rng = np.random.default_rng(1)
     jacobian = rng.normal(size=(500, 12, 3))

@@ -136,7 +136,7 @@ def test_a_training_that_is_ended_says_so_and_leaves_nothing_half_made(run, tmp_
     def ending(*_):
         raise error
 
-    monkeypatch.setattr(projected._ProjectedTraining, "_step", ending)
+    monkeypatch.setattr(projected.ProjectedTraining, "_step", ending)
     code, said = (130, "interrupted") if isinstance(error, KeyboardInterrupt) else (2, "No space left on device")
     directory = tmp_path / "run"
     shutil.copytree(run, directory)

@@ -145,7 +145,7 @@ def run(tmp_path_factory):
 def test_an_ffmpeg_that_does_not_exist_is_named(run, capsys, monkeypatch):
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nonexistent")
     assert main(["render", str(run), "--size", "64x48", "--preset", "draft", "--fps", "2"]) == 2
-    assert "cannot run ffmpeg, /nonexistent: No such file or directory; unset IMAGEIO" in capsys.readouterr().err
+    assert "No such file or directory: '/nonexistent'; unset IMAGEIO_FFMPEG_EXE" in capsys.readouterr().err
 
 
 @pytest.mark.rendering

@@ -17,8 +17,7 @@ from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.evaluation import plots
-from lieednn_sim.network.hopfield import HopfieldNetwork
+from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Plan, plan
 from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.registry import PLANNERS, PlannerEntry
@@ -94,7 +93,7 @@ def test_what_was_made_from_each_other_is_read_back(tmp_path, made):
     run, task = save(tmp_path, made)
     assert run.load_task()[0] == task
     arm = made[3].arm
-    assert (run.load_network(), run.load_motion(task)) == made[1:3]
+    assert (LieEDNN.load(run.network), run.load_motion(task)) == made[1:3]
     rollout = run.load_rollout(task, arm)
     np.testing.assert_array_equal(rollout.q, made[3].q)
     assert rollout.motion == made[2]
@@ -102,8 +101,6 @@ def test_what_was_made_from_each_other_is_read_back(tmp_path, made):
 
 def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsys, monkeypatch):
     """From a planner, by the command line."""
-    seen = []
-    monkeypatch.setattr(plots, "plot_network", lambda rollout, path, network: seen.append(network))
 
     def hidden(problem):
         network = cascade(problem.arm.encode(problem.target), 0.02)
@@ -116,20 +113,11 @@ def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsy
     assert "globally stable" in capsys.readouterr().out
     run = RunDirectory(directory)
     task, _ = run.load_task()
-    network = run.load_network()
+    network = LieEDNN.load(run.network)
     assert (network.n_visible, network.n_hidden, network.n_clock) == (4, 3, 1)
     assert main(["simulate", directory, "--hold", "0"]) == 0
     assert main(["evaluate", directory]) == 0
     assert run.load_motion(task).xi.shape[1:] == (4, 6)
-    assert seen == [network]
-
-
-def test_a_network_of_another_class_is_read_back(tmp_path, made):
-    task, network, motion, _ = made
-    plain = HopfieldNetwork(network.weight, network.bias)
-    run = RunDirectory(tmp_path)
-    run.save_network(task, plain, motion)
-    assert run.load_network() == plain
 
 
 def test_files_of_different_runs_are_refused_and_both_named(tmp_path, made, capsys):

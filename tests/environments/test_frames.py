@@ -35,7 +35,7 @@ def test_twists_lead_from_frames_to_goals_each_as_it_is_alone():
     np.testing.assert_allclose(turned, angle, atol=1e-13)
     alone = [pose_error_twists(frame, goal) for frame, goal in zip(frames, goals, strict=True)]
     for together, each in zip((found, distance, turned), zip(*alone, strict=True), strict=True):
-        np.testing.assert_array_equal(together, each)
+        np.testing.assert_allclose(together, each, atol=1e-14)
 
 
 def test_of_several_frames_the_worst_counts_and_tails_fall_to_a_tenth():

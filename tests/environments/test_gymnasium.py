@@ -101,7 +101,6 @@ def test_gymnasium_finds_the_environments_by_module():
     environment = gymnasium.make(f"lieednn_sim.environments.gymnasium:{TRACK}", control_timestep=0.01)
     environment.reset(seed=0)
     assert (environment.spec.id, environment.unwrapped.metadata["render_fps"]) == (TRACK, 100)
-    sys.modules["lieednn_sim.environments.gymnasium"].register()  # again
 
 
 @pytest.mark.usefixtures("unloaded")

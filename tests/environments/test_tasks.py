@@ -11,7 +11,7 @@ from lieednn_sim.environments import observations, trajectories
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.tasks import REST, TASKS, make_task
 from lieednn_sim.environments.trajectories import band_limited, planned
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.lie import exp
 from lieednn_sim.planning import Plan
 from lieednn_sim.planning.network_path import make_motion
@@ -53,7 +53,7 @@ def test_expert_reaches_targets_with_every_arm_and_random_actions_do_not(arm, mo
     monkeypatch.setattr(trajectories, "_PLANNING_DURATION", 6.0)
     task = make_task("reach", arm, time_limit=3.5)
     rng = np.random.default_rng(1)
-    expert = Expert(task, n_networks=2)
+    expert = Expert(task)
     rewards = {"expert": 0.0, "random": 0.0}
     for policy in rewards:
         task.begin(np.random.default_rng(0))
@@ -249,6 +249,19 @@ def test_plans_are_as_fast_as_the_limits_allow(planner):
     assert max(velocity.max(), acceleration.max()) == pytest.approx(0.9, abs=0.02)
     assert_allclose(trajectory.position([-1.0, 99.0]), [arm.keyframe("home"), arm.keyframe("extended")], atol=1e-6)
     assert_array_equal(trajectory.velocity([-1.0, 99.0]), np.zeros((2, 8)))
+
+
+def test_more_networks_are_drawn_where_few_keep_the_limits(gantry, monkeypatch):
+    counts = []
+
+    def refuse(*_, options, **__):
+        counts.append(options.n_networks)
+        raise PlanError("too fast")
+
+    monkeypatch.setattr(trajectories, "plan", refuse)
+    with pytest.raises(PlanError, match="too fast"):
+        planned(gantry, "home")
+    assert counts == [2, 8, 32]
 
 
 def test_the_expert_takes_a_planner_whose_network_has_hidden_neurons(reach, cascade, monkeypatch):

@@ -14,8 +14,6 @@ from lieednn_sim.environments.gymnasium import Environment, VectorEnvironment
 from lieednn_sim.errors import InputError
 
 NAME = "LieEDNN/TelescopicReach-v0"
-# From NumPy 2.5 on some of its sums depend on the shape of the whole array.
-ROUNDING = 0.0 if np.lib.NumpyVersion(np.__version__) < "2.5.0" else 1e-14
 
 
 def assert_same(one: Any, other: Any) -> None:
@@ -27,7 +25,7 @@ def assert_same(one: Any, other: Any) -> None:
         for entry, twin in zip(one, other, strict=True):
             assert_same(entry, twin)
     else:
-        np.testing.assert_allclose(one, other, rtol=0.0, atol=ROUNDING)
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
         assert np.asarray(one).dtype == np.asarray(other).dtype
 
 

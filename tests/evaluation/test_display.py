@@ -1,4 +1,4 @@
-"""What a terminal shows of an evaluation, cell by cell."""
+"""What an evaluation sums up, and what a terminal shows of it, cell by cell."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from lieednn_sim.cli.console import console
-from lieednn_sim.evaluation.evaluation import Evaluation, JointUse, Recovery
-from lieednn_sim.evaluation.frame_errors import FrameErrors
+from lieednn_sim.evaluation.evaluation import Evaluation, FrameErrors, JointUse, Recovery
 from lieednn_sim.evaluation.motion_metrics import MotionMetrics
 from lieednn_sim.simulation import Disturbances
 
@@ -104,3 +103,47 @@ def test_what_is_printed_is_what_the_command_line_prints(monkeypatch):
     with contextlib.redirect_stdout(stream):
         console.print(EVALUATION)
     assert stream.getvalue() == f"{EVALUATION}\n"
+
+
+def frame(name, *values, settled=1.0):
+    return FrameErrors(name, *values, settling_s=settled)
+
+
+def test_an_evaluation_takes_the_worst_link_the_effector_and_the_hardest_joint():
+    # In each column another frame is the worst; the effector is the last.
+    frames = (
+        frame("link 1", 9.0, 1.0, 3.0, 60.0, 50.0, 6.0, settled=1.25),
+        frame("link 2", 1.0, 8.0, 70.0, 4.0, 5.0, 90.0, settled=1.75),
+        frame("end effector", 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, settled=1.5),
+    )
+    joints = (JointUse("x", 1.0, 2.0, 9.0, 10.0, 0.0), JointUse("turn", 3.0, 4.0, 1.0, np.inf, 0.0))
+    expected = {
+        "velocity_fraction": 0.75,
+        "force_fraction": 0.9,
+        "settling_s": 1.75,
+        "final_effector_mm": 2.0,
+        "final_effector_deg": 3.0,
+        "final_worst_mm": 9.0,
+        "final_worst_deg": 8.0,
+        "tracking_rms_mm": 70.0,
+        "tracking_rms_deg": 60.0,
+        "tracking_max_mm": 50.0,
+        "tracking_max_deg": 90.0,
+    }
+    found = dataclasses.replace(EVALUATION, frames=frames, joints=joints)
+    assert {name: getattr(found, name) for name in expected} == pytest.approx(expected)
+    frames = (*frames[:2], frame("end effector", 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, settled=None))
+    assert dataclasses.replace(EVALUATION, frames=frames, joints=joints).settling_s is None
+
+
+def test_success_needs_every_link_within_both_bounds_and_no_contact():
+    def shortfall(*frames, contacts=0):
+        return dataclasses.replace(EVALUATION, frames=frames, contacts=contacts).shortfall
+
+    good = frame("link 1", 1.0, 0.1, 9.0, 9.0, 9.0, 9.0)
+    far = frame("link 2", 1.001, 0.0, 0.0, 0.0, 0.0, 0.0)
+    skew = frame("link 2", 0.0, 0.1001, 0.0, 0.0, 0.0, 0.0)
+    assert shortfall(good, good) == ""
+    assert shortfall(good, far, good) == "arrival: link 2 ends 1 mm and 0 deg off"
+    assert shortfall(good, skew) == "arrival: link 2 ends 0 mm and 0.1 deg off"
+    assert shortfall(far, contacts=3) == "contact: up to 3 at a time"

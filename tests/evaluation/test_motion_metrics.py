@@ -7,8 +7,6 @@ import pytest
 from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.evaluation.evaluation import Evaluation, JointUse
-from lieednn_sim.evaluation.frame_errors import FrameErrors
 from lieednn_sim.evaluation.motion_metrics import (
     least_clearance,
     motion_metrics,
@@ -16,9 +14,6 @@ from lieednn_sim.evaluation.motion_metrics import (
     violations,
 )
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.simulation import Disturbances
-
-LIMITS = ("position", "velocity", "acceleration")
 
 
 def motion_of(arm, t, q, qd):
@@ -97,65 +92,6 @@ def test_jerk_and_curvature_are_the_last_link_s(gantry):
     assert found.curvature == pytest.approx(2.0, rel=1e-3)
 
 
-def frame(name, *values, settled=1.0):
-    return FrameErrors(name, *values, settling_s=settled)
-
-
-JOINTS = (JointUse("x", 0.0, 1.0, 0.0, 1.0, 0.0),)
-
-
-def evaluation_of(frames, joints=JOINTS, contacts=0):
-    return Evaluation(
-        arm="gantry",
-        scene="free",
-        controller="mocap",
-        reference_rate=None,
-        disturbances=Disturbances(),
-        hold=1.0,
-        duration_s=2.0,
-        motion_s=1.0,
-        plan=None,
-        frames=tuple(frames),
-        joints=tuple(joints),
-        path_m=2.5,
-        displacement_m=1.0,
-        clearance_mm=None,
-        contacts=contacts,
-        peak_contact_force_n=0.0,
-        peak_weld_force_n=0.0,
-        peak_weld_torque_n_m=0.0,
-        recoveries=(),
-        **{f"{what}_{kind}": 0 for what in LIMITS for kind in ("violations", "excess")},
-    )
-
-
-def test_an_evaluation_takes_the_worst_link_the_effector_and_the_hardest_joint():
-    # In each column another frame is the worst; the effector is the last.
-    frames = (
-        frame("link 1", 9.0, 1.0, 3.0, 60.0, 50.0, 6.0, settled=1.25),
-        frame("link 2", 1.0, 8.0, 70.0, 4.0, 5.0, 90.0, settled=1.75),
-        frame("end effector", 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, settled=1.5),
-    )
-    joints = (JointUse("x", 1.0, 2.0, 9.0, 10.0, 0.0), JointUse("turn", 3.0, 4.0, 1.0, np.inf, 0.0))
-    expected = {
-        "velocity_fraction": 0.75,
-        "force_fraction": 0.9,
-        "settling_s": 1.75,
-        "final_effector_mm": 2.0,
-        "final_effector_deg": 3.0,
-        "final_worst_mm": 9.0,
-        "final_worst_deg": 8.0,
-        "tracking_rms_mm": 70.0,
-        "tracking_rms_deg": 60.0,
-        "tracking_max_mm": 50.0,
-        "tracking_max_deg": 90.0,
-    }
-    found = evaluation_of(frames, joints)
-    assert {name: getattr(found, name) for name in expected} == pytest.approx(expected)
-    frames = (*frames[:2], frame("end effector", 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, settled=None))
-    assert evaluation_of(frames, joints).settling_s is None
-
-
 def test_clearance_is_looked_at_every_fifth_sample_and_at_contacts(gantry):
     q = np.zeros((12, 4))
     q[:, 2] = 0.1 * np.arange(12) + 1.0
@@ -185,13 +121,3 @@ def test_violations_by_hand(gantry):
             "acceleration_excess": 250.0 / 20.0 - 1.0,
         }
     )
-
-
-def test_success_needs_every_link_within_both_bounds_and_no_contact():
-    good = frame("link 1", 1.0, 0.1, 9.0, 9.0, 9.0, 9.0)
-    far = frame("link 2", 1.001, 0.0, 0.0, 0.0, 0.0, 0.0)
-    skew = frame("link 2", 0.0, 0.1001, 0.0, 0.0, 0.0, 0.0)
-    assert evaluation_of([good, good]).shortfall == ""
-    assert evaluation_of([good, far, good]).shortfall == "arrival: link 2 ends 1 mm and 0 deg off"
-    assert evaluation_of([good, skew]).shortfall == "arrival: link 2 ends 0 mm and 0.1 deg off"
-    assert evaluation_of([far], contacts=3).shortfall == "contact: up to 3 at a time"

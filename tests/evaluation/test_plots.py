@@ -14,9 +14,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout, plots
 from lieednn_sim.evaluation.figure_layout import fix_layout
 from lieednn_sim.evaluation.plot_training import plot_training
-from lieednn_sim.learning.history import History
+from lieednn_sim.learning.result import History
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.simulation import Disturbances, Push
 
 
@@ -49,7 +48,7 @@ def test_a_run_is_plotted_by_one_call(tmp_path, monkeypatch):
     monkeypatch.setattr(figure_layout, "_DPI", 20)
     arm = Arm.load("telescopic_pr")
     planned = ls.plan(arm, "extended", planner="linear-attractor", duration=2.0)
-    written = ls.plot(ls.simulate(arm, planned, hold=0.0), tmp_path / "new", network=planned.network)
+    written = ls.plot(ls.simulate(arm, planned, hold=0.0), tmp_path / "new")
     assert {path.name for path in written} == {"tracking.png", "joints.png", "network.png"}
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written)
     # To draw takes longer than all else.
@@ -79,34 +78,6 @@ def test_the_network_s_plot_names_links_and_shows_radians_and_metres(arm, drawn)
         assert [line.get_ydata()[-1] for line in length.lines[::2]] == pytest.approx(2.0 * target[i, 3:])
         assert [line.get_ydata()[0] for line in length.lines[1::2]] == pytest.approx(2.0 * target[i, 3:])
     assert "target" in [text.get_text() for text in drawn[0].legends[0].texts]
-
-
-def test_the_network_s_plot_names_hidden_neurons_and_shows_what_they_send(arm, drawn, cascade, monkeypatch):
-    home = arm.keyframe("home")
-    network = cascade(arm.encode(home))
-    motion = make_motion(arm, network, home, 1.0, 0.01)
-    plots.plot_network(replace(rollout_of(arm, motion.q, motion.q), motion=motion), "network.png", network=network)
-    shown = {axis.get_title("left"): axis for axis in drawn[0].axes if axis.get_visible()}
-    assert len(shown) == 8 + 3
-    assert list(shown)[8:] == ["neuron 5 (hidden)", "neuron 6 (hidden)", "neuron 7 (clock)"]
-    clock = [line.get_ydata() for line in shown["neuron 7 (clock)"].lines]
-    assert [values[0] for values in clock] == pytest.approx(np.tanh(np.linspace(0.5, 1.5, 6)))
-    assert [values[-1] for values in clock] == pytest.approx(np.zeros(6), abs=1e-7)
-    hidden = [line.get_ydata()[-1] for line in shown["neuron 5 (hidden)"].lines]
-    assert hidden == pytest.approx(np.full(6, np.tanh(-0.5)), abs=1e-6)
-    # Rotation and translation are told apart, in the legend as well.
-    assert [line.get_linestyle() for line in shown["neuron 6 (hidden)"].lines] == 3 * ["-"] + 3 * [":"]
-    assert [text.get_text()[:6] for text in drawn[0].legends[0].texts][-2:] == ["hidden", "hidden"]
-    # Of hundreds some are shown, the first and the last among them.
-    monkeypatch.setattr(plots, "_MOST_HIDDEN", 2)
-    plots.plot_network(replace(rollout_of(arm, motion.q, motion.q), motion=motion), "some.png", network=network)
-    few = [axis.get_title("left") for axis in drawn[-1].axes if axis.get_visible()]
-    assert few[8:] == ["neuron 5 (hidden)", "neuron 7 (clock)"]
-    assert [text.get_text() for text in drawn[-1].legends[0].texts][-1] == "2 of 3 hidden neurons"
-    with pytest.raises(InputError, match=r"xi must have shape \(1, 6\), got \(4, 6\)"):
-        plots.plot_network(
-            replace(rollout_of(arm, motion.q, motion.q), motion=motion), "n.png", network=cascade(np.zeros((1, 6)))
-        )
 
 
 def test_the_joints_plot_tells_the_error_and_does_not_exaggerate(arm, drawn):

@@ -13,7 +13,6 @@ from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, train
 from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.lie import adjoint, project_to_adjoint
-from lieednn_sim.stability import find_certificate
 from lieednn_sim.theory import group
 
 
@@ -21,22 +20,13 @@ def target(seed: int, neurons: int = 4, dimension: int = 6) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-0.8, 0.8, (neurons, dimension))
 
 
-def same(one, other) -> None:
-    """Two results are the same to the last digit."""
-    np.testing.assert_array_equal(one.weight, other.weight)
-    for name in ("epoch", "error", "accuracy", "rate", "one_norm", "infinity_norm", "equilibrium"):
-        np.testing.assert_array_equal(getattr(one.history, name), getattr(other.history, name), err_msg=name)
-    assert (one.reason, one.epochs, one.starts, one.success) == (
-        other.reason,
-        other.epochs,
-        other.starts,
-        other.success,
-    )
-
-
 def test_tracked_learning_reaches_nearly_every_target_on_the_manifold():
     results = [trained(TrainingOptions.tracked(), seed) for seed in range(12)]
     assert sum(result.success for result in results) >= 11
+    # Trials that were taken back leave gaps in the epochs, and no row.
+    assert any(len(result.history) <= result.epochs for result in results)
+    for history in (result.history for result in results):
+        assert (np.abs(np.diff(history.equilibrium, axis=0)).max(axis=(1, 2)) > 0.0).all()
     for seed, result in enumerate(results):
         assert result.structure_error < 1e-12
         if not result.success:
@@ -55,7 +45,7 @@ def test_tracked_learning_reaches_nearly_every_target_on_the_manifold():
 
 def test_repaired_algorithm_converges_where_the_printed_one_sticks():
     goal = target(4)
-    repaired = train(goal, TrainingOptions.repaired(), seed=4)
+    repaired = train(goal, TrainingOptions(), seed=4)
     assert repaired.success
     assert repaired.reason is StopReason.CONVERGED
     assert repaired.history.accuracy[-1] == 1.0
@@ -71,7 +61,7 @@ def test_repaired_algorithm_converges_where_the_printed_one_sticks():
 
 
 def test_ablation_reaches_the_target_and_loses_the_structure():
-    result = train(target(5), TrainingOptions.repaired(projection="none"), seed=0)
+    result = train(target(5), TrainingOptions(projection="none"), seed=0)
     assert result.success
     assert result.network is None
     assert result.structure_error > 0.5
@@ -80,7 +70,7 @@ def test_ablation_reaches_the_target_and_loses_the_structure():
 
 def test_history_tells_what_happened():
     goal = target(5)
-    history = train(goal, TrainingOptions.repaired(max_epochs=60), seed=0).history
+    history = train(goal, TrainingOptions(max_epochs=60), seed=0).history
     assert len(history) == 61
     np.testing.assert_array_equal(history.epoch, np.arange(61))
     delta = (history.equilibrium - goal).reshape(61, -1)
@@ -88,7 +78,7 @@ def test_history_tells_what_happened():
     np.testing.assert_array_equal(history.accuracy, (np.abs(delta) < 1e-5).mean(axis=1))
     fell = np.diff(history.error) < 0.0
     np.testing.assert_allclose(history.rate[1:-1] / history.rate[:-2], np.where(fell[:-1], 1.02, 0.9), rtol=1e-12)
-    weight = train(goal, TrainingOptions.repaired(max_epochs=60), seed=0).weight
+    weight = train(goal, TrainingOptions(max_epochs=60), seed=0).weight
     assert history.one_norm[-1] == pytest.approx(np.linalg.norm(weight, 1))
     assert history.infinity_norm[-1] == pytest.approx(np.linalg.norm(weight, np.inf))
 
@@ -132,7 +122,9 @@ def test_literal_is_algorithm_1_transcribed():
 def test_same_seed_same_result_and_other_seed_another(algorithm):
     options = ALGORITHMS[algorithm].load()(max_epochs=60)
     one, two, other = (train(target(1, 2), options, seed=seed) for seed in (3, 3, 4))
-    same(one, two)
+    np.testing.assert_array_equal(one.weight, two.weight)
+    assert one.history == two.history
+    assert (one.reason, one.epochs) == (two.reason, two.epochs)
     assert not np.array_equal(one.weight, other.weight)
 
 
@@ -142,7 +134,7 @@ def trained(options, seed):
 
 
 # In most epochs from 55 to 75 Newton's method fails here, and the network is run instead.
-SETTLING = TrainingOptions.repaired(max_epochs=150, period=1)
+SETTLING = TrainingOptions(max_epochs=150, period=1)
 
 
 def test_where_newton_steps_find_no_equilibrium_the_network_is_run():
@@ -174,9 +166,9 @@ def test_a_network_without_rest_is_given_up():
 
 def test_lost_equilibrium_and_instability_stop_the_training_with_their_reason():
     wild = {"initial_rate": 5.0, "min_rate": 5.0, "max_rate": 5.0, "max_epochs": 500}
-    reasons = {train(target(seed), TrainingOptions.repaired(**wild), seed=seed).reason for seed in range(6)}
+    reasons = {train(target(seed), TrainingOptions(**wild), seed=seed).reason for seed in range(6)}
     assert StopReason.LOST_EQUILIBRIUM in reasons
-    unstable = TrainingOptions.repaired(initial_rate=0.5, min_rate=0.5, max_rate=0.5, stability_interval=10)
+    unstable = TrainingOptions(initial_rate=0.5, min_rate=0.5, max_rate=0.5, stability_interval=10)
     results = [train(target(seed), unstable, seed=seed) for seed in range(6)]
     assert StopReason.UNSTABLE in {result.reason for result in results}
     assert not any(result.success for result in results if result.reason is StopReason.UNSTABLE)
@@ -216,14 +208,6 @@ def test_learning_gets_closer_where_the_projection_is_slow(name):
     assert result.structure_error < 1e-9
 
 
-def test_trained_networks_seldom_carry_a_certificate_that_they_could_not_have():
-    """A trained network is checked like any other; where the search finds a certificate, it holds."""
-    result = trained(TrainingOptions.tracked(), 0)
-    certificate = find_certificate(result.network.rotational_weight)
-    abscissa = result.network.equilibrium(target(0)).spectral_abscissa
-    assert not certificate.valid or abscissa <= -certificate.rate + 1e-6
-
-
 def test_other_rates_and_activation():
     result = train(target(4), TrainingOptions.tracked(), gamma=2.0, mu=0.5, activation="arctan", bias=0.3, seed=2)
     assert result.success
@@ -236,9 +220,9 @@ def test_a_strong_bias_puts_the_first_equilibrium_far_away():
     assert result.history.error[-1] < 0.5 * result.history.error[0]
 
 
-def test_first_weights_and_strengths_can_be_chosen():
+def test_first_weights_can_be_chosen():
     given = np.random.default_rng(0).normal(size=(24, 24)) / 100.0
-    first = train(target(0), TrainingOptions.repaired(max_epochs=1), initial_weight=given, seed=1).history
+    first = train(target(0), TrainingOptions(max_epochs=1), initial_weight=given, seed=1).history
     assert first.one_norm[0] == pytest.approx(np.linalg.norm(given, 1))
     # Learning goes on from a network that is near: the equilibrium is already there.
     learned = trained(TrainingOptions.tracked(), 0)
@@ -251,7 +235,7 @@ def test_first_weights_and_strengths_can_be_chosen():
 
 def test_progress_is_reported():
     calls: list[tuple[int, int]] = []
-    train(target(0), TrainingOptions.repaired(max_epochs=35), progress=lambda done, total: calls.append((done, total)))
+    train(target(0), TrainingOptions(max_epochs=35), progress=lambda done, total: calls.append((done, total)))
     assert calls == [(10, 35), (20, 35), (30, 35), (35, 35)] + [(35, 35)] * (len(calls) - 4)
 
 
@@ -265,8 +249,6 @@ def test_progress_is_reported():
         ({"initial_rate": 1.0}, "initial_rate must lie between min_rate 0.002 and max_rate 0.2"),
         ({"shrink": 1.5}, "shrink must be below 1"),
         ({"restarts": -1}, "restarts must be at least 0"),
-        ({"initial_alpha": float("nan")}, "initial_alpha must be finite"),
-        ({"initial_alpha": "small"}, "initial_alpha must be"),
     ],
 )
 def test_options_say_what_is_wrong(change, message):
@@ -287,7 +269,7 @@ def test_options_say_what_is_wrong(change, message):
         ({"seed": -1}, "seed must be a whole number >= 0"),
         ({"bias": 0.0}, "bias must not be zero"),
         ({"initial_weight": np.zeros((6, 6))}, r"initial_weight must have shape \(24, 24\)"),
-        ({"options": {"period": 3}}, "options must be TrainingOptions, got a dict"),
+        ({"options": {"period": 3}}, "options must be TrainingOptions or RiemannianOptions, got a dict"),
     ],
 )
 def test_bad_input_is_named(arguments, message):

@@ -74,14 +74,6 @@ def test_adjoint_projection_is_the_nearest_block_by_block(seed):
     assert np.linalg.norm(adjoint(rotation, translation) - matrix) < distances.min()
 
 
-@given(seeds)
-def test_adjoint_projection_is_idempotent(seed):
-    first = project_to_adjoint(np.random.default_rng(seed).normal(size=(6, 6)))
-    second = project_to_adjoint(adjoint(*first))
-    for before, after in zip(first, second, strict=True):
-        np.testing.assert_allclose(after, before, atol=1e-14)
-
-
 def distance(matrix: np.ndarray, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     return np.linalg.norm(adjoint(rotation, translation) - matrix, axis=(-2, -1))
 

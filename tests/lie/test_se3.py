@@ -90,40 +90,11 @@ def test_adjoint_moves_twists_as_conjugation_does(angle, direction):
     np.testing.assert_allclose(exp(adjoint_of(pose) @ twist).as_matrix(), moved.as_matrix(), atol=1e-12)
 
 
-@given(large_angles, angles, directions, directions)
-def test_adjoint_is_a_homomorphism(angle, other_angle, direction, other_direction):
-    a, b = exp(make_twist(angle, direction)), exp(make_twist(other_angle, other_direction))
-    np.testing.assert_allclose(adjoint_of(a * b), adjoint_of(a) @ adjoint_of(b), atol=1e-12)
-    np.testing.assert_allclose(adjoint_of(a.inv()) @ adjoint_of(a), np.eye(6), atol=1e-12)
-
-
-@given(large_angles, directions)
-def test_adjoint_of_exp_is_exp_of_ad(angle, direction):
-    twist = make_twist(angle, direction)
-    np.testing.assert_allclose(adjoint_of(exp(twist)), expm(ad(twist)), atol=1e-11)
-
-
 @given(large_angles, directions)
 def test_left_jacobians_are_the_integral_of_the_adjoint(angle, direction):
     twist = make_twist(angle, direction)
     np.testing.assert_allclose(left_jacobian_se3(twist), integral_of_expm(ad(twist)), atol=2e-13)
     np.testing.assert_allclose(left_jacobian_so3(twist[:3]), integral_of_expm(hat(twist[:3])), atol=1e-13)
-
-
-@given(large_angles, directions)
-def test_left_jacobian_turned_by_the_adjoint_is_the_right_jacobian(angle, direction):
-    twist = make_twist(angle, direction)
-    np.testing.assert_allclose(
-        adjoint_of(exp(twist)) @ left_jacobian_se3(-twist), left_jacobian_se3(twist), rtol=0, atol=1e-11
-    )
-
-
-@given(angles, directions)
-def test_left_jacobian_against_finite_differences_on_the_manifold(angle, direction):
-    twist, step = make_twist(angle, direction), 1e-4
-    moved = [exp(twist + step * e) * exp(twist - step * e).inv() for e in np.eye(6)]
-    numeric = np.stack([log(pose) for pose in moved], axis=-1) / (2.0 * step)
-    np.testing.assert_allclose(left_jacobian_se3(twist), numeric, atol=1e-7)
 
 
 @given(large_angles, directions, directions)

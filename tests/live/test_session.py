@@ -69,7 +69,8 @@ def test_a_dragged_target_is_reached_within_a_millimetre_under_a_bound_that_hold
     shown = observer.look()
     assert shown.arrived
     assert shown.distance == pytest.approx(np.linalg.norm(tip(arm, session.tick.q) - goal), abs=1e-6)
-    assert progress.certificate.lambda_max < progress.certificate.bound == 1.0
+    certificate = session.policy.network.certificate
+    assert certificate.lambda_max < certificate.bound == 1.0
     # The bound is no triviality: it falls as the distance does.
     assert progress.bound < 0.05 * seen[0]
     # The path that is drawn ahead begins at the reference and ends at the target.
@@ -159,9 +160,10 @@ def test_menus_change_the_plant_and_the_policy_without_a_jump(begin):
     assert (session.failure, session.tick.policy) == ("", "fabric")
     session.advance()
     assert session.tick.policy == "lieednn-shaped"
-    shown = status(Observer(session).look())
+    shown = status(Observer(session).look()._replace(gap=np.array([0.1, 2e-3])))
     assert ">certified<" in shown
     assert " proved" in shown
+    assert ">2 mm, 5.7°<" in shown
     session.choose(policy="lieednn-replanning")  # whose network has a certificate, but no bound on its way
     session.settle()
     session.advance()
@@ -232,6 +234,7 @@ def test_in_real_time_a_paused_loop_stands_and_a_closed_one_ends(arm, begin):
         session.aim_at(name)
         wait(lambda name=name: (session.tick.target == arm.keyframe(name)).all())
         stood.append(session.tick.time)
+    assert f">{stood[0]:.1f} s, paused<" in status(Observer(session).look())
     assert stood[0] == stood[1] > 0.05
     session.close()
     assert not [thread for thread in threading.enumerate() if thread.name == "control loop"]

@@ -17,49 +17,36 @@ from lieednn_sim.planning.baselines.sampling import PathOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.joint_space import ClearanceTest, Workspace, joint_scale
 
-# The first geom stands still; the first pair is of the arm and that, the second one of two of its own.
-MOVING, PAIRS = np.array([False, True, True]), np.array([[0, 1], [1, 2]])
-FAR = (9.0, 9.0)
-
-
-@pytest.fixture(autouse=True)
-def three_geoms(monkeypatch):
-    monkeypatch.setattr(joint_space, "moving_geoms", lambda _: MOVING)
-
 
 @pytest.mark.parametrize(
-    ("at_start", "at_target", "own", "margins"),
+    ("at_start", "at_target", "margin"),
     [
-        (FAR, FAR, 0.03, (0.05, 0.03)),
-        # Four fifths of what is nearer than that, at either end; of others and of its own apart.
-        ((0.02, 9.0), FAR, 0.03, (0.016, 0.03)),
-        (FAR, (9.0, 0.01), 0.03, (0.05, 0.008)),
-        ((0.02, 0.03), (0.01, 0.02), 0.03, (0.008, 0.016)),
-        # With one margin for all, of all.
-        ((9.0, 0.02), FAR, None, (0.016, 0.016)),
-        (FAR, (0.01, 9.0), None, (0.008, 0.008)),
+        ([9.0], [], 0.05),
+        # Four fifths of what is nearer than that, at either end.
+        ([9.0, 0.02], [9.0], 0.016),
+        ([], [0.01, 9.0], 0.008),
         # What motions are checked for is kept in any case.
-        ((0.001, -0.01), FAR, 0.03, (0.002, 0.002)),
+        ([0.001, -0.01], [9.0], 0.002),
     ],
 )
-def test_margins_are_what_both_ends_keep_themselves(monkeypatch, at_start, at_target, own, margins):
+def test_the_margin_is_what_both_ends_keep_themselves(monkeypatch, at_start, at_target, margin):
     within = []
 
     def distances(q, most):
         within.append(most)
-        return SimpleNamespace(pairs=PAIRS, distance=np.array({"start": at_start, "target": at_target}[q]))
+        return SimpleNamespace(distance=np.array({"start": at_start, "target": at_target}[q]))
 
     monkeypatch.setattr(joint_space, "Collisions", lambda _: SimpleNamespace(distances=distances))
-    monkeypatch.setattr(joint_space, "ClearanceTest", lambda _, *margins: margins)
+    monkeypatch.setattr(joint_space, "ClearanceTest", lambda _, margin: margin)
     arm = SimpleNamespace(clearance=0.002, model=None)
-    workspace = Workspace(SimpleNamespace(arm=arm, start="start", target="target"), 0.05, own)
-    assert workspace.clear == pytest.approx(margins)
-    assert within[0] == 0.1
+    workspace = Workspace(SimpleNamespace(arm=arm, start="start", target="target"), 0.05)
+    assert workspace.clear == pytest.approx(margin)
+    assert within == [0.1, 0.1]
 
 
-def test_what_pairs_lack_is_by_their_own_margin_and_once_each(gantry, monkeypatch):
-    """Margins of 5 and 4 cm; the first pair touches at two points, of which the deeper one lacks 6 cm."""
-    found = np.array([-0.01, 0.02, 0.03, 0.045]), np.array([[0, 1], [0, 1], [1, 2], [2, 1]])
+def test_what_pairs_lack_is_counted_once_each(gantry, monkeypatch):
+    """With a margin of 5 cm; the first pair touches at two points, of which the deeper one lacks 6 cm."""
+    found = np.array([-0.01, 0.02, 0.03, 0.06]), np.array([[0, 1], [0, 1], [1, 2], [2, 1]])
     order, asked = [0, 1, 2, 3], []
 
     def finder(_, margin):
@@ -67,17 +54,12 @@ def test_what_pairs_lack_is_by_their_own_margin_and_once_each(gantry, monkeypatc
         return SimpleNamespace(geoms=lambda _: tuple(part[order] for part in found))
 
     monkeypatch.setattr(joint_space, "ContactFinder", finder)
-    clear = ClearanceTest(gantry, 0.05, 0.04)
-    np.testing.assert_allclose(clear.lack(np.zeros((2, 4))), 0.06 + 0.01)
+    clear = ClearanceTest(gantry, 0.05)
+    np.testing.assert_allclose(clear.lack(np.zeros((2, 4))), 0.06 + 0.02)
     order[:] = [1, 0, 3, 2]
-    np.testing.assert_allclose(clear.lack(np.zeros((1, 4))), 0.06 + 0.01)
-    assert not clear(np.zeros(4))
-    # Its own parts may be as near as this.
-    order[:] = [3]
-    assert clear(np.zeros(4))
-    ClearanceTest(gantry, 0.03, 0.07)
-    assert asked == [0.05, 0.07]
-    assert clear.tests == 5
+    np.testing.assert_allclose(clear.lack(np.zeros((1, 4))), 0.06 + 0.02)
+    assert asked == [0.05]
+    assert clear.tests == 3
 
 
 def test_joints_without_a_velocity_limit_are_measured_by_their_range(gantry):

@@ -14,10 +14,12 @@ from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.kept import outside, projected
 from lieednn_sim.planning.teachers import _KeptSearch
 
+from .arms import coarse
+
 
 @pytest.fixture(scope="module")
 def arm():
-    return ls.Arm.load("telescopic_pr")
+    return coarse()
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +58,7 @@ def test_a_line_with_an_orientation_is_kept_by_a_certified_network_also_when_ret
 
 
 def test_an_upright_hand_finds_its_way_among_obstacles():
-    arm = ls.Arm.load("telescopic_pr", scene="poles", seed=5)
+    arm = coarse("telescopic_pr", "poles", 5)
     held, place = arm.link_poses(arm.keyframe("home"))[-1].rotation, arm.tip(ls.draw_target(arm, seed=5))
     region = ls.TaskSpaceRegion.orientation(held, np.deg2rad(5.0), axis=[0.0, 0.0, 1.0])
     made = ls.plan(arm, ls.TaskSpaceRegion.box(place, place), keep=region)

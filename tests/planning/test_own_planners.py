@@ -12,17 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning import PLANNERS, ShapedOptions, joint_motion, plan, register_planner
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 
-ARM = Arm.load("telescopic_pr")
+from .arms import coarse
+
+ARM = coarse()
 HOME, TARGET = ARM.keyframe("home"), ARM.keyframe("extended")
 HALF = 0.5 * (HOME + TARGET)
-OTHER = Arm.load("telescopic_compound")
+OTHER = coarse("telescopic_compound")
 FIRST, LAST = OTHER.keyframe("home"), OTHER.keyframe("extended")
 DOCUMENT = Path(__file__).parents[2] / "docs" / "howto" / "own_planner.md"
 

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
-from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.lie import exp, log
 from lieednn_sim.planning import (
@@ -20,6 +19,7 @@ from lieednn_sim.planning import (
     Plan,
     PlanningProblem,
     RrtConnectOptions,
+    ShapedOptions,
     TrainedOptions,
     network_planners,
     plan,
@@ -30,18 +30,10 @@ from lieednn_sim.planning.baselines import smoothing
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.registry import PlannerEntry
 
+from .arms import coarse
 
-def sampled_every(timestep: float) -> Arm:
-    """The arm in a simulation of other steps: motions of fewer samples are planned in less time."""
-    fine = Arm.load("telescopic_pr")
-    spec = fine.spec.copy()
-    spec.option.timestep = timestep
-    return Arm.from_spec(spec, fine.source, fine.name)
-
-
-ARM = sampled_every(0.01)
+ARM = coarse()
 LOW, HIGH = ARM.position_limits.T
-SEEDS = (0,)
 MISSING = PLANNERS.missing()
 INSTALLED = sorted(set(PLANNERS) - set(MISSING))
 # These spend what work they are given on shortening the path that they found: a tenth of that here.
@@ -78,25 +70,14 @@ def plan_with(name: str, task: PlanningProblem, **more: object) -> Motion:
     return planned(name, task, **more).motion
 
 
-class Motions(dict[tuple[str, int], Motion]):
-    """Motions by planner and seed, planned when they are first asked for."""
-
-    def __missing__(self, key: tuple[str, int]) -> Motion:
-        name, seed = key
-        self[key] = plan_with(name, problem(seed), options=LITTLE_WORK.get(name))
-        return self[key]
-
-
-@pytest.fixture(scope="module")
-def motions() -> Motions:
-    return Motions()
-
-
-@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", EACH)
-def test_every_planner_goes_from_rest_to_rest_within_the_limits(motions, name, seed):
-    task, motion = problem(seed), motions[name, seed]
-    step = ARM.model.opt.timestep
+def test_every_planner_goes_from_rest_to_rest_within_the_limits_and_does_so_again(name):
+    task, step = problem(0), ARM.model.opt.timestep
+    made, again = (planned(name, task, options=LITTLE_WORK.get(name)) for _ in range(2))
+    motion = made.motion
+    assert (made.network is not None) == PLANNERS[name].network
+    np.testing.assert_array_equal(again.motion.q, motion.q)
+    np.testing.assert_array_equal(again.motion.qd, motion.qd)
     np.testing.assert_allclose(motion.t, step * np.arange(len(motion.t)), atol=1e-12)
     assert motion.t[-1] == pytest.approx(task.duration, abs=1e-9)
     np.testing.assert_allclose(motion.q[0], task.start, atol=1e-6)
@@ -109,25 +90,10 @@ def test_every_planner_goes_from_rest_to_rest_within_the_limits(motions, name, s
     np.testing.assert_allclose(decoded.q, motion.q, atol=1e-9)
     np.testing.assert_allclose(decoded.gap_translation, motion.gap_translation, atol=1e-9)
     np.testing.assert_allclose(decoded.gap_rotation, motion.gap_rotation, atol=1e-7)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", EACH)
-def test_velocities_are_the_derivatives_of_positions(motions, name, seed):
-    motion = motions[name, seed]
-    # Of fourth order: the steps are coarse.
-    q, step = motion.q, motion.timestep
+    # Velocities are the derivatives, of fourth order, since the steps are coarse.
+    q = motion.q
     numeric = (8.0 * (q[3:-1] - q[1:-3]) - (q[4:] - q[:-4])) / (12.0 * step)
     np.testing.assert_allclose(motion.qd[2:-2], numeric, atol=2e-4 * np.abs(motion.qd).max())
-
-
-@pytest.mark.parametrize("name", EACH)
-def test_the_same_problem_gives_the_same_motion(motions, name):
-    made = planned(name, problem(0), options=LITTLE_WORK.get(name))
-    again = made.motion
-    np.testing.assert_array_equal(again.q, motions[name, 0].q)
-    np.testing.assert_array_equal(again.qd, motions[name, 0].qd)
-    assert (made.network is not None) == PLANNERS[name].network
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -157,8 +123,9 @@ def test_the_screw_of_a_pure_slide_is_straight_and_without_gap():
     np.testing.assert_allclose(motion.q, plan_with("minimum-jerk", task).q, atol=1e-9)
 
 
-def test_the_screw_is_the_geodesic_of_every_joint(motions):
-    task, motion = problem(0), motions["se3-geodesic", 0]
+def test_the_screw_is_the_geodesic_of_every_joint():
+    task = problem(0)
+    motion = plan_with("se3-geodesic", task)
     origin, goal = ARM.joint_poses(task.start), ARM.joint_poses(task.target)
     way = log(origin.inv() * goal)
     units = np.repeat([1.0, ARM.length_scale], 3)
@@ -178,8 +145,8 @@ def test_the_screw_takes_the_shorter_turn_and_is_refused_where_a_stop_is_in_betw
         plan_with("se3-geodesic", task)
 
 
-def test_the_linear_attractor_is_a_straight_line_in_network_coordinates(motions):
-    motion = motions["linear-attractor", 0]
+def test_the_linear_attractor_is_a_straight_line_in_network_coordinates():
+    motion = plan_with("linear-attractor", problem(0))
     way = motion.xi_target - motion.xi[0]
     share = ((motion.xi - motion.xi[0]) * way).sum(axis=(1, 2)) / (way**2).sum()
     np.testing.assert_allclose(motion.xi, motion.xi[0] + share[:, None, None] * way, atol=1e-6)
@@ -266,6 +233,9 @@ def test_what_would_be_no_spline_or_no_end_is_refused():
         OptimisationOptions(intervals=1)
     with pytest.raises(InputError, match=r"spacings must be from 0\.001 to 1, got 1e-09"):
         RrtConnectOptions(spacings=(0.04, 1e-9))
+    for bad in ({"rate": 1.5}, {"rate": 0.001}, {"neurons": (257,)}):
+        with pytest.raises(InputError, match=rf"{next(iter(bad))} must be from"):
+            ShapedOptions(**bad)
     made = planned("trajectory-optimisation", problem(0), options=OptimisationOptions(intervals=2, guesses=1))
     check_motion(ARM, made.motion)
 
@@ -274,7 +244,7 @@ def test_lists_will_do_for_tuples():
     assert CertifiedOptions(bias_magnitudes=[0.25, 1]).bias_magnitudes == (0.25, 1.0)
 
 
-@pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-certified"])
+@pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-certified", "lieednn-retargeted"])
 def test_how_much_longer_a_motion_may_take_is_one_rule(name):
     """A motion is refused with the time that it needs, and made where that and the two percent of slack are allowed."""
     few = {"options": CertifiedOptions(n_networks=4)} if name == "lieednn-certified" else {}
@@ -286,6 +256,9 @@ def test_how_much_longer_a_motion_may_take_is_one_rule(name):
         plan_with(name, problem(0, duration=0.5, max_time_scale=0.999 * share), **few)
     motion = plan_with(name, problem(0, duration=0.5, max_time_scale=1.001 * share), **few)
     assert motion.t[-1] == pytest.approx(0.5 * share, abs=ARM.model.opt.timestep)
+    # Hardly longer than it must: at the limit of a velocity or an acceleration, less the slack.
+    acceleration = np.abs(np.diff(motion.qd, axis=0) / motion.timestep) / ARM.acceleration_limits
+    assert max((np.abs(motion.qd) / ARM.velocity_limits).max(), acceleration.max()) > 0.93
     with pytest.raises(InputError, match=r"max_time_scale must be at least 1, the duration itself, got 0\.5"):
         problem(0, max_time_scale=0.5)
 
@@ -327,17 +300,6 @@ def test_problems_are_checked():
         PlanningProblem(ARM, task.start, task.target, seed=-1)
     with pytest.raises(InputError, match="arm must be an Arm, got 'telescopic_pr'"):
         PlanningProblem("telescopic_pr", task.start, task.target)
-
-
-@pytest.mark.parametrize("name", ["minimum-jerk", "lieednn-retargeted"])
-def test_a_motion_takes_longer_where_the_limits_need_it(name):
-    asked = problem(0, duration=0.3)
-    motion = plan_with(name, asked)
-    assert 0.3 < motion.t[-1] <= 0.9
-    check_motion(asked.arm, motion)
-    # Hardly longer than it must: at the limit of a velocity or an acceleration, less the two percent of slack.
-    acceleration = np.abs(np.diff(motion.qd, axis=0) / motion.timestep) / asked.arm.acceleration_limits
-    assert max((np.abs(motion.qd) / asked.arm.velocity_limits).max(), acceleration.max()) > 0.93
 
 
 def test_of_refused_roundings_the_least_time_is_told(monkeypatch):

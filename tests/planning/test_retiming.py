@@ -73,6 +73,8 @@ def test_a_network_keeps_its_path_and_every_limit():
         arm = dataclasses.replace(arm, jerk_limits=30.0 * arm.acceleration_limits)
         asked = plan(arm, draw_target(arm, seed=11), planner="lieednn-certified", seed=11)
         slow, fast = asked.motion, retime(arm, asked.motion)
+        # On telescopic_pr it was 0.75 of the limit, at nine tenths of the way, before sharp turns were eased.
+        assert name != "telescopic_pr" or (slow.t[-1] == 4.0 and rates(arm, slow)[1] < 0.6)
         check_motion(arm, fast)
         assert fast.t[-1] < 0.9 * slow.t[-1], name
         # As fast as it goes: something is at its limit.
@@ -86,13 +88,6 @@ def test_a_network_keeps_its_path_and_every_limit():
             np.testing.assert_array_equal(fast.q[end], slow.q[end])
             np.testing.assert_array_equal(fast.xi[end], slow.xi[end])
         assert not fast.qd[[0, -1]].any()
-
-
-def test_it_is_never_slower_than_the_motion_that_it_is_given(gantry):
-    """One that is at its limits already stays."""
-    arm, motion = straight(gantry, jerk=[400.0] * 4)
-    once = retime(arm, motion)
-    assert retime(arm, once).t[-1] <= once.t[-1] + arm.timestep
 
 
 def test_a_motion_that_takes_the_least_time_there_is_keeps_its_law(gantry):
@@ -178,14 +173,6 @@ def test_a_straight_way_has_no_turns_however_sharply_it_accelerates(gantry):
     qd[:] = 1.6 * slope[:, None] / (0.1 * motion.t[-1]) * np.array([0.6, 0.0, 0.8, 0.0])
     # Along the way, 580 times its length over the squared duration.
     assert eased_law(dataclasses.replace(motion, q=q, qd=qd), minimum_jerk_law, np.ones(4)) is None
-
-
-def test_a_plan_that_turned_sharply_near_its_end_does_so_no_more():
-    arm = Arm.load("telescopic_pr")
-    made = plan(arm, draw_target(arm, seed=11), planner="lieednn-certified", seed=11)
-    assert made.motion.t[-1] == 4.0
-    # 0.75 of its limit, at nine tenths of the way, before turns were eased.
-    assert rates(arm, made.motion)[1] < 0.6
 
 
 def test_a_sharp_corner_does_not_slow_down_the_whole_motion(gantry):

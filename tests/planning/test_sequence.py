@@ -61,7 +61,7 @@ def test_what_is_held_moves_with_the_hand_and_stays_where_it_is_put(planned):
     np.testing.assert_array_equal(data.qpos, cell()[1].qpos)
     assert [part.step.name for part in found.parts] == ["fetch", "grasp", "carry", "gripper 0.04", "home"]
     assert [part.plan is not None for part in found.parts] == [True, False, True, False, True]
-    assert all(plan.network.certified for plan in found.plans)
+    assert all(part.plan.network.certified for part in found.parts if part.plan)
     carry = found.parts[2]
     places, turns, shown = [], [], mujoco.MjData(model)
     for row in (carry.first, carry.first + 700, carry.first + 1300, carry.last):
@@ -96,12 +96,12 @@ def test_what_is_held_moves_with_the_hand_and_stays_where_it_is_put(planned):
 
 
 def test_the_same_seed_gives_the_same_sequence(planned):
-    again = sequence(*planned[:2], GRASP)
+    again = sequence(*planned[:2], GRASP[:1])
     rows = len(again.t)
     np.testing.assert_array_equal(again.qpos, planned[2].qpos[:rows])
 
 
-def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(planned, tmp_path):
+def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(planned):
     model, data, found = planned
     run = ls.run_in(model, data, found, hold=0.5)
     assert [name for _, name in run.steps] == [part.step.name for part in found.parts]
@@ -114,9 +114,6 @@ def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(pl
     # Fingers that close later or sooner than planned only shift what follows.
     assert run.motion_end == pytest.approx(found.t[-1], abs=0.2)
     assert set(np.unique(run.ctrl[:, model.actuator("gripper").id])) == {0.0, 0.04}
-    found.save(tmp_path / "sequence.npz")
-    with np.load(tmp_path / "sequence.npz") as saved:
-        np.testing.assert_array_equal(saved["qpos"], found.qpos)
 
 
 def test_an_event_that_does_not_come_ends_planning_and_run(planned):
@@ -140,7 +137,7 @@ def test_an_event_that_does_not_come_ends_planning_and_run(planned):
 def test_a_held_box_is_kept_off_what_the_empty_hand_passes(grasped):
     """A block where the lower face of the box would sweep, below the fingers."""
     model, state = grasped
-    how = {"tip": "grasp", "limits": LIMITS, "planner": "minimum-jerk"}
+    how = {"tip": "grasp", "limits": LIMITS, "planner": "minimum-jerk", "duration": 2.0}
     state.qpos[:] = ls.plan_in(model, state, JOINTS, [-0.3, 0.1, 0.2, 1.4, 0.0], holding="box", **how).qpos[-1]
     goal = [-1.0, 0.1, 0.2, 1.4, 0.0]
     held = ls.plan_in(model, state, JOINTS, goal, holding="box", **how)
@@ -163,7 +160,7 @@ def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(plann
     state = mujoco.MjData(model)
     mujoco.mj_copyData(state, model, data)
     state.qpos[:] = found.qpos[found.parts[1].last]
-    how = {"tip": "grasp", "limits": LIMITS}
+    how = {"tip": "grasp", "limits": LIMITS, "duration": 1.5}
     aside = ls.plan_in(model, state, JOINTS, down(0.62, -0.40, 0.225), holding="box", **how)
     assert aside.qpos[:, 2].min() > 0.22 - 1e-3
     assert aside.qpos[-1, 2] == pytest.approx(0.22, abs=2e-4)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.errors import PlanError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
 from lieednn_sim.planning import PLANNERS, CertifiedOptions, ShapedOptions, TeacherOptions, plan, shaped
 from lieednn_sim.planning.motion import check_motion
@@ -18,10 +17,9 @@ from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.planning.time_laws import law_of
 
-SPEC = Arm.load("telescopic_pr").spec.copy()
-# Motions of fewer samples are planned in less time.
-SPEC.option.timestep = 0.005
-FREE = Arm.from_spec(SPEC, Path("telescopic_pr.xml"), "telescopic_pr")
+from .arms import coarse
+
+FREE = coarse(timestep=0.005)
 UNPOLISHED = TeacherOptions(polished=False)
 needs_ompl = pytest.mark.skipif("rrt-connect" in PLANNERS.missing(), reason="RRT-Connect needs OMPL")
 
@@ -150,9 +148,3 @@ def test_where_no_network_follows_another_path_is_asked_for(monkeypatch):
         with pytest.raises(PlanError, match="not this one"):
             planned(target_arm, draw_target(target_arm, 0), teachers=teachers, teacher=UNPOLISHED)
         assert len(taught) == 1
-
-
-@pytest.mark.parametrize("options", [{"rate": 1.5}, {"rate": 0.001}, {"neurons": (257,)}, {"deviation": -1.0}])
-def test_bad_options_are_refused(options):
-    with pytest.raises(InputError):
-        ShapedOptions(**options)

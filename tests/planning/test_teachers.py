@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.arm.targets import draw_target
@@ -21,9 +19,9 @@ from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.polishing import Polish
 from lieednn_sim.planning.teachers import best_teacher, shortened
 
-SPEC = Arm.load("telescopic_pr").spec.copy()
-SPEC.option.timestep = 0.005
-FREE = Arm.from_spec(SPEC, Path("telescopic_pr.xml"), "telescopic_pr")
+from .arms import coarse
+
+FREE = coarse(timestep=0.005)
 needs_ompl = pytest.mark.skipif("rrt-connect" in PLANNERS.missing(), reason="RRT-Connect needs OMPL")
 
 

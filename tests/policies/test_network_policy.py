@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.network_planners import without_weights
-from lieednn_sim.planning.safety_filter import FilterOptions
 from lieednn_sim.policies import Feedback, FilteredPolicy, NetworkPolicy
 from lieednn_sim.simulation import Disturbances, Push, follow
 from lieednn_sim.synthesis import synthesize
@@ -25,11 +24,6 @@ def started(arm, network, start, rate=50.0, **settings):
     policy = NetworkPolicy(arm, network, rate, **settings)
     policy.reset(start)
     return policy
-
-
-def _state_after(policy, target):
-    policy.step(None, target)
-    return policy.state
 
 
 @pytest.fixture(scope="module")
@@ -82,24 +76,6 @@ def test_a_pushed_arm_takes_its_state_along_and_comes_back(gantry, run):
         np.testing.assert_allclose(following.rollout.q[-1], GOAL, atol=5e-3)
 
 
-def test_joints_gather_speed_within_their_limits(gantry, run):
-    reference = run(Feedback(), speed=20.0, duration=2.0).rollout.qd_ref
-    ends = reference[::2]
-    assert (np.abs(ends) <= gantry.velocity_limits * 1.002).all()
-    gained = np.diff(np.abs(ends), axis=0)
-    assert (gained <= 1.002 * 0.02 * gantry.acceleration_limits).all()
-    assert (gained[0] / (0.02 * gantry.acceleration_limits)).max() > 0.9
-
-
-def test_a_target_that_moves_is_followed_without_lag(run):
-    moving = GOAL + np.linspace(0.0, 0.2, 401)[:, None] * [1.0, 1.0, 0.0, 1.0]
-    ahead, behind = (
-        run(Feedback(), target=moving, duration=4.0, feedforward=flag).rollout.q_ref[-1] for flag in (True, False)
-    )
-    np.testing.assert_allclose(ahead, moving[-1], atol=2e-3)
-    assert np.abs(behind - moving[-1]).max() > 0.01
-
-
 def test_a_target_that_stops_is_met(gantry, cascade):
     policy = started(gantry, cascade(gantry.encode(GOAL)), GOAL, speed=5.0, feedforward=True, feedback=Feedback())
     # While it moves the network aims ahead of it, by half a period: 2 mm and 2 mrad here.
@@ -122,10 +98,15 @@ def test_waiting_and_pulling_by_hand(gantry):
 
 
 def test_a_target_of_which_one_joint_leaps_has_jumped(gantry, cascade):
-    policy = started(gantry, cascade(gantry.encode(GOAL)), GOAL, speed=5.0, feedforward=True, feedback=Feedback())
-    for moved, jumped in ((0.0, False), (0.01, False), (0.5, True)):
-        policy.step(None, GOAL + moved * np.eye(4)[1])
-        assert policy.jumped == jumped
+    policy = started(gantry, without_weights(gantry.encode(GOAL)), GOAL, speed=5.0, feedforward=True)
+    aside = np.eye(4)[1]
+    policy.step(None, GOAL)
+    # After a step it is there at once; after a leap it goes at its own speed.
+    for place, ahead in ((0.01, 0.01), (0.5, 0.0)):
+        before = policy.q[1]
+        policy.step(None, GOAL + place * aside)
+        own = (1.0 - np.exp(-0.1)) * (GOAL[1] + place - before)
+        assert (policy.q[1] - before > own + 0.5 * ahead) == (ahead > 0.0)
 
 
 def test_a_network_faster_than_the_control_takes_the_steps_that_it_needs(gantry, cascade):
@@ -135,20 +116,19 @@ def test_a_network_faster_than_the_control_takes_the_steps_that_it_needs(gantry,
     exact = network.trajectory(network.start(gantry.encode(start)), 6.0, rtol=1e-11, atol=1e-12)
     for k in range(3):
         policy.step(None, GOAL)
-        assert policy.time_scale == 1.0
+        assert policy.pace == 1.0
         np.testing.assert_allclose(policy.xi[:2], exact(2.0 * (k + 1))[:2], atol=1e-6)
 
 
-def test_the_gap_is_the_largest_on_the_way(gantry, cascade):
-    policy = started(
-        gantry, cascade(gantry.encode(GOAL)), np.zeros(4), speed=5.0, feedforward=True, feedback=Feedback()
-    )
-    states = [_state_after(policy, GOAL)[: gantry.n_links] for _ in range(100)]
-    retracted = gantry.decode(np.array(states))
+def test_the_gap_is_that_of_the_last_state(gantry, cascade):
+    policy = started(gantry, cascade(gantry.encode(GOAL)), np.zeros(4), speed=5.0)
+    for _ in range(20):
+        policy.step(None, GOAL)
+    decoded = gantry.decode(policy.state[: gantry.n_links])
+    assert decoded.gap_translation.max() > 1e-3
     # The policy's retraction is the nearest one only where the gap is small.
-    found, largest = ([one.gap_rotation, one.gap_translation] for one in (policy, retracted))
-    np.testing.assert_allclose(found, [np.max(gap) for gap in largest], rtol=0.02)
-    assert max(np.max(gap[-1]) for gap in largest) < 0.1, "not the last one"
+    gap = np.stack([decoded.gap_rotation, decoded.gap_translation], axis=1)
+    np.testing.assert_allclose(policy.gap, gap, rtol=0.02, atol=1e-12)
 
 
 def test_a_target_that_moves_steadily_is_met_at_the_end_of_each_period(gantry):
@@ -180,22 +160,10 @@ def test_a_network_that_is_drawn_out_of_the_limits_leaves_the_reference_there(ga
     for _ in range(20):
         q, qd = policy.step(high + 0.2 * np.eye(4)[0], high)
         assert (q <= high + 1e-12).all()
-    worst = policy.limit_excess
-    assert worst > 0.001
     assert qd[0] == 0.0
     for _ in range(20):
         q, _ = policy.step(high - 0.5 * np.eye(4)[0], GOAL)
     assert q[0] < high[0]
-    assert policy.limit_excess == worst, "of the whole run"
-
-
-def test_the_filter_keeps_the_ball_off_the_floor(gantry, run):
-    low = np.array([0.0, 0.0, -1.2, 0.0])
-    free, safe = (run(Feedback(), target=low, duration=2.0, safety=options) for options in (None, FilterOptions()))
-    assert free.rollout.contacts.any()
-    assert not safe.rollout.contacts.any()
-    height = safe.rollout.link_position[:, -1, 2].min()
-    assert -0.9 < height < -0.8, "close to the floor under a ball of 0.1 m"
 
 
 def test_bad_input(gantry, cascade):
@@ -229,7 +197,6 @@ def test_a_ball_joint_turns_no_further_than_its_largest_angle():
     for _ in range(20):
         q, _ = policy.step(start + aside, start)
         assert np.linalg.norm(q[ball]) <= widest + 1e-12
-    assert policy.limit_excess < 0.0
 
 
 @settings(max_examples=5)
@@ -240,7 +207,7 @@ def test_it_runs_the_retargeted_network_and_no_measurement_is_none(seed):
     network = synthesize(arm.encode(home), bias="sign-matched", bias_magnitude=0.25).unwrap()
     q, goal = (home + 0.05 * rng.uniform(-1.0, 1.0, 8) for _ in range(2))
     policy = started(arm, network, q, 250.0, speed=2.0, feedforward=False)
-    scales = [policy.step(None, goal) and policy.time_scale for _ in range(8)]
+    scales = [policy.step(None, goal) and policy.pace for _ in range(8)]
     # Limits of acceleration hold it back at first.
     elapsed = 2.0 * 0.004 * sum(scales)
     exact = network.retarget(arm.encode(goal)).trajectory(arm.encode(q), elapsed, rtol=1e-11, atol=1e-13)
@@ -256,6 +223,6 @@ def test_it_is_slowed_down_to_a_limit_and_not_further():
     for _ in range(5):
         allowed = policy.allowed()
         _, qd = policy.step(None, home + 0.5 * (extended - home))
-        assert policy.time_scale < 0.5
+        assert policy.pace < 0.5
         assert 0.95 < (np.abs(qd) / allowed).max() <= 1.001
     assert policy.message == f"moves at {100 * policy.pace:.2g} % of its speed, within the joints' limits"

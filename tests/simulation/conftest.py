@@ -65,7 +65,7 @@ TELESCOPE = """
     <body name="ball" pos="0 2 0.05"><freejoint/><geom size="0.05"/></body>
     <body name="base" pos="0 0 1"><geom size="0.05" mass="1" contype="0" conaffinity="0"/><site name="base_frame"/>
       <body name="mast" gravcomp="1">
-        <joint name="turn" type="hinge" axis="0 0 1" range="-2 2" armature="0.1"/>
+        <joint name="turn" type="hinge" axis="0 0 1" range="-2 2" ref="0.25" armature="0.1"/>
         <geom type="box" size="0.1 0.03 0.02" pos="0.1 0 0" mass="2" contype="0" conaffinity="0"/>
         <body name="stage1" gravcomp="1">
           <joint name="stage1" type="slide" axis="1 0 0" range="0 0.3" armature="1"/>

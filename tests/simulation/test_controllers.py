@@ -12,7 +12,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.simulation import CONTROLLERS, simulate
-from lieednn_sim.simulation.controllers.base import ComputedTorque, PositionServo
+from lieednn_sim.simulation.controllers.base import ComputedTorque
 from lieednn_sim.simulation.disturbances import Disturbances, Noise
 from lieednn_sim.simulation.reference import Reference
 
@@ -67,34 +67,6 @@ def test_computed_torque_is_a_critically_damped_spring_of_10_hz(gantry):
     w = 2.0 * np.pi * 10.0
     expected = -2.0 * w * (qd + velocity) - w**2 * (q + position)
     np.testing.assert_allclose((data.qvel - qd) / 0.01, expected, rtol=1e-6)
-
-
-def test_computed_torque_knows_of_the_state_what_is_measured(small_arms):
-    """Of balls, too, whose error turns them about their own axes."""
-    arm, rng = small_arms["compound"], np.random.default_rng(2)
-    q, qd = 0.1 * rng.normal(size=(2, arm.n_joints))
-    position, velocity, still = *1e-2 * rng.normal(size=(2, arm.model.nv)), np.zeros(arm.model.nv)
-    controller = ComputedTorque(arm, Reference.of(arm, np.zeros((3, arm.n_joints)), np.zeros((3, arm.n_joints))))
-    plant, data = started(arm, controller, q, qd)
-    controller.act(data, 0, Noise(position, velocity))
-    measured = mujoco.MjData(plant)
-    measured.qpos[:], measured.qvel[:] = data.qpos, data.qvel + velocity
-    mujoco.mj_integratePos(plant, measured.qpos, position, 1.0)
-    controller.act(measured, 0, Noise(still, still))
-    np.testing.assert_allclose(data.ctrl, measured.ctrl, rtol=1e-12)
-    assert np.abs(data.ctrl).min() > 1.0
-
-
-def test_the_position_servo_leads_by_the_velocity_a_step_ahead(gantry):
-    """x has a gear of 2 and a damping of 5: 2 kp (ctrl - 2 q) = (4 kv + 5) v, with kp = 1000 and kv = 100."""
-    spec = gantry.spec.copy()
-    spec.joint("x").damping = [5.0, 0.0, 0.0]
-    arm = Arm.from_spec(spec, gantry.source, "damped")
-    q, qd = np.random.default_rng(3).uniform(-0.5, 0.5, (2, 3, 4))
-    controls = PositionServo(arm, Reference.of(arm, q, qd)).controls(range(3))
-    ahead = qd[[1, 2, 2], 0]
-    np.testing.assert_allclose(controls[:, 0], 2.0 * q[:, 0] + (4.0 * 100.0 + 5.0) * ahead / 2000.0)
-    np.testing.assert_allclose(controls[:, 2], q[:, 2] + 0.1 * qd[[1, 2, 2], 2])
 
 
 @pytest.mark.parametrize("controller", ["position-servo", "inverse-dynamics", "computed-torque"])

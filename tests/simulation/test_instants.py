@@ -5,24 +5,9 @@ import pytest
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.simulation import Disturbances, Push, Simulation
 from lieednn_sim.simulation.controllers.base import ComputedTorque, PositionServo
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import Reference
-
-
-@pytest.mark.parametrize(
-    ("start", "duration", "steps"), [(0.0, 0.03, [0, 1, 2]), (0.05, 0.01, [5]), (0.07, 9.0, [7, 8, 9])]
-)
-def test_a_push_acts_in_the_steps_from_its_start_to_before_its_end(gantry, start, duration, steps):
-    pushes = (Push("end effector", (1.0, -2.0, 3.0), start, duration), Push("base", (0.0, 5.0, 0.0), 0.02, 0.02))
-    simulation = Simulation(gantry, disturbances=Disturbances(pushes=pushes))
-    wrist, base = (mujoco.mj_name2id(gantry.model, mujoco.mjtObj.mjOBJ_BODY, name) for name in ("wrist", "base"))
-    expected = np.zeros((2, 10, 6))
-    expected[0, steps, :3], expected[1, [2, 3], :3] = [1.0, -2.0, 3.0], [0.0, 5.0, 0.0]
-    for k in range(10):
-        simulation.advance()
-        np.testing.assert_array_equal(simulation.data.xfrc_applied[[wrist, base]], expected[:, k])
 
 
 def test_a_servo_is_told_the_position_of_now_and_the_velocity_of_the_next_step(gantry):

@@ -27,7 +27,7 @@ def certified_weight(rng: np.random.Generator, n: int = 9, gamma: float = 1.0, m
     return diagonal, raw * root / root[:, None] * (0.999 * gamma / mu / largest)
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(seeds, st.sampled_from([(1.0, 1.0), (2.0, 0.5), (0.3, 4.0)]))
 def test_no_slopes_destabilise_what_is_certified(seed, rates):
     rng, (gamma, mu) = np.random.default_rng(seed), rates
@@ -52,26 +52,16 @@ def test_two_by_two_agrees_with_the_exact_criterion(seed):
     assert find_certificate(weight).valid == (quantities > 0).all()
 
 
-@settings(max_examples=10)
-@given(seeds, st.booleans())
-def test_positive_weights_are_certified_exactly_below_spectral_radius_one(seed, inside):
-    """A Metzler matrix is diagonally stable exactly when it is Hurwitz."""
-    weight = np.random.default_rng(seed).uniform(size=(8, 8)) ** 3
-    weight *= (0.97 if inside else 1.03) / np.abs(np.linalg.eigvals(weight)).max()
-    found = find_certificate(weight)
-    assert found.valid == inside
-    assert found.lambda_max == pytest.approx(0.97 if inside else 1.03, abs=5e-3)
-
-
 def test_badly_scaled_weight_is_certified_where_its_norms_and_its_symmetric_part_are_not():
     weight = np.array([[0.0, 300.0], [0.0, 0.0]])
     assert not verify([1.0, 1.0], weight).valid
     assert find_certificate(weight).valid
+    assert find_certificate(np.zeros((2, 2))).valid
     # Beyond the range that the descent may search, the diagonal made of weighted norms still proves it.
     assert find_certificate([[0.0, 1e8], [0.0, 0.0]]).valid
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(seeds)
 def test_certificate_of_rotations_is_the_certificate_of_everything(seed):
     rng = np.random.default_rng(seed)
@@ -158,7 +148,7 @@ def test_rate_is_gamma_at_most_and_nothing_without_a_proof():
     assert verify(np.ones(2), 2.0 * np.eye(2), gamma=3.0, mu=2.0).rate == 0.0
 
 
-@settings(max_examples=6)
+@settings(max_examples=3)
 @given(seeds)
 def test_groups_share_one_entry_and_cost_nothing_when_the_weight_has_the_symmetry(seed):
     rng = np.random.default_rng(seed)

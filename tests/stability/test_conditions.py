@@ -1,4 +1,4 @@
-"""The hierarchy of conditions: implications, rates along trajectories, and the text that people read."""
+"""The hierarchy of conditions: implications, and the text that people read."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
@@ -35,7 +34,7 @@ def se3_weight(rng, n, size):
     return whole, blocks[..., :3, :3].transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)
 
 
-@settings(max_examples=20)
+@settings(max_examples=14)
 @given(seeds, st.booleans(), st.sampled_from([(1.0, 1.0), (2.0, 0.5), (0.3, 4.0)]))
 def test_each_rung_implies_the_later_ones(seed, with_rotations, rates):
     rng, (gamma, mu) = np.random.default_rng(seed), rates
@@ -99,38 +98,7 @@ def test_no_global_proof_leaves_the_local_one():
     assert str(unstable).startswith("no proof of stability")
 
 
-@settings(max_examples=8)
-@given(seeds, st.sampled_from([(1.0, 1.0), (2.0, 0.5), (0.3, 4.0)]))
-def test_distances_shrink_at_the_proven_rates(seed, rates):
-    """Between any two solutions, equilibrium or not: 1-norm, largest coordinate, 2-norm and weighted 1-norm."""
-    rng, (gamma, mu) = np.random.default_rng(seed), rates
-    weight = rng.normal(size=(5, 5)) - np.diag(rng.uniform(0.0, 2.0, 5))
-    largest = max(np.linalg.norm(weight, 1), np.linalg.norm(weight, np.inf))
-    weight *= 0.95 * gamma / mu / largest
-    bias = rng.normal(size=5)
-    verdict = assess(weight, gamma=gamma, mu=mu)
-
-    def flow(_, x):
-        return (-gamma * x.reshape(2, 5) + mu * (np.tanh(x.reshape(2, 5)) @ weight.T + bias)).ravel()
-
-    t = np.linspace(0.0, 8.0 / gamma, 80)
-    start = rng.normal(size=10) * 10.0 ** rng.uniform(-1, 1)
-    x = solve_ivp(flow, (0.0, t[-1]), start, t_eval=t, method="DOP853", rtol=1e-11, atol=1e-13).y.T.reshape(-1, 2, 5)
-    e = x[:, 0] - x[:, 1]
-    distances = {
-        "1-norm": np.abs(e).sum(axis=1),
-        "log norm 1": np.abs(e).sum(axis=1),
-        "infinity norm": np.abs(e).max(axis=1),
-        "log norm infinity": np.abs(e).max(axis=1),
-        "norm sum": np.linalg.norm(e, axis=1),
-        "weighted log norm": np.abs(e) @ weighted_norm(weight).left,
-    }
-    for name, distance in distances.items():
-        assert verdict[name].rate > 0.0
-        assert (np.diff(np.log(distance)) <= -verdict[name].rate * np.diff(t) + 1e-6).all(), name
-
-
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(seeds)
 def test_translations_matter_to_unweighted_norms_alone(seed):
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Contraction in a quadratic norm: levels by hand, all slopes, trajectories, and an independent solver."""
+"""Contraction in a quadratic norm: levels by hand, all slopes, and an independent solver."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability import find_certificate, find_contraction, verify_contraction
@@ -43,7 +42,7 @@ def test_levels_by_hand(weight, level):
 
 @settings(max_examples=6)
 @given(seeds, rates)
-def test_distances_fall_at_the_rate_for_all_slopes_and_between_any_two_motions(seed, both):
+def test_distances_fall_at_the_rate_for_all_slopes(seed, both):
     rng, (gamma, mu) = np.random.default_rng(seed), both
     weight = contracting(rng, 5, gamma, mu)
     found = find_contraction(weight, gamma=gamma, mu=mu)
@@ -55,17 +54,6 @@ def test_distances_fall_at_the_rate_for_all_slopes_and_between_any_two_motions(s
     fields = t @ (mu * weight * slopes[:, None, :] - gamma * np.eye(5)) @ np.linalg.inv(t)
     logarithmic = np.linalg.eigvalsh(0.5 * (fields + fields.swapaxes(1, 2)))[:, -1]
     assert logarithmic.max() <= -found.rate * (1.0 - 1e-9)
-
-    bias = rng.normal(size=5)
-
-    def flow(_, x):
-        return (-gamma * x.reshape(2, 5) + mu * (np.tanh(x.reshape(2, 5)) @ weight.T + bias)).ravel()
-
-    times = np.linspace(0.0, 6.0 / gamma, 40)
-    start = rng.normal(size=10) * 10.0 ** rng.uniform(-1, 1)
-    run = solve_ivp(flow, (0.0, times[-1]), start, t_eval=times, method="DOP853", rtol=1e-11, atol=1e-13)
-    e = np.diff(run.y.T.reshape(-1, 2, 5), axis=1)[:, 0]
-    assert (np.diff(np.log(np.linalg.norm(e @ t.T, axis=1))) <= -found.rate * np.diff(times) + 1e-6).all()
 
 
 @settings(max_examples=4)

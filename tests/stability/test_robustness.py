@@ -48,7 +48,7 @@ def steps(weight, equilibrium, start, h, method, count):
     return np.array(x)
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(seeds, st.booleans())
 def test_no_push_and_no_moving_target_breaks_its_bound(seed, contracting):
     rng = np.random.default_rng(seed)
@@ -99,7 +99,7 @@ def test_a_step_suits_what_no_push_reaches_too():
     assert bounds.push_gain() == pytest.approx(1.0)
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(seeds, st.sampled_from(["Euler", "RK4"]))
 def test_up_to_the_largest_step_every_step_brings_two_runs_closer(seed, method):
     """Not with slopes of tanh alone: with those that one step meets at their worst."""

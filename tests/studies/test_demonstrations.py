@@ -16,7 +16,7 @@ from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.registry import Entry, Registry
 from lieednn_sim.studies.demonstrations import models as compared
-from lieednn_sim.studies.demonstrations.models import compare_models, mean_errors
+from lieednn_sim.studies.demonstrations.models import compare_models, mean_of
 from lieednn_sim.studies.demonstrations.study import DemonstrationSets
 from lieednn_sim.studies.study import compute
 from lieednn_sim.synthesis import ShapingOptions
@@ -56,9 +56,9 @@ def test_what_is_left_out_was_not_seen(monkeypatch):
     assert recaller.left_out.frechet_mm == pytest.approx(1e3 * np.mean(wanted), rel=1e-2)
 
 
-def test_mean_errors():
+def test_mean_of():
     errors = [PathErrors(1.0, 2.0, 3.0, 4.0, 5.0, 6.0), PathErrors(3.0, 2.0, 1.0, 0.0, 1.0, 2.0)]
-    assert mean_errors(errors) == PathErrors(2.0, 2.0, 2.0, 2.0, 3.0, 4.0)
+    assert mean_of(errors) == PathErrors(2.0, 2.0, 2.0, 2.0, 3.0, 4.0)
 
 
 def test_a_set_that_fails_is_not_tried_again_and_other_settings_are_refused(tmp_path):

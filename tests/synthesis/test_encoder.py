@@ -11,6 +11,7 @@ from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.stability import verify
 from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.synthesis.shaping import encoder as module
+from lieednn_sim.synthesis.shaping.pairs import switches
 
 EXACT = {"rtol": 1e-9, "atol": 1e-11}
 
@@ -53,7 +54,7 @@ def test_the_true_network_follows_the_curve_and_its_closed_form(encoder):
 def test_codes_are_the_least_squares_solution(encoder):
     """The bumps by integrating single pairs, the code by a solver of its own."""
     g, network = module._basis(encoder.network.activation).fitted, encoder.network
-    a, c = module._places()
+    a, c = switches(module.CODE_PAIRS)
     slope = ACTIVATIONS[network.activation].slope
     # x' = u - x with u = 2 D g phi'(a + c g), for each pair.
     flow = solve_ivp(
@@ -74,7 +75,7 @@ def test_codes_are_the_least_squares_solution(encoder):
     assert np.abs(code).max() < 0.05
     np.testing.assert_allclose(module._basis(network.activation).solution @ wanted, code, atol=2e-6)
     straight = line[0] + np.linspace(0.0, 1.0, 30)[:, None, None] * (line[1] - line[0])
-    np.testing.assert_allclose(encoder.codes(straight), network.hidden_start, atol=1e-6)
+    np.testing.assert_allclose(encoder.code(straight), network.hidden_start, atol=1e-6)
 
 
 def thirds(values: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -105,18 +106,12 @@ def test_every_code_keeps_the_proof_and_arrives(encoder):
     np.testing.assert_allclose(coded.visible(x), np.broadcast_to(target, (100, 2, 6)), atol=1e-4)
 
 
-def test_many_curves_at_once_and_again_are_the_same(encoder):
-    curves = np.stack([[curve_of(k) for k in (4, 5, 6)], [curve_of(k) for k in (7, 8, 9)]])
-    codes = encoder.codes(curves)
-    assert codes.shape == (2, 3, encoder.network.n_hidden, 6)
-    again = CurveEncoder(2, encoder.network.activation)
-    assert again.network is encoder.network
-    for one, code in zip(curves.reshape(-1, 200, 2, 6), codes.reshape(6, -1, 6), strict=True):
-        np.testing.assert_allclose(again.encode(one).hidden_start, code, atol=1e-14)
-    # Where the curve is matters, not when its samples are.
+def test_where_a_curve_is_matters_not_when_its_samples_are(encoder):
+    assert CurveEncoder(2, encoder.network.activation).network is encoder.network
+    curve = curve_of(4)
     late = curve_of(4, count=400)[np.sort(np.random.default_rng(0).permutation(400)[:390])]
-    late[[0, -1]] = curves[0, 0, [0, -1]]
-    ways = [encoder.path(encoder.encode(one), one[0])(np.linspace(0.0, 0.99, 50)) for one in (late, curves[0, 0])]
+    late[[0, -1]] = curve[[0, -1]]
+    ways = [encoder.path(encoder.encode(one), one[0])(np.linspace(0.0, 0.99, 50)) for one in (late, curve)]
     np.testing.assert_allclose(ways[0], ways[1], atol=1e-3)
 
 
@@ -124,7 +119,7 @@ def test_the_path_of_a_code_between_two_codes_is_between_their_paths(encoder):
     curves, w = [curve_of(1), curve_of(2)], np.linspace(0.0, 1.0 - 1e-6, 60)
     paths = [encoder.path(encoder.encode(curve), curve[0])(w) for curve in curves]
     mixed = 0.7 * curves[0] + 0.3 * curves[1]
-    codes = encoder.codes(np.array(curves))
+    codes = [encoder.code(curve) for curve in curves]
     network = encoder.with_code(0.7 * codes[0] + 0.3 * codes[1], mixed[-1])
     assert network.certified
     np.testing.assert_allclose(encoder.path(network, mixed[0])(w), 0.7 * paths[0] + 0.3 * paths[1], atol=1e-4)

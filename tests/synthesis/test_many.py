@@ -11,9 +11,8 @@ from lieednn_sim import budget
 from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError, OutOfTimeError
 from lieednn_sim.synthesis import BIAS_RULES, attempts, synthesize, synthesize_many
-from lieednn_sim.synthesis.problem import Problem
+from lieednn_sim.synthesis.problem import Problem, _log_scale
 from lieednn_sim.synthesis.search import _least_norm, _linearised, _merit
-from lieednn_sim.synthesis.starts import _log_scale
 
 
 def mixed_targets(count, neurons, seed=0):
@@ -139,12 +138,6 @@ def test_starts_spread_log_p_as_little_as_helps_by_hand():
     np.testing.assert_allclose(_log_scale(inputs, outputs), [[0.1, -0.1, -0.1], [-1.45, -1.45, -1.45]])
 
 
-def test_giving_up_says_how_often_each_was_tried():
-    for one in synthesize_many(mixed_targets(3, 4)[2:], bias="sign-matched", max_translation=1e-6, max_attempts=3):
-        assert "no feasible weights found from 3 starts" in one.message
-        assert (one.attempts, one.network) == (3, None)
-
-
 def test_none_are_made_of_none():
     assert synthesize_many(np.zeros((0, 4, 6))) == []
 
@@ -162,15 +155,9 @@ def test_the_time_budget_is_kept(monkeypatch):
     ("arguments", "words"),
     [
         ({"xi": np.zeros((4, 6))}, r"xi must have shape \(B, N, 6\), got \(4, 6\)"),
-        ({"xi": np.zeros((3, 0, 6))}, "N >= 1"),
-        ({"xi": np.full((3, 4, 6), np.nan)}, "xi must be finite, got 72 NaN"),
-        ({"bias": "random"}, "no bias rule 'random'"),
         ({"bias": np.zeros((4, 6))}, r"bias must have shape \(3, 4, 6\), got \(4, 6\)"),
         ({"bias_magnitude": [0.1, 0.2]}, r"bias_magnitude must have shape \(3\), got \(2\)"),
         ({"bias_magnitude": [0.1, 0.2, 0.0]}, "bias_magnitude must be positive"),
-        ({"gamma": -1.0}, "gamma must be positive"),
-        ({"max_attempts": 0}, "max_attempts must be at least 1"),
-        ({"seed": -1}, "seed"),
     ],
 )
 def test_wrong_input_is_named(arguments, words):

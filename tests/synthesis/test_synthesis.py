@@ -242,15 +242,6 @@ def test_same_seed_gives_the_same_bits_and_another_seed_others(rule):
     assert not np.array_equal(one.alpha, other.alpha)
 
 
-def test_certified_network_survives_the_file(tmp_path):
-    xi = random_target(4)
-    result = synthesize(xi)
-    result.unwrap().save(tmp_path / "n.npz")
-    loaded = LieEDNN.load(tmp_path / "n.npz")
-    assert loaded.certificate.lambda_max == result.certificate.lambda_max
-    assert np.abs(loaded.vector_field(xi)).max() == result.residual
-
-
 def test_target_is_not_changed_and_blocks_are_rotations():
     xi = random_target(5)
     before = xi.copy()

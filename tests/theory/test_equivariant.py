@@ -12,10 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim import stability
 from lieednn_sim.errors import FileError, InputError, NotCertifiedError
-from lieednn_sim.lie import adjoint, hat
+from lieednn_sim.lie import adjoint
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.theory import EquivariantLieEDNN
-from lieednn_sim.theory.groups import group
 
 seeds = st.integers(0, 2**32 - 1)
 angles = st.one_of(st.just(0.0), st.floats(-300.0, -1.0).map(lambda k: 10.0**k), st.floats(0.0, 10.0))
@@ -82,7 +81,7 @@ def test_jacobian_against_finite_differences_also_at_rest(seed, angle):
     np.testing.assert_allclose(flat, network.vector_field(xi[0]).ravel(), atol=1e-12)
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(seeds, st.sampled_from([(1.0, 1.0), (0.3, 4.0)]))
 def test_certificate_holds_for_the_componentwise_network_too(seed, rates):
     network = certified_network(seed, gamma=rates[0], mu=rates[1])
@@ -173,18 +172,6 @@ def test_the_corrected_activation_is_equivariant(seed, size):
     np.testing.assert_allclose(network.phi(moved(frames, xi)), moved(frames, network.phi(xi)), atol=1e-12)
 
 
-@settings(max_examples=8)
-@given(seeds)
-def test_trajectories_are_equivariant_under_a_common_frame(seed):
-    network, frames = random_network(seed), random_frames(seed)
-    start = np.random.default_rng(seed).normal(size=(3, 6))
-    one = network.trajectory(start, 4.0, rtol=1e-10, atol=1e-12)
-    other = network.transform(*frames).trajectory(moved(frames, start), 4.0, rtol=1e-10, atol=1e-12)
-    times = np.linspace(0.0, 4.0, 9)
-    expected = moved(frames, one(times))
-    np.testing.assert_allclose(other(times), expected, atol=1e-6 * (1.0 + np.abs(expected).max()))
-
-
 @given(seeds)
 def test_transformed_weights_are_conjugated_by_the_adjoint(seed):
     network, (q, s) = random_network(seed), random_frames(seed)
@@ -221,35 +208,7 @@ def test_the_printed_epsilon_erases_pure_translations(epsilon):
     np.testing.assert_allclose(phi(near), near, atol=2.0 * (100.0 * epsilon) ** 2)
 
 
-@given(seeds)
-def test_the_printed_root_is_not_real(seed):
-    """tr X^2 = -2 ||omega||^2 on se(3), so that sqrt(-tr(X^2)/2) is the norm; elsewhere tr X^2 has no fixed sign."""
-    rng = np.random.default_rng(seed)
-    twist = rng.normal(size=6)
-    trace = np.trace(hat(twist) @ hat(twist))
-    assert trace < 0.0
-    assert np.sqrt(-0.5 * trace) == pytest.approx(np.linalg.norm(twist[:3]))
-    spin = group("SU(2)").hat(rng.normal(size=3))
-    assert np.trace(spin @ spin).real < 0.0
-    planar = group("C^x")
-    squares = [np.trace(planar.hat(x) @ planar.hat(x)) for x in ([1.0, 0.0], [0.0, 1.0])]
-    assert squares[0] > 0.0 > squares[1]
-
-
-@settings(max_examples=25)
-@given(seeds)
-def test_in_the_form_of_the_paper_one_common_frame_is_needed(seed):
-    """theta_ij -> h_i theta_ij h_i^-1 with an h_i for each neuron is no symmetry."""
-    network, frames = random_network(seed), random_frames(seed, 3)
-    ad = adjoint(*frames)
-    blocks = ad[:, None] @ network.blocks @ np.linalg.inv(ad)[:, None]
-    xi = np.random.default_rng(seed).normal(size=(3, 6))
-    found = np.einsum("ijab,jb->ia", blocks, network.phi(moved(frames, xi)))
-    expected = moved(frames, np.einsum("ijab,jb->ia", network.blocks, network.phi(xi)))
-    assert np.abs(found - expected).max() > 1e-3
-
-
-@settings(max_examples=8)
+@settings(max_examples=3)
 @given(seeds)
 def test_with_the_frames_of_sender_and_receiver_each_neuron_may_have_its_own(seed):
     """Beyond the paper: theta_ij -> h_i theta_ij h_j^-1 is a symmetry for independent h_i."""
@@ -261,7 +220,7 @@ def test_with_the_frames_of_sender_and_receiver_each_neuron_may_have_its_own(see
     np.testing.assert_allclose(other, expected, atol=1e-6 * (1.0 + np.abs(expected).max()))
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(seeds, st.booleans())
 def test_the_certificate_is_as_invariant_as_the_network(seed, common):
     network = certified_network(seed)
@@ -288,7 +247,7 @@ def test_stability_by_the_cascade(seed):
         np.testing.assert_allclose(ended, found.xi, atol=1e-5 * (1.0 + np.abs(found.xi).max()))
 
 
-@settings(max_examples=5)
+@settings(max_examples=3)
 @given(seeds)
 def test_the_bregman_divergence_of_the_proof_decreases(seed):
     network = certified_network(seed)

@@ -27,7 +27,7 @@ def random_network(seed: int, name: str = "SE(3)", n: int = 3, strength: float =
     return GroupLieEDNN(chosen, alpha, chosen.random(rng, (n, n)), rng.normal(size=(n, chosen.dimension)), **settings)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(seeds, st.sampled_from([*NAMES, "affine(H^x)"]), st.sampled_from(sorted(ACTIVATIONS)))
 def test_coordinates_follow_the_matrix_equation_of_the_paper(seed, name, activation):
     network = random_network(seed, name, gamma=2.0, mu=0.7, activation=activation)
@@ -43,7 +43,7 @@ def test_coordinates_follow_the_matrix_equation_of_the_paper(seed, name, activat
     np.testing.assert_allclose(network.flat_vector_field(xi.ravel()), field.ravel(), rtol=1e-9, atol=1e-9)
 
 
-@settings(max_examples=20)
+@settings(max_examples=6)
 @given(seeds)
 def test_on_se3_it_is_the_network_of_the_paper(seed):
     network = random_network(seed, gamma=1.5, mu=0.4, activation="arctan")
@@ -72,7 +72,7 @@ def test_su2_gives_the_networks_of_so3_and_both_signs_the_same(seed):
     np.testing.assert_allclose(dataclasses.replace(spin, theta=signs * u).weight, spin.weight, atol=1e-15)
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(seeds, st.sampled_from(["SO(3)", "SU(3)", "SE(2)"]))
 def test_a_certified_network_is_globally_stable_for_every_bias(seed, name):
     network = random_network(seed, name, gamma=2.0, mu=0.5)

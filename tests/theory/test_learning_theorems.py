@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper.checks.learning import random_network, tangent
-from paper.checks.theorems import printed_jacobian
-from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim import lie
@@ -79,23 +77,3 @@ def test_periodic_projection_can_set_out_against_the_gradient(reach, turn):
     best = tangent(one_block(np.eye(3), [0.0, 0.0, reach]), slope[None, None])[0, 0]
     assert best[2, 1] == pytest.approx((reach - 4.0 * turn) / (4.0 + 0.5 * reach**2), abs=1e-12)
     assert (best * slope).sum() == pytest.approx((reach - 4.0 * turn) ** 2 / (4.0 + 0.5 * reach**2), abs=1e-12)
-
-
-@given(seeds)
-def test_decoding_by_manifold_retraction(seed):
-    """App. L: R = Exp(omega), p = J(omega) v is the exponential of the twist, and a rigid motion."""
-    twist = np.random.default_rng(seed).normal(size=6)
-    pose = expm(lie.hat(twist))
-    np.testing.assert_allclose(pose[:3, 3], printed_jacobian(twist[:3]) @ twist[3:], atol=1e-12)
-    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-13)
-    assert np.linalg.det(pose[:3, :3]) == pytest.approx(1.0, abs=1e-13)
-    np.testing.assert_allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-15)
-
-
-def test_decoding_taylor_form_is_of_the_order_printed():
-    """J(theta e_z) e_x by hand: (sin theta, 1 - cos theta) / theta, so the first term left out is -theta^3/24 e_y."""
-    theta = 1e-2
-    wedge = lie.hat(np.array([0.0, 0.0, theta]))
-    rest = printed_jacobian(np.array([0.0, 0.0, theta])) - np.eye(3) - wedge / 2.0 - wedge @ wedge / 6.0
-    assert rest[1, 0] == pytest.approx(-(theta**3) / 24.0, rel=1e-3)
-    assert np.abs(rest).max() == pytest.approx(theta**3 / 24.0, rel=1e-3)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim import lie
 from lieednn_sim.errors import InputError
@@ -144,53 +144,6 @@ def test_se3_is_the_one_of_the_package(seed):
     theta = rng.normal(size=(6, 6))
     g = RigidTransform.from_matrix(one.project_to_adjoint(theta))
     np.testing.assert_allclose(g.rotation.as_matrix(), lie.project_to_adjoint_exact(theta)[0], atol=1e-12)
-
-
-@given(seeds)
-def test_su2_and_so3_have_the_same_adjoint_matrices(seed):
-    vector = np.random.default_rng(seed).normal(size=3)
-    rotation = Rotation.from_rotvec(vector).as_matrix()
-    np.testing.assert_allclose(group("SU(2)").adjoint(group("SU(2)").exp(vector)), rotation, atol=1e-13)
-    np.testing.assert_allclose(group("SO(3)").adjoint(rotation), rotation, atol=1e-13)
-
-
-def complex_number(z: complex) -> np.ndarray:
-    return np.array([[z.real, -z.imag], [z.imag, z.real]])
-
-
-@given(seeds)
-def test_complex_multiplication_is_not_ad_of_nonzero_complex_but_in_that_of_its_affine_group(seed):
-    """The paper's Discussion names C^x; its adjoint image is a single matrix."""
-    rng = np.random.default_rng(seed)
-    factor, offset, z = rng.normal(size=3) + 1j * rng.normal(size=3)
-    np.testing.assert_allclose(group("C^x").adjoint(complex_number(factor)), np.eye(2), atol=1e-12)
-    g = np.eye(3)
-    g[:2, :2], g[:2, 2] = complex_number(factor), [offset.real, offset.imag]
-    acting = affine(group("C^x")).adjoint(g)[2:, 2:]
-    product = factor * z
-    np.testing.assert_allclose(acting @ [z.real, z.imag], [product.real, product.imag], atol=1e-13)
-
-
-def hamilton_product(p, q):
-    (a, u), (b, v) = (p[0], p[1:]), (q[0], q[1:])
-    return np.concatenate([[a * b - u @ v], a * v + b * u + np.cross(u, v)])
-
-
-@given(seeds)
-def test_quaternion_multiplication_is_not_ad_of_nonzero_quaternion_but_in_that_of_its_affine_group(seed):
-    p, q, r = np.random.default_rng(seed).normal(size=(3, 4))
-    one = group("H^x")
-    # H is its own Lie algebra: `hat` makes the matrix of a quaternion.
-    matrix = one.hat(p)
-    np.testing.assert_allclose(matrix @ q, hamilton_product(p, q), atol=1e-13)
-    conjugate = p * [1, -1, -1, -1] / (p @ p)
-    turned = hamilton_product(hamilton_product(p, q), conjugate)
-    np.testing.assert_allclose(one.adjoint(matrix) @ q, turned, atol=1e-12)
-    rotation = Rotation.from_quat(p, scalar_first=True).as_matrix()
-    np.testing.assert_allclose(one.adjoint(matrix)[1:, 1:], rotation, atol=1e-12)
-    g = np.eye(5)
-    g[:4, :4], g[:4, 4] = matrix, r
-    np.testing.assert_allclose(affine(one).adjoint(g)[4:, 4:] @ q, hamilton_product(p, q), atol=1e-12)
 
 
 def test_kernels():

@@ -185,9 +185,7 @@ def check_size(source: Path) -> None:
         try:
             with opened(path, _LARGEST) as stream:
                 root = ElementTree.parse(stream).getroot()
-        except FileError:
-            raise
-        except (OSError, ElementTree.ParseError, ValueError, RecursionError):
+        except (ElementTree.ParseError, ValueError, RecursionError):
             # MuJoCo tells what is missing or wrong.
             continue
         _check_elements(root, path)

@@ -95,11 +95,6 @@ class Demonstrations:
         kept = np.arange(len(self)) != as_count("index", index, 0, len(self) - 1)
         return replace(self, twists=self.twists[kept])
 
-    def only(self, index: int) -> Demonstrations:
-        """Only the demonstration at ``index``; the times stay the same."""
-        chosen = as_count("index", index, 0, len(self) - 1)
-        return replace(self, twists=self.twists[chosen : chosen + 1])
-
     def to_world(self, twists: Floats) -> RigidTransform:
         """World poses of twists ``(..., 6)``."""
         seen = exp(twists)

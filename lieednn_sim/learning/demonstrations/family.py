@@ -30,8 +30,6 @@ class Response:
     Attributes:
         gain: ``(K, D, E)`` derivatives of the path at equal steps of the phase in the coordinates of start and goal.
         ridges: the smallest and the largest of `RIDGES` that were averaged.
-        errors: ``(R, n)`` mean distance of each path from its prediction by the others, for each of `RIDGES`; empty for
-            fewer than three paths, and if their starts are the same.
         residuals: ``(n, K, D)`` what is left of each path, over the square root of 1 less its leverage: as large as if
             it had not been fitted to.
         growth: ``(E, E)`` A: at u from the mean start (and goal), u^T A u times the residuals' covariance is added by
@@ -41,7 +39,6 @@ class Response:
 
     gain: Floats
     ridges: tuple[float, float]
-    errors: Floats
     residuals: Floats
     growth: Floats
 
@@ -66,7 +63,7 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
     rest = (away - np.einsum("kij,nj->nki", fading, start)).reshape(n, -1)
     total = max(float(np.sum(spread**2)), 1e-300)
     shrinking = spread**2 / (spread**2 + RIDGES[:, None] * total)
-    first, last, errors = len(RIDGES) - 1, len(RIDGES) - 1, np.empty((len(RIDGES), 0))
+    first, last = len(RIDGES) - 1, len(RIDGES) - 1
     # Without one of two, what is left says nothing about starts.
     if n > 2 and kept.any():
         errors = np.empty((len(RIDGES), n))
@@ -86,7 +83,7 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
     if kept.any():
         growth = np.linalg.inv(start.T @ start + min(RIDGES[first], RIDGES[-2]) * total * np.eye(len(growth)))
     ridges = float(RIDGES[first]), float(RIDGES[last])
-    return Response(fading + np.einsum("rki,rj->kij", fitted, right), ridges, errors, residuals, growth)
+    return Response(fading + np.einsum("rki,rj->kij", fitted, right), ridges, residuals, growth)
 
 
 def one_standard_error(errors: Floats) -> tuple[int, int]:

@@ -103,8 +103,6 @@ def _tables(path: Path, columns: Columns) -> Iterator[Table]:
         yield from read(path, columns)
     except (FileError, InputError):
         raise
-    except FileNotFoundError:
-        raise FileError(f"no such file: {path}") from None
     # The readers raise all kinds of exceptions on a damaged file.
     except Exception as error:
         raise FileError(f"{path} is not a readable file of demonstrations ({type(error).__name__}: {error})") from None

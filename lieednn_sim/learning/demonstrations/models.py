@@ -46,8 +46,8 @@ class LinearAttractor:
     durations: ClassVar[float] = 3.0
 
     @classmethod
-    def fit(cls, demonstrations: Demonstrations) -> LinearAttractor:
-        """Fit k to the duration of the demonstrations."""
+    def fit(cls, demonstrations: Demonstrations, n_parameters: int = 1) -> LinearAttractor:
+        """Fit k to the duration of the demonstrations; there is always one parameter."""
         return cls(demonstrations.duration)
 
     def reproduce(self, start: Floats, t: Floats) -> Floats:

@@ -70,29 +70,24 @@ class OptimisationOptions(PlannerOptions):
 
 
 @made_in_time
-def trajectory_optimisation(
-    problem: PlanningProblem, options: OptimisationOptions, guide: Motion | None = None
-) -> Motion:
+def trajectory_optimisation(problem: PlanningProblem, options: OptimisationOptions) -> Motion:
     """The first of a few locally optimal trajectories that the arm can follow.
 
-    The first guess is minimum jerk, straight in joint space; the others are bent towards random configurations. With a
-    ``guide``, a motion from start to target of any duration, the only guess is the spline nearest to it.
+    The first guess is minimum jerk, straight in joint space; the others are bent towards random configurations.
 
     Raises:
         PlanError: no local optimum keeps the limits and the clearance; the message says why the first one does not.
     """
     descent = _Descent(problem, options)
     refusal: PlanError | None = None
-    for guess in descent.guesses() if guide is None else [descent.near_to(guide)]:
-        x = guess
+    for x in descent.guesses():
         for weight in options.weights:
             x = descent.minimise(x, weight)
             try:
                 return descent.motion(x)
             except PlanError as error:
                 refusal = refusal or error
-    guesses = options.guesses if guide is None else 1
-    raise PlanError(f"no local optimum of {guesses} first guesses can be followed: {refusal}")
+    raise PlanError(f"no local optimum of {options.guesses} first guesses can be followed: {refusal}")
 
 
 class _Descent:
@@ -151,12 +146,6 @@ class _Descent:
             blocked.append(sum(self._blocked(q) for q in self.positions(control.ravel())))
         for index in np.argsort(blocked, kind="stable")[: self.options.guesses - 1]:
             yield drawn[index]
-
-    def near_to(self, guide: Motion) -> Floats:
-        """The spline, flat, nearest to a motion at equal fractions of their durations."""
-        basis, rows = self.sampled[0], np.linspace(0.0, len(guide.q) - 1.0, len(self.sampled[0])).round().astype(int)
-        left = guide.q[rows] / self.scale - basis @ self.ends
-        return np.asarray(np.linalg.lstsq(basis[:, self.inner], left)[0].ravel())
 
     def _blocked(self, q: Floats) -> bool:
         check_time()

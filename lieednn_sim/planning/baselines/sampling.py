@@ -23,7 +23,6 @@ from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_al
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.joint_space import Workspace
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
@@ -44,8 +43,8 @@ _STRAIGHT = 1.0 + 1e-9
 
 
 @dataclass(frozen=True)
-class SearchOptions(PlannerOptions):
-    """Options for how paths are searched for.
+class PathOptions(SmoothingOptions):
+    """Options for how paths are searched for, besides those of `SmoothingOptions`.
 
     Attributes:
         margin: clearance of paths, reduced where start or target is closer to something [m]; smoothed motions are
@@ -65,11 +64,6 @@ class SearchOptions(PlannerOptions):
     shortcuts: int = 60
     longest_edge: float = field(default=0.1, metadata={"range": (1e-3, 1.0)})
     spacings: tuple[float, ...] = field(default=(0.04, 0.02), metadata={"range": (1e-3, 1.0)})
-
-
-@dataclass(frozen=True)
-class PathOptions(SearchOptions, SmoothingOptions):
-    """Options for how paths are searched for and smoothed; see the two base classes."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +103,7 @@ class BitStarOptions(PathOptions):
 
 
 # Arguments: space, options, seed. Returns a path of OMPL's, or None.
-Search: TypeAlias = Callable[[SearchSpace, SearchOptions, np.random.SeedSequence], Any]
+Search: TypeAlias = Callable[[SearchSpace, PathOptions, np.random.SeedSequence], Any]
 
 
 def sampling_planner(name: str) -> Callable[[PlanningProblem, PathOptions], Motion]:
@@ -142,7 +136,7 @@ aorrtc = sampling_planner("aorrtc")
 
 
 def connecting_path(
-    problem: PlanningProblem, workspace: Workspace, options: SearchOptions, search: Search, attempt: int
+    problem: PlanningProblem, workspace: Workspace, options: PathOptions, search: Search, attempt: int
 ) -> Floats | None:
     """Corners ``(M, n)`` of a shortened path from start to target, clear in the workspace; or None.
 
@@ -177,7 +171,7 @@ def connecting_path(
 def ompl_search(name: str) -> Search:
     """The search of one of `METHODS` by OMPL."""
 
-    def search(space: SearchSpace, options: SearchOptions, _: np.random.SeedSequence) -> Any:
+    def search(space: SearchSpace, options: PathOptions, _: np.random.SeedSequence) -> Any:
         base, geometric = optional_module("ompl.base"), optional_module("ompl.geometric")
         definition = base.ProblemDefinition(space.information)
         definition.setStartAndGoalStates(*(space.state(q / space.edges.scale) for q in space.ends))
@@ -202,7 +196,7 @@ def ompl_search(name: str) -> Search:
     return search
 
 
-def balanced_search(space: SearchSpace, options: SearchOptions, seed: np.random.SeedSequence) -> Any:
+def balanced_search(space: SearchSpace, options: PathOptions, seed: np.random.SeedSequence) -> Any:
     """The search by `trees`, with distances in the workspace."""
     edges = space.edges
     weight = np.maximum(edges.swept, _LEAST_SWEEP * edges.swept.max())

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -34,17 +34,14 @@ class Controller(ABC):
     A controller sees the part of the reference that is known so far, and may log channels of its own.
 
     Attributes:
-        adds_bodies: whether `add_bodies` adds any; if not, the plant need not be compiled again.
+        add_bodies: a method that adds the bodies that the controller needs to a copy of the arm's spec; None for none.
         channel_units: see `ChannelSource`.
     """
 
-    adds_bodies = False
+    add_bodies: Callable[[Any], None] | None = None
     channel_units: Mapping[str, str] = MappingProxyType({})
 
-    def add_bodies(self, spec: Any) -> None:  # noqa: B027 (few controllers need this hook, or `equip`)
-        """Add the bodies that the controller needs to a copy of the arm's spec."""
-
-    def equip(self, plant: mujoco.MjModel) -> None:  # noqa: B027
+    def equip(self, plant: mujoco.MjModel) -> None:  # noqa: B027 (few controllers need this hook)
         """Give the compiled plant the actuators that the controller needs."""
 
     def inputs(self, steps: range, noise: Noise) -> Inputs | None:

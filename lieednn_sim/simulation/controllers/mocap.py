@@ -36,7 +36,6 @@ class MocapWelds(Controller):
     Logged channels: ``weld_force`` and ``weld_torque`` ``(K, N)``, between each link and its mocap body.
     """
 
-    adds_bodies = True
     channel_units: Mapping[str, str] = MappingProxyType({"weld_force": "N", "weld_torque": "N m"})
 
     def __init__(self, arm: Arm, reference: Reference) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from lieednn_sim import io
 from lieednn_sim.evaluation.display import rounded
-from lieednn_sim.evaluation.frame_errors import SETTLED_ROTATION, SETTLED_TRANSLATION
+from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.comparison.statistics import failures, seeds_by_planner, verdict
 from lieednn_sim.studies.comparison.study import settings_of

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,7 @@ from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstration
 from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
-from lieednn_sim.studies.demonstrations.models import mean_errors
+from lieednn_sim.studies.demonstrations.models import mean_of
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -108,8 +108,8 @@ def study_joints(
                 paths.append(motion.q)
         study = JointStudy(
             mean=_errors(learned, demonstrations.mean),
-            training=_mean([_errors(motion_to(learned, demonstrations, q[-1]), q) for q in demonstrations.q]),
-            left_out=_mean(without) if without else None,
+            training=mean_of([_errors(motion_to(learned, demonstrations, q[-1]), q) for q in demonstrations.q]),
+            left_out=mean_of(without) if without else None,
             starts=starts,
             arrived=len(paths),
         )
@@ -160,17 +160,6 @@ def _errors(model: JointMotion, shown: Floats) -> JointErrors:
     motion = model.run(shown[0])
     gap = float(motion.gap_translation.max()), float(motion.gap_rotation.max())
     return joint_errors(model.arm, motion.q, shown, gap)
-
-
-def _mean(errors: list[JointErrors]) -> JointErrors:
-    """The mean of each error."""
-    rms = np.mean([one.joints_rms for one in errors], axis=0)
-    plain = (f.name for f in fields(JointErrors)[2:])
-    return JointErrors(
-        mean_errors([one.effector for one in errors]),
-        tuple(rms.tolist()),
-        *(float(np.mean([getattr(one, name) for one in errors])) for name in plain),
-    )
 
 
 def _effector(arm: Arm, q: Floats) -> Demonstration:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from lieednn_sim.budget import cpu_time
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstrations
-from lieednn_sim.learning.demonstrations.models import LinearAttractor, MotionModel
+from lieednn_sim.learning.demonstrations.models import MotionModel
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.registry import RIVALS
 from lieednn_sim.studies.demonstrations.attraction import Attraction, attraction, random_starts
@@ -109,8 +109,8 @@ def compare_models(
                 n_parameters=model.n_parameters,
                 fit_s=seconds,
                 mean=_errors(model, shown, shown.mean),
-                training=mean_errors([_errors(model, shown, one) for one in shown.twists]),
-                left_out=mean_errors(without) if without else None,
+                training=mean_of([_errors(model, shown, one) for one in shown.twists]),
+                left_out=mean_of(without) if without else None,
                 attraction=attraction(model, shown, places),
             )
             rows.append(row)
@@ -127,11 +127,6 @@ def _fit(shaped: ShapedMotion, name: str, demonstrations: Demonstrations) -> Mot
     return model
 
 
-def linear_attractor(demonstrations: Demonstrations, _: int) -> LinearAttractor:
-    """The linear attractor of demonstrations, whose number of parameters is fixed."""
-    return LinearAttractor.fit(demonstrations)
-
-
 def _errors(model: MotionModel, demonstrations: Demonstrations, shown: Floats) -> PathErrors:
     return path_errors(reproduction(model, demonstrations, shown[0], shown[-1]), shown, demonstrations.lever)
 
@@ -144,9 +139,14 @@ def family_deviation(shaped: ShapedMotion, demonstrations: Demonstrations) -> fl
     return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).max()))
 
 
-def mean_errors(errors: Sequence[PathErrors]) -> PathErrors:
-    """The mean of each error."""
-    return PathErrors(*(float(np.mean([getattr(one, f.name) for one in errors])) for f in fields(PathErrors)))
+def mean_of(items: Sequence[Any]) -> Any:
+    """The mean of every number of dataclasses alike, also of those within dataclasses and tuples."""
+    first = items[0]
+    if isinstance(first, tuple):
+        return tuple(map(mean_of, zip(*items, strict=True)))
+    if isinstance(first, float):
+        return float(np.mean(items))
+    return replace(first, **{f.name: mean_of([getattr(item, f.name) for item in items]) for f in fields(first)})
 
 
 def models_table(rows: Sequence[ModelRow], *, turns: bool) -> Group:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
@@ -24,7 +22,11 @@ from lieednn_sim.studies.demonstrations.attraction import random_starts
 from lieednn_sim.studies.demonstrations.models import reproduction
 from lieednn_sim.values import Floats
 
-_SHOWN, _ELSEWHERE = "0.72", "0.45"
+# A name for the legend, paths, and the style of their lines.
+Group = tuple[str, Sequence[Floats], dict[str, Any]]
+
+_SHOWN: dict[str, Any] = {"color": "0.72", "lw": 0.9, "ls": "-"}
+_ELSEWHERE = "0.45"
 # Joints in a row, number of other starts drawn, and points of the field along each side.
 _IN_ROW, _STARTS, _FIELD = 3, 12, 28
 # Line styles of the models, the network's first.
@@ -35,8 +37,6 @@ _LINES: tuple[dict[str, Any], ...] = (
     {"color": COLOURS[3], "lw": 1.0, "ls": "-."},
     {"color": COLOURS[5], "lw": 1.0, "ls": (0, (5, 1, 1, 1, 1, 1))},
 )
-
-
 _FAN: dict[str, Any] = {"color": COLOURS[0], "lw": 0.6, "ls": "-", "alpha": 0.6}
 _BAND: dict[str, Any] = {"color": COLOURS[0], "lw": 0.0, "alpha": 0.15}
 
@@ -49,13 +49,17 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
     Thin lines are the first model's reproductions from the demonstrations' own starts; the band about its reproduction
     of the mean is two standard deviations wide on each side, if it has a spread.
     """
-    shown = 1e3 * demonstrations.displaced[..., 3:]
     paths = {
         name: displacement(reproduction(model, demonstrations, demonstrations.mean[0]))
         for name, model in models.items()
     }
     first = next(iter(models.values()))
     fan = [displacement(reproduction(first, demonstrations, one[0], one[-1])) for one in demonstrations.twists]
+    groups: list[Group] = [
+        ("demonstrations", list(demonstrations.displaced), _SHOWN),
+        (f"{first.name}, from their starts", fan, _FAN),
+        *((name, [one], line) for (name, one), line in zip(paths.items(), _LINES, strict=False)),
+    ]
     band, path_of_band = np.empty((0, 6, 6)), paths[first.name]
     if isinstance(first, ShapedMotion) and first.spread is not None:
         t = np.linspace(0.0, first.durations * demonstrations.duration, len(path_of_band))
@@ -67,41 +71,23 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.subplots(2 if turns else 1, len(views), squeeze=False)
         for axis, (h, v) in zip(axes[0], views, strict=True):
-            for one in shown:
-                axis.plot(one[:, h], one[:, v], color=_SHOWN, lw=0.9, ls="-")
-            for one in fan:
-                axis.plot(1e3 * one[:, 3 + h], 1e3 * one[:, 3 + v], **_FAN)
-            for (_, one), line in zip(paths.items(), _LINES, strict=False):
-                axis.plot(1e3 * one[:, 3 + h], 1e3 * one[:, 3 + v], **line)
+            labelled = axis is axes[0, 0]
+            _draw_paths(axis, groups, partial(_seen, view=[3 + h, 3 + v]), labelled)
             if len(band):
-                _draw_band(axis, path_of_band, band, [3 + h, 3 + v])
-            axis.plot(*shown[:, -1, [h, v]].T, "k*", ms=9, zorder=5)
+                _draw_band(axis, path_of_band, band, [3 + h, 3 + v], "two standard deviations" if labelled else None)
+            ends = _seen(demonstrations.displaced[:, -1], [3 + h, 3 + v])
+            axis.plot(*ends, "k*", ms=9, zorder=5, label="goal" if labelled else None)
             axis.set(xlabel=f"{'xyz'[h]} [mm]", ylabel=f"{'xyz'[v]} [mm]")
             axis.set_aspect("equal", adjustable="datalim")
         for c in range(3 if turns else 0):
             axis = axes[1, c]
-            for one in demonstrations.displaced:
-                axis.plot(*_over_path(one, demonstrations.lever, c), color=_SHOWN, lw=0.9, ls="-")
-            for one in fan:
-                axis.plot(*_over_path(one, demonstrations.lever, c), **_FAN)
-            for (_, one), line in zip(paths.items(), _LINES, strict=False):
-                axis.plot(*_over_path(one, demonstrations.lever, c), **line)
+            _draw_paths(axis, groups, partial(_over_path, lever=demonstrations.lever, c=c), False)
             if len(band):
                 fraction, turn = _over_path(path_of_band, demonstrations.lever, c)
                 width = 2.0 * np.rad2deg(np.sqrt(band[:, c, c]))
                 axis.fill_between(fraction, turn - width, turn + width, **_BAND)
             axis.set(xlabel="fraction of the path", ylabel=f"turn about {'xyz'[c]} [deg]")
-        handles: list[Artist] = [
-            Line2D([], [], color=_SHOWN, ls="-"),
-            Line2D([], [], **_FAN),
-            *(Line2D([], [], **line) for _, line in zip(paths, _LINES, strict=False)),
-        ]
-        handles.append(Line2D([], [], color="k", marker="*", ls="", ms=9))
-        labels = ["demonstrations", f"{first.name}, from their starts", *paths, "goal"]
-        if len(band):
-            handles.append(Patch(**_BAND))
-            labels.append("two standard deviations")
-        figure.legend(handles, labels, loc="outside upper center", ncols=3 if len(views) == 1 else len(labels))
+        figure.legend(loc="outside upper center", ncols=3 if len(views) == 1 else len(groups) + 2)
         figure_layout.save_figure(figure, path)
 
 
@@ -123,29 +109,22 @@ def plot_joint_paths(
     """
     arm = demonstrations.arm
     rows = -(-arm.n_joints // _IN_ROW)
-    groups: list[tuple[str, Sequence[Floats], dict[str, Any]]] = [
-        ("demonstrations", list(demonstrations.q), {"color": _SHOWN, "lw": 0.9, "ls": "-"}),
+    groups: list[Group] = [
+        ("demonstrations", list(demonstrations.q), _SHOWN),
+        ("starts elsewhere", elsewhere[:_STARTS], {"color": _ELSEWHERE, "lw": 0.7, "ls": ":"}),
+        ("lieednn-shaped, from their starts", fan, _FAN),
         ("lieednn-shaped, from their mean start", [reproduction], _LINES[0]),
     ]
-    if len(fan):
-        groups.insert(1, ("lieednn-shaped, from their starts", fan, _FAN))
-    if len(elsewhere):
-        groups.insert(1, ("starts elsewhere", elsewhere[:_STARTS], {"color": _ELSEWHERE, "lw": 0.7, "ls": ":"}))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.5, 0.9 + 2.1 * rows), layout="constrained")
         axes = figure.subplots(rows, _IN_ROW, squeeze=False, sharex=True).ravel()
-        for name, paths, line in groups:
-            for number, q in enumerate(paths):
-                fraction = demonstrations.length_fractions(q)
-                for joint in range(arm.n_joints):
-                    label = None if number or joint else name
-                    axes[joint].plot(fraction, q[:, joint], label=label, **line)
         for joint, axis in enumerate(axes):
-            if joint < arm.n_joints:
-                axis.set(title=arm.joint_names[joint], ylabel=f"[{arm.unit(joint)}]")
-            else:
+            if joint >= arm.n_joints:
                 axis.set_axis_off()
-            if joint + _IN_ROW >= arm.n_joints > joint:
+                continue
+            _draw_paths(axis, groups, partial(_over_length, demonstrations, joint), joint == 0)
+            axis.set(title=arm.joint_names[joint], ylabel=f"[{arm.unit(joint)}]")
+            if joint + _IN_ROW >= arm.n_joints:
                 axis.set_xlabel("fraction of the path")
                 axis.xaxis.set_tick_params(labelbottom=True)
         figure.legend(loc="outside upper center", ncols=len(groups))
@@ -160,9 +139,14 @@ def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | o
     """
     twists = random_starts(demonstrations, _STARTS, seed)
     paths = displacement(np.stack([reproduction(model, demonstrations, start) for start in twists]))
-    shown = 1e3 * demonstrations.displaced[..., 3:]
-    extent = np.ptp(shown.reshape(-1, 3), axis=0)
+    extent = np.ptp(demonstrations.displaced[..., 3:].reshape(-1, 3), axis=0)
     h, v = np.sort(np.argsort(-extent, kind="stable")[:2])
+    mean = displacement(reproduction(model, demonstrations, demonstrations.mean[0]))
+    groups: list[Group] = [
+        ("starts elsewhere", list(paths), {"color": _ELSEWHERE, "lw": 0.8, "ls": "-", "marker": "o", "markevery": [0]}),
+        ("demonstrations", list(demonstrations.displaced), {"color": COLOURS[4], "lw": 1.0, "ls": "-"}),
+        (f"{model.name}, from their mean start", [mean], _LINES[0]),
+    ]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 6.2), layout="constrained")
         axis = figure.subplots()
@@ -171,26 +155,21 @@ def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | o
         low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
         if demonstrations.dof < 6:
             _draw_field(axis, model, demonstrations, (low, high), (h, v))
-        for number, one in enumerate(every):
-            axis.plot(one[:, 0], one[:, 1], color=_ELSEWHERE, lw=0.8, ls="-", zorder=3)
-            axis.plot(*one[0], "o", color=_ELSEWHERE, ms=4, zorder=3, label="starts elsewhere" if not number else None)
-        for number, one in enumerate(shown):
-            axis.plot(
-                one[:, h],
-                one[:, v],
-                color=COLOURS[4],
-                lw=1.0,
-                ls="-",
-                label=None if number else "demonstrations",
-                zorder=4,
-            )
-        found = 1e3 * displacement(reproduction(model, demonstrations, demonstrations.mean[0]))
-        axis.plot(found[:, 3 + h], found[:, 3 + v], **_LINES[0], label=f"{model.name}, from their mean start", zorder=5)
+        _draw_paths(axis, groups, partial(_seen, view=[3 + h, 3 + v]), True)
         axis.plot(0.0, 0.0, "k*", ms=11, zorder=6, label="goal")
         axis.set(xlabel=f"{'xyz'[h]} [mm]", ylabel=f"{'xyz'[v]} [mm]", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axis.set_aspect("equal", adjustable="box")
         figure.legend(loc="outside upper center", ncols=2)
         figure_layout.save_figure(figure, path)
+
+
+def _draw_paths(
+    axis: Any, groups: Sequence[Group], shown: Callable[[Floats], tuple[Floats, Floats]], labelled: bool
+) -> None:
+    """Draw groups of paths, each at the coordinates that ``shown`` gives, with one label a group."""
+    for name, paths, line in groups:
+        for number, one in enumerate(paths):
+            axis.plot(*shown(one), **{"ms": 4, **line}, label=name if labelled and not number else None)
 
 
 def _draw_field(
@@ -211,14 +190,24 @@ def _draw_field(
     )
 
 
-def _draw_band(axis: Any, path: Floats, covariance: Floats, view: list[int]) -> None:
+def _draw_band(axis: Any, path: Floats, covariance: Floats, view: list[int], label: str | None) -> None:
     """Two standard deviations across a path ``(K, 6)``, on both sides, seen along an axis [mm]."""
     along = np.gradient(path[:, view], axis=0)
     across = along[:, ::-1] * [-1.0, 1.0] / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     seen = covariance[:, view][:, :, view]
     width = 2.0 * np.sqrt(np.einsum("ki,kij,kj->k", across, seen, across))[:, None] * across
     edges = 1e3 * np.concatenate([path[:, view] + width, (path[:, view] - width)[::-1]])
-    axis.fill(*edges.T, **_BAND)
+    axis.fill(*edges.T, **_BAND, label=label)
+
+
+def _seen(displaced: Floats, view: list[int]) -> tuple[Floats, Floats]:
+    """Two coordinates of a path [mm]."""
+    return 1e3 * displaced[:, view[0]], 1e3 * displaced[:, view[1]]
+
+
+def _over_length(demonstrations: JointDemonstrations, joint: int, q: Floats) -> tuple[Floats, Floats]:
+    """A joint over the fraction of the path's length."""
+    return demonstrations.length_fractions(q), q[:, joint]
 
 
 def _over_path(displaced: Floats, lever: float, c: int) -> tuple[Floats, Floats]:

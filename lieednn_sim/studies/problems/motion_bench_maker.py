@@ -223,13 +223,8 @@ def _matched(name: str) -> re.Match[str] | None:
 
 
 def _content(path: Path) -> bytes:
-    try:
-        with opened(path, _LARGEST_MODEL) as stream:
-            return stream.read()
-    except FileError:
-        raise
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from None
+    with opened(path, _LARGEST_MODEL) as stream:
+        return stream.read()
 
 
 def _unpacked(archive: Path) -> Iterator[tuple[str, bytes]]:

@@ -20,8 +20,7 @@ from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.safety_filter import FilterOptions
-from lieednn_sim.policies import Policy, make_policy
+from lieednn_sim.policies import FilterOptions, Policy, make_policy
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
 from lieednn_sim.studies.comparison.cases import FREE, arm_and_target
 from lieednn_sim.studies.reactions.recovery import PUSH_TIME, UndisturbedPath, pushing_force

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from lieednn_sim.errors import InputError
+from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
 # Rows of a table: a curve of two metres is then resolved to a millimetre along, and to micrometres across.
@@ -78,6 +80,18 @@ class Curve:
         s = np.maximum.accumulate(s)
         s[0], s[-1] = 0.0, 1.0
         return s
+
+
+def as_units(units: ArrayLike, n: int) -> Floats:
+    """Metres ``(N, 6)`` that one unit of each coordinate counts for, positive; or `InputError`."""
+    given = as_floats("units", units, (), batched=True)
+    try:
+        scale = np.broadcast_to(given, (n, 6))
+    except ValueError:
+        raise InputError(f"units must broadcast to ({n}, 6), got shape {given.shape}") from None
+    if not (scale > 0.0).all():
+        raise InputError(f"units must be positive, the smallest is {scale.min():g}")
+    return scale
 
 
 def clock_along(points: Floats, per_turn: float, smoothing: float) -> Floats:

@@ -8,8 +8,7 @@ straight to the target. With g = e^-t, r a hidden neuron's rest state and h(0) =
 
 Here u is odd in delta, and nearly linear while codes are small. So encoding is one linear least-squares problem,
 solved beforehand for all curves: a product of matrices remains. The proof of arrival is that of the weights, whatever
-the code; how close the path is to the curve is a fit. Some pairs lie beyond the ends of the way, so that the first and
-the last part of it have as many bumps as its middle.
+the code; how close the path is to the curve is a fit.
 """
 
 from __future__ import annotations
@@ -24,15 +23,14 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
-from lieednn_sim.synthesis.shaping.assembly import assemble
-from lieednn_sim.synthesis.shaping.cascade import TAIL, Parameters
-from lieednn_sim.synthesis.shaping.curve import clock_along, third_derivative
-from lieednn_sim.synthesis.shaping.pairs import LARGEST_CODE
+from lieednn_sim.synthesis.shaping.cascade import TAIL, assemble
+from lieednn_sim.synthesis.shaping.curve import as_units, clock_along, third_derivative
+from lieednn_sim.synthesis.shaping.pairs import LARGEST_CODE, pairs_of, switches
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats, frozen
 
-# Pairs for each visible neuron, the part of the clock over which they are spread, and slope times spacing.
-CODE_PAIRS, _SPREAD, _SLOPE = 48, (-0.1, 1.05), 0.6
+# Pairs for each visible neuron.
+CODE_PAIRS = 48
 # Largest number of visible neurons: arrays of hidden ones grow with its square, to 0.2 GB.
 _MOST_VISIBLE = 16
 # D. Codes of the package's arms reach about a third of `LARGEST_CODE`.
@@ -89,14 +87,21 @@ class CurveEncoder:
             InputError: a shape does not fit, or the curve's code exceeds `LARGEST_CODE`, beyond which bumps are not
                 linear in the code.
         """
-        samples = self._checked(curve, batched=False)
-        return self.with_code(self._coded(samples[None], units)[0], samples[-1])
+        return self.with_code(self.code(curve, units), np.asarray(curve)[-1])
 
-    def codes(self, curves: ArrayLike, units: ArrayLike = 1.0) -> Floats:
-        """Hidden starts ``(..., M, 6)`` of curves ``(..., K, N, 6)``; see `encode`."""
-        samples = self._checked(curves, batched=True)
-        flat = samples.reshape(-1, *samples.shape[-3:])
-        return self._coded(flat, units).reshape(*samples.shape[:-3], *self._silent.shape)
+    def code(self, curve: ArrayLike, units: ArrayLike = 1.0) -> Floats:
+        """The hidden start ``(M, 6)`` of a curve; see `encode`."""
+        n = self.network.n_visible
+        samples = as_floats("curve", curve, ("K", n, 6))
+        if len(samples) < 2:
+            raise InputError(f"a curve must have at least two samples, got {len(samples)}")
+        with one_blas_thread():
+            g = self._basis.fitted
+            points = _at_clock(samples, as_units(units, n), 1.0 - g)
+            missing = points - samples[-1] - g[:, None, None] * (samples[0] - samples[-1])
+            code = self._basis.solution @ missing.reshape(len(g), -1)
+        self._require_range(code)
+        return self._started(code)
 
     def with_code(self, code: ArrayLike, target: ArrayLike) -> LieEDNN:
         """The universal network with a code ``(M, 6)``, to a target ``(N, 6)``; the certificate is not checked again.
@@ -131,7 +136,7 @@ class CurveEncoder:
         wanted = np.stack([(rate + offset).ravel(), (bend + rate).ravel()])
         code += basis.starting @ (wanted - basis.start @ code)
         self._require_range(code)
-        return self.network.retarget(target).with_start(self._started(code[None])[0])
+        return self.network.retarget(target).with_start(self._started(code))
 
     def path(self, network: LieEDNN, start: ArrayLike) -> CubicHermiteSpline:
         """States ``(..., N, 6)`` of the visible neurons in closed form, as a function of w = 1 - e^-t.
@@ -160,27 +165,10 @@ class CurveEncoder:
         shape = (len(basis.g), n, 6)
         return CubicHermiteSpline(1.0 - basis.g, target + away.reshape(shape), slope.reshape(shape))
 
-    def _coded(self, curves: Floats, units: ArrayLike) -> Floats:
-        basis, n = self._basis, self.network.n_visible
-        try:
-            scale = np.broadcast_to(as_floats("units", units, (), batched=True), (n, 6))
-        except ValueError:
-            raise InputError(f"units must broadcast to ({n}, 6), got shape {np.shape(units)}") from None
-        g = basis.fitted
-        with one_blas_thread():
-            at = np.stack([_at_clock(curve, scale, 1.0 - g) for curve in curves])
-            missing = at - curves[:, -1:] - g[:, None, None] * (curves[:, :1] - curves[:, -1:])
-            code = basis.solution @ missing.reshape(len(curves), len(g), -1)
-        self._require_range(code)
-        return self._started(code)
-
     def _started(self, code: Floats) -> Floats:
-        """Hidden starts ``(B, M, 6)`` of codes ``(B, pairs, 6N)``, which both neurons of a pair have."""
-        n = self.network.n_visible
-        # To ``(B, N, 1, pairs, 6)``.
-        shift = code.reshape(-1, CODE_PAIRS, n, 1, 6).transpose(0, 2, 3, 1, 4)
-        whole = np.broadcast_to(shift, (len(code), n, 2, CODE_PAIRS, 6))
-        return self._silent + whole.reshape(-1, *self._silent.shape)
+        """The hidden start ``(M, 6)`` of a code ``(pairs, 6N)``, which both neurons of a pair have."""
+        shift = code.reshape(CODE_PAIRS, -1, 6).swapaxes(0, 1)
+        return self._silent + np.stack([shift, shift], axis=1).reshape(self._silent.shape)
 
     def _require_range(self, code: Floats) -> None:
         largest = float(np.abs(code).max(initial=0.0))
@@ -189,12 +177,6 @@ class CurveEncoder:
                 f"the curve's code must stay below {LARGEST_CODE:g}, up to which bumps are linear in it, and would "
                 f"reach {largest:.3g}: the curve is too long or too sharply bent for the universal network"
             )
-
-    def _checked(self, curves: ArrayLike, *, batched: bool) -> Floats:
-        samples = as_floats("curve", curves, ("K", self.network.n_visible, 6), batched=batched)
-        if samples.shape[-3] < 2:
-            raise InputError(f"a curve must have at least two samples, got {samples.shape[-3]}")
-        return samples
 
 
 @frozen
@@ -218,21 +200,10 @@ class _Basis:
     starting: Floats
 
 
-def _places() -> tuple[Floats, Floats]:
-    """Equilibria a and slopes c ``(pairs,)`` of the first switches of the pairs."""
-    low, high = _SPREAD
-    c = np.full(CODE_PAIRS, _SLOPE * CODE_PAIRS / (high - low))
-    return -c * (1.0 - low - (high - low) * (np.arange(CODE_PAIRS) + 0.5) / CODE_PAIRS), c
-
-
 @lru_cache(maxsize=8)
 def _universal(n: int, activation: str) -> tuple[LieEDNN, Floats]:
     """The universal network of N visible neurons, and the hidden start of code zero."""
-    a, c = (np.tile(np.outer([1.0, -1.0], part).ravel(), n)[:, None] * np.ones(6) for part in _places())
-    alpha = np.kron(np.eye(n), np.full(2 * CODE_PAIRS, _STRENGTH))
-    network = assemble(
-        Parameters(a, c, alpha, np.tile(np.eye(3), (n, len(a), 1, 1))), 1.0, np.zeros((n, 6)), activation
-    )
+    network = assemble(pairs_of(n, CODE_PAIRS, _STRENGTH), 1.0, np.zeros((n, 6)), activation)
     if not network.certified:
         raise NotCertifiedError(f"the closed-form certificate does not hold ({network.certificate})")
     return network, network.hidden_start
@@ -241,7 +212,7 @@ def _universal(n: int, activation: str) -> tuple[LieEDNN, Floats]:
 @lru_cache(maxsize=2)
 def _basis(activation: str) -> _Basis:
     phi = ACTIVATIONS[activation].phi
-    a, c = _places()
+    a, c = switches(CODE_PAIRS)
     # An odd polynomial in d through phi(z + d) - phi(z - d) at as many d as it has terms.
     tried = LARGEST_CODE * np.arange(1.0, 1.0 + len(_POWERS)) / len(_POWERS)
     of_values = _STRENGTH * np.linalg.inv(tried[:, None] ** _POWERS)
@@ -274,7 +245,7 @@ def _basis(activation: str) -> _Basis:
     count = len(looks)
     solution = inverse[:, :count] + inverse[:, count : count + len(ripples)] @ (_RIPPLE**3 * ripples)
     slope = ACTIVATIONS[activation].slope_at(a + c, phi(a + c))
-    steeper = ACTIVATIONS[activation].bend_at(a + c, phi(a + c)) * slope
+    steeper = ACTIVATIONS[activation].bend(a + c)
     # Of u = 2 D delta g phi'(a + c g), with g' = -g.
     start = 2.0 * _STRENGTH * np.stack([slope, -(slope + c * steeper)])
     starting = inverse @ inverse.T @ start.T

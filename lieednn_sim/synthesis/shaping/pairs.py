@@ -16,13 +16,11 @@ from __future__ import annotations
 import numpy as np
 
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.synthesis.shaping.assembly import assemble
-from lieednn_sim.synthesis.shaping.cascade import TAIL, Clockwork, Parameters
+from lieednn_sim.synthesis.shaping.cascade import TAIL, Clockwork, Parameters, assemble
 from lieednn_sim.values import Floats
 
-# Number of pairs for each visible neuron, and slope of a switch over that number: steep bumps ripple, and wide ones,
-# hardly independent, need large codes and so a large D.
-PAIRS, _SLOPE = 24, 1.0
+# Number of pairs of each visible neuron of a family.
+PAIRS = 24
 # Largest entry of a code, at which the cubic term is a thousandth of the bump.
 LARGEST_CODE = 0.05
 # Weight of the squared codes, relative to the largest singular value of the bumps.
@@ -31,8 +29,18 @@ _RIDGE = 1e-3
 
 def switches(count: int) -> tuple[Floats, Floats]:
     """Equilibria a and slopes c ``(M,)`` of the first switches of ``count`` pairs, at equal steps of the clock."""
-    slope = np.full(count, _SLOPE * count)
-    return -slope * (1.0 - (np.arange(count) + 0.5) / count), slope
+    # A little beyond both ends of the clock, so that its first and last part have as many bumps as its middle.
+    low, high = -0.1, 1.05
+    # Steep bumps ripple, and wide ones, hardly independent, need large codes and so a large D.
+    slope = np.full(count, 0.6 * count / (high - low))
+    return -slope * (1.0 - low - (high - low) * (np.arange(count) + 0.5) / count), slope
+
+
+def pairs_of(n: int, count: int, strength: float) -> Parameters:
+    """``count`` pairs for each of N visible neurons, read with the strength D, as a cascade."""
+    a, c = (np.tile(np.outer([1.0, -1.0], part).ravel(), n)[:, None] * np.ones(6) for part in switches(count))
+    alpha = np.kron(np.eye(n), np.full(2 * count, strength))
+    return Parameters(a, c, alpha, np.tile(np.eye(3), (n, len(a), 1, 1)))
 
 
 def bumps(clock: Clockwork, count: int) -> Floats:
@@ -81,12 +89,12 @@ def with_pairs(
     strength = max(largest, 0.0 if others is None else float(np.abs(others).max())) / LARGEST_CODE
     if strength <= 0.0:
         return network
-    a, c = (np.tile(np.outer([1.0, -1.0], part).ravel(), n)[:, None] * np.ones(6) for part in switches(count))
+    pairs = pairs_of(n, count, strength)
     joined = Parameters(
-        np.concatenate([parameters.a, a]),
-        np.concatenate([parameters.c, c]),
-        np.concatenate([parameters.alpha, np.kron(np.eye(n), np.full(2 * count, strength))], axis=1),
-        np.concatenate([parameters.rotation, np.tile(np.eye(3), (n, len(a), 1, 1))], axis=1),
+        np.concatenate([parameters.a, pairs.a]),
+        np.concatenate([parameters.c, pairs.c]),
+        np.concatenate([parameters.alpha, pairs.alpha], axis=1),
+        np.concatenate([parameters.rotation, pairs.rotation], axis=1),
     )
     made = assemble(joined, clock.rate, network.equilibrium().xi[:n], network.activation)
     gain, *rest = np.split(shifts(made, codes).reshape(made.n_hidden * 6, -1), response.shape[2] // (6 * n), axis=1)

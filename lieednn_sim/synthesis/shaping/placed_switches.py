@@ -14,8 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from lieednn_sim.synthesis.shaping.assembly import turns_to
-from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters
+from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, turns_to
 from lieednn_sim.synthesis.shaping.curve import Curve, clock_along, third_derivative
 from lieednn_sim.values import Floats
 

@@ -17,9 +17,8 @@ from lieednn_sim.budget import check_time, cpu_time
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
-from lieednn_sim.synthesis.shaping.assembly import assemble
-from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, clockwork
-from lieednn_sim.synthesis.shaping.curve import Curve
+from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, assemble, clockwork
+from lieednn_sim.synthesis.shaping.curve import Curve, as_units
 from lieednn_sim.synthesis.shaping.placed_switches import fit_placed_switches
 from lieednn_sim.validation import as_count, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
@@ -72,7 +71,6 @@ class Shaping:
         network: the best network found; always certified.
         parameters: parameters of its cascade.
         deviation: largest distance of a point of the network's path from the curve, or of the curve from the path [m].
-        rms: root mean square distance of the network's path from the curve, over its length [m].
         options: those of the search, with the one number of neurons that was chosen.
         cpu_time: CPU time of the search [s].
     """
@@ -82,7 +80,6 @@ class Shaping:
     network: LieEDNN
     parameters: Parameters = field(repr=False)
     deviation: float
-    rms: float
     options: ShapingOptions
     cpu_time: float
 
@@ -121,10 +118,14 @@ def shape(
     start, goal = cpu_time(), as_positive("deviation", deviation)
     chosen = ShapingOptions() if options is None else options
     with one_blas_thread():
-        path = _as_curve(curve, units)
+        samples = as_floats("curve", curve, ("K", "N", 6))
+        n = samples.shape[1]
+        if n == 0 or len(samples) < 2:
+            raise InputError(f"curve must have at least two samples of at least one neuron, got shape {samples.shape}")
+        path = Curve.through(samples, as_units(units, n))
         clock = clockwork(float(chosen.rate), ACTIVATIONS[chosen.activation])
         cascade = Cascade(clock, path.points[0], path.points[-1])
-        best: tuple[float, float, LieEDNN, Parameters] | None = None
+        best: tuple[float, LieEDNN, Parameters] | None = None
         for count in chosen.neurons:
             check_time()
             parameters = fit_placed_switches(cascade, path, count)
@@ -134,7 +135,7 @@ def shape(
             if best[0] <= goal:
                 break
     assert best is not None
-    nearest, rms, network, parameters = best
+    nearest, network, parameters = best
     if not network.certified:
         raise NotCertifiedError(f"the closed-form certificate does not hold ({network.certificate}); curve too large")
     hidden = network.n_hidden - network.n_clock
@@ -145,28 +146,11 @@ def shape(
         "allow more by `neurons`"
     )
     chosen = replace(chosen, neurons=(hidden,))
-    return Shaping(nearest <= goal, message, network, parameters, nearest, rms, chosen, cpu_time() - start)
+    return Shaping(nearest <= goal, message, network, parameters, nearest, chosen, cpu_time() - start)
 
 
-def _as_curve(curve: ArrayLike, units: ArrayLike) -> Curve:
-    """The curve through samples ``(K, N, 6)``; raises as `shape`."""
-    samples = as_floats("curve", curve, ("K", "N", 6))
-    n = samples.shape[1]
-    if n == 0 or len(samples) < 2:
-        raise InputError(f"curve must have at least two samples of at least one neuron, got shape {samples.shape}")
-    try:
-        scale = np.broadcast_to(as_floats("units", units, (), batched=True), (n, 6))
-    except InputError:
-        raise
-    except ValueError:
-        raise InputError(f"units must broadcast to ({n}, 6), got shape {np.shape(units)}") from None
-    if not (scale > 0.0).all():
-        raise InputError(f"units must be positive, the smallest is {scale.min():g}")
-    return Curve.through(samples, scale)
-
-
-def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> tuple[float, float, LieEDNN]:
-    """Deviation, its root mean square, and the network, by integrating the network."""
+def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> tuple[float, LieEDNN]:
+    """Deviation, and the network, by integrating it."""
     network = assemble(parameters, options.rate, curve.points[-1], options.activation)
     trajectory = network.trajectory(network.start(curve.points[0]), _NETWORK_TIME / options.rate, rtol=1e-7, atol=1e-9)
     # Closer together at first, where it is fast.
@@ -174,7 +158,7 @@ def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> 
     path = Curve.through(network.visible(trajectory(t)), curve.units)
     fractions = np.linspace(0.0, 1.0, _SAMPLES)
     off, back = (_distances(one.at(fractions)[0], other, fractions) for one, other in ((path, curve), (curve, path)))
-    return float(max(off.max(), back.max())), float(np.sqrt(np.mean(off**2))), network
+    return float(max(off.max(), back.max())), network
 
 
 def _distances(points: Floats, curve: Curve, fractions: Floats) -> Floats:

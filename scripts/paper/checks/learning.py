@@ -43,7 +43,7 @@ def strength_gradient(samples: int) -> Scalars:
     errors = []
     for seed in range(max(2, samples // 100)):
         goal = np.random.default_rng(seed).uniform(-0.8, 0.8, (4, 6))
-        network = train(goal, TrainingOptions.repaired(max_epochs=50), seed=seed).network
+        network = train(goal, TrainingOptions(max_epochs=50), seed=seed).network
         if not isinstance(network, LieEDNN) or not network.equilibrium().success:
             continue
         weight, adjoints = network.weight.copy(), lie.adjoint(network.rotation, network.translation)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -133,7 +135,7 @@ def test_samples_are_motions_drawn_from_the_distribution(noisy, learned):
 
 
 def test_what_cannot_be_conditioned_says_why(noisy, learned):
-    alone = ShapedMotion.fit(noisy.only(0), options=OPTIONS)
+    alone = ShapedMotion.fit(replace(noisy, twists=noisy.twists[:1]), options=OPTIONS)
     fading = ShapedMotion.fit(noisy, options=OPTIONS, family=False)
     for motion in (alone, fading, learned.sample(noisy.mean[0], 1)[0]):
         with pytest.raises(InputError, match="has no spread: learn a family from two or more demonstrations"):

@@ -8,14 +8,8 @@ from hypothesis import strategies as st
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning.safety_filter import (
-    Barrier,
-    FilterOptions,
-    Limit,
-    SafetyFilter,
-)
-from lieednn_sim.planning.safety_filter import filter as filter_module
-from lieednn_sim.planning.safety_filter.barriers import ApproachBounds
+from lieednn_sim.policies import FilterOptions, SafetyFilter, safety_filter
+from lieednn_sim.policies.barriers import ApproachBounds
 
 POLES = Arm.load("telescopic_pr", "poles", 0)
 SPATIAL = Arm.load("telescopic_compound")
@@ -24,14 +18,14 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 @pytest.mark.parametrize("arm", [POLES, SPATIAL], ids=lambda arm: arm.name)
 @given(seed=SEEDS)
-@settings(max_examples=4)
+@settings(max_examples=3)
 def test_no_wanted_velocity_breaks_a_limit_or_touches(arm, seed):
     """Adversarial: full speed in a random direction, changed every 0.3 s; what is wanted never settles."""
     rng = np.random.default_rng(seed)
     filter_ = SafetyFilter(arm, 0.01)
     q, v = arm.keyframe("home"), np.zeros(arm.n_joints)
     filter_.allow(q)
-    for k in range(150):
+    for k in range(120):
         if k % 30 == 0:
             wanted = 3.0 * arm.velocity_limits * rng.choice([-1.0, 1.0], arm.n_joints)
         step = filter_.step(q, v, wanted)
@@ -46,13 +40,13 @@ def test_bad_settings_and_positions_that_touch_are_refused():
     with pytest.raises(InputError, match="margin must be positive, got 0"):
         FilterOptions(margin=0.0)
     folded = np.array([0.0, 0.0, -0.6, 0.45, 0.0, 0.4, -1.0, 0.3])
-    with pytest.raises(InputError, match=r"touches '.*' at a position to reach"):
+    with pytest.raises(InputError, match=r"touches '.*' at the start"):
         SafetyFilter(POLES, 0.01).allow(folded)
 
 
 @pytest.mark.parametrize("arm", [POLES, Arm.load("telescopic_compound", "window", 0)], ids=lambda arm: arm.name)
 @given(seed=SEEDS)
-@settings(max_examples=8)
+@settings(max_examples=5)
 def test_no_pair_approaches_faster_than_its_bound(arm, seed):
     rng = np.random.default_rng(seed)
     low, high = arm.position_limits.T
@@ -63,7 +57,7 @@ def test_no_pair_approaches_faster_than_its_bound(arm, seed):
     most = np.abs(near.jacobian) @ speeds
     allowed = np.array([bounds[tuple(pair)] for pair in near.pairs])
     assert (most <= allowed + 1e-9).all()
-    assert (most > 0.2 * allowed).any(), "the bounds say nothing"
+    assert not len(most) or (most > 0.2 * allowed).any(), "the bounds say nothing"
 
 
 def test_pairs_left_out_change_no_step(monkeypatch):
@@ -109,20 +103,16 @@ def test_velocities_from_which_joints_can_brake_by_hand(gantry):
     filter_ = SafetyFilter(gantry, 0.02)
     h, a = 0.02, gantry.acceleration_limits
     distance, old = np.array([0.05, 0.1, 0.02, 0.5]), np.array([0.9, -1.0, 1.2, 7.0])
-    most = filter_.position.stopping(distance, old)
+    most = filter_._stopping(distance, old)
     np.testing.assert_allclose(most**2 / (2.0 * a) + 0.5 * h * (old + most), distance, rtol=1e-12)
     # Where the next step leads beyond it: back to the limit within the step.
-    np.testing.assert_allclose(filter_.position.stopping(np.full(4, 0.001), np.full(4, 0.3)), -0.2)
+    np.testing.assert_allclose(filter_._stopping(np.full(4, 0.001), np.full(4, 0.3)), -0.2)
     # x brakes for its limit, y for its speed, z is at rest in the middle and turn is as fast as it may be.
-    low, high, low_makers, high_makers = filter_._bounds(
-        np.array([0.99, 0.0, 0.5, 0.0]), np.array([0.5, 1.9, 0.0, 8.0])
-    )
-    at_limit = filter_.position.stopping(np.array([0.01] * 4), np.array([0.5] * 4))[0]
+    low, high, of_position = filter_._bounds(np.array([0.99, 0.0, 0.5, 0.0]), np.array([0.5, 1.9, 0.0, 8.0]))
+    at_limit = filter_._stopping(np.array([0.01] * 4), np.array([0.5] * 4))[0]
     np.testing.assert_allclose(high, [max(at_limit, 0.5 - 0.2), 2.0, 0.8, 8.0])
     np.testing.assert_allclose(low, [0.3, 1.5, -0.8, 6.4])
-    # Of velocity, acceleration and position.
-    assert high_makers.tolist() == [2, 0, 1, 0]
-    assert low_makers.tolist() == [1] * 4
+    assert of_position.tolist() == [[False] * 4, [True, False, False, False]]
 
 
 def test_the_filter_leaves_what_is_allowed_and_names_the_limit_that_is_not(gantry):
@@ -133,69 +123,30 @@ def test_the_filter_leaves_what_is_allowed_and_names_the_limit_that_is_not(gantr
     old, wanted = np.array([0.1, 0.0, 0.0, 0.0]), np.array([0.2, 0.3, -0.4, 0.5])
     step = filter_.step(home, old, wanted)
     np.testing.assert_allclose(step.velocity, (wanted + 0.05 * old) / 1.05, atol=1e-9)
-    assert (step.active, step.braked, step.blocking) == (False, False, ())
+    assert (step.braked, step.blocking) == (False, ())
     near = np.array([0.997, 0.0, 0.0, 0.0])
     step = filter_.step(near, np.zeros(4), np.array([1.0, 0.0, 0.0, 0.0]))
-    distance = filter_.position.limits[0, 1] - 0.997
+    distance = filter_.position_limits[0, 1] - 0.997
     assert step.velocity[0] ** 2 / 20.0 + 0.01 * step.velocity[0] == pytest.approx(distance)
-    assert (step.active, step.blocking) == (True, ("the position limit of joint 'x'",))
+    assert step.blocking == ("the position limit of joint 'x'",)
     # Limits are drawn in by what turns round within a step: a h^2 / 4, but not beyond what shall be reached.
     np.testing.assert_allclose(
-        filter_.position.limits[:, 1] - gantry.position_limits[:, 1], [-1e-3, -2e-3, -4e-3, -8e-3]
+        filter_.position_limits[:, 1] - gantry.position_limits[:, 1], [-1e-3, -2e-3, -4e-3, -8e-3]
     )
-    filter_.allow(home, np.array([0.9995, 0.0, 0.0, -3.0]))
-    np.testing.assert_allclose(filter_.position.limits[[0, 0, 3], [0, 1, 0]], [-0.999, 0.9995, -3.0])
+    filter_.allow(np.array([0.9995, 0.0, 0.0, -3.0]))
+    np.testing.assert_allclose(filter_.position_limits[[0, 0, 3], [0, 1, 0]], [-0.999, 0.9995, -3.0])
 
 
-class Plane(Barrier):
-    """x + y of the gantry stays below 0.3 m."""
-
-    def values(self, q, velocity, speeds):
-        return np.array([0.3 - q[0] - q[1]]), np.array([[-1.0, -1.0, 0.0, 0.0]])
-
-
-class Slow(Limit):
-    """No joint is faster than this, where the others let it."""
-
-    def bounds(self, q, velocity):
-        return np.full(4, -0.25), np.full(4, 0.25)
-
-    def name(self, joint):
-        return f"slow {joint}"
-
-
-def test_limits_and_barriers_of_the_user_are_kept_and_named(gantry):
-    filter_ = SafetyFilter(gantry, 0.02, limits=[Slow()], barriers=[Plane()])
-    # Near the floor, so that the plane's row is not the only one.
-    q, v, blocking = np.array([0.0, 0.0, -0.87, 0.0]), np.zeros(4), set()
-    for _ in range(200):
-        step = filter_.step(q, v, np.array([1.0, 1.0, -0.05, 0.0]))
-        q, v = q + 0.01 * (v + step.velocity), step.velocity
-        assert (v <= 0.25 + 1e-12).all()
-        blocking |= set(step.blocking)
-    assert q[0] + q[1] == pytest.approx(0.3, abs=1e-4)
-    assert blocking == {"slow 0", "slow 1", "Plane 0", "the clearance of 'floor' from 'ball'"}
-    # It yields to the acceleration limits: from full speed the arm brakes as it can.
-    fast = filter_.step(np.zeros(4), np.array([-1.0, 0.0, 0.0, 0.0]), np.zeros(4)).velocity[0]
-    assert fast == pytest.approx(-0.8)
-    with pytest.raises(InputError, match=r"limits\[0\] must be a Limit, got a Plane"):
-        SafetyFilter(gantry, 0.02, limits=[Plane()])
-
-
-class Walls(Barrier):
-    """The gantry's x stays below 0.3, 0.05 and 0.02 m."""
-
-    def values(self, q, velocity, speeds):
-        return np.array([0.3, 0.05, 0.02]) - q[0], np.tile([-1.0, 0.0, 0.0, 0.0], (3, 1))
-
-
-def test_an_arm_that_brakes_names_the_barriers_that_it_violates_the_worst_first(gantry):
+def test_an_arm_that_brakes_names_what_it_violates_the_worst_first(gantry, monkeypatch):
     """From 1 m/s it gets down to 0.8; the first wall asks for less than 0.95, the others for 0.25 and 0.1."""
-    filter_ = SafetyFilter(gantry, 0.02, barriers=[Walls()])
+    filter_ = SafetyFilter(gantry, 0.02)
+    walls = np.array([0.3, 0.05, 0.02]), np.tile([-1.0, 0.0, 0.0, 0.0], (3, 1))
+    monkeypatch.setattr(filter_.clearance, "values", lambda *_: walls)
+    monkeypatch.setattr(filter_.clearance, "name", lambda row: f"wall {row}")
     step = filter_.step(np.zeros(4), np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]))
     assert step.velocity[0] == pytest.approx(0.8)
     assert step.braked
-    assert step.blocking == ("Walls 2", "Walls 1")
+    assert step.blocking == ("wall 2", "wall 1")
 
 
 # Beads on a rail: rail -> ball joint -> rail, with a post beside the first one. At home the gaps are as in the test.
@@ -235,7 +186,7 @@ def test_only_parts_of_the_arm_that_are_near_at_home_are_looked_at_from_nearer(b
 def test_the_angle_of_a_ball_joint_is_drawn_in_but_not_beyond_what_shall_be_reached(beads, angle, limit):
     filter_ = SafetyFilter(beads, 0.01)
     position = np.array([0.0, 0.0, 0.6 * angle, 0.8 * angle, 0.0])
-    filter_.allow(np.zeros(5), position)
+    filter_.allow(position)
     np.testing.assert_allclose(filter_.angles.limits, [limit], atol=1e-15)
 
 
@@ -254,18 +205,17 @@ def test_pairs_are_looked_at_as_far_as_they_can_matter_by_hand(gantry):
 @pytest.mark.parametrize("flag", [0, -4])
 def test_where_nothing_is_solved_the_arm_brakes_as_hard_as_it_may(gantry, monkeypatch, flag):
     filter_ = SafetyFilter(gantry, 0.02)
-    monkeypatch.setattr(filter_module.daqp, "solve", lambda *_, **__: (np.full(4, 0.7), 0.0, flag, {}))
+    monkeypatch.setattr(safety_filter.daqp, "solve", lambda *_, **__: (np.full(4, 0.7), 0.0, flag, {}))
     step = filter_.step(np.zeros(4), np.array([0.5, -1.0, 0.1, -8.0]), np.array([1.0, -2.0, 4.0, -8.0]))
     np.testing.assert_allclose(step.velocity, [0.3, -0.6, 0.0, -6.4], atol=1e-12)
     assert step.braked
-    assert step.active
 
 
 def test_what_holds_the_arm_back_most_is_named_first(gantry):
     filter_ = SafetyFilter(gantry, 0.02)
     filter_.allow(gantry.keyframe("home"))
     # At the upper ends of x and y, and of the ball over the floor.
-    q = np.array([*filter_.position.limits[:2, 1], -0.89, 0.0])
+    q = np.array([*filter_.position_limits[:2, 1], -0.89, 0.0])
     names = [f"the position limit of joint {name!r}" for name in "xy"] + ["the clearance of 'floor' from 'ball'"]
     # Multipliers are what is wanted beyond, in shares of the limits, and over the floor a fourth of that.
     for shares, order in (

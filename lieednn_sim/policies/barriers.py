@@ -7,7 +7,6 @@ most sqrt(2 a_n / d), from which the joints can brake, where a_n is a fraction o
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,21 +18,10 @@ from lieednn_sim.arm.collision import Collisions, Distances
 from lieednn_sim.arm.contacts import moved_by
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.validation import quoted
 from lieednn_sim.values import Floats
 
-# Fraction of the accelerations available to brake before an obstacle: several constraints may need them, and normals
-# turn.
-_BRAKING_FRACTION = 0.15
-# Parts of the arm this close at home are taken for neighbours, which approach slowly: a shorter cutoff suffices [m].
-_NEIGHBOURS, _NEIGHBOUR_CUTOFF = 0.15, 0.04
-# Least distance up to which pairs are measured [m].
-_LEAST_CUTOFF = 0.001
 # Fraction of the distance of start and target that is kept where these are closer than the margin.
 _MARGIN_FRACTION = 0.8
-# Motion along the angle limit of a ball joint exceeds it to second order in a step [rad], and staying inside takes most
-# of the acceleration.
-_ANGLE_INSET, _ANGLE_BRAKING_FRACTION = 5e-3, 0.05
 
 
 @dataclass(frozen=True)
@@ -45,7 +33,7 @@ class FilterOptions(PlannerOptions):
         own_margin: distance that parts of the arm keep from each other [m].
         approach: upper bound on the rate c [1/s]: geoms at a distance d may approach each other at c d.
         cutoff: distance beyond which pairs are ignored [m].
-        smoothing: s, the weight of the change of velocity in the quadratic program of `filter`.
+        smoothing: s, the weight of the change of velocity in the quadratic program of `safety_filter`.
 
     Raises:
         InputError: a value is not positive.
@@ -56,33 +44,6 @@ class FilterOptions(PlannerOptions):
     approach: float = 5.0
     cutoff: float = 0.4
     smoothing: float = 0.05
-
-
-class Barrier(ABC):
-    """Functions of the joint positions that must stay positive.
-
-    Attributes:
-        braking_fraction: fraction of the joints' acceleration limits that is available for braking.
-    """
-
-    braking_fraction = _BRAKING_FRACTION
-
-    @abstractmethod
-    def values(self, q: Floats, velocity: Floats, speeds: Floats) -> tuple[Floats, Floats]:
-        """Values ``(m,)`` [m, rad] and gradients ``(m, n)`` of the functions that matter in a step.
-
-        Args:
-            q: ``(n,)`` joint positions at its beginning.
-            velocity: ``(n,)`` joint velocities there.
-            speeds: ``(n,)`` bounds of the joints' speeds at its end.
-        """
-
-    def allow(self, positions: Floats) -> None:  # noqa: B027 (few barriers need it)
-        """Adapt the barrier to positions ``(P, n)`` that must be allowed; raise `InputError` if that is impossible."""
-
-    def name(self, row: int) -> str:
-        """Name of a row of the last `values`, for messages about what holds the arm back."""
-        return f"{type(self).__name__} {quoted(row)}"
 
 
 class ApproachBounds:
@@ -121,12 +82,12 @@ class ApproachBounds:
         return np.asarray(table[self._first, self._second] + table[self._second, self._first])
 
 
-class ClearanceBarrier(Barrier):
+class ClearanceBarrier:
     """Distances of pairs of geoms, minus their margins.
 
     Attributes:
         collisions: the pairs.
-        clearance: smallest distance [m] among the last `values`; infinite if there are none.
+        cutoffs: ``(P,)`` distances beyond which pairs are ignored [m].
 
     Args:
         arm: the arm, with its obstacles.
@@ -134,6 +95,9 @@ class ClearanceBarrier(Barrier):
         timestep: h [s].
         options: settings of the filter.
     """
+
+    # Several constraints may need the joints' accelerations to brake, and normals turn.
+    braking_fraction = 0.15
 
     def __init__(self, arm: Arm, acceleration_limits: Floats, timestep: float, options: FilterOptions) -> None:
         self._acceleration, self._timestep, self._options = acceleration_limits, timestep, options
@@ -143,17 +107,22 @@ class ClearanceBarrier(Barrier):
         own, pairs = self.collisions.own, tuple(self.collisions.pairs.T)
         self._margins[pairs] = np.where(own, options.own_margin, options.margin)
         self.cutoffs = np.full(len(own), options.cutoff)
+        # Parts of the arm within 0.15 m at home are taken for neighbours, which approach slowly.
         beside = np.zeros_like(self._margins, dtype=bool)
-        beside[tuple(self.collisions.distances(arm.keyframe("home"), _NEIGHBOURS).pairs.T)] = True
-        self.cutoffs[own & beside[pairs]] = min(_NEIGHBOUR_CUTOFF, options.cutoff)
+        beside[tuple(self.collisions.distances(arm.keyframe("home"), 0.15).pairs.T)] = True
+        self.cutoffs[own & beside[pairs]] = min(0.04, options.cutoff)
         self._approach = ApproachBounds(arm, self.collisions.pairs)
         self._near: Distances
-        self.clearance = np.inf
 
     def values(self, q: Floats, velocity: Floats, speeds: Floats) -> tuple[Floats, Floats]:
-        """See `Barrier`."""
+        """Values ``(m,)`` [m] and gradients ``(m, n)`` of the pairs that matter in a step.
+
+        Args:
+            q: ``(n,)`` joint positions at its beginning.
+            velocity: ``(n,)`` joint velocities there.
+            speeds: ``(n,)`` bounds of the joints' speeds at its end.
+        """
         near = self._near = self.collisions.distances(q, self.needed(q, velocity, speeds))
-        self.clearance = float(near.distance[0]) if len(near.distance) else np.inf
         return near.distance - self._margins[tuple(near.pairs.T)], near.jacobian
 
     def needed(self, q: Floats, velocity: Floats, speeds: Floats) -> Floats:
@@ -168,57 +137,56 @@ class ClearanceBarrier(Barrier):
         stop = float((speeds / self._acceleration).max())
         times = max(1.0 / rate + h, (1.0 + h * rate) ** 2 * stop / (2.0 * self.braking_fraction))
         margins = self._margins[tuple(self.collisions.pairs.T)]
-        return np.minimum(margins + times * self._approach(q, speeds) + _LEAST_CUTOFF, self.cutoffs)
+        return np.minimum(margins + times * self._approach(q, speeds) + 1e-3, self.cutoffs)
 
-    def allow(self, positions: Floats) -> None:
-        """Reduce the margins of pairs that are closer at these positions to a fraction of their distance there.
+    def allow(self, q: Floats) -> None:
+        """Reduce the margins of pairs that are closer at ``q`` ``(n,)`` to a fraction of their distance there.
 
         Raises:
-            InputError: something touches at a position.
+            InputError: something touches there.
         """
-        for position in positions:
-            near = self.collisions.distances(
-                position, max(self._options.margin, self._options.own_margin) / _MARGIN_FRACTION
-            )
-            if len(near.distance) and near.distance[0] <= 0.0:
-                first, second = self.collisions.names(near.pairs[0])
-                raise InputError(f"{first!r} touches {second!r} at a position to reach")
-            where = tuple(near.pairs.T)
-            self._margins[where] = np.minimum(self._margins[where], _MARGIN_FRACTION * near.distance)
+        near = self.collisions.distances(q, max(self._options.margin, self._options.own_margin) / _MARGIN_FRACTION)
+        if len(near.distance) and near.distance[0] <= 0.0:
+            first, second = self.collisions.names(near.pairs[0])
+            raise InputError(f"{first!r} touches {second!r} at the start")
+        where = tuple(near.pairs.T)
+        self._margins[where] = np.minimum(self._margins[where], _MARGIN_FRACTION * near.distance)
 
     def name(self, row: int) -> str:
-        """See `Barrier`."""
+        """Name of a row of the last `values`, for messages about what holds the arm back."""
         first, second = self.collisions.names(self._near.pairs[row])
         return f"the clearance of {first!r} from {second!r}"
 
 
-class AngleBarrier(Barrier):
+class AngleBarrier:
     """Angles by which ball joints are below their limits, which bound the norm of their three coordinates.
 
     Attributes:
         limits: ``(B,)`` angle limits in use [rad].
     """
 
-    braking_fraction = _ANGLE_BRAKING_FRACTION
+    # Staying inside while moving along the limit takes most of the acceleration.
+    braking_fraction = 0.05
 
     def __init__(self, arm: Arm) -> None:
         self._arm, self._balls = arm, arm.space.balls.reshape(-1, 3)
         self._largest = self.limits = arm.position_limits[self._balls[:, 0], 1]
 
-    def values(self, q: Floats, velocity: Floats, speeds: Floats) -> tuple[Floats, Floats]:
-        """See `Barrier`."""
+    def values(self, q: Floats) -> tuple[Floats, Floats]:
+        """Values ``(B,)`` [rad] and gradients ``(B, n)`` at ``q`` ``(n,)``."""
         vectors = q[self._balls]
         angles = np.linalg.norm(vectors, axis=1)
         inward = np.zeros((len(angles), len(q)))
         np.put_along_axis(inward, self._balls, -vectors / np.maximum(angles, 1e-9)[:, None], axis=1)
         return self.limits - angles, inward
 
-    def allow(self, positions: Floats) -> None:
-        """Tighten the limits, but not below the angles at ``positions``."""
-        angles = np.linalg.norm(positions[:, self._balls], axis=-1).max(axis=0, initial=0.0)
-        self.limits = np.minimum(np.maximum(self._largest - _ANGLE_INSET, angles), self._largest)
+    def allow(self, q: Floats) -> None:
+        """Tighten the limits, but not below the angles at ``q`` ``(n,)``."""
+        angles = np.linalg.norm(q[self._balls], axis=1)
+        # Motion along the limit exceeds it to second order in a step.
+        self.limits = np.minimum(np.maximum(self._largest - 5e-3, angles), self._largest)
 
     def name(self, row: int) -> str:
-        """See `Barrier`."""
+        """As of `ClearanceBarrier`."""
         # The names of a ball joint's three coordinates differ in their last two letters.
         return f"the position limit of joint {self._arm.joint_names[self._balls[row, 0]][:-2]!r}"

@@ -1,0 +1,192 @@
+"""A filter that replaces wanted joint velocities by the nearest ones that keep all limits and the clearance.
+
+Within a control step of h seconds the acceleration is constant, so the joints move by h (v + v') / 2 to the velocities
+v' that a quadratic program chooses:
+
+    minimise  |D^-1 (v' - v_wanted)|^2 + s |D^-1 (v' - v)|^2     with D the velocity limits,
+
+subject to the limits of velocity and acceleration, to a braking rule for those of position, and to the rows of
+`barriers`. The limits always have a common solution. If a barrier contradicts them or another barrier, the arm brakes:
+it comes to rest, violating barriers as little as possible. The solver is the one that mink prefers, DAQP (Arnstrom et
+al., IEEE Trans. Autom. Control 2022); mink's limits know neither accelerations nor the present velocity, and its
+collision limit measures every pair of geoms at every step.
+
+The braking rule is v'^2 / (2 a) + h (v + v') / 2 <= d for the distance d to a position limit. A joint that keeps it can
+still stop before its limit. The rule is an upper bound of v'; if v satisfies it, braking does, too, so it never
+contradicts the limits of velocity and acceleration. Such bounds, which make position limits viable under bounded
+accelerations, are due to Flacco, De Luca and Khatib (ICRA 2012; IEEE Transactions on Robotics 31(3), 2015), and in
+discrete time to Del Prete (Joint position and velocity bounds in discrete-time acceleration/torque control of robot
+manipulators, IEEE Robotics and Automation Letters 3(1), 2018).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import daqp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.policies.barriers import AngleBarrier, ClearanceBarrier, FilterOptions
+from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.values import Floats, frozen
+
+# Constraints with multipliers above this hold the arm back.
+_BLOCKING_MULTIPLIER = 1e-4
+
+
+@frozen
+class FilterStep:
+    """Result of the filter for one control step.
+
+    Attributes:
+        velocity: ``(n,)`` joint velocities at the end of the step [rad/s, m/s].
+        braked: whether the arm braked because the barriers and the limits could not all be kept.
+        blocking: what held the arm back, the strongest first: position limits and pairs of geoms; if the arm
+            braked, the barriers that it violates, the worst first.
+    """
+
+    velocity: Floats
+    braked: bool
+    blocking: tuple[str, ...]
+
+
+class SafetyFilter:
+    """The safety filter of an arm, for control steps of constant length.
+
+    Attributes:
+        velocity_limits: ``(n,)`` limits in use [rad/s, m/s].
+        acceleration_limits: ``(n,)`` limits in use [rad/s^2, m/s^2]; finite even where the arm has none.
+        position_limits: ``(n, 2)`` limits in use [rad, m].
+        clearance: the barrier of the distances.
+        angles: the barrier of the ball joints.
+
+    Args:
+        arm: the arm, with its obstacles.
+        timestep: h, the control step [s].
+        options: settings of the filter.
+
+    Raises:
+        InputError: a value is malformed.
+    """
+
+    def __init__(self, arm: Arm, timestep: float, options: FilterOptions | None = None) -> None:
+        self.arm = arm
+        self.timestep = h = as_positive("timestep", timestep)
+        self.options = options or FilterOptions()
+        velocity, acceleration = arm.velocity_limits, arm.acceleration_limits
+        # Without limits, joints cross their ranges in a second, and reach their velocity limits in a quarter of one.
+        self.velocity_limits = np.where(np.isfinite(velocity), velocity, arm.ranges)
+        self.acceleration_limits = np.where(np.isfinite(acceleration), acceleration, 4.0 * self.velocity_limits)
+        self.position_limits = arm.position_limits
+        self.clearance = ClearanceBarrier(arm, self.acceleration_limits, h, self.options)
+        self.angles = AngleBarrier(arm)
+
+    def allow(self, q: ArrayLike) -> None:
+        """Reduce margins where ``q`` ``(n,)`` is closer, and tighten limits, but not beyond it.
+
+        Joints that reverse within a step then keep the arm's limits.
+
+        Raises:
+            InputError: something touches there.
+        """
+        position = as_floats("q", q, (self.arm.n_joints,))
+        self.clearance.allow(position)
+        self.angles.allow(position)
+        inset = self.acceleration_limits * self.timestep**2 / 4.0
+        low, high = self.arm.position_limits.T
+        lower = np.maximum(np.minimum(low + inset, position), low)
+        upper = np.minimum(np.maximum(high - inset, position), high)
+        self.position_limits = np.stack([lower, upper], axis=1)
+
+    def see(self, places: Mapping[str, ArrayLike]) -> None:
+        """Be told where moving obstacles are now, as in `Collisions.move`; their velocity is not taken into account."""
+        self.clearance.collisions.move(places)
+
+    def step(self, q: ArrayLike, velocity: ArrayLike, wanted: ArrayLike) -> FilterStep:
+        """Velocities at the end of a step that begins at ``q`` with ``velocity``, all ``(n,)``.
+
+        Raises:
+            InputError: a value is malformed.
+        """
+        n, options = self.arm.n_joints, self.options
+        # No arm has larger values; with them the quadratic program could not tell its bounds apart.
+        position, old, goal = (
+            as_floats(name, value, (n,), largest=1e9)
+            for name, value in (("q", q), ("velocity", velocity), ("wanted", wanted))
+        )
+        low, high, of_position = self._bounds(position, old)
+        rows, floors, names = self._rows(position, old, low, high)
+        scale = self.velocity_limits
+        pull = (goal + options.smoothing * old) / scale / (1.0 + options.smoothing)
+        upper = np.concatenate([high / scale, np.full(len(rows), 1e30)])
+        lower = np.concatenate([low / scale, floors])
+        scaled = np.ascontiguousarray(rows * scale)
+        sense = np.zeros(n + len(rows), dtype=np.int32)
+        solution, _, flag, info = daqp.solve(np.eye(n), -pull, scaled, upper, lower, sense)
+        if flag < 1:
+            # Come to rest, violating barriers, soft constraints now, as little as the bounds allow.
+            sense = np.repeat(np.array([0, 8], dtype=np.int32), [n, len(rows)])
+            solution, _, flag, _ = daqp.solve(np.eye(n), np.zeros(n), scaled, upper, lower, sense, rho_soft=1e-4)
+            braking = np.clip(solution * scale if flag > 0 else np.zeros(n), low, high)
+            missing = floors - rows @ braking
+            violated = np.argsort(-missing, kind="stable")[: max(1, np.count_nonzero(missing > 0.0))]
+            return FilterStep(braking, True, tuple(names(row) for row in violated))
+        chosen = np.clip(solution * scale, low, high)
+        multipliers = np.abs(info["lam"])
+        below = solution * scale >= goal
+        at_end = np.where(below, chosen <= low, chosen >= high) & np.where(below, *of_position)
+        pressing = [
+            (multipliers[j], f"the position limit of joint {self.arm.joint_names[j]!r}")
+            for j in np.flatnonzero(at_end & (multipliers[:n] > _BLOCKING_MULTIPLIER))
+        ]
+        held = np.flatnonzero(multipliers[n:] > _BLOCKING_MULTIPLIER)
+        pressing += [(multipliers[n + row], names(row)) for row in held]
+        blocking = tuple(name for _, name in sorted(pressing, key=lambda entry: -entry[0]))
+        return FilterStep(chosen, False, blocking)
+
+    def _bounds(self, q: Floats, old: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Lower and upper bounds ``(n,)`` of the velocities, and which ``(2, n)`` are those of position limits.
+
+        A joint outside its limits, as after a bad start, returns as fast as velocity and acceleration allow.
+        """
+        change = self.acceleration_limits * self.timestep
+        lower, upper = np.maximum(-self.velocity_limits, old - change), np.minimum(self.velocity_limits, old + change)
+        low, high = self.position_limits.T
+        back, ahead = -self._stopping(q - low, -old), self._stopping(high - q, old)
+        of_position = np.stack([back > lower, ahead < upper])
+        lower, upper = np.clip(back, lower, upper), np.clip(ahead, lower, upper)
+        return np.minimum(lower, upper), upper, of_position
+
+    def _stopping(self, distance: Floats, velocity: Floats) -> Floats:
+        """Largest velocities ``(n,)`` at the end of the step from which the distance suffices to brake."""
+        h, a = self.timestep, self.acceleration_limits
+        left = distance - 0.5 * h * velocity
+        root = np.sqrt(np.maximum((0.5 * a * h) ** 2 + 2.0 * a * left, 0.0)) - 0.5 * a * h
+        return np.where(left >= 0.0, root, 2.0 * left / h)
+
+    def _rows(
+        self, q: Floats, old: Floats, low: Floats, high: Floats
+    ) -> tuple[Floats, Floats, Callable[[np.intp], str]]:
+        """Barrier rows not implied by the bounds, their lower bounds, and the name of each by its index."""
+        h, rate = self.timestep, self.options.approach
+        distances = self.clearance.values(q, old, np.maximum(np.abs(low), np.abs(high)))
+        rooms, slopes = (np.concatenate(parts) for parts in zip(distances, self.angles.values(q), strict=True))
+        count = len(distances[0])
+        # Decelerations along each gradient: the fraction of the joints' accelerations available to brake.
+        fractions = np.where(
+            np.arange(len(rooms)) < count, ClearanceBarrier.braking_fraction, AngleBarrier.braking_fraction
+        )
+        brakes = fractions * (np.abs(slopes) @ self.acceleration_limits)
+        rates = np.minimum(rate, np.sqrt(2.0 * brakes / np.maximum(rooms, 1e-6)))
+        rows = (1.0 + 0.5 * h * rates[:, None]) * slopes
+        floors = -rates * (rooms + 0.5 * h * slopes @ old)
+        worst = np.maximum(rows, 0.0) @ low + np.minimum(rows, 0.0) @ high
+        kept = np.flatnonzero(worst < floors)
+
+        def name(row: np.intp) -> str:
+            index = int(kept[row])
+            return self.clearance.name(index) if index < count else self.angles.name(index - count)
+
+        return rows[kept], floors[kept], name
