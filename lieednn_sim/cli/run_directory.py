@@ -69,12 +69,6 @@ class RunDirectory:
         plots = self._plots_of(*_PLOTS[3:])
         return [self.metrics_json, self.metrics_csv, *plots, self.video, self.page, self.divergence]
 
-    @property
-    def evaluated(self) -> list[Path]:
-        """Files that the command ``evaluate`` writes; the last one only if the rollout has channels."""
-        plots = [self.network_plot, self.tracking_plot, self.joints_plot, self.channels_plot]
-        return [self.metrics_json, self.metrics_csv, *plots]
-
     def _plots_of(self, *names: str) -> list[Path]:
         return [self.path / f"{name}.{kind}" for name in names for kind in PLOT_KINDS]
 
