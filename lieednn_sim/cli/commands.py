@@ -173,12 +173,12 @@ def _evaluate(run: RunDirectory) -> None:
     evaluation = evaluate_rollout(rollout)
     console.print(evaluation)
     drawn: dict[Path, Callable[[Rollout, Path], None]] = {
-        run.network_plot: plots.plot_network,
-        run.tracking_plot: plots.plot_tracking,
-        run.joints_plot: plots.plot_joints,
+        run.plot("network"): plots.plot_network,
+        run.plot("tracking"): plots.plot_tracking,
+        run.plot("joints"): plots.plot_joints,
     }
     if rollout.channels:
-        drawn[run.channels_plot] = plots.plot_channels
+        drawn[run.plot("channels")] = plots.plot_channels
     outputs = [run.metrics_json, run.metrics_csv, *drawn]
     with io.atomic_paths(outputs) as (metrics_json, metrics_csv, *pictures):
         evaluation.save_json(metrics_json)

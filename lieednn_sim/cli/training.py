@@ -97,7 +97,7 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
             outcome, rejected, saved = result, refusal, network
             if network is not None:
                 written = run.save_network(task, network, motion, result.history)
-                with io.atomic_path(run.training_plot) as temporary:
+                with io.atomic_path(run.plot("training")) as temporary:
                     plot_training.plot_training(result.history, xi, result.tolerance, temporary)
         if accepted:
             break
@@ -106,7 +106,7 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
         # A run's previous files stay as they are.
         console.print("no network was written; try another --seed, more --epochs, or --algorithm stability-aware")
         return 1
-    wrote(*written, run.training_plot)
+    wrote(*written, run.plot("training"))
     if rejected is not None:
         console.print(f"the network is learned, but its motion will be rejected: {rejected}")
     return 0

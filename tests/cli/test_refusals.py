@@ -78,7 +78,7 @@ REFUSED = {
     "learn way.csv --unit inch": "no unit 'inch'",
     "learn way.csv --rivals dmp,gmm": "no rival 'gmm'",
     "learn way.csv --clock-rate 2": "rate must be from 0.01 to 1",
-    "learn way.csv --plots gif": "no kind of plots 'gif'",
+    "learn way.csv --plots gif": "no plots 'gif'",
     "learn way.csv --phase pace": "no phase 'pace'",
     "learn way.csv --goals moved": "no goals 'moved'",
     "learn way.csv --starts 0": "starts must be at least 1",
