@@ -10,6 +10,7 @@ import pytest
 
 from lieednn_sim.cli import main
 
+WRITING = ("demo", "plan", "train", "compare")
 # The words of a command, and what its line of error says.
 REFUSED = {
     "": "no command ''; commands: demo, plan,",
@@ -66,6 +67,11 @@ REFUSED = {
     **{
         f"demo --{name} inf": name.replace("-", "_")
         for name in ("duration", "hold", "payload", "mass-scale", "position-noise", "reference-rate")
+    },
+    # An empty name is no directory.
+    **{
+        f"{command} ''": "must be a path, got ''"
+        for command in ("simulate", "evaluate", "render", *(f"{name} --output" for name in WRITING))
     },
     "train --algorithm adam": "no algorithm 'adam'; allowed: literal, repaired, riemannian",
     "train --bias solved": "the solved bias needs no learning",
