@@ -9,6 +9,7 @@ from lieednn_sim.cli import starting  # noqa: F401, before all that takes its ti
 import io
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -48,6 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     # Plots only go to files; a backend that the user chose for windows may not exist here.
     os.environ["MPLBACKEND"] = "agg"
+    if argv is None:
+        warnings.showwarning = lambda message, *_: say(f"warning: {message}")
     interruption = Interruption(last=argv is None)
     try:
         call = bind(words)

@@ -26,7 +26,7 @@ from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.rendering.video import check_rate, check_view, render_video
 from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.tracking import as_hold
-from lieednn_sim.validation import as_choice, as_positive, as_seed
+from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -68,11 +68,11 @@ class ChosenArm:
             arm=str(Path(self.arm).resolve()) if is_arm_file(self.arm) else arm.name,
             start=tuple(start.tolist()),
             target=tuple(target.tolist()),
-            duration=as_positive("duration", duration),
+            duration=duration,
             scene=str(Path(self.scene).resolve()) if is_scene_file(self.scene) else arm.scene,
             scene_seed=arm.scene_seed,
             imported=chosen(self.imported),
-            seed=as_seed("seed", seed),
+            seed=seed,
             model=arm.fingerprint,
             **more,
         )

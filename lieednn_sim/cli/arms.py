@@ -15,9 +15,6 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.values import Floats
 
-# Random starts of the search for the reach, besides the keyframes, and step of its finite differences [rad, m].
-_STARTS, _DIFFERENCE = 4, 1e-6
-
 
 def arms(arm: str | None = None, *, imported: Annotated[ImportOptions, import_arm]) -> None:
     """List the arms of the package, or describe one of them or that of a file.
@@ -61,18 +58,12 @@ def farthest(arm: Arm) -> float:
     low, high = arm.position_limits.T
     origin = np.asarray(arm.base.translation)
 
-    def distances(q: Floats) -> Floats:
-        tip = arm.tip(arm.within_angles(q))
-        return np.linalg.norm(tip - origin, axis=-1)
-
-    def negative(q: Floats) -> tuple[float, Floats]:
-        values = distances(np.vstack([q, q + _DIFFERENCE * np.eye(len(q))]))
-        return -float(values[0]), -(values[1:] - values[0]) / _DIFFERENCE
+    def negative(q: Floats) -> float:
+        return -float(np.linalg.norm(arm.tip(arm.within_angles(q)) - origin))
 
     rng = np.random.default_rng(0)
-    starts = [arm.keyframe(name) for name in arm.keyframes] + list(rng.uniform(low, high, (_STARTS, arm.n_joints)))
-    bounds = list(zip(low, high, strict=True))
-    return max(-float(minimize(negative, q, jac=True, bounds=bounds, method="L-BFGS-B").fun) for q in starts)
+    starts = [*map(arm.keyframe, arm.keyframes), *rng.uniform(low, high, (4, arm.n_joints))]
+    return max(-float(minimize(negative, q, bounds=arm.position_limits, method="L-BFGS-B").fun) for q in starts)
 
 
 def _print_summaries(loaded: list[Arm]) -> None:

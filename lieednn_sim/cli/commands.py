@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from lieednn_sim import io
@@ -16,6 +17,7 @@ from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.rendering import opengl
 from lieednn_sim.rendering.video import render_video
+from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation import simulate as simulate_motion
 from lieednn_sim.validation import as_path
 
@@ -111,24 +113,22 @@ def evaluate(run: Directory, *, plots: str = "png") -> None:
         _evaluate(directory)
 
 
-def render(run: Directory, *, output: File | None = None, still: File | None = None, look: Look) -> None:
+def render(run: Directory, *, output: File | None = None, look: Look) -> None:
     """Make a video, a picture or a page of the simulation of a run.
 
     Videos and pictures need OpenGL (see 'lieednn-sim doctor'), but no display; pages need the extra 'view'.
 
     Args:
         run: run directory.
-        output: an .mp4 or .gif file, or .html for a page that plays in 3D (default: video.mp4 in the run directory).
-        still: make a .png picture that shows the arm at five instants.
+        output: an .mp4 or .gif file, .html for a page that plays in 3D, or .png for a picture that shows the arm at
+            five instants (default: video.mp4 in the run directory).
         look: the video or picture.
     """
     directory = RunDirectory(run).existing()
-    given = [as_path("the name of an output", name) for name in (still, output) if name is not None]
-    paths = given or [directory.video]
-    io.check_outputs(paths)
+    path = directory.video if output is None else as_path("the name of an output", output)
+    io.check_outputs([path])
     with directory.at_work(shared=True):
-        for path in paths:
-            _render(directory, path, look, still=still is not None and path == given[0])
+        _render(directory, path, look)
 
 
 def _simulate(run: RunDirectory, simulating: Simulating) -> None:
@@ -172,41 +172,35 @@ def _evaluate(run: RunDirectory) -> None:
     rollout = run.load_rollout(task, arm)
     evaluation = evaluate_rollout(rollout)
     console.print(evaluation)
-    *outputs, channels_plot = run.evaluated
+    drawn: dict[Path, Callable[[Rollout, Path], None]] = {
+        run.plot("network"): plots.plot_network,
+        run.plot("tracking"): plots.plot_tracking,
+        run.plot("joints"): plots.plot_joints,
+    }
     if rollout.channels:
-        outputs.append(channels_plot)
-    with io.atomic_paths(outputs) as (
-        metrics_json,
-        metrics_csv,
-        network_plot,
-        tracking_plot,
-        joints_plot,
-        *more,
-    ):
+        drawn[run.plot("channels")] = plots.plot_channels
+    outputs = [run.metrics_json, run.metrics_csv, *drawn]
+    with io.atomic_paths(outputs) as (metrics_json, metrics_csv, *pictures):
         evaluation.save_json(metrics_json)
         evaluation.save_csv(metrics_csv)
-        plots.plot_network(rollout, network_plot)
-        plots.plot_tracking(rollout, tracking_plot)
-        plots.plot_joints(rollout, joints_plot)
-        for path in more:
-            plots.plot_channels(rollout, path)
+        for plot, picture in zip(drawn.values(), pictures, strict=True):
+            plot(rollout, picture)
     wrote(*outputs)
 
 
-def _render(run: RunDirectory, path: Path, look: Look, *, still: bool = False) -> None:
-    """Write a picture, or what the suffix of the path says: a page or a video."""
+def _render(run: RunDirectory, path: Path, look: Look) -> None:
+    """Write what the suffix of the path says: a page, a picture or a video."""
     task, arm = run.load_task()
     rollout = run.load_rollout(task, arm)
-    page = not still and path.suffix == ".html"
-    if not page:
+    if path.suffix != ".html":
         backend = opengl.require()
         console.print(f"rendering with {backend.name}: {backend.detail}")
     with progress("render") as report, io.atomic_path(path) as temporary:
-        if still:
+        if path.suffix == ".png":
             from lieednn_sim.rendering.still import render_still
 
             render_still(rollout, temporary, **still_look(look))
-        elif page:
+        elif path.suffix == ".html":
             from lieednn_sim.rendering.page import render_page
 
             render_page(rollout, temporary, camera=look.get("camera"), title=task.planner, progress=report)

@@ -1,4 +1,4 @@
-"""The command ``learn``, which makes a certified network from demonstrations, with a report and plots."""
+"""The command ``learn``: a certified network from demonstrations of poses or of joints, a report and plots."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ import numpy as np
 from lieednn_sim import io
 from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
 from lieednn_sim.cli.arguments import ChosenArm
+from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, wrote
-from lieednn_sim.cli.joint_demonstrations import Fitting, learn_joints
 from lieednn_sim.cli.kinds import Directory, File
-from lieednn_sim.cli.run_directory import PLOT_KINDS, RunDirectory
+from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations import Demonstrations, align, load_demonstrations
+from lieednn_sim.learning.demonstrations import align, load_demonstrations
 from lieednn_sim.learning.demonstrations.alignment import goal_distance
 from lieednn_sim.learning.demonstrations.family import describe, ridges_of
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
+from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
 from lieednn_sim.registry import RIVALS
-from lieednn_sim.studies.demonstrations.models import ModelRow, compare_models, family_deviation, models_table
-from lieednn_sim.studies.demonstrations.plots import plot_field, plot_paths
+from lieednn_sim.studies.demonstrations.joints import joints_table, motion_to, study_joints
+from lieednn_sim.studies.demonstrations.models import compare_models, family_deviation, models_table
+from lieednn_sim.studies.demonstrations.plots import plot_field, plot_joint_paths, plot_paths
 from lieednn_sim.synthesis import ShapingOptions
-from lieednn_sim.validation import as_choice, as_count, as_seed
-
-# Distance of goals from their mean that is told, in extents of the demonstrations.
-_GOALS_APART = 0.01
+from lieednn_sim.validation import as_count, as_seed
 
 
 @dataclass(frozen=True)
@@ -43,6 +42,35 @@ class Reading:
     unit: str = "m"
     quaternion: str = "wxyz"
     rivals: Sequence[str] | None = None
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """What is learned from demonstrations.
+
+    Attributes:
+        sample_rate: sampling rate of files without times [Hz].
+        phase: average demonstrations at equal fractions of their path, 'length', or of their duration, 'time'.
+        goals: 'aligned': express each path relative to its own goal; 'kept': learn how the path depends on its goal.
+        deviation: largest deviation of the network from the mean demonstration [m] (default: 0.002 of the extent of the
+            demonstrations, or with --arm 0.001 of the length of their path).
+        clock_rate: rate rho of the network's clock: at 1 the path moves along with the start; below 1 the motion
+            returns to the learned path, 1/rho times as fast.
+        starts: number of random starts from which to run each model (default: 1000; with --arm 20).
+        family: learn how the path depends on its start.
+        leave_one_out: fit the models again with each demonstration left out.
+        seed: seed of random draws.
+    """
+
+    sample_rate: float = 100.0
+    phase: str = "length"
+    goals: str = "aligned"
+    deviation: float | None = None
+    clock_rate: float = 1.0
+    starts: int | None = None
+    family: bool = True
+    leave_one_out: bool = True
+    seed: int = 0
 
 
 def learn(
@@ -71,23 +99,32 @@ def learn(
         plots: format of the plots: png, pdf or svg.
         imported: how a model file is imported.
     """
+    run = RunDirectory(output, plots)
+    # Check values before any work.
+    usual = 1000 if arm is None else 20
+    how = {
+        "starts": as_count("starts", usual if fitting.starts is None else fitting.starts),
+        "leave_one_out": fitting.leave_one_out,
+        "seed": as_seed("seed", fitting.seed),
+    }
     if arm is not None:
         if reading != Reading():
             raise InputError(
                 "--unit, --quaternion and --rivals are for positions and poses; with --arm the columns are joints "
                 "[rad, m], without rivals"
             )
-        learn_joints(files, ChosenArm(arm, imported=imported), fitting, RunDirectory(output, plots))
+        _learn_joints(files, ChosenArm(arm, imported=imported), fitting, run, **how)
         return
-    # Check values before any work.
     if imported:
         raise InputError(f"--{next(iter(imported))} needs --arm FILE.xml")
-    kind = as_choice("kind of plots", plots, PLOT_KINDS)
+    _learn_poses(files, reading, fitting, run, **how)
+
+
+def _learn_poses(files: Sequence[str], reading: Reading, fitting: Fitting, run: RunDirectory, **how: Any) -> None:
+    """Read, fit, compare with rivals, and write network, ``report.json`` and two plots."""
     rivals = list(RIVALS) if reading.rivals is None else [name for name in reading.rivals if name != "none"]
     for name in rivals:
         RIVALS.find(name)
-    starts = as_count("starts", 1000 if fitting.starts is None else fitting.starts)
-    seed = as_seed("seed", fitting.seed)
     options = ShapingOptions(rate=fitting.clock_rate)
     shown = load_demonstrations(files, unit=reading.unit, quaternion=reading.quaternion, rate=fitting.sample_rate)
     demonstrations = align(shown, phase=fitting.phase, goals=fitting.goals)
@@ -95,33 +132,44 @@ def learn(
     apart = goal_distance(shown)
     if demonstrations.extent <= 0.0:
         raise InputError("the mean of the demonstrations does not move")
-    with io.output_folder(output, "demonstrations") as directory:
-        outputs = [directory / name for name in ("network.npz", "report.json", f"paths.{kind}", f"field.{kind}")]
+    outputs = [run.network, run.report, run.plot("paths"), run.plot("field")]
+    with io.output_folder(run.path, "demonstrations"):
         shaped = ShapedMotion.fit(demonstrations, fitting.deviation, options, family=fitting.family)
         with progress("learn") as bar:
-            rows, models = compare_models(
-                demonstrations,
-                shaped,
-                rivals=rivals,
-                aligned=aligned,
-                starts=starts,
-                leave_one_out=fitting.leave_one_out,
-                seed=seed,
-                progress=bar,
-            )
+            rows, models = compare_models(demonstrations, shaped, rivals=rivals, aligned=aligned, **how, progress=bar)
         with io.atomic_paths(outputs) as (network, report, paths, field):
             shaped.network.save(network)
-            asked = {"files": files, "unit": reading.unit, "quaternion": reading.quaternion, **asdict(fitting)}
-            found = _report(demonstrations, shaped, rows)
-            io.save_json(report, asked | found | {"goal_distance_m": apart})
+            goal = demonstrations.goal
+            found = {
+                "files": files,
+                "unit": reading.unit,
+                "quaternion": reading.quaternion,
+                **asdict(fitting),
+                **_learned(shaped),
+                "demonstrations": len(demonstrations),
+                "dof": demonstrations.dof,
+                "extent_m": demonstrations.extent,
+                "spread_m": float(np.linalg.norm(demonstrations.spread[:, 3:], axis=1).max()),
+                "lever_m": demonstrations.lever,
+                "goal_distance_m": apart,
+                "goal_position_m": goal.translation.tolist(),
+                "goal_quaternion_wxyz": goal.rotation.as_quat(scalar_first=True).tolist(),
+                "network_state": ["turn from the goal [rad]"] * 3 + ["position from the goal [m]"] * 3,
+                "family_deviation_m": family_deviation(shaped, demonstrations),
+                # The time law: at t [s] the network is at its own time tau.
+                "t_s": shaped.t.tolist(),
+                "tau": shaped.tau.tolist(),
+                "models": [asdict(row) for row in rows],
+            }
+            io.save_json(report, found)
             drawn = {shaped.name: shaped} if demonstrations.goals_kept else models
             plot_paths(drawn, demonstrations, paths)
-            plot_field(shaped, demonstrations, field, seed)
+            plot_field(shaped, demonstrations, field, fitting.seed)
     console.print(
         f"{len(shown)} demonstrations, {shown[0].shown}, {demonstrations.extent:.3g} m across, "
         f"{demonstrations.duration:.3g} s; {shaped.shaping.message}; {describe(shaped.response)}"
     )
-    if apart > _GOALS_APART * demonstrations.extent:
+    if apart > 0.01 * demonstrations.extent:
         seen = "kept" if demonstrations.goals_kept else "aligned: each path is seen from its own (see --goals)"
         console.print(f"goals are up to {apart:.3g} m from their mean, and {seen}")
     console.print(models_table(rows, turns=demonstrations.dof == 6))
@@ -129,26 +177,60 @@ def learn(
     wrote(*outputs)
 
 
-def _report(demonstrations: Demonstrations, shaped: ShapedMotion, rows: list[ModelRow]) -> dict[str, Any]:
-    """What was shown, the meaning of the network's coordinates, and the table."""
-    goal = demonstrations.goal
+def _learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run: RunDirectory, **how: Any) -> None:
+    """Read, fit, measure, and write a run with network and motion, ``report.json`` and two plots."""
+    options = ShapingOptions(rate=fitting.clock_rate)
+    arm = chosen.load()
+    shown = JointDemonstrations.load(arm, files, rate=fitting.sample_rate, phase=fitting.phase, goals=fitting.goals)
+    with run.at_work():
+        learned = JointMotion.fit(shown, fitting.deviation, options, family=fitting.family)
+        motion, refusal = learned.planned(shown.mean[0])
+        with progress("learn") as bar:
+            study, paths = study_joints(shown, learned, **how, progress=bar)
+        duration = float(motion.t[-1])
+        asked = {"files": list(files), **asdict(fitting)}
+        about = {"planner": "learn", "reason": "demonstrated", "options": asked}
+        task = chosen.task(arm, shown.mean[0], shown.mean[-1], duration, fitting.seed, **about)
+        written = run.save_network(task, learned.network, motion)
+        found = {
+            **asked,
+            **_learned(learned),
+            "arm": arm.name,
+            "joints": list(arm.joint_names),
+            "demonstrations": len(shown),
+            "demonstrated_duration_s": learned.duration,
+            "duration_s": duration,
+            "spread_m": float(shown.spread.max()),
+            "mechanism_gap_mm": 1e3 * float(motion.gap_translation.max()),
+            "mechanism_gap_deg": float(np.rad2deg(motion.gap_rotation.max())),
+            "limits_kept": not refusal,
+            "limit_broken": refusal,
+            **asdict(study),
+        }
+        reproduced = learned.run(shown.mean[0]).q
+        fan = [motion_to(learned, shown, one[-1]).run(one[0]).q for one in shown.q] if learned.response else []
+        results = [run.report, run.plot("demonstrations"), run.plot("starts")]
+        with io.atomic_paths(results) as (report, demonstrations_plot, starts_plot):
+            io.save_json(report, found)
+            plot_joint_paths(shown, reproduced, demonstrations_plot, fan=fan)
+            plot_joint_paths(shown, reproduced, starts_plot, paths)
+    print_import_report(arm)
+    console.print(
+        f"{len(shown)} demonstrations of {arm.n_joints} joints of {arm.name}, {learned.duration:.3g} s; "
+        f"{learned.shaping.message}; {describe(learned.response)}"
+    )
+    console.print(joints_table(study, arm))
+    console.print(f"limits: not kept, {refusal}" if refusal else f"limits and clearance: kept, in {duration:.3g} s")
+    console.print(f"stability: {learned.network.certificate}")
+    wrote(*written, *results)
+
+
+def _learned(learned: ShapedMotion | JointMotion) -> dict[str, Any]:
+    """What a report says of the network."""
     return {
-        "demonstrations": len(demonstrations),
-        "dof": demonstrations.dof,
-        "extent_m": demonstrations.extent,
-        "spread_m": float(np.linalg.norm(demonstrations.spread[:, 3:], axis=1).max()),
-        "lever_m": demonstrations.lever,
-        "goal_position_m": goal.translation.tolist(),
-        "goal_quaternion_wxyz": goal.rotation.as_quat(scalar_first=True).tolist(),
-        "network_state": ["turn from the goal [rad]"] * 3 + ["position from the goal [m]"] * 3,
-        "network_message": shaped.shaping.message,
-        "network_deviation_m": shaped.shaping.deviation,
-        "network_within_deviation": shaped.shaping.success,
-        "network_certified": shaped.network.certified,
-        "ridges": ridges_of(shaped.response),
-        "family_deviation_m": family_deviation(shaped, demonstrations),
-        # The time law: at t [s] the network is at its own time tau.
-        "t_s": shaped.t.tolist(),
-        "tau": shaped.tau.tolist(),
-        "models": [asdict(row) for row in rows],
+        "network_message": learned.shaping.message,
+        "network_deviation_m": learned.shaping.deviation,
+        "network_within_deviation": learned.shaping.success,
+        "network_certified": learned.network.certified,
+        "ridges": ridges_of(learned.response),
     }

@@ -9,7 +9,7 @@ from lieednn_sim import io
 from lieednn_sim.cli.console import progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
 from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.errors import InputError
 from lieednn_sim.exports import export as export_sources
 from lieednn_sim.exports.recording import record
 from lieednn_sim.registry import FORMATS
@@ -41,7 +41,11 @@ def export(
     chosen = FORMATS.find(format)
     FORMATS.require(format)
     if episodes is not None:
-        _record(runs, format, output, episodes, recorded)
+        if format != "lerobot" or runs:
+            raise InputError("--episodes are recorded in the format lerobot, and of no runs")
+        with progress("record") as report:
+            written = record(output, episodes, **recorded, progress=report)
+        wrote(*written)
         return
     if recorded:
         raise InputError(f"--{next(iter(recorded)).replace('_', '-')} is for --episodes")
@@ -59,19 +63,8 @@ def export(
     wrote(*written)
 
 
-def _record(runs: list[File], format: str, output: Directory, episodes: int, recorded: dict[str, Any]) -> None:
-    """Record episodes of the expert."""
-    if format != "lerobot" or runs:
-        raise InputError("--episodes are recorded in the format lerobot, and of no runs")
-    with progress("record") as report:
-        written = record(output, episodes, **recorded, progress=report)
-    wrote(*written)
-
-
 def _rollout(path: Path) -> Any:
     run = RunDirectory(path).existing()
     with io.locked(run.path, shared=True):
         task, arm = run.load_task()
-        if not run.rollout.exists():
-            raise FileError(f"{path} has not been simulated; run: lieednn-sim simulate {path}")
         return run.load_rollout(task, arm)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import warnings
 from typing import Annotated, Any
 
 from lieednn_sim.arm import Arm
@@ -12,7 +11,6 @@ from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
 from lieednn_sim.cli.arguments import joint_position
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console
-from lieednn_sim.cli.interruption import say
 from lieednn_sim.cli.kinds import Joints
 from lieednn_sim.live.page import view as show
 from lieednn_sim.live.settings import Settings
@@ -47,18 +45,14 @@ def view(
     """
     shown = Arm.load(arm, scene, scene_seed, **imported)
     print_import_report(shown)
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        page = show(
-            shown,
-            target=None if target is None else joint_position(shown, target, "target"),
-            start=joint_position(shown, start, "start"),
-            browser=False,
-            **served,
-            **settings,
-        )
-    for warning in told:
-        say(f"warning: {warning.message}")
+    page = show(
+        shown,
+        target=None if target is None else joint_position(shown, target, "target"),
+        start=joint_position(shown, start, "start"),
+        browser=False,
+        **served,
+        **settings,
+    )
     with page:
         console.print(f"view: {page.url} (Ctrl-C ends it)")
         sys.stdout.flush()

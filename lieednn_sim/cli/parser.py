@@ -52,7 +52,7 @@ def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
     taken = parameters(source)
     parser = make_parser(source)
     parser.epilog = _planner_help(words)
-    space, unknown = parser.parse_known_args(_join_negative_numbers(words))
+    space, unknown = parser.parse_known_args(words)
     line = shlex.join([_PROGRAM, source.name, *words])
     given = vars(space) | {each.option: line for each in taken if each.kind == "CommandLine"}
     if unknown:
@@ -174,21 +174,14 @@ def _arguments(taken: Iterable[Parameter], given: Mapping[str, Any]) -> dict[str
 
 
 class _Parser(argparse.ArgumentParser):
-    """Raises `InputError` for wrong words."""
+    """Raises `InputError` for wrong words, and takes several numbers of which the first is negative for a value."""
+
+    def __init__(self, **how: Any) -> None:
+        super().__init__(**how)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message} ({self.prog} --help)")
-
-
-def _join_negative_numbers(words: Sequence[str]) -> list[str]:
-    """Rewrite ``--target -1,2`` as ``--target=-1,2``, since argparse takes a leading minus for another option."""
-    joined: list[str] = []
-    for word in words:
-        if joined and joined[-1].startswith("--") and "=" not in joined[-1] and re.match(r"-\.?\d", word):
-            joined[-1] += f"={word}"
-        else:
-            joined.append(word)
-    return joined
 
 
 class _Help(argparse.HelpFormatter):

@@ -13,7 +13,6 @@ from lieednn_sim.cli.arguments import RANDOM, Planning, read_options
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
 from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.cli.task import CERTIFIED
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import rounded, table
 from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner, plan
@@ -34,7 +33,7 @@ def make_plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) 
     """
     arm = planning.load()
     planner, reason = _planner(arm, planning)
-    options = _options(planner, [*usual, *planning.option] if planner == CERTIFIED else planning.option)
+    options = _options(planner, [*usual, *planning.option] if planner == "lieednn-certified" else planning.option)
     console.print(f"planner: {planner} ({reason}), at most {planning.time_budget:g} s of CPU time")
     target = planning.usual_target(arm)
     if target is not None and target.startswith(RANDOM):
@@ -57,7 +56,7 @@ def make_plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) 
             planner=planner,
             start=start,
             duration=planning.duration,
-            max_time_scale=1.0 if planner == CERTIFIED and not planning.fastest else 3.0,
+            max_time_scale=1.0 if planner == "lieednn-certified" and not planning.fastest else 3.0,
             seed=planning.seed,
             time_budget=planning.time_budget,
             options=options,

@@ -39,7 +39,7 @@ class RunDirectory:
     """
 
     def __init__(self, path: str | os.PathLike[str], plots: str = PLOT_KINDS[0]) -> None:
-        as_choice("plots", plots, PLOT_KINDS)
+        self._plots = as_choice("plots", plots, PLOT_KINDS)
         self.path = as_path("the name of a run directory", path)
         self.task = self.path / "task.json"
         self.network = self.path / "network.npz"
@@ -52,16 +52,12 @@ class RunDirectory:
         self.report = self.path / "report.json"
         self.metrics_json = self.path / "metrics.json"
         self.metrics_csv = self.path / "metrics.csv"
-        self.demonstrations_plot, self.starts_plot, self.training_plot, *others = (
-            self.path / f"{name}.{plots}" for name in _PLOTS
-        )
-        self.network_plot, self.tracking_plot, self.joints_plot, self.channels_plot = others
 
     @property
     def files(self) -> list[Path]:
         """All files that a run may hold."""
         named = [path for name, path in vars(self).items() if isinstance(path, Path) and name != "path"]
-        return named + [path for path in self._plots_of(*_PLOTS) if path not in named]
+        return named + self._plots_of(*_PLOTS)
 
     @property
     def results(self) -> list[Path]:
@@ -69,11 +65,9 @@ class RunDirectory:
         plots = self._plots_of(*_PLOTS[3:])
         return [self.metrics_json, self.metrics_csv, *plots, self.video, self.page, self.divergence]
 
-    @property
-    def evaluated(self) -> list[Path]:
-        """Files that the command ``evaluate`` writes; the last one only if the rollout has channels."""
-        plots = [self.network_plot, self.tracking_plot, self.joints_plot, self.channels_plot]
-        return [self.metrics_json, self.metrics_csv, *plots]
+    def plot(self, name: str) -> Path:
+        """The file of a plot."""
+        return self.path / f"{name}.{self._plots}"
 
     def _plots_of(self, *names: str) -> list[Path]:
         return [self.path / f"{name}.{kind}" for name in names for kind in PLOT_KINDS]

@@ -1,13 +1,13 @@
 """The command line as a user meets it: the whole road, one-line errors, exit code 2, no half-written file."""
 
 import errno
-import importlib
 import importlib.metadata
+import io
 import json
 import os
 import re
 import shutil
-import signal
+import sys
 import time
 from pathlib import Path
 
@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.cli import doctor, main
+from lieednn_sim.cli import commands, doctor, main
+from lieednn_sim.errors import RenderingUnavailableError
 from lieednn_sim.learning import projected
 from lieednn_sim.planning import Motion
 
@@ -148,30 +149,6 @@ def test_a_training_that_is_ended_says_so_and_leaves_nothing_half_made(run, tmp_
     assert before == {path.name: path.read_bytes() for path in directory.iterdir()}
 
 
-@pytest.mark.usefixtures("no_plots")
-def test_steps_run_one_by_one_and_again_over_the_first(run, capsys):
-    assert main(["evaluate", str(run)]) == 0
-    first = (run / "metrics.json").read_bytes()
-    assert main(["simulate", str(run), "--hold", "0.5"]) == 0
-    assert main(["evaluate", str(run)]) == 0
-    assert (run / "metrics.json").read_bytes() == first
-
-
-def test_results_of_another_target_are_not_mixed(run, tmp_path, capsys):
-    directory = tmp_path / "run"
-    shutil.copytree(run, directory)
-    task = json.loads((directory / "task.json").read_text())
-    task["target"][0] += 0.1
-    (directory / "task.json").write_text(json.dumps(task))
-    for command in ("simulate", "evaluate", "render"):
-        assert f"{directory}/motion.npz and {directory}/task.json are of different" in fails(capsys, command, directory)
-    task["target"][0] = 99.0
-    (directory / "task.json").write_text(json.dumps(task))
-    assert "does not fit arm 'telescopic_pr': target is out of reach" in fails(capsys, "simulate", directory)
-    assert main(["plan", "--target", "retracted", "--output", str(directory), "--duration", "4"]) == 0
-    assert {path.name for path in directory.iterdir()} == {"lieednn_sim.json", "task.json", "network.npz", "motion.npz"}
-
-
 @pytest.mark.rendering
 def test_render(run, tmp_path):
     options = ["--preset", "draft", "--size", "160x90", "--fps", "5"]
@@ -266,73 +243,33 @@ def test_an_output_that_nobody_reads_ends_the_command_in_silence(start, unbuffer
     assert (process.stderr.read(), process.wait()) == ("", 141)
 
 
-def test_a_path_that_the_output_cannot_spell_and_a_backend_for_windows_that_does_not_exist(run, tmp_path, start):
+@pytest.mark.usefixtures("no_ink")
+def test_a_path_that_the_output_cannot_spell_and_a_backend_for_windows_that_does_not_exist(run, tmp_path, monkeypatch):
     copy = tmp_path / "d\u00e9mo"
     shutil.copytree(run, copy)
-    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "MPLBACKEND": "junk"}
-    # The plots are composed, by what the backend is for, but not drawn: that takes longer than all else.
-    code = (
-        "import sys\n"
-        "from lieednn_sim.cli import commands, main\n"
-        "usual = commands._evaluate\n"
-        "def evaluate(run):\n"
-        "    from lieednn_sim.evaluation import figure_layout\n"
-        "    figure_layout.save_figure = lambda figure, path: path.touch()\n"
-        "    usual(run)\n"
-        "commands._evaluate = evaluate\n"
-        "sys.exit(main())"
-    )
-    process = start("-c", code, "evaluate", str(copy), env=environment)
-    printed, message = process.communicate()
-    assert (process.returncode, message) == (0, "")
-    assert f"wrote {tmp_path}/d\\xe9mo/metrics.json" in printed
+    monkeypatch.setenv("MPLBACKEND", "junk")
+    output = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", output)
+    assert main(["evaluate", str(copy)]) == 0
+    assert f"wrote {tmp_path}/d\\xe9mo/metrics.json" in output.buffer.getvalue().decode("ascii")
+    assert os.environ["MPLBACKEND"] == "agg"
 
 
-def test_without_opengl_the_demo_goes_on_without_video(tmp_path, start):
-    code = (
-        "import pathlib, sys\n"
-        "from lieednn_sim.evaluation import plots\n"
-        "from lieednn_sim.cli import main\n"
-        "sys.modules['viser'] = None\n"  # as if it were not installed
-        "made = lambda *given, **named: pathlib.Path(given[-1]).touch()\n"  # to plot takes longer than all else
-        "plots.plot_network = plots.plot_tracking = plots.plot_joints = made\n"
-        "print(main(['demo', '--output', *sys.argv[1:]]), flush=True)\n"
-        "sys.exit(main(['render', sys.argv[1]]))"
-    )
-    environment = {**os.environ, "MUJOCO_GL": "disable"}
-    environment.pop("PYOPENGL_PLATFORM", None)
-    process = start("-c", code, str(tmp_path), *FAST, env=environment)
-    printed, message = process.communicate()
+@pytest.mark.usefixtures("no_plots")
+def test_without_opengl_the_demo_goes_on_without_video(tmp_path, capsys, monkeypatch):
+    def refused():
+        raise RenderingUnavailableError("cannot render")
+
+    monkeypatch.setattr(commands.opengl, "require", refused)
+    monkeypatch.setitem(sys.modules, "viser", None)  # as if it were not installed
+    assert main(["demo", *FAST, "--output", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
     assert "no video: cannot render" in printed
     missing = r"^no page: (mj)?viser is not installed .*: pip install 'lieednn_sim\[view\]'$"
     assert re.search(missing, printed, re.MULTILINE)
-    assert not (tmp_path / "motion.html").exists()
-    assert printed.splitlines()[-1] == "0", "the demo went well"
     assert (tmp_path / "metrics.json").exists()
-    assert not (tmp_path / "video.mp4").exists()
-    assert process.returncode == 2
-    assert message.startswith("lieednn-sim: error: cannot render")
-
-
-def test_interrupting_leaves_complete_files_only(tmp_path, start):
-    code = (
-        "import contextlib, sys\n"
-        "from lieednn_sim.cli import main, planning\n"
-        "@contextlib.contextmanager\n"
-        "def announcing(what):\n"
-        "    yield lambda done, total: print(what, done, total, flush=True)\n"
-        "planning.progress = announcing\n"
-        "sys.exit(main())"
-    )
-    process = start(
-        "-c", code, "demo", "--no-video", "--option", "n_networks=999999", "--output", str(tmp_path / "demo")
-    )
-    assert any(line == "plan 1 999999\n" for line in process.stdout), process.stderr.read()
-    process.send_signal(signal.SIGTERM)
-    _, message = process.communicate()
-    assert process.returncode == 143
-    assert message == "lieednn-sim: interrupted; files already reported are complete\n"
-    assert not (tmp_path / "demo").exists()
+    assert not any((tmp_path / name).exists() for name in ("motion.html", "video.mp4"))
+    assert fails(capsys, "render", tmp_path) == "lieednn-sim: error: cannot render"
 
 
 def test_doctor_reports_in_words_and_json(capsys, monkeypatch):

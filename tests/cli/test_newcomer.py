@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import json
 import signal
+import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from rich.progress import TimeRemainingColumn
 from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm, solve_ik
-from lieednn_sim.cli import main
+from lieednn_sim.cli import doctor, main
 from lieednn_sim.cli.console import console, to_stderr
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -51,7 +53,7 @@ def test_the_bar_of_the_studies_shows_the_time_left():
 IMPORTING = """
 import builtins, os, signal, sys
 sys.argv[0] = "lieednn-sim"
-from lieednn_sim.cli import main
+from lieednn_sim.cli import doctor, main
 original = builtins.__import__
 def hook(name, *rest, **named):
     if name.partition(".")[0] == {module!r} or name == {module!r}:
@@ -137,3 +139,13 @@ def test_a_position_beyond_everything_is_refused_without_a_warning(monkeypatch):
     monkeypatch.setattr(importlib.import_module("lieednn_sim.arm.inverse_kinematics"), "_ATTEMPTS", 2)
     with pytest.raises(NoSolutionError, match=r"cannot reach \(1e\+06, 0, 0\) m"):
         solve_ik(arm, [1e6, 0.0, 0.0])
+
+
+def test_a_warning_is_a_line(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["lieednn-sim", "doctor"])
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    monkeypatch.setattr(doctor, "doctor", lambda: warnings.warn("mind the step", stacklevel=2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert main() == 0
+    assert capsys.readouterr().err == "lieednn-sim: warning: mind the step\n"

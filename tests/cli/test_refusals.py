@@ -10,6 +10,7 @@ import pytest
 
 from lieednn_sim.cli import main
 
+WRITING = ("demo", "plan", "train", "compare")
 # The words of a command, and what its line of error says.
 REFUSED = {
     "": "no command ''; commands: demo, plan,",
@@ -67,6 +68,11 @@ REFUSED = {
         f"demo --{name} inf": name.replace("-", "_")
         for name in ("duration", "hold", "payload", "mass-scale", "position-noise", "reference-rate")
     },
+    # An empty name is no directory.
+    **{
+        f"{command} ''": "must be a path, got ''"
+        for command in ("simulate", "evaluate", "render", *(f"{name} --output" for name in WRITING))
+    },
     "train --algorithm adam": "no algorithm 'adam'; allowed: literal, repaired, riemannian",
     "train --bias solved": "the solved bias needs no learning",
     "train --bias loud": "no bias rule 'loud'",
@@ -78,7 +84,7 @@ REFUSED = {
     "learn way.csv --unit inch": "no unit 'inch'",
     "learn way.csv --rivals dmp,gmm": "no rival 'gmm'",
     "learn way.csv --clock-rate 2": "rate must be from 0.01 to 1",
-    "learn way.csv --plots gif": "no kind of plots 'gif'",
+    "learn way.csv --plots gif": "no plots 'gif'",
     "learn way.csv --phase pace": "no phase 'pace'",
     "learn way.csv --goals moved": "no goals 'moved'",
     "learn way.csv --starts 0": "starts must be at least 1",

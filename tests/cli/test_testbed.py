@@ -13,10 +13,7 @@ from lieednn_sim.cli.arms import farthest
 from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import PlanError
 from lieednn_sim.evaluation import figure_layout, plots
-from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import OBSTACLE_PLANNER
-from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.registry import PLANNERS, PlannerEntry
 from lieednn_sim.simulation import Push, Rollout
 
@@ -88,32 +85,6 @@ def test_arms_are_listed_and_described(own, capsys):
     assert "no keyframe 'stow'; keyframes of the model: 'bent'" in error(capsys, "arms", str(own), "--keyframe", "stow")
     # The arm is straight at its reference, where nothing is further out.
     assert farthest(Arm.load(str(own), links=("two", "tool"), base="one")) == pytest.approx(0.9, abs=1e-6)
-
-
-def test_a_planners_motion_is_simulated_and_never_a_stale_one(tmp_path, capsys):
-    directory = tmp_path / "run"
-    base = ["plan", "--target", "random:3", "--output", str(directory)]
-    assert main([*base, "--planner", "linear-attractor"]) == 0
-    planned, task = Motion.load(directory / "motion.npz"), Task.load(directory / "task.json")
-    assert task.planner == "linear-attractor"
-    assert main(["simulate", str(directory), "--hold", "0"]) == 0
-    np.testing.assert_array_equal(Rollout.load(directory / "rollout.npz", task.load_arm()).q_ref, planned.q)
-    elsewhere = [*task.target[:-1], task.target[-1] - 0.01]
-    (directory / "task.json").write_text(
-        (directory / "task.json").read_text().replace(*map(str, (task.target[-1], elsewhere[-1])))
-    )
-    assert "motion.npz and" in error(capsys, "simulate", directory)
-    # Another network: the motion of the old one is gone, and is refused if it comes back.
-    assert main([*base, "--option", "n_networks=3"]) == 0
-    own = Motion.load(directory / "motion.npz")
-    planned.save(directory / "motion.npz")
-    assert "motion.npz and" in error(capsys, "simulate", directory)
-    own.save(directory / "motion.npz")
-    assert main(["simulate", str(directory), "--hold", "0"]) == 0
-    arm, network = Arm.load("telescopic_pr"), LieEDNN.load(directory / "network.npz")
-    np.testing.assert_array_equal(Rollout.load(directory / "rollout.npz", arm, own).q_ref, own.q)
-    again = make_motion(arm, network, task.start, task.duration, arm.model.opt.timestep)
-    np.testing.assert_array_equal(again.q, own.q)
 
 
 @pytest.mark.usefixtures("no_ink")

@@ -45,4 +45,4 @@ def test_the_arm_is_seen_five_times_and_faded(tmp_path):
 def test_bad_names_are_refused(gantry, tmp_path):
     with pytest.raises(InputError, match=r"must end in \.png, got 'still\.jpg'"):
         render_still(make_rollout(gantry), tmp_path / "still.jpg")
-    assert main(["render", str(tmp_path), "--still", str(tmp_path / "still.png")]) == 2
+    assert main(["render", str(tmp_path), "--output", str(tmp_path / "still.png")]) == 2
