@@ -100,7 +100,7 @@ class Panel:
                 initial_value=wanted.planner,
                 hint=f"for the policies {' and '.join(PLANNED)}",
             ),
-            "rho": gui.add_slider("rho", 0.05, 0.95, step=0.05, initial_value=wanted.rho, hint="of lieednn-shaped"),
+            "rho": gui.add_slider("rho", 0.05, 1.0, step=0.05, initial_value=wanted.rho, hint="of lieednn-shaped"),
             "filtered": gui.add_checkbox("safety filter", wanted.filtered),
             "controller": gui.add_dropdown("controller", tuple(CONTROLLERS), initial_value=wanted.controller),
             "payload": gui.add_slider("payload kg", 0.0, 5.0, step=0.25, initial_value=wanted.payload),

@@ -24,8 +24,7 @@ class Settings:
         policy: a name of `POLICIES`.
         planner: a name of `PLANNERS`, for the policies tracker and dmp (`PLANNED`), which follow a motion; by default
             the `default_planner` of the arm.
-        rho: rate of the clock of ``lieednn-shaped``, see `ShapedOptions`; with 1 it runs the arm's universal network,
-            of thousands of coordinates, whose bound takes minutes.
+        rho: rate of the clock of ``lieednn-shaped``, see `ShapedOptions`.
         filtered: whether the policy is behind the safety filter; None if it is among obstacles.
         controller: a name of `CONTROLLERS`.
         payload: mass at the end effector that policy and controller do not know [kg].
@@ -37,7 +36,7 @@ class Settings:
 
     policy: str = "lieednn-shaped"
     planner: str | None = None
-    rho: float = 0.95
+    rho: float = 1.0
     filtered: bool | None = None
     controller: str = "inverse-dynamics"
     payload: float = 0.0
