@@ -24,7 +24,6 @@ _PACKAGES = (
     "numpy",
     "scipy",
     "daqp",
-    "imageio",
     "imageio-ffmpeg",
     "matplotlib",
     "jinja2",
