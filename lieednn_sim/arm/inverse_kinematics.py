@@ -119,12 +119,10 @@ class _Point:
         place = ", ".join(f"{x:g}" for x in self._place)
         return f"({place}) m" + ("" if self._rotation is None else " with this orientation")
 
-    def miss(self, pose: RigidTransform) -> str:
-        """Distance of a pose from the position [m], and the angle from the rotation."""
-        distance = f"{np.linalg.norm(pose.translation - self._place):.3g} m"
-        if self._rotation is None:
-            return distance
-        return f"{distance} and {np.rad2deg((self._rotation.inv() * pose.rotation).magnitude()):.3g} degrees"
+    def distance(self, pose: RigidTransform) -> tuple[Floats, Floats | None]:
+        """Distance of a pose from the position [m], and the angle from the rotation, if there is one [rad]."""
+        angle = None if self._rotation is None else (self._rotation.inv() * pose.rotation).magnitude()
+        return np.asarray(np.linalg.norm(pose.translation - self._place)), angle
 
 
 class _Search:
@@ -238,12 +236,6 @@ class _Search:
         near = arm.limit_excess(closest) > -1e-4 * arm.ranges
         names = dict.fromkeys(name for name, at in zip(arm.joint_names, near, strict=True) if at)
         at_limits = f", with {', '.join(map(repr, names))} at the limit" if names else ""
-        return f"{reach}: the closest configuration found is {_miss(arm.link_poses(closest)[-1], goal)} away{at_limits}"
-
-
-def _miss(pose: RigidTransform, goal: _Point | TaskSpaceRegion) -> str:
-    """Distance of the end effector's pose from a goal [m], and the angle where the goal has orientations."""
-    if isinstance(goal, _Point):
-        return goal.miss(pose)
-    distance, angle = goal.distance(pose)
-    return f"{distance:.3g} m and {np.rad2deg(angle):.3g} degrees"
+        distance, angle = goal.distance(arm.link_poses(closest)[-1])
+        miss = f"{distance:.3g} m" + ("" if angle is None else f" and {np.rad2deg(angle):.3g} degrees")
+        return f"{reach}: the closest configuration found is {miss} away{at_limits}"

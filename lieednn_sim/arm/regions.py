@@ -18,7 +18,6 @@ from lieednn_sim.values import Floats, frozen, set_fields
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
-_COORDINATES = ("x", "y", "z", "the rotation about x", "the rotation about y", "the rotation about z")
 _FREE = np.full(3, np.inf)
 # Bounds and frames are at most this far away [m], so that squares stay far from overflow.
 _FARTHEST = 1e6
@@ -53,7 +52,8 @@ class TaskSpaceRegion:
             as_floats(f"the translation of {name}", getattr(self, name).translation, (3,), largest=_FARTHEST)
         lower, upper = (_as_bounds(name, getattr(self, name)) for name in ("lower", "upper"))
         set_fields(self, lower=lower + 0.0, upper=upper + 0.0)  # no negative zeros
-        for what, low, high in zip(_COORDINATES, lower, upper, strict=True):
+        coordinates = (turn + axis for turn in ("", "the rotation about ") for axis in "xyz")
+        for what, low, high in zip(coordinates, lower, upper, strict=True):
             if not low <= high or np.inf in (low, -high):
                 raise InputError(f"the lower bound of {what} must not be above the upper one, got {low:g} and {high:g}")
             if "rotation" in what and np.isinf(low) != np.isinf(high):
