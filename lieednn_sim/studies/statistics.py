@@ -13,9 +13,6 @@ import numpy as np
 from lieednn_sim.studies.rows import TableRow
 
 R = TypeVar("R", bound=TableRow)
-# The parts of a reason that vary from case to case: names in quotes, and numbers.
-_QUOTED = re.compile(r"'[^']*'")
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -95,4 +92,4 @@ def numbers(rows: Sequence[R], column: str) -> list[float]:
 
 def pattern_of(reason: str) -> str:
     """The reason of a failure with names and numbers replaced by an ellipsis, to group similar ones."""
-    return _NUMBER.sub("…", _QUOTED.sub("…", reason))
+    return re.sub(r"'[^']*'|[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?", "…", reason)

@@ -123,8 +123,8 @@ def _on_workers(
 ) -> Iterator[_Outcome]:
     """The outcomes of tasks as they end; few are submitted ahead, so that memory does not grow with the study."""
     waiting = iter(todo)
-    running = {pool.submit(released, run, *task): task for task in itertools.islice(waiting, ahead)}
     try:
+        running = {pool.submit(released, run, *task): task for task in itertools.islice(waiting, ahead)}
         while running:
             ended = wait(running, return_when=FIRST_COMPLETED).done
             # What is finished counts before a worker that died.

@@ -47,7 +47,8 @@ def untimed(folder):
 
 def test_which_shard_has_a_case_depends_on_its_name_alone():
     # The first 8 bytes of its SHA-256 are 0x825e7b6ff1eb909f, 2 modulo 5.
-    assert Shard.holding(Case("telescopic_pr", "free", "minimum-jerk", 0), 5) == Shard(3, 5)
+    case = Case("telescopic_pr", "free", "minimum-jerk", 0)
+    assert [number for number in range(1, 6) if Shard(number, 5).holds(case)] == [3]
 
 
 def test_shards_merge_to_the_table_of_one_machine(shards, tmp_path, capsys, undrawn):

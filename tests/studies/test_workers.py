@@ -7,7 +7,7 @@ import multiprocessing
 import operator
 import os
 import signal
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 
 import pytest
 from rich.console import Console
@@ -74,3 +74,17 @@ def test_a_worker_that_dies_loses_no_finished_task(monkeypatch):
         run_each(operator.call, tasks, lambda *it: kept.append(it), workers=2, title="", console=Console(quiet=True))
     assert kept == [((abs, -1), 1, None)]
     assert multiprocessing.active_children() == []
+
+
+def test_a_task_that_ends_at_the_same_time_counts_before_a_worker_that_dies(monkeypatch):
+    class Ended(ThreadPoolExecutor):
+        def submit(self, _, run, *task):
+            future = Future()
+            future.set_result(run(*task)) if task[0] else future.set_exception(BrokenExecutor())
+            return future
+
+    monkeypatch.setattr(workers, "worker_pool", Ended)
+    kept = []
+    with pytest.raises(LieEDNNError, match="a worker process died"):
+        run_each(abs, [(0,), (-1,)], lambda *it: kept.append(it), workers=2, title="", console=Console(quiet=True))
+    assert kept == [((-1,), 1, None)]

@@ -53,11 +53,10 @@ class Shard:
             raise InputError(f"a shard must look like 3/10, the third of ten, got {text!r}")
         return cls(int(number), int(of))
 
-    @classmethod
-    def holding(cls, case: Case, of: int) -> Shard:
-        """The shard, out of ``of``, that holds a case."""
+    def holds(self, case: Case) -> bool:
+        """Whether a case is in the shard."""
         digest = hashlib.sha256(str(case).encode()).digest()
-        return cls(int.from_bytes(digest[:8], "big") % of + 1, of)
+        return int.from_bytes(digest[:8], "big") % self.of + 1 == self.number
 
     def __str__(self) -> str:
         return f"{self.number}/{self.of}"
@@ -150,7 +149,7 @@ class Comparison(Study[Row]):
         every = itertools.starmap(Case, combinations)
         cases = [case for case in every if case.seed < few or PLANNERS[case.planner].cost <= SLOW]
         part = self.shard
-        return [case for case in cases if part is None or Shard.holding(case, part.of) == part]
+        return [case for case in cases if part is None or part.holds(case)]
 
     def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
         """See `Study`."""

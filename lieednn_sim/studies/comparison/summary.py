@@ -19,8 +19,6 @@ from lieednn_sim.studies.rows import Column
 from lieednn_sim.studies.statistics import Group, grouped, motions
 from lieednn_sim.studies.table import Table
 
-# Below this a distance or an angle is rounding [mm, deg].
-_ROUNDING = 1e-6
 _NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")
 
 
@@ -97,4 +95,5 @@ def _medians(group: Group[Row], columns: Sequence[Column]) -> list[str]:
 
 def shown(value: float | None, column: str = "_mm") -> str:
     """A measured number for people, by the name of its column; a dash where there is none."""
-    return "-" if value is None else rounded(value, _ROUNDING if column.endswith(("_mm", "_deg")) else 0.0)
+    # Distances and angles below 1e-6 mm or degrees are rounding.
+    return "-" if value is None else rounded(value, 1e-6 if column.endswith(("_mm", "_deg")) else 0.0)

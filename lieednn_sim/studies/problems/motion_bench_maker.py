@@ -28,8 +28,6 @@ from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_floats, as_path
 from lieednn_sim.values import Floats
 
-# Limits, such as pi, are given to five decimals; starts and goals in full precision [rad, m].
-_LAST_DIGIT = 1e-5
 # Dimensions of primitives other than boxes, in the order of the messages.
 _SIZES = {"sphere": ("radius",), "cylinder": ("length", "radius")}
 
@@ -133,8 +131,9 @@ class ProblemSets:
 
     def _rounded(self, q: Floats) -> Floats:
         """Coordinates ``(n,)``, put on a limit where they exceed it by less than the URDF's precision."""
+        # Limits, such as pi, are given to five decimals; starts and goals in full precision [rad, m].
         inside = np.clip(q, *self.arm.position_limits.T)
-        return np.where(np.abs(inside - q) < _LAST_DIGIT, inside, q)
+        return np.where(np.abs(inside - q) < 1e-5, inside, q)
 
     @cached_property
     def arm(self) -> Arm:

@@ -58,9 +58,6 @@ OPTIONS: Mapping[str, PlannerOptions] = {
         deviation=1e-2,
     ),
 }
-# Largest duration of a motion relative to the least one of the straight path, and the shortest duration [s].
-_LONGEST = 100.0
-_SHORTEST = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,14 +125,16 @@ def solve(folder: str, name: str, number: int, planner: str, budget: float) -> l
 
 def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float) -> Plan:
     """A plan, retimed to the arm's limits where toppra is installed."""
-    shortest, options = max(_SHORTEST, least_duration(arm, start, goal)), OPTIONS.get(planner)
-    asked: dict[str, Any] = {
-        "duration": shortest,
-        "max_time_scale": _LONGEST,
-        "time_budget": budget,
-        "options": options,
-    }
-    made = plan(arm, goal, planner=planner, start=start, **asked)
+    made = plan(
+        arm,
+        goal,
+        planner=planner,
+        start=start,
+        duration=max(0.1, least_duration(arm, start, goal)),
+        max_time_scale=100.0,
+        time_budget=budget,
+        options=OPTIONS.get(planner),
+    )
     if _TIMED:
         # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
         # its new samples. Then the motion stays as it is.

@@ -58,12 +58,8 @@ COMPARED: dict[str, ComparedPolicy] = {
     "tracker": ComparedPolicy("tracker", filtered=False),
 }
 DISTURBANCES = ("none", "push", "payload", "target", "obstacle")
-# Simulated time [s], control rate [Hz], and the fraction of the policy's own path at which it is disturbed.
-_DURATION, _RATE, _AT = 7.0, 100.0, 0.35
-# Rate at which policies without a time law approach their target [1/s].
-CONVERGENCE_RATE = 2.0
-# Weight of the payload [N], largest step of the target as a fraction of the ranges, and tries to draw one.
-_WEIGHT, _STEP, _DRAWS = 10.0, 0.1, 100
+# Simulated time [s].
+_DURATION = 7.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +136,10 @@ class Task:
             kind,
             self.arm,
             self.target,
-            rate=_RATE,
+            rate=100.0,
             motion=self.motion,
             safety=safety,
-            convergence_rate=CONVERGENCE_RATE,
+            convergence_rate=2.0,
             options=options,
             seed=self.seed,
         )
@@ -168,7 +164,7 @@ def run_reactions(
             return failed_reactions(arm, scene, policy, seed, f"plan: {error}")
         path = UndisturbedPath(task.arm, nominal.rollout.q)
         _, gone = path.nearest(nominal.rollout.q)
-        begin = float(nominal.rollout.t[np.argmax(gone >= _AT)])
+        begin = float(nominal.rollout.t[np.argmax(gone >= 0.35)])
         rows = [_row(task, policy, "none", nominal)]
         for disturbance in DISTURBANCES[1:]:
             if disturbance == "obstacle":
@@ -266,14 +262,14 @@ def _disturbed(
 
         return task.target, pushed(pushing_force(deviation_under)), end
     if disturbance == "payload":
-        push = Push("end effector", (0.0, 0.0, -_WEIGHT), begin, _DURATION)
+        push = Push("end effector", (0.0, 0.0, -10.0), begin, _DURATION)
         return task.target, Disturbances(pushes=(push,)), begin
     # As far from the limits as other random targets, since the safety filter stops short of limits.
     inset = LIMIT_MARGIN * arm.ranges[:, None] * [1.0, -1.0]
     inner = replace(arm, position_limits=arm.position_limits + inset)
     moved = task.target
-    for _ in range(_DRAWS):
-        drawn = task.target + _STEP * arm.ranges * rng.uniform(-1.0, 1.0, arm.n_joints)
+    for _ in range(100):
+        drawn = task.target + 0.1 * arm.ranges * rng.uniform(-1.0, 1.0, arm.n_joints)
         drawn = inner.within_angles(np.clip(drawn, *inner.position_limits.T))
         if not arm.near_contacts(drawn):
             moved = drawn

@@ -15,14 +15,6 @@ from lieednn_sim.simulation import MovingObstacle
 from lieednn_sim.values import Floats
 
 WALKER = "obstacle_walker"
-# Radius and half the height of the pole, how far it walks [m], for how long at most [s], and as a fraction of the time
-# until the last place where it may stand.
-_RADIUS, _HALF, _WAY, _WALK, _SHARE = 0.04, 2.0, 0.6, 0.6, 0.6
-# Fractions of the path between which the arm would meet it.
-_PLACES = (0.5, 0.95)
-# Distances from the arm that it keeps until it stands, and leaves at the target [m]; and tries to find a place.
-_BEFORE, _AFTER, _TRIALS = 0.04, 0.06, 400
-_STRIDE = 10
 
 
 class Walk(NamedTuple):
@@ -51,22 +43,27 @@ def walking_pole(arm: Arm, t: Floats, q: Floats, gone: Floats, begin: float, rng
     """
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name=WALKER.removeprefix("obstacle_"))
-    body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[_RADIUS, _HALF, 0.0], group=2, rgba=(0.9, 0.72, 0.18, 1.0))
+    # Radius and half the height [m].
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.04, 2.0, 0.0], group=2, rgba=(0.9, 0.72, 0.18, 1.0))
     body.pos = [100.0, 0.0, 0.0]
     beside = replace(arm.with_obstacles(spec, "walk"), scene=arm.scene, scene_seed=arm.scene_seed)
-    before, after, touching = (Surroundings(beside, margin) for margin in (_BEFORE, _AFTER, 1e-3))
+    # It keeps 4 cm from the arm until it stands, and leaves 6 cm at the target.
+    before, after, touching = (Surroundings(beside, margin) for margin in (0.04, 0.06, 1e-3))
     tips = np.asarray(arm.link_poses(q).translation)[:, -1]
-    stands = begin + min(_WALK, _SHARE * (float(t[np.argmax(gone >= _PLACES[1])]) - begin))
-    walking = np.flatnonzero((t >= begin) & (t <= stands))[::_STRIDE]
-    later = np.flatnonzero((gone >= _PLACES[0]) & (gone <= _PLACES[1]) & (t > stands))
+    # The arm would meet it on the second half of the path. It walks for 0.6 s, or that share of the time until the last
+    # place where it may stand.
+    stands = begin + min(0.6, 0.6 * (float(t[np.argmax(gone >= 0.95)]) - begin))
+    stride = 10
+    walking = np.flatnonzero((t >= begin) & (t <= stands))[::stride]
+    later = np.flatnonzero((gone >= 0.5) & (gone <= 0.95) & (t > stands))
     if not len(later):
         raise PlanError("the arm is past every place where a pole could stand in its way in time")
-    for _ in range(_TRIALS):
+    for _ in range(400):
         tip, turn = tips[rng.choice(later)], rng.uniform(-np.pi, np.pi)
-        first = tip + _WAY * np.array([np.cos(turn), np.sin(turn), 0.0])
+        first = tip + 0.6 * np.array([np.cos(turn), np.sin(turn), 0.0])
         obstacle = MovingObstacle(WALKER, (begin, stands), (tuple(first.tolist()), tuple(tip.tolist())))
-        meets = _blocks(touching, tip, q[later[::_STRIDE]])
-        if not meets or _blocks(after, tip, q[-1:]) or _blocks(after, first, q[::_STRIDE]):
+        meets = _blocks(touching, tip, q[later[::stride]])
+        if not meets or _blocks(after, tip, q[-1:]) or _blocks(after, first, q[::stride]):
             continue
         # It walks into no arm, not even into one that has slowed down since it began.
         if not any(_blocks(before, obstacle.at(t[k]), q[walking[walking <= k]]) for k in walking):

@@ -44,7 +44,6 @@ _SHOWN = (
     "gap_deg",
     "planning_s",
 )
-_VIOLATIONS = ("position_violations", "velocity_violations", "acceleration_violations")
 
 
 def write_page(
@@ -131,7 +130,8 @@ def _environment() -> jinja2.Environment:
 
 def _violations(group: Group[Row]) -> int:
     """Number of rollouts with a joint beyond one of its limits."""
-    return sum(any(getattr(row, name) for name in _VIOLATIONS) for row in group.rows)
+    names = [name for name in BY_NAME if name.endswith("_violations")]
+    return sum(any(getattr(row, name) for name in names) for row in group.rows)
 
 
 def _columns() -> list[Column]:

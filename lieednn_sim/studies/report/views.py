@@ -17,10 +17,6 @@ from lieednn_sim.studies.statistics import grouped
 from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_count
 
-# Planners in a view: more would be too small to see.
-_TOGETHER = 4
-_OWN = "lieednn"
-
 
 @dataclass(frozen=True)
 class View:
@@ -53,7 +49,7 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
     solved = [row for row in table.sorted_rows() if row.success and row.controller == controller]
     names = in_order((row.planner for row in solved), PLANNERS)
     totals = {name: sum(row.planner == name for row in solved) for name in names}
-    best = max((name for name in totals if name.startswith(_OWN)), key=lambda name: totals[name], default=None)
+    best = max((name for name in totals if name.startswith("lieednn")), key=lambda name: totals[name], default=None)
     # Of each arm in each scene, the seed that the most planners solved; the first of several.
     problems = []
     for place in grouped(solved, ("arm", "scene")):
@@ -65,7 +61,8 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
     chosen: list[list[Case]] = []
     for rows in problems[:most]:
         by_name = {row.planner: row.case for row in rows}
-        some = sorted(in_order(by_name, PLANNERS), key=lambda name: (name != best, shown[name]))[:_TOGETHER]
+        # More would be too small to see.
+        some = sorted(in_order(by_name, PLANNERS), key=lambda name: (name != best, shown[name]))[:4]
         for name in some:
             shown[name] += 1
         chosen.append([by_name[name] for name in some])
