@@ -108,13 +108,13 @@ class PlannerEntry(Entry):
             package's arms, free and behind the window. Declared, not measured, so that which cases there are depends
             on no machine.
         network: whether its plans have a certifiable network, which a run stores.
-        keeps: whether it can keep the end effector in a region on the way, the argument ``keep`` of `planning.plan`;
-            whether a motion does is checked in any case.
+        path_constraints: whether it takes the argument `path_constraint` of `planning.plan`; whether a motion obeys it
+            is checked in any case.
     """
 
     cost: float = TYPICAL
     network: bool = False
-    keeps: bool = False
+    path_constraints: bool = False
 
 
 @dataclass(frozen=True)
@@ -270,7 +270,7 @@ def optional_module(name: str) -> Any:
 
 
 def _added_planner(place: Any, takes: type | None = None) -> PlannerEntry:
-    return PlannerEntry(place, takes=takes, keeps=True)
+    return PlannerEntry(place, takes=takes, path_constraints=True)
 
 
 #: All planners by name; a comparison's table is in this order.
@@ -326,10 +326,10 @@ PLANNERS: Registry[PlannerEntry] = Registry(
         ),
         "lieednn-shaped": PlannerEntry(
             "planning.shaped:shaped",
-            "a certified network along the motion of a teacher, around obstacles",
+            "a certified network along the motion of a guide, around obstacles",
             "ShapedOptions",
             network=True,
-            keeps=True,
+            path_constraints=True,
         ),
     },
     make=_added_planner,
@@ -342,7 +342,7 @@ POLICIES: Registry[Entry] = Registry(
     "policy",
     {
         "lieednn-shaped": Entry(
-            "policies.networks:shaped", "a certified network shaped for the path of a teacher", "ShapedOptions"
+            "policies.networks:shaped", "a certified network shaped for the path of a guide", "ShapedOptions"
         ),
         "lieednn-certified": Entry(
             "policies.networks:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"

@@ -22,8 +22,8 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from kept_rows import kept_rows
 from matplotlib.figure import Figure
+from saved_rows import saved_rows
 
 import lieednn_sim as ls
 from lieednn_sim import io
@@ -143,7 +143,7 @@ def main(arguments: list[str] | None = None) -> None:
         for planner in options.planners
         for work in LADDERS[planner][1]
     ]
-    runs = kept_rows(folder / "cost_over_time.csv", cases, measured)
+    runs = saved_rows(folder / "cost_over_time.csv", cases, measured)
     runs.sort(key=lambda run: list(LADDERS).index(run["planner"]))
     text = report(runs, f"python scripts/cost_over_time.py --seeds {options.seeds}")
     with io.atomic_text(folder / "cost_over_time.md") as file:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from kept_rows import kept_rows
+from saved_rows import saved_rows
 
 import lieednn_sim as ls
 from lieednn_sim import io
@@ -115,7 +115,7 @@ def main(arguments: list[str] | None = None) -> None:
     directory: Path = io.make_directory(options.output)
     asked = itertools.product(options.arms, options.rates, range(options.pushes))
     cases = [{"arm": arm, "rate": rate, "seed": seed} for arm, rate, seed in asked]
-    rows = kept_rows(directory / "pushes.csv", cases, pushed)
+    rows = saved_rows(directory / "pushes.csv", cases, pushed)
     rows.sort(key=lambda row: (row["arm"], row["rate"], row["seed"]))
     rates = " ".join(f"{rate:g}" for rate in options.rates)
     text = summary(rows, f"python scripts/evaluate_pushes.py --pushes {options.pushes} --rates {rates}")

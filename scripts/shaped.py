@@ -1,4 +1,4 @@
-"""Measure `lieednn-shaped` against its own teacher: arms x scenes x seeds, one row each, resumable.
+"""Measure `lieednn-shaped` against its own guide: arms x scenes x seeds, one row each, resumable.
 
     python scripts/shaped.py [--arms ...] [--scenes ...] [--seeds 50] [--output results/shaped]
 
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from kept_rows import kept_rows
+from saved_rows import saved_rows
 
 import lieednn_sim as ls
 from lieednn_sim import io
@@ -28,7 +28,7 @@ from lieednn_sim.studies.markdown import table
 
 HEADINGS = (
     *("arm", "scene", "motions", "certified", "off the path [mm]", "gap [mm]", "joint jerk", "effector jerk", "path"),
-    *("effort", "clearance [mm]", "teacher's", "fit [ms]", "planning [s]"),
+    *("effort", "clearance [mm]", "guide's", "fit [ms]", "planning [s]"),
 )
 # Forces and clearance are evaluated at every tenth sample.
 STRIDE = 10
@@ -62,15 +62,15 @@ def verified_after_loading(network: ls.LieEDNN) -> bool:
 
 
 def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
-    """Plan a case and compare it with its teacher; ratios are those of the network's motion to the teacher's."""
+    """Plan a case and compare it with its guide; ratios are those of the network's motion to the guide's."""
     room = ls.Arm.load(arm, scene, seed)
     plan = ls.plan(room, ls.draw_target(room, seed), planner="lieednn-shaped", seed=seed)
     assert isinstance(plan.network, ls.LieEDNN)
-    assert plan.teacher is not None
-    motion, guide = plan.motion, plan.teacher.motion
+    assert plan.guide is not None
+    motion, guide = plan.motion, plan.guide.motion
     mine, given = motion_metrics(room, motion), motion_metrics(room, guide)
     return {
-        "teacher": plan.teacher.planner,
+        "guide": plan.guide.planner,
         "hidden": plan.network.n_hidden,
         "certified": int(verified_after_loading(plan.network)),
         "deviation_mm": 1e3 * plan.details.deviation,
@@ -81,10 +81,10 @@ def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
         "path": mine.path_ranges / given.path_ranges,
         "effort": effort(room, motion) / effort(room, guide),
         "clearance_mm": clearance(room, motion),
-        "teacher_clearance_mm": clearance(room, guide),
+        "guide_clearance_mm": clearance(room, guide),
         "motion_s": mine.motion_s,
         "fit_ms": 1e3 * plan.details.fit_time,
-        "teacher_s": plan.teacher.cpu_time,
+        "guide_s": plan.guide.cpu_time,
         "planning_s": plan.cpu_time,
     }
 
@@ -107,16 +107,16 @@ def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
         }
         cells.append([arm, scene, f"{len(good)} of {len(chosen)}", f"{sum(row['certified'] for row in good):.0f}"])
         cells[-1] += [worst[name] for name in ("deviation_mm", "gap_mm", "jerk", "effector_jerk", "path", "effort")]
-        cells[-1] += [worst["clearance_mm"], worst["teacher_clearance_mm"]]
+        cells[-1] += [worst["clearance_mm"], worst["guide_clearance_mm"]]
         cells[-1] += [worst[name] for name in ("fit_ms", "planning_s")]
     yield from table(HEADINGS, cells)
     obstacles = [row for row in groups["all", "obstacles"] if not row["reason"]]
     if obstacles:
         off = np.array([row["deviation_mm"] for row in obstacles])
         near, all_near = np.mean(off < 1.0), np.mean(off < 5.0)
-        yield f"\nAmong obstacles {near:.1%} stay within 1 mm of the teacher's path, {all_near:.1%} within 5 mm."
-        teachers = [row["teacher"] for row in obstacles]
-        yield f"Teachers: {', '.join(f'{name} {teachers.count(name)}' for name in sorted(set(teachers)))}."
+        yield f"\nAmong obstacles {near:.1%} stay within 1 mm of the guide's path, {all_near:.1%} within 5 mm."
+        guides = [row["guide"] for row in obstacles]
+        yield f"Guides: {', '.join(f'{name} {guides.count(name)}' for name in sorted(set(guides)))}."
     for row in rows:
         if row["reason"]:
             yield f"\n- {row['arm']}, {row['scene']}, seed {row['seed']:.0f}: {row['reason']}"
@@ -138,10 +138,10 @@ def main(arguments: list[str] | None = None) -> None:
         for arm in given.arms
         for scene in given.scenes
     ]
-    rows = kept_rows(folder / "rows.csv", cases, measured)
+    rows = saved_rows(folder / "rows.csv", cases, measured)
     head = (
-        "# Shaped networks against their teachers\n\nMedian / worst of the planned "
-        "motions; jerk, path and effort over the teacher's. All are motions of universal networks, whose code "
+        "# Shaped networks against their guides\n\nMedian / worst of the planned "
+        "motions; jerk, path and effort over the guide's. All are motions of universal networks, whose code "
         "is the hidden neurons' start; fit is its time. One seed, from 0 on, for target, obstacles "
         "and planner. Every network was saved, loaded and verified again. Times are CPU seconds of one core.\n"
     )

@@ -139,6 +139,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Push": lambda: ls.Push("link 1", (1.0, 0.0, 0.0), 0.0, 0.1),
     "MovingObstacle": lambda: simulation.MovingObstacle("floor", (0.0, 1.0), ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))),
     "Simulation": lambda: simulation.Simulation(thing("Arm")),
+    "Log": lambda: simulation.Log(simulation.Simulation(thing("Arm"))),
     **{name: functools.partial(_policy, kind) for name, kind in POLICY_CLASSES.items()},
     "FilteredPolicy": lambda: _policy("linear-attractor", safety=policies.FilterOptions()),
     "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), len(thing("Motion").q), None),

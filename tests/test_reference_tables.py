@@ -79,12 +79,12 @@ def test_bounds_and_rates_of_contraction_by_kind_of_network(monkeypatch):
     assert lines[-1] == [kinds[0], "2 of 3", "0.625"]
 
 
-def test_shaped_networks_beside_their_teachers():
+def test_shaped_networks_beside_their_guides():
     figures = ("deviation_mm", "gap_mm", "jerk", "effector_jerk", "path", "effort", "clearance_mm")
-    figures += ("teacher_clearance_mm", "fit_ms", "planning_s")
+    figures += ("guide_clearance_mm", "fit_ms", "planning_s")
 
     def row(arm, scene, seed, value):
-        case = {"arm": arm, "scene": scene, "seed": float(seed), "teacher": "a teacher", "reason": ""}
+        case = {"arm": arm, "scene": scene, "seed": float(seed), "guide": "a guide", "reason": ""}
         return case | dict.fromkeys(figures, value) | {"certified": value < 4.0}
 
     rows = [row("an arm", "poles", seed, value) for seed, value in enumerate((0.5, 0.6, 2.0, 9.0))]
@@ -95,8 +95,8 @@ def test_shaped_networks_beside_their_teachers():
     assert cells(lines[3]) == ["an arm", "free", "1 of 2", "1", *["3 / 3"] * 10]
     assert cells(lines[5])[:3] == ["all", "obstacles", "4 of 4"]
     assert cells(lines[6])[:3] == ["all", "free", "1 of 2"]
-    assert "Among obstacles 50.0% stay within 1 mm of the teacher's path, 75.0% within 5 mm." in lines[7]
-    assert lines[8] == "Teachers: a teacher 4."
+    assert "Among obstacles 50.0% stay within 1 mm of the guide's path, 75.0% within 5 mm." in lines[7]
+    assert lines[8] == "Guides: a guide 4."
     assert lines[9] == "\n- an arm, free, seed 1: no plan"
 
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import cost_over_time
 import evaluate_demonstrations
-import kept_ways
 import numpy as np
+import path_constraints
 import picture_arms
 import pytest
 import real_robots
 import robustness
 import shaped
-from kept_rows import kept_rows
 from PIL import Image
+from saved_rows import saved_rows
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, NoSolutionError
@@ -42,8 +42,8 @@ def test_bounds_are_measured_and_a_broken_one_is_told(tmp_path, monkeypatch, cap
 
 
 def test_ways_that_are_kept_are_counted_and_measured(capsys, monkeypatch):
-    monkeypatch.setattr(kept_ways, "KINDS", ("orientation",))
-    kept_ways.main(["telescopic_pr", "--ways", "1"])
+    monkeypatch.setattr(path_constraints, "KINDS", ("orientation",))
+    path_constraints.main(["telescopic_pr", "--ways", "1"])
     (row,) = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[3:]]
     _, kind, drawn, followed, planned, distance, angle, *_ = row
     assert kind == "orientation"
@@ -155,11 +155,11 @@ def test_cost_over_time_measures_and_draws(tmp_path, capsys, monkeypatch):
         cost_over_time.main(["--planners", "minimum-jerk"])
 
 
-def test_shaped_networks_are_measured_beside_their_teachers(tmp_path):
+def test_shaped_networks_are_measured_beside_their_guides(tmp_path):
     words = ["--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1", "--output", str(tmp_path)]
     shaped.main(words)
     row = shaped.measured("telescopic_pr", "free", 0)
-    assert (row["teacher"], row["certified"]) == ("minimum-jerk", 1)
+    assert (row["guide"], row["certified"]) == ("minimum-jerk", 1)
     assert row["jerk"] == pytest.approx(1.0, abs=0.05)
     assert row["effort"] == pytest.approx(1.0, abs=0.05)
     assert 0.0 < row["gap_mm"] < 1.0
@@ -177,14 +177,14 @@ def test_rows_are_measured_once_in_their_types_and_failures_are_kept_with_their_
 
     cases = [{"name": "an arm", "seed": seed} for seed in range(3)]
     path = tmp_path / "rows.csv"
-    assert kept_rows(path, cases[:2], measure) == [
+    assert saved_rows(path, cases[:2], measure) == [
         {"name": "an arm", "seed": 0, "length": np.inf, "note": 'a "word", another', "reason": ""},
         {"name": "an arm", "seed": 1, "reason": "no way"},
     ]
-    first, failed, last = kept_rows(path, cases, measure)
+    first, failed, last = saved_rows(path, cases, measure)
     assert measured == [0, 1, 2]
     assert first["length"] == last["length"] == np.inf
     assert (first["note"], failed["length"], failed["reason"]) == ('a "word", another', "", "no way")
     path.write_text('"name","seed"\nan arm,0\n')
     with pytest.raises(FileError, match=r"rows\.csv is no table of this script"):
-        kept_rows(path, cases, measure)
+        saved_rows(path, cases, measure)

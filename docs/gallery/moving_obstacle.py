@@ -44,7 +44,7 @@ for name in ("tracker", "lieednn-replanning"):
     force, away = judged.peak_contact_force_n, judged.final_effector_mm
     print(f"{name}: contact force {force:.0f} N, ends {away:.1f} mm off")
 print(f"paths taken: {shown.channels['changes'][-1]:.0f}")
-shown = replace(shown, arm=arm.placed({"obstacle_pole": places[-1]}))
+shown = replace(shown, arm=arm.with_moved_bodies({"obstacle_pole": places[-1]}))
 ls.render_page(shown, "pole.html")
 
 # %%

@@ -3,8 +3,8 @@ On a straight line
 ==================
 
 For whoever draws a drawer, inserts a part or carries a full cup: the end effector has to stay on a line, or as it is
-turned, while the joints find their way. ``keep`` takes the region in which it stays, here a line with an orientation,
-and the network that follows it has its certificate as always.
+turned, while the joints find their way. `path_constraint` takes the region in which it stays, here a line
+with an orientation, and the network that follows it has its certificate as always.
 """
 
 import matplotlib.pyplot as plt
@@ -20,7 +20,7 @@ there = here.translation + np.array([0.0, 1.2, 0.0])
 # The goal is the end of the line, and the region to keep is the line with the orientation at the start.
 
 line = ls.TaskSpaceRegion.line(here.translation, there, here.rotation)
-kept = ls.plan(arm, ls.TaskSpaceRegion.box(there, there), keep=line)
+kept = ls.plan(arm, ls.TaskSpaceRegion.box(there, there), path_constraint=line)
 free = ls.plan(arm, kept.target)
 print(line)
 print(kept.network.certificate)

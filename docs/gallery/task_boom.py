@@ -29,10 +29,10 @@ except ls.PlanError as error:
     print(f"minimum-jerk: {error}")
 
 # %%
-# ``lieednn-shaped`` lets a teacher find a way that keeps 30 mm, and encodes it in a network with a proof.
+# ``lieednn-shaped`` lets a guide find a way that keeps 30 mm, and encodes it in a network with a proof.
 
 found = ls.plan_in(model, data, joints, goal, tip="tip", planner="lieednn-shaped", duration=60.0, clearance=0.03)
-print(f"{found.plan.planner}, {found.t[-1]:.0f} s, taught by {found.plan.teacher.planner}")
+print(f"{found.plan.planner}, {found.t[-1]:.0f} s, guided by {found.plan.guide.planner}")
 print(found.plan.network.certificate)
 
 # %%

@@ -67,7 +67,7 @@ class Arm(SerialArm):
         Args:
             name: an arm of the package; or an MJCF or URDF file (see `from_xml`), optionally followed by its links as
                 in ``robot.urdf:wrist,tool``; or a YAML or JSON file that describes the import (`models.find_model`).
-            scene: a name of `registry.SCENES`, or a file of obstacles (see `among`).
+            scene: a name of `registry.SCENES`, or a file of obstacles (see `with_scene`).
             seed: seed of the obstacles' positions.
             options: import options for such a file (see `from_xml`).
 
@@ -76,7 +76,7 @@ class Arm(SerialArm):
             InputError: an unknown arm or scene, or the file holds no arm.
         """
         found = find_model(name, options)
-        return cls.from_xml(found.path, found.name, **found.options).among(scene, seed)
+        return cls.from_xml(found.path, found.name, **found.options).with_scene(scene, seed)
 
     @classmethod
     def from_xml(
@@ -145,7 +145,7 @@ class Arm(SerialArm):
             keep_from_last_link(spec, [name_in_spec(model, body) for body in grasp.bodies])
         return cls.from_spec(spec, Path("a compiled model"), "arm", report)
 
-    def among(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
+    def with_scene(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
         """This arm with the obstacles of a scene; itself for the scene ``"free"``.
 
         Args:
@@ -165,17 +165,17 @@ class Arm(SerialArm):
             return self
         if self.scene != "free":
             raise InputError(f"arm {self.name!r} already has the obstacles of scene {self.scene!r}")
-        again = ("among", (Path(scene).absolute() if own else label, seed), ImportOptions())
+        again = ("with_scene", (Path(scene).absolute() if own else label, seed), ImportOptions())
         recipe = self.recipe and (*self.recipe, again)
         if own:
-            arm = self.amid(load_obstacles(scene), label)
+            arm = self.with_obstacles(load_obstacles(scene), label)
             check_home(arm, label)
             return replace(arm, recipe=recipe)
         spec = self.spec.copy()
         add_obstacles(spec, self, label, seed)
         return replace(self._of(spec), scene=label, scene_seed=seed, recipe=recipe)
 
-    def amid(self, obstacles: mujoco.MjSpec, label: str) -> Arm:
+    def with_obstacles(self, obstacles: mujoco.MjSpec, label: str) -> Arm:
         """This arm with the obstacles of a spec (see `obstacles.shapes`); does not check that home is free of them.
 
         Args:
@@ -189,7 +189,7 @@ class Arm(SerialArm):
         add_own_obstacles(spec, self, obstacles, label)
         return replace(self._of(spec), scene=label)
 
-    def placed(self, places: Mapping[str, ArrayLike], grown: float = 0.0) -> Arm:
+    def with_moved_bodies(self, places: Mapping[str, ArrayLike], grown: float = 0.0) -> Arm:
         """This arm with obstacles elsewhere, such as where they are measured, and grown by a margin.
 
         Args:

@@ -13,9 +13,6 @@ JOINT_KINDS = {
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
     int(mujoco.mjtJoint.mjJNT_BALL): "ball",
 }
-# Random configurations at which the coordinates of a link are tested, and the singular value below which they are
-# dependent.
-_CONFIGURATIONS, _DEPENDENT = 8, 1e-6
 _NUMBERS = (
     *(f"body_{what}" for what in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")),
     *(f"jnt_{what}" for what in ("pos", "axis", "range", "stiffness")),
@@ -95,12 +92,13 @@ def check_turn(model: mujoco.MjModel, arm: str, joint: int) -> None:
 
 def check_independent(joint: CompoundJoint, size: int, link: str) -> None:
     """Raise `InputError` for a compound joint whose pose determines its coordinates at none of a few configurations."""
-    count, rng = len(joint.indices), np.random.default_rng(0)
+    # They are tested at random configurations, and dependent where the singular value is below the last number.
+    count, configurations, dependent = len(joint.indices), 8, 1e-6
     if count > 6:
         raise InputError(f"{link} is moved by {count} coordinates, but a pose determines six; name more links")
-    frames, _ = joint.pose_and_slopes(rng.uniform(-1.0, 1.0, (_CONFIGURATIONS, size)))
-    columns = np.swapaxes(joint.selection(joint.indices) @ frames[:, 1:].reshape(_CONFIGURATIONS, -1, 12), -1, -2)
-    if least_singular_value(columns, _DEPENDENT).max() < _DEPENDENT:
+    frames, _ = joint.pose_and_slopes(np.random.default_rng(0).uniform(-1.0, 1.0, (configurations, size)))
+    columns = np.swapaxes(joint.selection(joint.indices) @ frames[:, 1:].reshape(configurations, -1, 12), -1, -2)
+    if least_singular_value(columns, dependent).max() < dependent:
         raise InputError(
             f"{link} is moved by {count} coordinates that are not independent; name more links to separate them"
         )

@@ -29,9 +29,6 @@ from lieednn_sim.arm.contacts import moved_by
 from lieednn_sim.arm.deviations import Group
 from lieednn_sim.values import Floats
 
-_CORNERS = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
-# A cylinder is inside a prism around it of this many sides.
-_SIDES = 12
 # Distance below which normals are lost in rounding, so that nothing is proved [m].
 _TOUCHING = 1e-6
 
@@ -226,10 +223,12 @@ def _largest(free: Floats, slope: Floats, bent: Floats) -> Floats:
 
 def _hulls(model: mujoco.MjModel) -> tuple[Floats, Floats]:
     """Corners ``(G, V, 3)`` in the geoms' frames, and radii ``(G,)`` of balls: each geom is inside their sum."""
-    angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
-    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(_SIDES)], axis=1) / np.cos(np.pi / _SIDES)
+    sides = 12  # of the prism around a cylinder
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], axis=1) / np.cos(np.pi / sides)
     prism = np.concatenate([ring, ring])
-    prism[:, 2] = np.repeat([1.0, -1.0], _SIDES)
+    prism[:, 2] = np.repeat([1.0, -1.0], sides)
+    box = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
     segment = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     hulls, radii = np.zeros((model.ngeom, len(prism), 3)), np.zeros(model.ngeom)
     kinds = mujoco.mjtGeom
@@ -244,6 +243,6 @@ def _hulls(model: mujoco.MjModel) -> tuple[Floats, Floats]:
         elif kind == kinds.mjGEOM_PLANE:
             corners = np.zeros((1, 3))
         else:
-            corners = center + _CORNERS * model.geom_aabb[geom, 3:]
+            corners = center + box * model.geom_aabb[geom, 3:]
         hulls[geom] = corners[np.arange(len(prism)) % len(corners)]
     return hulls, radii

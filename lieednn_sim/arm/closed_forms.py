@@ -68,7 +68,7 @@ class HingeSlide:
     def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:
         hinge = next(factor for factor in joint.factors if factor.kind == "hinge")
         slides = [factor for factor in joint.factors if factor.kind == "slide"]
-        self.links: tuple[int, ...] = (link,)
+        self._link = link
         self.indices = np.concatenate([hinge.indices, slides[0].indices])
         n = hinge.axes[:, 0]
         direction = np.sum([slide.ratio * slide.axes[:, 0] for slide in slides], axis=0)
@@ -99,7 +99,7 @@ class HingeSlide:
 
         Angles that the pose does not determine get a rate of zero.
         """
-        link = self.links[0]
+        link = self._link
         rotation = poses.rotation[..., link, :, :]
         x, y, a, b, c = self._coefficients(rotation, poses.translation[..., link, :])
         angle = _highest(x + 2.0 * a * b, y + 2.0 * a * c, b, c)
@@ -135,7 +135,7 @@ class HingeSlide:
 
         f being the part of the slide that turns with the hinge, and |dm| <= |dp| / length + |h_t d theta|.
         """
-        link, length = self.links[0], self._length
+        link, length = self._link, self._length
         poses = MovingPoses(deviations.twist, None)
         x, y, a, b, c = self._coefficients(poses.rotation[..., link, :, :], poses.translation[..., link, :])
         angle = _highest(x + 2.0 * a * b, y + 2.0 * a * c, b, c)
@@ -207,7 +207,7 @@ class OneScrew:
 
     def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:
         assert joint.screw is not None
-        self.links: tuple[int, ...] = (link,)
+        self._link = link
         self.indices = joint.indices
         dual = joint.screw / np.repeat([1.0, length**2], 3)
         self._dual = dual / (dual @ joint.screw)
@@ -219,9 +219,8 @@ class OneScrew:
 
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., 1)`` and their rates."""
-        (link,) = self.links
-        offset = poses.twist[..., link, :] @ self._dual[:, None]
-        return offset, None if poses.twist_rate is None else poses.twist_rate[..., link, :] @ self._dual[:, None]
+        offset = poses.twist[..., self._link, :] @ self._dual[:, None]
+        return offset, None if poses.twist_rate is None else poses.twist_rate[..., self._link, :] @ self._dual[:, None]
 
     @property
     def groups(self) -> list[Group]:
@@ -231,7 +230,7 @@ class OneScrew:
     def spread(self, deviations: Deviations) -> Floats:
         """Bound ``(K, 1)`` of its change, which is linear in that of the twist."""
         lengths = np.linalg.norm(self._dual.reshape(2, 3), axis=1)
-        return np.full((len(deviations.twist), 1), lengths @ deviations.size[self.links[0]])
+        return np.full((len(deviations.twist), 1), lengths @ deviations.size[self._link])
 
 
 class SixDof:
@@ -239,7 +238,7 @@ class SixDof:
 
     def __init__(self, joint: CompoundJoint, link: int) -> None:
         *slides, ball = joint.factors
-        self.links: tuple[int, ...] = (link,)
+        self._link = link
         self.indices = np.concatenate([factor.indices for factor in joint.factors])
         self._inverse = np.linalg.inv(np.column_stack([slide.ratio * slide.axes[:, 0] for slide in slides]))
         self._ball = ball.axes
@@ -256,7 +255,7 @@ class SixDof:
 
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., 6)`` and their rates."""
-        link = self.links[0]
+        link = self._link
         rotvec = rotations(poses.rotation[..., link, :, :]).as_rotvec()
         offset = np.concatenate([poses.translation[..., link, :] @ self._inverse.T, rotvec @ self._ball], axis=-1)
         if poses.rates is None:
@@ -272,7 +271,7 @@ class SixDof:
 
     def spread(self, deviations: Deviations) -> Floats:
         """Bounds ``(K, 2)`` of the changes of the slides and of the rotation vector, omega below half a turn."""
-        link = self.links[0]
+        link = self._link
         slide = float(np.linalg.norm(self._inverse, 2)) * deviations.shift[:, link]
         turn = np.where(deviations.angle[:, link] < np.pi, deviations.turn[link], np.inf)
         return np.stack([slide, turn], axis=-1)

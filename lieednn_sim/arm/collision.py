@@ -140,23 +140,16 @@ class Collisions:
         chosen = np.array(found, dtype=int)[order]
         return np.array(distance)[order], np.array(segments).reshape(-1, 2, 3)[order], self.pairs[chosen]
 
-    def nearest(self, q: ArrayLike) -> tuple[float, tuple[int, int]]:
-        """The smallest signed distance [m] at ``q`` ``(n,)`` and its geom ids; infinite and (-1, -1) without pairs."""
+    def clearance(self, q: ArrayLike) -> float:
+        """The smallest signed distance at ``q`` ``(n,)`` [m]; negative in penetration, infinite without pairs."""
         self._move(q)
         bounds = self._lower_bounds()
-        best, pair = np.inf, (-1, -1)
+        best = np.inf
         for index in np.argsort(bounds, kind="stable").tolist():
             if bounds[index] >= best:
                 break
-            value = self._measure(index, best if np.isfinite(best) else bounds[index] + 2.0 * _PLANE_SIZE)
-            if value < best:
-                first, second = self.pairs[index].tolist()
-                best, pair = value, (first, second)
-        return best, pair
-
-    def clearance(self, q: ArrayLike) -> float:
-        """The smallest signed distance at ``q`` ``(n,)`` [m]; negative in penetration, infinite without pairs."""
-        return self.nearest(q)[0]
+            best = min(best, self._measure(index, best if np.isfinite(best) else bounds[index] + 2.0 * _PLANE_SIZE))
+        return best
 
     def least_clearance(self, q: ArrayLike) -> float:
         """The smallest `clearance` at configurations ``(K, n)`` [m]; fastest when consecutive configurations are close.
@@ -167,7 +160,7 @@ class Collisions:
         configurations = as_floats("q", q, ("K", self.arm.n_joints))
         if not len(configurations):
             return np.inf
-        least, _ = self.nearest(configurations[0])
+        least = self.clearance(configurations[0])
         bounds, (center, rotation) = self._lower_bounds(), self._frames()
         model, data = self.arm.model, self._data
         for qpos in self.arm.qpos(configurations[1:]):
@@ -208,11 +201,9 @@ class Collisions:
         as_count("geom", geom, 0, model.ngeom - 1)
         return model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
 
-    def _move(self, q: ArrayLike) -> Floats:
-        position = as_floats("q", q, (self.arm.n_joints,))
-        self._data.qpos[:] = self.arm.qpos(position)
+    def _move(self, q: ArrayLike) -> None:
+        self._data.qpos[:] = self.arm.qpos(as_floats("q", q, (self.arm.n_joints,)))
         mujoco.mj_kinematics(self.arm.model, self._data)
-        return position
 
     def _frames(self) -> tuple[Floats, Floats]:
         """Centres ``(G, 3)`` and rotations ``(G, 3, 3)`` of the geoms' boxes."""

@@ -17,8 +17,6 @@ _COUNT = (
     *("mesh_", "hfield_", "key_", "qpos"),
 )
 _LOOK = ("_rgba", "_matid", "_group", "_user", "_pathadr", "texcoord", "texcoordadr", "texcoordnum")
-# Decimals that numbers are rounded to, so that rounding on another processor does not change the fingerprint.
-_DECIMALS = 9
 
 
 def arm_fingerprint(arm: SerialArm) -> str:
@@ -53,5 +51,5 @@ def _arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
 
 
 def _rounded(values: NDArray[Any]) -> NDArray[Any]:
-    # Adding zero turns -0.0 into 0.0.
-    return np.round(values, _DECIMALS) + 0.0 if values.dtype.kind == "f" else values
+    # Rounding on another processor does not change the fingerprint; adding zero turns -0.0 into 0.0.
+    return np.round(values, 9) + 0.0 if values.dtype.kind == "f" else values

@@ -13,7 +13,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.regions import TaskSpaceRegion
 from lieednn_sim.errors import InputError, NoSolutionError
-from lieednn_sim.lie import hat, poses
+from lieednn_sim.lie import hat, transforms
 from lieednn_sim.validation import Seed, as_floats, as_generator
 from lieednn_sim.values import Floats
 
@@ -60,7 +60,7 @@ def ik_candidates(
     *,
     start: ArrayLike | str = "home",
     seed: Seed = 0,
-    keep: TaskSpaceRegion | None = None,
+    path_constraint: TaskSpaceRegion | None = None,
 ) -> list[Floats]:
     """Several joint positions ``(n,)`` as of `solve_ik`, the one that is reached soonest first.
 
@@ -73,7 +73,7 @@ def ik_candidates(
         pose: of the end effector in the world, or a region of poses.
         start: joint coordinates ``(n,)`` from which they are to be reached, or a keyframe's name.
         seed: seed of the random starts of the search.
-        keep: a region in which the end effector is, too.
+        path_constraint: a region in which the end effector is, too.
 
     Raises:
         InputError: a value is malformed.
@@ -83,7 +83,7 @@ def ik_candidates(
     pace = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
     goal = pose if isinstance(pose, TaskSpaceRegion) else _Point(pose.translation, pose.rotation)
     found: list[Floats] = []
-    for q in _Search(arm, goal, keep, rest).solutions(seed, 32, several=True):
+    for q in _Search(arm, goal, path_constraint, rest).solutions(seed, 32, several=True):
         # Others differ by more than a thousandth of a joint's range.
         if all(np.abs((q - other) / arm.ranges).max() > 1e-3 for other in found):
             found.append(q)
@@ -119,12 +119,10 @@ class _Point:
         place = ", ".join(f"{x:g}" for x in self._place)
         return f"({place}) m" + ("" if self._rotation is None else " with this orientation")
 
-    def miss(self, pose: RigidTransform) -> str:
-        """Distance of a pose from the position [m], and the angle from the rotation."""
-        distance = f"{np.linalg.norm(pose.translation - self._place):.3g} m"
-        if self._rotation is None:
-            return distance
-        return f"{distance} and {np.rad2deg((self._rotation.inv() * pose.rotation).magnitude()):.3g} degrees"
+    def distance(self, pose: RigidTransform) -> tuple[Floats, Floats | None]:
+        """Distance of a pose from the position [m], and the angle from the rotation, if there is one [rad]."""
+        angle = None if self._rotation is None else (self._rotation.inv() * pose.rotation).magnitude()
+        return np.asarray(np.linalg.norm(pose.translation - self._place)), angle
 
 
 class _Search:
@@ -133,14 +131,16 @@ class _Search:
     Args:
         arm: the arm.
         goal: of the end effector.
-        keep: a region in which it is, too.
+        path_constraint: a region in which it is, too.
         start: ``(n,)`` joint coordinates from which the first search begins.
     """
 
-    def __init__(self, arm: Arm, goal: _Point | TaskSpaceRegion, keep: TaskSpaceRegion | None, start: Floats) -> None:
-        self._arm, self._goal, self._keep, self._start = arm, goal, keep, start
+    def __init__(
+        self, arm: Arm, goal: _Point | TaskSpaceRegion, path_constraint: TaskSpaceRegion | None, start: Floats
+    ) -> None:
+        self._arm, self._goal, self._path_constraint, self._start = arm, goal, path_constraint, start
         # Solutions are sought a little inside of a region, so that they are in it.
-        self._regions = [r.within(2.0 * _TOLERANCE) for r in (goal, keep) if isinstance(r, TaskSpaceRegion)]
+        self._regions = [r.within(2.0 * _TOLERANCE) for r in (goal, path_constraint) if isinstance(r, TaskSpaceRegion)]
         self._data, self._site = mujoco.MjData(arm.model), int(arm.site_ids[-1])
 
     def solutions(
@@ -176,7 +176,7 @@ class _Search:
         """Zero at solutions, for joint coordinates ``(n,)``."""
         place, turn = self._move(q)
         parts = [self._goal.error(place, turn)] if isinstance(self._goal, _Point) else []
-        return np.concatenate([*parts, *(region.excess(poses(turn, place)) for region in self._regions)])
+        return np.concatenate([*parts, *(region.excess(transforms(turn, place)) for region in self._regions)])
 
     def _slopes(self, q: Floats) -> Floats:
         """Derivatives ``(E, n)`` of the error."""
@@ -189,7 +189,7 @@ class _Search:
         linear, angular = linear @ to_rates, angular @ to_rates
         parts = [self._goal.slopes(turn, linear, angular)] if isinstance(self._goal, _Point) else []
         twist = np.vstack([angular, linear])
-        return np.vstack([*parts, *(region.excess_slopes(poses(turn, place)) @ twist for region in self._regions)])
+        return np.vstack([*parts, *(region.excess_slopes(transforms(turn, place)) @ twist for region in self._regions)])
 
     def _move(self, q: Floats) -> tuple[Floats, Floats]:
         """Position ``(3,)`` and rotation ``(3, 3)`` of the end effector."""
@@ -229,18 +229,13 @@ class _Search:
         """The message that nothing was found, with the closest configuration ``(n,)``, or why solutions are refused."""
         arm, goal = self._arm, self._goal
         where = str(goal) if isinstance(goal, _Point) else "the region"
-        reach = f"the end effector cannot reach {where}{'' if self._keep is None else ' within the region to keep'}"
+        within = "" if self._path_constraint is None else " within the region of the path constraint"
+        reach = f"the end effector cannot reach {where}{within}"
         if refused:
             return reach + refused
         near = arm.limit_excess(closest) > -1e-4 * arm.ranges
         names = dict.fromkeys(name for name, at in zip(arm.joint_names, near, strict=True) if at)
         at_limits = f", with {', '.join(map(repr, names))} at the limit" if names else ""
-        return f"{reach}: the closest configuration found is {_miss(arm.link_poses(closest)[-1], goal)} away{at_limits}"
-
-
-def _miss(pose: RigidTransform, goal: _Point | TaskSpaceRegion) -> str:
-    """Distance of the end effector's pose from a goal [m], and the angle where the goal has orientations."""
-    if isinstance(goal, _Point):
-        return goal.miss(pose)
-    distance, angle = goal.distance(pose)
-    return f"{distance:.3g} m and {np.rad2deg(angle):.3g} degrees"
+        distance, angle = goal.distance(arm.link_poses(closest)[-1])
+        miss = f"{distance:.3g} m" + ("" if angle is None else f" and {np.rad2deg(angle):.3g} degrees")
+        return f"{reach}: the closest configuration found is {miss} away{at_limits}"

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim.lie import hat, left_jacobian_so3, log, poses, skew
+from lieednn_sim.lie import hat, left_jacobian_so3, log, skew, transforms
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ class CompoundJoints:
 
     def poses(self, q: Floats) -> RigidTransform:
         """T_i(q), ``(..., n)`` to poses of shape ``(..., N)``."""
-        return poses(*self.matrices(q))
+        return transforms(*self.matrices(q))
 
     def matrices(self, q: Floats) -> tuple[Floats, Floats]:
         """T_i(q) as rotations ``(..., N, 3, 3)`` and translations ``(..., N, 3)``."""
@@ -222,7 +222,7 @@ class CompoundJoints:
             else:
                 moved[i] = joint.pose(offset)
         if moved:
-            twists[..., list(moved), :] = log(poses(*_stacked(moved.values())))
+            twists[..., list(moved), :] = log(transforms(*_stacked(moved.values())))
         return twists
 
 

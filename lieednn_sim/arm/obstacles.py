@@ -30,7 +30,6 @@ _MOST = 10_000
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
 # MuJoCo draws groups 0 to 2 by default.
 _HIDDEN = 5
-_POSE = {"position", "rpy", "quaternion"}
 # The entries of each shape, besides its pose.
 _SHAPES = {
     "box": {"size"},
@@ -40,8 +39,6 @@ _SHAPES = {
     "mesh": {"file", "scale"},
     "plane": set(),
 }
-_OPTIONAL = {"name", "rpy", "quaternion", "scale"}
-_COLOUR = (0.72, 0.54, 0.35, 1.0)
 
 
 def is_scene_file(scene: object) -> bool:
@@ -196,7 +193,7 @@ def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folde
         raise InputError(f"name must be a printable text that no other obstacle has, got {quoted(name)}")
     names.add(name)
     body = spec.worldbody.add_body(name=name, **read_pose(entry))
-    look = {"name": name, "rgba": _COLOUR, "group": 2}
+    look = {"name": name, "rgba": (0.72, 0.54, 0.35, 1.0), "group": 2}
     if shape == "mesh":
         file = folder / as_path("file", entry["file"])
         if not is_file(file):
@@ -222,8 +219,8 @@ def _add_goal(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: P
 
 
 def _check_entries(entry: dict[str, Any], made_of: set[str]) -> None:
-    allowed = made_of | _POSE
-    if missing := allowed - _OPTIONAL - entry.keys():
+    allowed = made_of | {"position", "rpy", "quaternion"}
+    if missing := allowed - {"name", "rpy", "quaternion", "scale"} - entry.keys():
         raise InputError(f"it has no {_listed(missing)}")
     if unknown := entry.keys() - allowed:
         raise InputError(f"unknown entries {_listed(unknown)}; allowed: {_listed(allowed)}")

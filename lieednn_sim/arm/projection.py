@@ -13,10 +13,8 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from dataclasses import field, replace
 from functools import cached_property, partial
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, OneScrew, SixDof
 from lieednn_sim.arm.deviations import Deviations, Group, spread_of_nearest
@@ -59,22 +57,6 @@ class Retraction:
         return gap
 
 
-class _Solver(Protocol):
-    """Retracts links onto the coordinates ``indices``."""
-
-    indices: NDArray[np.int_]
-
-    def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
-        """Displacements ``(..., c)`` from the reference and their rates; followed from ``near`` if given."""
-
-    @property
-    def groups(self) -> list[Group]:
-        """Its coordinates in groups."""
-
-    def spread(self, deviations: Deviations) -> Floats:
-        """Bounds ``(K, G)`` of the changes of these groups."""
-
-
 class Retractor:
     """Retracts the poses of an arm's compound joints.
 
@@ -86,7 +68,6 @@ class Retractor:
     def __init__(self, joints: CompoundJoints, length: float) -> None:
         self._joints = joints
         self._solvers = _solvers(joints, length)
-        self._searching = any(isinstance(solver, _Nearest) for solver in self._solvers)
 
     @property
     def exact(self) -> bool:
@@ -102,8 +83,7 @@ class Retractor:
             start: ``(n,)`` configuration from which ``xi`` ``(K, ..., N, 6)`` are followed along their first axis, see
                 `nearest.NearestPose.follow`; or guesses ``(K, ..., n)`` of the result.
         """
-        if self._searching:
-            check_time()
+        check_time()
         near = None if start is None else start - self._joints.reference
         given = MovingPoses(xi, xi_dot)
         reference = self._joints.reference
@@ -185,8 +165,8 @@ class _Nearest:
         return offset.reshape(flat), rates.reshape(flat)
 
 
-def _solvers(joints: CompoundJoints, length: float) -> list[_Solver]:
-    solvers: list[_Solver] = []
+def _solvers(joints: CompoundJoints, length: float) -> list[OneScrew | HingeSlide | SixDof | _Nearest]:
+    solvers: list[OneScrew | HingeSlide | SixDof | _Nearest] = []
     searched: dict[Hashable, list[tuple[int, ...]]] = {}
     for links in _sharing(joints):
         joint = joints.joints[links[0]]

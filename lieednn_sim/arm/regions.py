@@ -11,14 +11,13 @@ import scipy
 from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import poses, rotations
+from lieednn_sim.lie import rotations, transforms
 from lieednn_sim.validation import Seed, as_floats, as_generator, as_nonnegative
 from lieednn_sim.values import Floats, frozen, set_fields
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
-_COORDINATES = ("x", "y", "z", "the rotation about x", "the rotation about y", "the rotation about z")
 _FREE = np.full(3, np.inf)
 # Bounds and frames are at most this far away [m], so that squares stay far from overflow.
 _FARTHEST = 1e6
@@ -53,7 +52,8 @@ class TaskSpaceRegion:
             as_floats(f"the translation of {name}", getattr(self, name).translation, (3,), largest=_FARTHEST)
         lower, upper = (_as_bounds(name, getattr(self, name)) for name in ("lower", "upper"))
         set_fields(self, lower=lower + 0.0, upper=upper + 0.0)  # no negative zeros
-        for what, low, high in zip(_COORDINATES, lower, upper, strict=True):
+        coordinates = (turn + axis for turn in ("", "the rotation about ") for axis in "xyz")
+        for what, low, high in zip(coordinates, lower, upper, strict=True):
             if not low <= high or np.inf in (low, -high):
                 raise InputError(f"the lower bound of {what} must not be above the upper one, got {low:g} and {high:g}")
             if "rotation" in what and np.isinf(low) != np.isinf(high):
@@ -117,9 +117,9 @@ class TaskSpaceRegion:
                 raise InputError("axis must not be zero")
             frame = scipy.spatial.transform.Rotation.align_vectors(along[None], [[0.0, 0.0, 1.0]])[0]
             width[2] = np.inf
-        offset = poses((frame.inv() * rotation).as_matrix(), np.zeros(3))
+        offset = transforms((frame.inv() * rotation).as_matrix(), np.zeros(3))
         bounds = np.concatenate([_FREE, width])
-        return cls(poses(frame.as_matrix(), np.zeros(3)), -bounds, bounds, offset)
+        return cls(transforms(frame.as_matrix(), np.zeros(3)), -bounds, bounds, offset)
 
     @classmethod
     def box(
@@ -147,10 +147,10 @@ class TaskSpaceRegion:
         width = _FREE if rotation is None else np.full(3, as_nonnegative("angle", angle, _FARTHEST))
         turned = np.eye(3) if rotation is None else (frame.inv() * rotation).as_matrix()
         return cls(
-            poses(frame.as_matrix(), place),
+            transforms(frame.as_matrix(), place),
             np.concatenate([low, -width]),
             np.concatenate([high, width]),
-            poses(turned, np.zeros(3)),
+            transforms(turned, np.zeros(3)),
         )
 
     def displacement(self, pose: RigidTransform) -> Floats:
@@ -241,9 +241,9 @@ class TaskSpaceRegion:
         return np.where((off[1] < off[0])[..., None], both[1], both[0])
 
     def _pose(self, displacement: Floats) -> RigidTransform:
-        moved = poses(_matrix(displacement[..., 3:]), displacement[..., :3]).as_matrix()
+        moved = transforms(_matrix(displacement[..., 3:]), displacement[..., :3]).as_matrix()
         made = self.pose.as_matrix() @ moved @ self.offset.as_matrix()
-        return poses(made[..., :3, :3], made[..., :3, 3])
+        return transforms(made[..., :3, :3], made[..., :3, 3])
 
 
 def _matrix(angles: Floats) -> Floats:

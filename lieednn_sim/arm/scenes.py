@@ -25,11 +25,6 @@ HOME_CLEARANCE = 0.05
 PREFIX = "obstacle_"
 GOAL_PREFIX = "obstacle_goal"
 
-# The sizes below are for an arm of this horizontal reach [m].
-_NOMINAL_REACH = 2.3
-_SAMPLES = 2048
-# Groups of geoms that are rendered, and that are not.
-_SEEN, _UNSEEN = 2, 3
 _BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
 # Options of a geom that touches nothing.
 _DRAWN = {"contype": 0, "conaffinity": 0}
@@ -113,7 +108,7 @@ def window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: 
         "right": ((x, -width + sides[1] / 2.0, z), (thickness, sides[1] / 2.0, half[1])),
     }
     for name, (pos, size) in panels.items():
-        _geom(body, f"wall_{name}", pos, size, "panel", group=_UNSEEN)
+        _geom(body, f"wall_{name}", pos, size, "panel", group=3)  # not rendered
     # Transparent panels would show the faces between them: one wall with a hole is rendered instead.
     outline = np.array([(-width, 0.0), (width, 0.0), (width, top), (-width, top)])
     opening = np.array([y, z]) + half * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
@@ -224,13 +219,14 @@ def _surroundings(arm: SerialArm) -> _Surroundings:
     extents = np.abs(ahead @ turns) * model.geom_aabb[parts, 3:]
     front = float(((centers - origin) @ ahead + extents.sum(axis=1)).max())
     # Weighted towards the ends of the ranges: configurations in the middle do not reach far.
-    draws = np.random.default_rng(0).beta(0.4, 0.4, (_SAMPLES, arm.n_joints))
+    draws = np.random.default_rng(0).beta(0.4, 0.4, (2048, arm.n_joints))
     tips = np.asarray(arm.link_poses(arm.position_limits[:, 0] + draws * arm.ranges).translation)[:, -1] - origin
     spread = np.linalg.norm(tips[:, :2], axis=1)
     level = np.abs(tips[:, 2] - (tip[2] - floor)) < 0.25 * spread.max()
     reach = float(np.quantile(spread[level] if level.sum() > 50 else spread, 0.99))
     turned = np.array([np.hypot(*(tip - origin)[:2]), 0.0, tip[2] - floor])
-    return _Surroundings(arm, origin, yaw, reach / _NOMINAL_REACH, front, turned, max(reach, front + 0.15 * reach))
+    # The sizes of obstacles are for an arm with a horizontal reach of 2.3 m.
+    return _Surroundings(arm, origin, yaw, reach / 2.3, front, turned, max(reach, front + 0.15 * reach))
 
 
 def _pierced_plate(x: float, thickness: float, outline: Floats, opening: Floats) -> dict[str, list[float]]:
@@ -254,7 +250,8 @@ def _pierced_plate(x: float, thickness: float, outline: Floats, opening: Floats)
 def _geom(
     body: mujoco.MjsBody, name: str, pos: Any, size: Any, material: str, kind: Any = _BOX, **options: Any
 ) -> None:
-    options = {"group": _SEEN, "contype": 1, "conaffinity": 1, **options}
+    # Geoms of group 2 are rendered.
+    options = {"group": 2, "contype": 1, "conaffinity": 1, **options}
     body.add_geom(name=PREFIX + name, type=kind, pos=pos, size=size, material=PREFIX + material, **options)
 
 

@@ -15,7 +15,7 @@ from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import poses
+from lieednn_sim.lie import transforms
 from lieednn_sim.validation import as_count, as_floats, quoted
 from lieednn_sim.values import Floats
 
@@ -195,7 +195,7 @@ class SerialArm:
             frame = frame @ moved[..., i, :, :]
             frames.append(frame)
         stacked = np.stack(frames, axis=-3)
-        return poses(stacked[..., :3, :3], stacked[..., :3, 3])
+        return transforms(stacked[..., :3, :3], stacked[..., :3, 3])
 
     def tip(self, q: ArrayLike) -> Floats:
         """Positions of the end effector in the world, ``(..., n)`` to ``(..., 3)`` [m]: those of the last link frame.
@@ -235,21 +235,14 @@ class SerialArm:
         """
         last = as_count("link", link, -self.n_links, self.n_links - 1) % self.n_links
         q = as_floats("q", q, (self.n_joints,), batched=True)
-        flat = q.reshape(-1, self.n_joints)
-        tip = np.asarray(self.link_poses(flat).translation)[:, last, None]
-        moved, mounts, tips = (each.as_matrix() for each in (self.joint_poses(flat), self.mounts, self.tips))
-        jacobian, frame = np.zeros((len(flat), 6, self.n_joints)), self.base.as_matrix()
-        for i, joint in enumerate(self.joints.joints[: last + 1]):
-            before = frame @ mounts[i]
-            slopes, omega = joint.pose_and_slopes(flat - self.joints.reference)
-            # Along the world's axes: rows of vectors times the transposed rotation.
-            to_world = np.swapaxes(before[..., :3, :3], -1, -2)
-            omega, velocity = omega @ to_world, slopes[:, 1:, :, 3] @ to_world
-            after = before @ moved[:, i]
-            columns = np.concatenate([omega, velocity + np.cross(omega, tip - after[:, None, :3, 3])], axis=-1)
-            jacobian += np.swapaxes(columns, -1, -2) @ joint.selection(np.arange(self.n_joints)).T
-            frame = after @ tips[i]
-        return jacobian.reshape(*q.shape[:-1], 6, self.n_joints)
+        flat, data = q.reshape(-1, self.n_joints), mujoco.MjData(self.model)
+        twists = np.empty((len(flat), 6, self.model.nv))
+        for twist, data.qpos[:] in zip(twists, self.qpos(flat), strict=True):
+            mujoco.mj_kinematics(self.model, data)
+            mujoco.mj_comPos(self.model, data)
+            mujoco.mj_jacSite(self.model, data, twist[3:], twist[:3], int(self.site_ids[last]))
+        rates = self.qvel(flat[:, None], np.eye(self.n_joints))
+        return (twists @ np.swapaxes(rates, -1, -2)).reshape(*q.shape[:-1], 6, self.n_joints)
 
     def encode(self, q: ArrayLike) -> Floats:
         """Network coordinates (omega, v / length_scale) of T_i(q), ``(..., n)`` to ``(..., N, 6)``.

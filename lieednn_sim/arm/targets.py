@@ -10,7 +10,6 @@ import numpy as np
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.arm.scenes import GOAL_PREFIX
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.typecheck import typecheck_public
@@ -88,7 +87,7 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
     low, high = arm.position_limits.T
     inset = LIMIT_MARGIN * arm.ranges
     near: Counter[tuple[str, str]] = Counter()
-    tight = []
+    tight = 0
     collisions = None if arm.scene == "free" else Collisions(arm)
     for attempt in range(_ATTEMPTS):
         # Where the joint ranges are too small for the paper's distribution, fall back to that of other arms.
@@ -102,23 +101,13 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
         if not contacts and (collisions is None or collisions.is_free(q, TARGET_CLEARANCE, own=0.0)):
             return q
         near.update(contacts)
-        if not contacts:
-            tight.append(q)
+        tight += not contacts
     shown = ", ".join(f"{one!r} and {other!r} in {count}" for (one, other), count in near.most_common(3))
     raise NoSolutionError(
         f"no target free of contact was found for arm {arm.name!r}; of {_ATTEMPTS} random configurations, "
-        f"contacts: {shown or 'none'}{_too_near(collisions, tight)}"
+        f"contacts: {shown or 'none'}; without contact, but something nearer than {1e3 * TARGET_CLEARANCE:g} mm, in "
+        f"{tight}; give the joint coordinates or a position instead"
     )
-
-
-def _too_near(collisions: Collisions | None, tight: list[Floats]) -> str:
-    """What to add about configurations without contact that something is too near for a target."""
-    if collisions is None or not tight:
-        return ""
-    found = (pair for q in tight for pair in collisions.distances(q, TARGET_CLEARANCE).pairs)
-    near = Counter(collisions.names(pair) for pair in found if not moving_geoms(collisions.arm.model)[pair].all())
-    shown = ", ".join(f"{one!r} and {other!r} in {count}" for (one, other), count in near.most_common(3))
-    return f"; nearer than {1e3 * TARGET_CLEARANCE:g} mm: {shown}; give the joint coordinates or a position instead"
 
 
 def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: Floats) -> Floats | None:

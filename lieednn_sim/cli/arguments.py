@@ -130,30 +130,31 @@ class Planning(Goal):
     """A motion to plan.
 
     Attributes:
-        planner: one of these (default: lieednn-certified; lieednn-shaped among obstacles, with --keep, or where three
-            hinges move a link): a name of `PLANNERS`
+        planner: one of these (default: lieednn-certified; lieednn-shaped among obstacles, with --path-constraint, or
+            where three hinges move a link): a name of `PLANNERS`
         option: an option of the planner; --planner NAME --help lists them.
-        keep: line or orientation: let the end effector go on a straight line, or keep its orientation, on the way.
+        path_constraint: line or orientation: let the end effector go on a straight line, or keep its orientation, on
+            the way.
         fastest: follow the planned path as fast as the arm's limits allow.
         time_budget: largest CPU time for planning [s]; inf for no limit.
     """
 
     planner: str | None = None
     option: tuple[Setting, ...] = ()
-    keep: str | None = None
+    path_constraint: str | None = None
     fastest: bool = False
     time_budget: float = DEFAULT_TIME_BUDGET
 
-    def kept_region(self, arm: Arm, start: Floats, goal: _Goal) -> TaskSpaceRegion | None:
+    def constraint_region(self, arm: Arm, start: Floats, goal: _Goal) -> TaskSpaceRegion | None:
         """The region to keep between a start and a goal of `start_and_goal`."""
-        if self.keep is None:
+        if self.path_constraint is None:
             return None
         here = arm.link_poses(start)[-1]
-        if as_choice("keep", self.keep, ("line", "orientation")) == "orientation":
+        if as_choice("path_constraint", self.path_constraint, ("line", "orientation")) == "orientation":
             return TaskSpaceRegion.orientation(here.rotation)
         if isinstance(goal, list):
             if len(goal) > 1:
-                raise InputError(f"--keep line takes one goal, got {len(goal)} of --pose")
+                raise InputError(f"--path-constraint line takes one goal, got {len(goal)} of --pose")
             there = goal[0].translation
         else:
             there = goal.project(here).translation if isinstance(goal, TaskSpaceRegion) else arm.tip(goal)

@@ -38,13 +38,13 @@ def make_plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) 
     target = planning.usual_target(arm)
     if target is not None and target.startswith(RANDOM):
         console.print(f"target: {target}")
-    start, goal = planning.start_and_goal(arm, place=planning.keep is not None)
-    keep = planning.kept_region(arm, start, goal)
+    start, goal = planning.start_and_goal(arm, place=planning.path_constraint is not None)
+    path_constraint = planning.constraint_region(arm, start, goal)
     shown = {
         # JSON has no infinity.
         "time_budget": None if planning.time_budget == math.inf else planning.time_budget,
         "fastest": planning.fastest,
-        "keep": planning.keep,
+        "path_constraint": planning.path_constraint,
         "option": {} if options is None else asdict(options),
     }
     about = {"planner": planner, "reason": reason, "options": shown}
@@ -61,7 +61,7 @@ def make_plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) 
             time_budget=planning.time_budget,
             options=options,
             fastest=planning.fastest,
-            keep=keep,
+            path_constraint=path_constraint,
             progress=report,
         )
     task = replace(task, target=tuple(result.target.tolist()))
@@ -77,7 +77,7 @@ def _planner(arm: Arm, planning: Planning) -> tuple[str, str]:
     The default does not depend on what is installed: if it cannot run, that is an error.
     """
     name, reason = default_planner(arm) if planning.planner is None else (planning.planner, "asked for")
-    if planning.planner is None and planning.keep is not None:
+    if planning.planner is None and planning.path_constraint is not None:
         name, reason = OBSTACLE_PLANNER, "the default where a region is kept"
     PLANNERS.find(name)
     PLANNERS.require(name)
@@ -103,8 +103,8 @@ def print_outcome(result: Plan) -> None:
     rows.add_row("mechanism gap", _gap(result.motion))
     if isinstance(details, CertifiedDetails):
         rows.add_row("networks", f"{details.n_networks} networks drawn, {details.within_limits} keep the joint limits")
-    if isinstance(details, ShapedDetails) and result.teacher is not None:
-        rows.add_row("teacher", result.teacher.planner)
+    if isinstance(details, ShapedDetails) and result.guide is not None:
+        rows.add_row("guide", result.guide.planner)
         rows.add_row("off its path", f"{1e3 * details.deviation:.2g} mm at the end effector")
     if network is None:
         rows.add_row("proof", "none, as this planner makes no network")

@@ -123,7 +123,7 @@ class ArmTask(ABC):
 
     Args:
         arm: name of an arm of the package, or an arm.
-        scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.among`.
+        scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
         scene_seed: seed of the obstacles' positions.
         control_timestep: time between actions [s], a whole number of physics steps.
         time_limit: duration of an episode [s].
@@ -160,7 +160,7 @@ class ArmTask(ABC):
         rotation_tolerance: float = SETTLED_ROTATION,
     ) -> None:
         if isinstance(arm, Arm):
-            self.arm = arm.among(scene, scene_seed)
+            self.arm = arm.with_scene(scene, scene_seed)
         else:
             self.arm = Arm.load(arm, scene, as_seed("scene_seed", scene_seed))
         if not (np.isfinite(self.arm.position_limits).all() and np.isfinite(self.arm.velocity_limits).all()):

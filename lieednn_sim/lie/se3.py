@@ -113,7 +113,7 @@ def rotations(matrix: Floats) -> Rotation:
     return scipy.spatial.transform.Rotation(quaternions.reshape(*matrix.shape[:-2], 4), normalize=False)
 
 
-def poses(rotation: Floats, translation: Floats) -> RigidTransform:
+def transforms(rotation: Floats, translation: Floats) -> RigidTransform:
     """`RigidTransform` of shape ``(...)`` from translations ``(..., 3)`` and matrices as for `rotations`."""
     turns = scipy.spatial.transform.Rotation.from_matrix(rotation.reshape(-1, 3, 3), assume_valid=True).as_matrix()
     matrix = np.zeros((*translation.shape[:-1], 4, 4))

@@ -11,7 +11,7 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.live.snapshot import Snapshot
-from lieednn_sim.rendering import stage, viser_scene
+from lieednn_sim.rendering import scene_setup, viser_scene
 from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
 from lieednn_sim.values import Floats
 
@@ -39,12 +39,12 @@ class ArmScene:
     def __init__(self, server: Any, arm: Arm, pose: tuple[Floats, Floats]) -> None:
         self._scene, self._arm = server.scene, arm
         scene = self._scene
-        points = stage.reached(arm)
-        model, self._marker = stage.staged(arm, points)
+        points = scene_setup.reached(arm)
+        model, self._marker = scene_setup.staged(arm, points)
         shapes = viser_scene.Shapes(model)
-        self._scale = stage.scale(arm, points)
+        self._scale = scene_setup.scale(arm, points)
         home = kinematics_at(model, arm.qpos(arm.keyframe("home")))
-        seen = viser_scene.viewpoint(model, home, stage.camera(arm, None, points), points)
+        seen = viser_scene.viewpoint(model, home, scene_setup.camera(arm, None, points), points)
         self._view, self._reached = seen.back_off(points, _RATIO), points
         self._view.place(server)
         server.on_client_connect(self._make_room)

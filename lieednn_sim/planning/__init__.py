@@ -10,6 +10,7 @@ from lieednn_sim.planning.baselines.qshnn import QshnnOptions
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, RrtStarOptions
 from lieednn_sim.planning.baselines.stomp import StompOptions
 from lieednn_sim.planning.certified import CertifiedOptions
+from lieednn_sim.planning.guides import GuideOptions
 from lieednn_sim.planning.in_model import ModelPlan, plan_in
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion
@@ -24,7 +25,6 @@ from lieednn_sim.planning.retiming import retime
 from lieednn_sim.planning.sequence import PlanSequence, SequencePart, plan_sequence
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.planning.steps import Actuate, Move
-from lieednn_sim.planning.teachers import TeacherOptions
 from lieednn_sim.planning.tube import Tube, find_tube
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.typecheck import typecheck_public
@@ -35,6 +35,7 @@ __all__ = [
     "Actuate",
     "CertifiedOptions",
     "DmpOptions",
+    "GuideOptions",
     "ModelPlan",
     "Motion",
     "Move",
@@ -49,7 +50,6 @@ __all__ = [
     "SequencePart",
     "ShapedOptions",
     "StompOptions",
-    "TeacherOptions",
     "TrainedOptions",
     "Tube",
     "default_planner",

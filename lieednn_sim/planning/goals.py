@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, NoSolutionError
-from lieednn_sim.planning.kept import followed
 from lieednn_sim.planning.motion import least_duration
+from lieednn_sim.planning.path_constraints import followed
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
@@ -59,26 +59,26 @@ def _single(arm: Arm, target: Goal, what: str, *, outermost: bool = True) -> Ite
 
 
 def candidates(
-    arm: Arm, target: Goal, start: Floats, seed: int = 0, keep: TaskSpaceRegion | None = None
+    arm: Arm, target: Goal, start: Floats, seed: int = 0, path_constraint: TaskSpaceRegion | None = None
 ) -> Iterator[Floats]:
     """Joint positions ``(n,)`` with one of the goals, the one that is reached soonest (`least_duration`) first.
 
     Poses and regions have those of `ik_candidates`. In a set, goals that the arm cannot reach are left out. If a region
-    is to be kept, those that the arm reaches in small steps within it (`kept.followed`) come first.
+    is to be kept, those that the arm reaches in small steps within it (`path_constraints.followed`) come first.
 
     Args:
         arm: the arm, in its scene.
         target: a goal or a set of goals, as of `plan`.
         start: ``(n,)`` where the motion begins.
         seed: seed of the inverse kinematics.
-        keep: a region in which the end effector must be, too.
+        path_constraint: a region in which the end effector must be, too.
 
     Raises:
         InputError: a goal is malformed; or the only one is a joint position that cannot be used.
         NoSolutionError: the only pose or region cannot be reached, or no goal of a set can.
     """
     goals = single_goals(arm, target)
-    near = [] if keep is None else list(_followed(arm, goals, start, keep))
+    near = [] if path_constraint is None else list(_followed(arm, goals, start, path_constraint))
     yield from sorted(near, key=lambda q: least_duration(arm, start, q))
     found, refusals = list[Floats](), list[InputError | NoSolutionError]()
     for goal in goals:
@@ -87,7 +87,7 @@ def candidates(
             if isinstance(goal, np.ndarray | str):
                 found.append(arm.check_reachable(goal, "target"))
             else:
-                found += ik_candidates(arm, goal, start=start, seed=seed, keep=keep)
+                found += ik_candidates(arm, goal, start=start, seed=seed, path_constraint=path_constraint)
         except (InputError, NoSolutionError) as error:
             refusals.append(error)
     yield from sorted(found, key=lambda q: least_duration(arm, start, q))
@@ -97,13 +97,13 @@ def candidates(
         raise NoSolutionError(f"none of {len(goals)} goals can be reached; the first one: {refusals[0]}")
 
 
-def _followed(arm: Arm, goals: Sequence[Single], start: Floats, keep: TaskSpaceRegion) -> Iterator[Floats]:
+def _followed(arm: Arm, goals: Sequence[Single], start: Floats, path_constraint: TaskSpaceRegion) -> Iterator[Floats]:
     """Joint positions ``(n,)``, free of contact, in goals that are poses or regions."""
     for goal in goals:
         check_time()
         if isinstance(goal, np.ndarray | str):
             continue
         region = goal if isinstance(goal, TaskSpaceRegion) else TaskSpaceRegion(goal, np.zeros(6), np.zeros(6))
-        q = followed(arm, start, region, keep)
+        q = followed(arm, start, region, path_constraint)
         if q is not None and not arm.near_contacts(q):
             yield q

@@ -70,7 +70,7 @@ def plan_in(
     time_budget: float = DEFAULT_TIME_BUDGET,
     options: PlannerOptions | None = None,
     fastest: bool = False,
-    keep: TaskSpaceRegion | None = None,
+    path_constraint: TaskSpaceRegion | None = None,
     holding: str | None = None,
     touching: Sequence[str] = (),
 ) -> ModelPlan:
@@ -91,7 +91,7 @@ def plan_in(
         tip: body or site of the end effector, by default the last body that the joints move.
         limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s].
         clearance: distance that the motion keeps from contact, start and goal included [m].
-        planner, duration, max_time_scale, seed, time_budget, options, fastest, keep: as of `plan`.
+        planner, duration, max_time_scale, seed, time_budget, options, fastest, path_constraint: as of `plan`.
         holding: name of a body with a free joint that the tip carries: it moves with the tip from where it is now. What
             holds it may touch it. It keeps the clearance from all else, except from what it stands on, that is, what it
             is nearer to now: that it may touch, but sink no deeper into than now.
@@ -134,7 +134,7 @@ def plan_in(
         time_budget=time_budget,
         options=options,
         fastest=fastest,
-        keep=keep,
+        path_constraint=path_constraint,
     )
     motion = found.motion
     qpos, qvel = np.tile(data.qpos, (len(motion.t), 1)), np.zeros((len(motion.t), model.nv))

@@ -112,28 +112,28 @@ class NetworkPath:
         return cls(arm, network, begin, network.visible(target), trajectory, speed)
 
     @classmethod
-    def encoded(cls, arm: Arm, network: LieEDNN, guide: Motion, units: Floats) -> NetworkPath:
+    def encoded(cls, arm: Arm, network: LieEDNN, given: Motion, units: Floats) -> NetworkPath:
         """The path of a universal network from the start of a motion that it follows, in closed form.
 
         Args:
             arm: decodes states to joint positions.
             network: the universal network (`synthesis.CurveEncoder`) with the code of a curve.
-            guide: the motion, whose joint positions are the guesses from which the path is decoded.
+            given: the motion, whose joint positions are the guesses from which the path is decoded.
             units: as of `integrate`.
 
         Raises:
             InputError: the network is another one.
         """
-        visible = CurveEncoder(network.n_visible, network.activation).path(network, guide.xi[0])
+        visible = CurveEncoder(network.n_visible, network.activation).path(network, given.xi[0])
         w = visible.x
         speed = PchipInterpolator(w, np.linalg.norm(visible(w, 1) * units, axis=(-2, -1)))
         # Decoded at every third instant, and at all where they become denser; the spline is good to a micrometre.
         some = w[(np.arange(len(w)) % 3 == 0) | (w > 0.95)]
         # Both paths have about the same length.
-        passed, length = np.append(0.0, np.cumsum(step_lengths(guide.xi, units))), speed.antiderivative()(some)
-        near = np.stack([np.interp(length, passed, joint) for joint in guide.q.T], axis=1)
+        passed, length = np.append(0.0, np.cumsum(step_lengths(given.xi, units))), speed.antiderivative()(some)
+        near = np.stack([np.interp(length, passed, joint) for joint in given.q.T], axis=1)
         joints = make_interp_spline(some, arm.decode(visible(some), start=near).q, 5)
-        return cls(arm, network, guide.q[0], network.bias[: network.n_visible], visible, speed, joints)
+        return cls(arm, network, given.q[0], network.bias[: network.n_visible], visible, speed, joints)
 
     def timed(self, duration: float, timestep: float, law: Law | None = None) -> Motion:
         """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`.

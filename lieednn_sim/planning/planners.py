@@ -13,9 +13,9 @@ from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning.goals import Goal, candidates
-from lieednn_sim.planning.kept import check_kept
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
+from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.registry import PLANNERS, PlannerEntry, optional_module
@@ -91,7 +91,7 @@ def default_planner(arm: Arm) -> tuple[str, str]:
     """Name of the default planner for an arm in its scene, and the reason for the choice.
 
     Where three or more hinges move one link, the arm often cannot follow a network's own path, since the configuration
-    nearest to it changes abruptly. There, and among obstacles, the default planner follows a teacher's motion.
+    nearest to it changes abruptly. There, and among obstacles, the default planner follows a guide's motion.
     """
     if arm.scene != "free":
         return OBSTACLE_PLANNER, "the default among obstacles"
@@ -113,7 +113,7 @@ def plan(
     time_budget: float = DEFAULT_TIME_BUDGET,
     options: PlannerOptions | None = None,
     fastest: bool = False,
-    keep: TaskSpaceRegion | None = None,
+    path_constraint: TaskSpaceRegion | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Plan:
     """Plan a motion from rest to rest within the arm's limits and free of contact.
@@ -136,9 +136,9 @@ def plan(
             motion, never which one.
         options: options of the planner, of its class in `PLANNERS`; by default that class's defaults.
         fastest: retime the planned path to the arm's limits (`retime`); the duration then applies to planning only.
-        keep: region in which the end effector stays on the way, such as a line or an orientation; start and target
-            must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only some
-            planners can keep one.
+        path_constraint: region in which the end effector stays on the way, such as a line or an orientation; start and
+            target must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only
+            some planners can keep one.
         progress: called with (done, total) after every candidate, by planners that draw a fixed number of them.
 
     Raises:
@@ -151,10 +151,10 @@ def plan(
         LieEDNNError: a library that the planner needs is not installed (see `PLANNERS.missing`).
     """
     if planner is None:
-        planner = default_planner(arm)[0] if keep is None else OBSTACLE_PLANNER
+        planner = default_planner(arm)[0] if path_constraint is None else OBSTACLE_PLANNER
     entry = PLANNERS.find(planner)
-    if keep is not None and not entry.keeps:
-        able = ", ".join(name for name, each in PLANNERS.items() if each.keeps)
+    if path_constraint is not None and not entry.path_constraints:
+        able = ", ".join(name for name, each in PLANNERS.items() if each.path_constraints)
         raise InputError(f"the planner {planner!r} cannot keep a region on the way; planners that can: {able}")
     given = given_options(f"the planner {planner!r}", entry.options, options)
     if fastest:
@@ -162,14 +162,14 @@ def plan(
     begin, number = cpu_time(), as_seed("seed", seed)
     q = arm.configuration(start, "start")
     # The rest of a bad problem is refused before goals are searched for, which is within the budget.
-    first = PlanningProblem(arm, q, q, duration, number, time_budget, max_time_scale, progress, keep)
+    first = PlanningProblem(arm, q, q, duration, number, time_budget, max_time_scale, progress, path_constraint)
     refusal: LieEDNNError = NoSolutionError("there is no goal")
     with time_limit(first.time_budget):
-        for goal in candidates(arm, target, q, number, keep):
+        for goal in candidates(arm, target, q, number, path_constraint):
             try:
                 result = _solved(entry, replace(first, target=goal), *given)
                 motion = retime(arm, result.motion) if fastest else result.motion
-                check_kept(arm, keep, motion)
+                check_path_constraint(arm, path_constraint, motion)
             except (PlanError, NotCertifiedError) as error:
                 refusal = error
             else:

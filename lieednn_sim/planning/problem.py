@@ -14,8 +14,8 @@ from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, as_time_budget
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
-from lieednn_sim.planning.kept import end_outside
 from lieednn_sim.planning.motion import Motion, count_steps
+from lieednn_sim.planning.path_constraints import end_outside
 from lieednn_sim.validation import as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields, frozen, set_fields
 
@@ -41,7 +41,7 @@ class PlanningProblem:
         time_budget: CPU time that a planner may take [s].
         max_time_scale: largest duration that the motion may take, as a multiple of `duration`.
         progress: called with (done, total) after every candidate, by planners that draw a fixed number of them.
-        keep: region in which the end effector stays on the way; none if it may go anywhere.
+        path_constraint: region in which the end effector stays on the way; none if it may go anywhere.
 
     Raises:
         InputError: a value is malformed, or start or target cannot be used: beyond a limit, closer to contact than the
@@ -56,12 +56,12 @@ class PlanningProblem:
     time_budget: float = DEFAULT_TIME_BUDGET
     max_time_scale: float = 3.0
     progress: Callable[[int, int], None] | None = None
-    keep: TaskSpaceRegion | None = None
+    path_constraint: TaskSpaceRegion | None = None
 
     def __post_init__(self) -> None:
         set_fields(self, **{name: self.arm.check_reachable(getattr(self, name), name) for name in ("start", "target")})
         for name in ("start", "target"):
-            if off := end_outside(self.arm, self.keep, getattr(self, name)):
+            if off := end_outside(self.arm, self.path_constraint, getattr(self, name)):
                 raise InputError(f"at the {name} the end effector is outside the region to keep: by {off}")
         check_fields(self, as_positive, "duration", "max_time_scale")
         if self.max_time_scale < 1.0:
@@ -95,7 +95,7 @@ class Plan:
         target: ``(n,)`` joint target [rad, m].
         planner: name of the planner.
         cpu_time: CPU time that planning took [s].
-        teacher: the plan that the motion follows, with its planner's name; None if it follows none.
+        guide: the plan that the motion follows, with its planner's name; None if it follows none.
     """
 
     motion: Motion
@@ -104,7 +104,7 @@ class Plan:
     target: Floats = field(default_factory=lambda: np.empty(0), repr=False)
     planner: str = ""
     cpu_time: float = math.nan
-    teacher: Plan | None = None
+    guide: Plan | None = None
 
 
 def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any) -> _Made:

@@ -1,9 +1,9 @@
-"""A certified network shaped after the motion of a teacher.
+"""A certified network shaped after the motion of a guide.
 
-The teacher is the best of a few quick motions (`teachers`). It is encoded as a start of the arm's universal network
+The guide is the best of a few quick motions (`guides`). It is encoded as a start of the arm's universal network
 (`synthesis.CurveEncoder`); for a clock rate below 1, which that network cannot have, one is shaped by
-`synthesis.shape`. The motion follows the network's path by the teacher's time law. It is proved that the network ends
-at the target from every start; its distance from the teacher's path, limits and clearance are only checked.
+`synthesis.shape`. The motion follows the network's path by the guide's time law. It is proved that the network ends
+at the target from every start; its distance from the guide's path, limits and clearance are only checked.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.kept import check_kept
+from lieednn_sim.planning.guides import GuideOptions, best_guide
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
+from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
-from lieednn_sim.planning.teachers import TeacherOptions, best_teacher
 from lieednn_sim.planning.time_laws import law_of
 from lieednn_sim.synthesis import CurveEncoder, ShapingOptions, shape
 from lieednn_sim.values import Floats, frozen
 
-_TEACHER = TeacherOptions()
-# Every second sample of the teacher's motion is a sample of the curve.
+_GUIDE = GuideOptions()
+# Every second sample of the guide's motion is a sample of the curve.
 _STRIDE = 2
 
 
@@ -37,15 +37,15 @@ class ShapedOptions(NetworkOptions):
     """Options of the planner ``lieednn-shaped``.
 
     Attributes:
-        deviation: largest deviation of the end effector's path from the teacher's [m].
+        deviation: largest deviation of the end effector's path from the guide's [m].
         rate: rho of the network's clock (`ShapingOptions`). With 1 the motion is encoded in the arm's universal network
             (`synthesis.CurveEncoder`), which is as fast as the arm; with less a network is shaped that returns to its
             path after a push.
-        teachers: largest number of teachers' motions to try until a network follows one, each from the next seed;
+        guides: largest number of guides' motions to try until a network follows one, each from the next seed;
             minimum jerk is tried once.
         neurons: with a rate below 1, numbers of hidden neurons to try in turn until the network comes within a fifth of
             the deviation.
-        teacher: how the teacher's motion is found.
+        guide: how the guide's motion is found.
 
     Raises:
         InputError: a value is out of range.
@@ -53,9 +53,9 @@ class ShapedOptions(NetworkOptions):
 
     deviation: float = 5e-3
     rate: float = field(default=1.0, metadata={"range": (0.01, 1.0)})
-    teachers: int = 1
+    guides: int = 1
     neurons: tuple[int, ...] = field(default=(8, 16, 32, 64), metadata={"range": (2, 256)})
-    teacher: TeacherOptions = _TEACHER
+    guide: GuideOptions = _GUIDE
 
 
 @frozen
@@ -63,7 +63,7 @@ class ShapedDetails:
     """Further results of the planner ``lieednn-shaped``.
 
     Attributes:
-        deviation: largest distance of the end effector's path from the teacher's [m].
+        deviation: largest distance of the end effector's path from the guide's [m].
         fit_time: CPU time of the encoding or the shaping [s].
     """
 
@@ -72,50 +72,50 @@ class ShapedDetails:
 
 
 def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
-    """A network shaped after the motion of the best teacher.
+    """A network shaped after the motion of the best guide.
 
     Raises:
         LieEDNNError: OMPL is needed but not installed.
-        PlanError: no teacher finds a motion, or no network follows it closely enough.
+        PlanError: no guide finds a motion, or no network follows it closely enough.
     """
-    for attempt in range(options.teachers):
-        teacher = best_teacher(replace(problem, seed=problem.seed + attempt), options.teacher)
+    for attempt in range(options.guides):
+        guide = best_guide(replace(problem, seed=problem.seed + attempt), options.guide)
         try:
-            return _following(problem, options, teacher)
+            return _following(problem, options, guide)
         except PlanError as error:
             # Minimum jerk does not depend on the seed.
-            if attempt + 1 == options.teachers or teacher.planner == "minimum-jerk":
-                raise PlanError(f"no network follows the motion of {teacher.planner}: {error}") from None
-    raise AssertionError("options.teachers is at least one")
+            if attempt + 1 == options.guides or guide.planner == "minimum-jerk":
+                raise PlanError(f"no network follows the motion of {guide.planner}: {error}") from None
+    raise AssertionError("options.guides is at least one")
 
 
-def _following(problem: PlanningProblem, options: ShapedOptions, teacher: Plan) -> Plan:
-    """A network shaped after a teacher's motion."""
-    guide, arm = teacher.motion, problem.arm
-    lasts = float(guide.t[-1])
-    # The teacher's duration, which may be longer than the problem's.
+def _following(problem: PlanningProblem, options: ShapedOptions, guide: Plan) -> Plan:
+    """A network shaped after a guide's motion."""
+    given, arm = guide.motion, problem.arm
+    lasts = float(given.t[-1])
+    # The guide's duration, which may be longer than the problem's.
     asked = replace(problem, duration=lasts, max_time_scale=max(1.0, problem.max_time_scale * problem.duration / lasts))
-    if np.abs(guide.xi - guide.xi[0]).max() == 0.0:
-        network = without_weights(guide.xi_target)
+    if np.abs(given.xi - given.xi[0]).max() == 0.0:
+        network = without_weights(given.xi_target)
         path = NetworkPath.integrate(arm, network, problem.start)
-        return Plan(in_time(timed_motion, asked, path), network, ShapedDetails(0.0, 0.0), teacher=teacher)
-    units, start = lever_units(arm, guide.q), cpu_time()
-    network = _network(arm, options, np.concatenate([guide.xi[:-1:_STRIDE], guide.xi_target[None]]), units)
+        return Plan(in_time(timed_motion, asked, path), network, ShapedDetails(0.0, 0.0), guide=guide)
+    units, start = lever_units(arm, given.q), cpu_time()
+    network = _network(arm, options, np.concatenate([given.xi[:-1:_STRIDE], given.xi_target[None]]), units)
     fit_time = cpu_time() - start
     if options.rate < 1.0:
         path = NetworkPath.integrate(arm, network, problem.start, units)
     else:
-        path = NetworkPath.encoded(arm, network, guide, units)
-    motion = in_time(timed_motion, asked, path, law_of(guide, units))
-    check_kept(arm, problem.keep, motion)
+        path = NetworkPath.encoded(arm, network, given, units)
+    motion = in_time(timed_motion, asked, path, law_of(given, units))
+    check_path_constraint(arm, problem.path_constraint, motion)
     some = motion.q[:: max(1, len(motion.q) // 400)]
-    deviation = _deviation(arm.tip(some), arm.tip(guide.q[::_STRIDE]))
+    deviation = _deviation(arm.tip(some), arm.tip(given.q[::_STRIDE]))
     if deviation > options.deviation:
         raise PlanError(
             f"the end effector would be {1e3 * deviation:.2g} mm off its path, and deviation allows "
             f"{1e3 * options.deviation:.2g} mm"
         )
-    return Plan(motion, path.network, ShapedDetails(deviation, fit_time), teacher=teacher)
+    return Plan(motion, path.network, ShapedDetails(deviation, fit_time), guide=guide)
 
 
 def _network(arm: Arm, options: ShapedOptions, curve: Floats, units: Floats) -> LieEDNN:

@@ -33,7 +33,7 @@ class Move:
         touching: names of bodies that the held one may touch, besides what it stands on at the beginning.
         planner, duration, max_time_scale, seed, time_budget, clearance, options, fastest: as of `plan_in`; None for
             those of the sequence.
-        keep: region in which the tip stays on the way; none if it may go anywhere.
+        path_constraint: region in which the tip stays on the way; none if it may go anywhere.
     """
 
     goal: Any = field(kw_only=False)
@@ -48,7 +48,7 @@ class Move:
     clearance: float | None = None
     options: PlannerOptions | None = None
     fastest: bool | None = None
-    keep: TaskSpaceRegion | None = None
+    path_constraint: TaskSpaceRegion | None = None
 
     def __post_init__(self) -> None:
         label = self.name or (self.goal if isinstance(self.goal, str) else "move")

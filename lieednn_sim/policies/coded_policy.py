@@ -28,7 +28,7 @@ from scipy.interpolate import PPoly
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning.coded_course import CodedCourse
+from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.planning.transition import JointState, straight, transition
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
@@ -79,7 +79,7 @@ class CodedPolicy(FeedbackPolicy):
         rest = JointState(q, np.zeros_like(q), np.zeros_like(q))
         stay = transition(self.arm, rest, straight(self.arm, q, q, _SOONEST))
         self.changes = -1
-        self._follow(CodedCourse(self.arm, self._encoder, stay, self.arm.encode(q)))
+        self._follow(TimedPath(self.arm, self._encoder, stay, self.arm.encode(q)))
 
     @abstractmethod
     def decide(self, target: Floats) -> None:
@@ -138,7 +138,7 @@ class CodedPolicy(FeedbackPolicy):
         now, pace = self._now()
         made = transition(self.arm, now, base, clear)
         try:
-            course = CodedCourse(self.arm, self._encoder, made, self.state)
+            course = TimedPath(self.arm, self._encoder, made, self.state)
         except InputError as error:
             raise PlanError(f"the network cannot follow the motion: {error}") from None
         self.pace, self._pace_rate = pace, 0.0
@@ -149,7 +149,7 @@ class CodedPolicy(FeedbackPolicy):
         """How far the present motion goes on, in its time, until the arm can rest [s]."""
         return self.pace**2 / (2.0 * self._braking)
 
-    def _follow(self, course: CodedCourse) -> None:
+    def _follow(self, course: TimedPath) -> None:
         """Follow a course from its beginning."""
         self.course, self.network = course, course.network
         self.time, self._z, self.rest_at = 0.0, 0.0, math.inf

@@ -139,7 +139,7 @@ def _path(
     refused: InputError | None = None
     # With less of the margin where start or target are nearer than that.
     for share in (1.0, 0.5, 0.0):
-        there = arm.placed(places, share * margin)
+        there = arm.with_moved_bodies(places, share * margin)
         try:
             # Nearly every motion needs more than this, and gets it.
             problem = PlanningProblem(there, *ends, duration=0.5, seed=seed, max_time_scale=100.0)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.rendering import stage
+from lieednn_sim.rendering import scene_setup
 from lieednn_sim.simulation import ModelRun, Rollout
 from lieednn_sim.values import Floats, frozen
 
@@ -47,7 +47,7 @@ class Overlay:
     @classmethod
     def of(cls, rollout: Rollout | ModelRun, scale: float) -> Overlay:
         """The overlay of a rollout: its reference's link frames, and the simulated end effector."""
-        return cls(stage.planned_frames(rollout), stage.travelled(rollout), scale)
+        return cls(scene_setup.planned_frames(rollout), scene_setup.travelled(rollout), scale)
 
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
         """Add the geometry of sample ``k`` to a scene."""

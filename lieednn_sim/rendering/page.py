@@ -11,7 +11,7 @@ from pathlib import Path
 from lieednn_sim import io
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import optional_module
-from lieednn_sim.rendering import stage
+from lieednn_sim.rendering import scene_setup
 from lieednn_sim.rendering.overlay import KEY
 from lieednn_sim.rendering.recording import record
 from lieednn_sim.rendering.video import check_camera
@@ -83,18 +83,18 @@ def render_page(
     """
     if as_path("path", path).suffix != ".html":
         raise InputError(f"a page's name must end in .html, got {Path(path).name!r}")
-    what = stage.shown(rollout)
+    what = scene_setup.shown(rollout)
     check_camera(what, camera)
     recording = record([rollout], camera=camera, progress=progress)
     controller = [] if isinstance(rollout, ModelRun) else [rollout.controller]
-    texts = [f"<b>{escape(stage.place(what))}</b>"]
+    texts = [f"<b>{escape(scene_setup.place(what))}</b>"]
     texts += [escape(word) for word in (title, *controller, _duration(rollout)) if word]
     for (red, green, blue, _), word in KEY:
         colour = f"rgb({255 * red:.0f} {255 * green:.0f} {255 * blue:.0f})"
         texts.append(f'<i style="background:{colour}"></i>{word} path')
     page = player(
         base64.b64encode(recording.content).decode("ascii"),
-        title=f"{title or 'Motion'} on {stage.place(what)}",
+        title=f"{title or 'Motion'} on {scene_setup.place(what)}",
         style=_STYLE.replace("RATIO", f"{recording.ratio:.3f}"),
         header="<header>" + "".join(f"<span>{text}</span>" for text in texts) + "</header>",
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.errors import InputError
-from lieednn_sim.rendering import stage, viser_scene
+from lieednn_sim.rendering import scene_setup, viser_scene
 from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
 from lieednn_sim.simulation import ModelRun, Rollout
 from lieednn_sim.values import Floats
@@ -60,12 +60,12 @@ def record(
         raise InputError("rollouts side by side must be of one arm in one scene, and there must be one at least")
     if labels and len(labels) != len(rollouts):
         raise InputError(f"labels must be one for each of {len(rollouts)} rollouts, got {len(labels)}")
-    arm = stage.shown(rollouts[0])
-    points = np.vstack([stage.occupied(rollout) for rollout in rollouts])
-    model, marker = stage.staged(arm, points)
+    arm = scene_setup.shown(rollouts[0])
+    points = np.vstack([scene_setup.occupied(rollout) for rollout in rollouts])
+    model, marker = scene_setup.staged(arm, points)
     shapes = viser_scene.Shapes(model)
-    home = kinematics_at(model, stage.as_qpos(arm, stage.positions(rollouts[0])[0]))
-    view = viser_scene.viewpoint(model, home, stage.camera(arm, camera, points), points)
+    home = kinematics_at(model, scene_setup.as_qpos(arm, scene_setup.positions(rollouts[0])[0]))
+    view = viser_scene.viewpoint(model, home, scene_setup.camera(arm, camera, points), points)
     offsets, ratio = np.zeros((1, 3)), float(np.clip(_MARGIN * view.ratio(points), 1.0, _WIDE))
     held = np.vstack([points, *map(_corners, (points, shapes.extent))])
     if len(rollouts) > 1:
@@ -81,7 +81,7 @@ def record(
     with viser_scene.quiet_server() as server:
         view.place(server)
         viser_scene.add_floor(server.scene, shapes)
-        scale = stage.scale(arm, points)
+        scale = scene_setup.scale(arm, points)
         copies = [
             _Copy(server.scene, shapes, marker, rollout, f"/{k}", offset, scale)
             for k, (rollout, offset) in enumerate(zip(rollouts, offsets, strict=True))
@@ -116,14 +116,14 @@ class _Copy:
     ) -> None:
         self._rollout, self._nodes = rollout, viser_scene.ModelNodes(scene, shapes, name, offset=offset)
         self._shown, self._positions, self._way = (
-            stage.shown(rollout),
-            stage.positions(rollout),
-            stage.travelled(rollout),
+            scene_setup.shown(rollout),
+            scene_setup.positions(rollout),
+            scene_setup.travelled(rollout),
         )
         self._data = mujoco.MjData(shapes.model)
-        stage.mark(self._shown, self._data, marker, stage.target(rollout))
+        scene_setup.mark(self._shown, self._data, marker, scene_setup.target(rollout))
         self._samples = np.unique(np.linspace(0, len(rollout.t) - 1, 101, dtype=int))
-        self._plan = stage.planned_frames(rollout)[self._samples, -1, :3, 3]
+        self._plan = scene_setup.planned_frames(rollout)[self._samples, -1, :3, 3]
         off = np.linalg.norm(self._plan - self._way[self._samples], axis=1)
         self._followed = off < scale * TRACED_RADIUS
         self._planned = viser_scene.add_path(
@@ -138,7 +138,7 @@ class _Copy:
         """Move to a time [s] after the beginning, or to the end."""
         rollout = self._rollout
         k = min(round(time / rollout.timestep), len(rollout.t) - 1)
-        self._data.qpos[:] = stage.as_qpos(self._shown, self._positions[k])
+        self._data.qpos[:] = scene_setup.as_qpos(self._shown, self._positions[k])
         mujoco.mj_kinematics(self._nodes.model, self._data)
         self._nodes.show(self._data)
         tip = self._way[k]

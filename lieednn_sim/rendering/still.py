@@ -11,7 +11,7 @@ from PIL import Image as Picture
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
-from lieednn_sim.rendering import stage
+from lieednn_sim.rendering import scene_setup
 from lieednn_sim.rendering.overlay import Overlay
 from lieednn_sim.rendering.video import Camera, Image
 from lieednn_sim.simulation import ModelRun, Rollout
@@ -59,9 +59,9 @@ def render_still(
 
 def still(rollout: Rollout | ModelRun, *, camera: str | None, size: tuple[int, int], preset: str) -> Image:
     """The picture ``(height, width, 3)`` of `render_still`."""
-    points, what, rows = stage.occupied(rollout), stage.shown(rollout), stage.positions(rollout)
-    overlay = Overlay.of(rollout, stage.scale(what, points))
-    model = stage.model_of(what)
+    points, what, rows = scene_setup.occupied(rollout), scene_setup.shown(rollout), scene_setup.positions(rollout)
+    overlay = Overlay.of(rollout, scene_setup.scale(what, points))
+    model = scene_setup.model_of(what)
     moving = (model.body_weldid[model.geom_bodyid] != 0) & (model.body_mocapid[model.geom_bodyid] < 0)
     chosen = instants(overlay.traced_tip, len(OPACITIES))
 
@@ -74,7 +74,9 @@ def still(rollout: Rollout | ModelRun, *, camera: str | None, size: tuple[int, i
                 geom.pos[:] = _AWAY
         draw(scene)
 
-    with Camera(what, camera=camera, size=size, preset=preset, target=stage.target(rollout), points=points) as view:
+    with Camera(
+        what, camera=camera, size=size, preset=preset, target=scene_setup.target(rollout), points=points
+    ) as view:
         empty = view.picture(rows[0], draw_without_arm)
         # In the order of time. Where a picture is the empty one, the arm is not, nor its shadow.
         made = empty.astype(float)

@@ -18,7 +18,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.io import atomic_path
-from lieednn_sim.rendering import ffmpeg, opengl, stage
+from lieednn_sim.rendering import ffmpeg, opengl, scene_setup
 from lieednn_sim.rendering.overlay import Overlay, write_caption
 from lieednn_sim.simulation import ModelRun, Rollout
 from lieednn_sim.typecheck import typecheck_public
@@ -44,7 +44,7 @@ PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=Tru
 
 
 def check_view(
-    what: stage.Shown, *, camera: str | None = None, size: tuple[int, int] = (1280, 720), preset: str = "nice"
+    what: scene_setup.Shown, *, camera: str | None = None, size: tuple[int, int] = (1280, 720), preset: str = "nice"
 ) -> None:
     """Raise `InputError` for an unknown camera or preset, or a size that cannot be rendered."""
     check_camera(what, camera)
@@ -56,10 +56,10 @@ def check_view(
         raise InputError(f"size must be even and at most {_MAX_WIDTH}x{_MAX_HEIGHT}, got {width}x{height}")
 
 
-def check_camera(what: stage.Shown, camera: str | None) -> None:
+def check_camera(what: scene_setup.Shown, camera: str | None) -> None:
     """Raise `InputError` for a camera that the scene does not have."""
     if camera is not None:
-        as_choice("camera", camera, stage.cameras(what))
+        as_choice("camera", camera, scene_setup.cameras(what))
 
 
 def check_rate(fps: float, path: str | os.PathLike[str]) -> float:
@@ -80,9 +80,9 @@ class Camera:
         camera: name of a camera of its scene; by default ``overview`` if there is one, else a view of ``points``.
         size: (width, height) in pixels, both even, at most 3840x2160.
         preset: a name of `PRESETS`.
-        target: joint target ``(n,)`` for the marker, the scene's own or an added one (`stage.staged`); a given model
-            has no marker.
-        points: points ``(P, 3)`` that the view must contain; by default those of `stage.reached`.
+        target: joint target ``(n,)`` for the marker, the scene's own or an added one (`scene_setup.staged`); a given
+            model has no marker.
+        points: points ``(P, 3)`` that the view must contain; by default those of `scene_setup.reached`.
 
     Raises:
         InputError: the camera or preset is unknown, or the size cannot be rendered.
@@ -91,7 +91,7 @@ class Camera:
 
     def __init__(
         self,
-        arm: stage.Shown,
+        arm: scene_setup.Shown,
         *,
         camera: str | None = None,
         size: tuple[int, int] = (1280, 720),
@@ -102,9 +102,9 @@ class Camera:
         check_view(arm, camera=camera, size=size, preset=preset)
         opengl.require()
         self._arm, self._preset = arm, PRESETS[preset]
-        held = stage.reached(arm) if points is None else as_floats("points", points, (3,), batched=True)
-        self._model, self._marker = stage.staged(arm, held)
-        self._camera = stage.camera(arm, camera, held)
+        held = scene_setup.reached(arm) if points is None else as_floats("points", points, (3,), batched=True)
+        self._model, self._marker = scene_setup.staged(arm, held)
+        self._camera = scene_setup.camera(arm, camera, held)
         self._model.vis.global_.offwidth, self._model.vis.global_.offheight = size
         self._model.vis.quality.offsamples = self._preset.samples
         self._data = mujoco.MjData(self._model)
@@ -126,7 +126,7 @@ class Camera:
         Of a given model, ``q`` is MuJoCo's ``(nq,)``.
         """
         size = self._arm.n_joints if isinstance(self._arm, Arm) else self._model.nq
-        self._data.qpos[:] = stage.as_qpos(self._arm, as_floats("q", q, (size,)))
+        self._data.qpos[:] = scene_setup.as_qpos(self._arm, as_floats("q", q, (size,)))
         mujoco.mj_forward(self._model, self._data)
         # Twice, because MuJoCo puts the headlight where the camera was at the previous update.
         for _ in range(2):
@@ -143,7 +143,7 @@ class Camera:
         if not isinstance(self._arm, Arm) or (target is None and self._model.nbody == self._arm.model.nbody):
             return
         goal = None if target is None else as_floats("target", target, (self._arm.n_joints,))
-        stage.mark(self._arm, self._data, self._marker, goal)
+        scene_setup.mark(self._arm, self._data, self._marker, goal)
 
 
 def render_video(
@@ -177,23 +177,25 @@ def render_video(
     Returns:
         The number of frames.
     """
-    shown = stage.shown(rollout)
+    shown = scene_setup.shown(rollout)
     if as_path("path", path).suffix not in (".mp4", ".gif"):
         raise InputError(f"a video's name must end in .mp4 or .gif, got {Path(path).name!r}")
     rate = check_rate(fps, path)
     # The slack keeps the last frame when duration * fps is a whole number up to rounding.
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
-    points = stage.occupied(rollout)
-    overlay = Overlay.of(rollout, stage.scale(shown, points))
-    names, rows, end = [title] if title else [], stage.positions(rollout), rollout.t[-1]
-    view = Camera(shown, camera=camera, size=size, preset=preset, target=stage.target(rollout), points=points)
+    points = scene_setup.occupied(rollout)
+    overlay = Overlay.of(rollout, scene_setup.scale(shown, points))
+    names, rows, end = [title] if title else [], scene_setup.positions(rollout), rollout.t[-1]
+    view = Camera(shown, camera=camera, size=size, preset=preset, target=scene_setup.target(rollout), points=points)
     with view, atomic_path(path) as temporary:
         # A picture is captioned and encoded while the next one is rendered.
         with _writer(temporary, size, rate) as append, ThreadPoolExecutor(1) as encoder:
 
             def write(picture: Image, now: float) -> None:
-                append(write_caption(picture, [*names, *stage.caption(rollout, now), f"{now:.2f} s of {end:.2f} s"]))
+                append(
+                    write_caption(picture, [*names, *scene_setup.caption(rollout, now), f"{now:.2f} s of {end:.2f} s"])
+                )
 
             written: Future[None] | None = None
             for done, k in enumerate(samples, start=1):

@@ -10,7 +10,7 @@ from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.following import Following, follow
 from lieednn_sim.simulation.in_model import run_in
-from lieednn_sim.simulation.log import Channel, Instant, Log
+from lieednn_sim.simulation.log import Channel, Log
 from lieednn_sim.simulation.many import Rollouts, simulate_many
 from lieednn_sim.simulation.model_run import ModelRun
 from lieednn_sim.simulation.moving_obstacles import MovingObstacle
@@ -25,7 +25,6 @@ __all__ = [
     "Controller",
     "Disturbances",
     "Following",
-    "Instant",
     "Log",
     "ModelRun",
     "MovingObstacle",

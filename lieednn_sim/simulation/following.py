@@ -18,7 +18,7 @@ from lieednn_sim.policies.base import has_jumped
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference, interpolator
-from lieednn_sim.simulation.rollout import Rollout, as_rollout
+from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.tracking import make_controlled
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
@@ -119,9 +119,7 @@ def follow(
             loop.act()
             record.step()
     end = total * arm.timestep
-    rollout = as_rollout(
-        arm,
-        record,
+    rollout = record.rollout(
         loop.reference.q,
         loop.reference.qd,
         target=targets[-1],
@@ -186,8 +184,7 @@ class ClosedLoop:
             reference.forget(row - 1)
             self._forgotten += row - 1
         if self.simulation.disturbances.obstacles:
-            self.simulation.moved.apply(self.simulation.time)
-            self.policy.see(self.simulation.moved.places())
+            self.policy.see(self.simulation.move_obstacles())
         measured, before = self.simulation.measured()[0], (self.policy.q, self.policy.qd)
         begun = time.thread_time()
         after = self.policy.step(measured, target)

@@ -5,14 +5,16 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import rotations
+from lieednn_sim.simulation.disturbances import tangent_basis
+from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
@@ -76,34 +78,6 @@ class Channel:
         return (samples,)
 
 
-class Instant(NamedTuple):
-    """Data of one instant, or of K along a first axis; the forces are those of the step that begins there.
-
-    Attributes:
-        t: time [s].
-        qpos: ``(nq,)`` MuJoCo's positions.
-        qvel: ``(nv,)`` MuJoCo's velocities.
-        ctrl: ``(nu,)`` actuator controls.
-        actuator_force: ``(nv,)`` forces of actuators, including gravity compensation [N m, N].
-        constraint_force: ``(nv,)`` forces of contacts, joint limits, couplings and welds [N m, N].
-        link_position: ``(N, 3)`` link frames, world [m].
-        link_quaternion: ``(N, 4)`` the same, (w, x, y, z).
-        contacts: number of contacts.
-        contact_force: largest normal force among them [N].
-    """
-
-    t: Floats
-    qpos: Floats
-    qvel: Floats
-    ctrl: Floats
-    actuator_force: Floats
-    constraint_force: Floats
-    link_position: Floats
-    link_quaternion: Floats
-    contacts: NDArray[np.int_]
-    contact_force: Floats
-
-
 class Log:
     """Steps a simulation from its present state, and keeps the instant before each step.
 
@@ -165,30 +139,56 @@ class Log:
             samples.append(source.sample(self._data))
         self._rows += 1
 
-    def instants(self) -> Instant:
-        """All instants so far, along the first axis of every array."""
-        rows, log = self._rows, {name: self._read(*pair) for name, pair in self._log.items()}
-        # Gravity compensation that bypasses MuJoCo's actuators, which have to exert it, too.
-        model = self._simulation.model
-        bypassing = log["compensation"] * (model.jnt_actgravcomp[model.dof_jntid] == 0)
-        matrices = log["rotations"][:, self._sites].reshape(rows, len(self._sites), 3, 3)
+    def rollout(self, q_ref: Floats, qd_ref: Floats, **conditions: Any) -> Rollout:
+        """The steps so far, in the arm's coordinates.
+
+        Args:
+            q_ref: reference ``(M, n)`` of the joint coordinates at these steps, and possibly later ones [rad, m].
+            qd_ref: its rates.
+            conditions: further fields of the `Rollout`.
+
+        Raises:
+            InputError: a reference is malformed, or shorter than the steps.
+        """
+        arm, model, rows = self._simulation.arm, self._simulation.model, self._rows
+        known = (
+            as_floats("q_ref", q_ref, (arm.n_joints,), batched=True),
+            as_floats("qd_ref", qd_ref, (arm.n_joints,), batched=True),
+        )
+        q_ref, qd_ref = (as_floats("reference", value[:rows], (rows, arm.n_joints)) for value in known)
+        log = {
+            name: np.frombuffer(stream.getvalue(), count=rows * view.size).reshape(rows, *view.shape)
+            for name, (stream, view) in self._log.items()
+        }
         contacts, contact_force = np.zeros(rows, dtype=int), np.zeros(rows)
         for row, touching, force in self._contacts:
             contacts[row], contact_force[row] = touching, force
-        return Instant(
+        # The gravity compensation of some dofs bypasses MuJoCo's actuators, which have to exert it, too.
+        bypassing = ~model.jnt_actgravcomp[model.dof_jntid].astype(bool)
+        exerted, basis = log["actuators"] + bypassing * log["compensation"], tangent_basis(arm)
+        matrices = log["rotations"][:, self._sites].reshape(rows, len(self._sites), 3, 3)
+        q = arm.coordinates(log["qpos"])
+        channels, units = self._channels()
+        return Rollout(
+            arm=arm,
             t=self._simulation.timestep * np.arange(self._first, self._first + rows, dtype=float),
-            qpos=log["qpos"].copy(),
-            qvel=log["qvel"].copy(),
-            ctrl=log["ctrl"].copy(),
-            actuator_force=log["actuators"] + bypassing,
-            constraint_force=log["constraints"].copy(),
+            q=q,
+            qd=arm.rates(q, log["qvel"]),
+            q_ref=q_ref.copy(),
+            qd_ref=qd_ref.copy(),
+            ctrl=log["ctrl"],
+            force=np.nan_to_num(exerted) @ basis,
+            constraint_force=np.nan_to_num(log["constraints"]) @ basis,
             link_position=log["positions"][:, self._sites],
             link_quaternion=rotations(matrices).as_quat(scalar_first=True),
             contacts=contacts,
             contact_force=contact_force,
+            channels=channels,
+            channel_units=units,
+            **conditions,
         )
 
-    def channels(self) -> tuple[dict[str, Floats], dict[str, str]]:
+    def _channels(self) -> tuple[dict[str, Floats], dict[str, str]]:
         """The channels by name, with the instants along the first axis, and their units by name."""
         values: dict[str, Floats] = {}
         units: dict[str, str] = {}
@@ -200,9 +200,6 @@ class Log:
                 raise InputError(f"samples of {names} must have one shape, got {shapes[0]} and {shapes[1]}")
             values |= zip(source.channel_units, source.channel_values(np.array(samples)), strict=True)
         return values, units
-
-    def _read(self, stream: io.BytesIO, view: Floats) -> Floats:
-        return np.frombuffer(stream.getvalue(), count=self._rows * view.size).reshape(self._rows, *view.shape)
 
     def _largest_contact(self) -> float:
         wrench, largest = np.zeros(6), 0.0

@@ -13,7 +13,7 @@ from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer.compiled import named_frame, shared_addresses
-from lieednn_sim.lie import poses
+from lieednn_sim.lie import transforms
 from lieednn_sim.values import Floats, frozen
 
 if TYPE_CHECKING:
@@ -129,4 +129,4 @@ class ModelRun:
             mujoco.mj_kinematics(self.model, data)
             turn = data.xmat[frame.body].reshape(3, 3)
             positions[k], turns[k] = data.xpos[frame.body] + turn @ frame.pos, turn @ own.reshape(3, 3)
-        return poses(turns, positions)
+        return transforms(turns, positions)

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import fixed_body
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, set_fields
@@ -44,31 +42,3 @@ class MovingObstacle:
         """Position of the body ``(3,)`` at a time [s]; `InputError` if that is no finite number."""
         now = float(as_floats("time", time, ()))
         return np.array([np.interp(now, self.times, column) for column in zip(*self.positions, strict=True)])
-
-
-class Moved:
-    """Places the moving obstacles of a simulation in its plant.
-
-    Args:
-        model: the plant, whose bodies are moved.
-        obstacles: the obstacles.
-
-    Raises:
-        InputError: one is no body without joints, carries an arm, or is given twice.
-    """
-
-    def __init__(self, model: mujoco.MjModel, obstacles: tuple[MovingObstacle, ...]) -> None:
-        self._model = model
-        self._obstacles = [(each, fixed_body(model, each.body)) for each in obstacles]
-        names = [each.body for each in obstacles]
-        if twice := {name for name in names if names.count(name) > 1}:
-            raise InputError(f"an obstacle can move in one way only, got more than one for {', '.join(sorted(twice))}")
-
-    def apply(self, time: float) -> None:
-        """Move the obstacles to their places at a time [s]."""
-        for obstacle, body in self._obstacles:
-            self._model.body_pos[body] = obstacle.at(time)
-
-    def places(self) -> dict[str, Floats]:
-        """The present positions ``(3,)`` of the obstacles, by the names of their bodies."""
-        return {obstacle.body: self._model.body_pos[body].copy() for obstacle, body in self._obstacles}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
+_Steps = TypeVar("_Steps", int, NDArray[np.int_])
 # Number of steps computed at once: enough that more would gain little, few enough for the data to stay in the cache.
 AHEAD = 256
 
@@ -69,14 +70,9 @@ class Reference:
         self.known -= count
         self.revision += 1
 
-    def row(self, step: int) -> int:
-        """The row that a controller sees at a step."""
+    def row(self, step: _Steps) -> _Steps:
+        """The row that a controller sees at a step, or the rows of an array of steps."""
         return step - step % self.hold
-
-    def rows(self, steps: range) -> NDArray[np.int_]:
-        """The rows that a controller sees at some steps."""
-        at = np.arange(steps.start, steps.stop, steps.step)
-        return at - at % self.hold
 
     def rates_at(self, rows: NDArray[np.int_]) -> Floats:
         """Velocities and accelerations ``(2, m, nv)`` with which semi-implicit steps land on ascending rows exactly.
@@ -89,18 +85,16 @@ class Reference:
 
     def ahead(self, steps: range, lead: float) -> Floats:
         """Positions ``(m, nq)`` a time ``lead`` [s] after the rows seen at some steps; cubic between rows."""
-        last, at = self.known - 1, self.rows(steps) + lead / self.timestep
+        last, at = self.known - 1, self.row(np.array(steps)) + lead / self.timestep
         k = np.floor(at + 1e-6).astype(int)
         qpos = self.qpos[np.minimum(k, last)]
         if (beyond := k >= last).any():
             time = (at[beyond] - last) * self.timestep
             qpos[beyond] = self._arm.qpos(self.q[last] + time[:, None] * self.qd[last])
         if (between := ~beyond & (at - k > 1e-6)).any():
-            k, s, h = k[between], (at - k)[between, None], self.timestep
-            rest = 1.0 - s
-            q = rest**2 * ((1.0 + 2.0 * s) * self.q[k] + s * h * self.qd[k])
-            q += s**2 * ((1.0 + 2.0 * rest) * self.q[k + 1] - rest * h * self.qd[k + 1])
-            qpos[between] = self._arm.qpos(q)
+            rows = np.arange(k[between][0], k[between][-1] + 2)
+            cubic = CubicHermiteSpline(self.timestep * rows, self.q[rows], self.qd[rows])
+            qpos[between] = self._arm.qpos(cubic(self.timestep * at[between]))
         return qpos
 
     def _velocities(self, rows: NDArray[np.int_]) -> Floats:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +16,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.registry import CONTROLLERS
-from lieednn_sim.simulation.disturbances import Disturbances, tangent_basis
-from lieednn_sim.simulation.log import Log
+from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, check_fields, frozen, set_fields
 
@@ -193,24 +191,3 @@ class Rollout:
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FileError(f"{path} is not a valid rollout: {error}") from None
-
-
-def as_rollout(arm: Arm, log: Log, q_ref: Floats, qd_ref: Floats, **meta: Any) -> Rollout:
-    """The rollout of a log, in the arm's coordinates; references have at least as many rows."""
-    core, (channels, units) = log.instants()._asdict(), log.channels()
-    rows, basis = len(log), tangent_basis(arm)
-    qvel = core.pop("qvel")
-    q = arm.coordinates(core.pop("qpos"))
-    return Rollout(
-        arm=arm,
-        q=q,
-        qd=arm.rates(q, qvel),
-        q_ref=q_ref[:rows].copy(),
-        qd_ref=qd_ref[:rows].copy(),
-        force=np.nan_to_num(core.pop("actuator_force")) @ basis,
-        constraint_force=np.nan_to_num(core.pop("constraint_force")) @ basis,
-        channels=channels,
-        channel_units=units,
-        **core,
-        **meta,
-    )

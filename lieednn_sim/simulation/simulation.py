@@ -10,10 +10,10 @@ from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.contacts import fixed_body
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.lie import poses, rotations
+from lieednn_sim.lie import rotations, transforms
 from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sensors
-from lieednn_sim.simulation.moving_obstacles import Moved
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats
@@ -28,13 +28,17 @@ class Simulation:
     Args:
         arm: the arm; its model is not changed.
         plant: the model to simulate; by default that of `make_plant` for the arm and the disturbances.
-        disturbances: pushes and sensor noise, and without ``plant`` the changes of the model by `make_plant`.
+        disturbances: pushes, sensor noise and moving obstacles, and without ``plant`` the changes of the model by
+            `make_plant`.
+
+    Raises:
+        InputError: a pushed body is not there, or an obstacle is no body without joints, carries an arm, or moves
+            in two ways.
 
     Attributes:
         model: the plant.
         data: its state.
         pushes: applies the pushes of the disturbances.
-        moved: places their moving obstacles.
         steps: number of steps since the last reset.
         noise: measurement errors at the present time, to be added to qpos (by `mj_integratePos`) and qvel.
     """
@@ -49,7 +53,10 @@ class Simulation:
         # Views are held: to ask for them takes as long as to read them.
         self._warnings, self._velocity, self._control = self.data.warning.number, self.data.qvel, self.data.ctrl
         self.pushes = Pushes(arm, self.model, self.disturbances.pushes)
-        self.moved = Moved(self.model, self.disturbances.obstacles)
+        self._moving = [(each, fixed_body(self.model, each.body)) for each in self.disturbances.obstacles]
+        names = [each.body for each in self.disturbances.obstacles]
+        if twice := {name for name in names if names.count(name) > 1}:
+            raise InputError(f"an obstacle can move in one way only, got more than one for {', '.join(sorted(twice))}")
         self._sensors = Sensors(arm, self.disturbances)
         self.steps = 0
         self.noise: Noise
@@ -95,7 +102,14 @@ class Simulation:
         mujoco.mj_kinematics(self.model, self.data)
         sites = self.arm.site_ids[links]
         matrices = self.data.site_xmat[sites].reshape(-1, 3, 3)
-        return poses(rotations(matrices).as_matrix(), self.data.site_xpos[sites])
+        return transforms(rotations(matrices).as_matrix(), self.data.site_xpos[sites])
+
+    def move_obstacles(self) -> dict[str, Floats]:
+        """Put moving obstacles where they are at the present time; returns positions ``(3,)`` by names of bodies."""
+        places = {obstacle.body: obstacle.at(self.time) for obstacle, _ in self._moving}
+        for obstacle, body in self._moving:
+            self.model.body_pos[body] = places[obstacle.body]
+        return places
 
     def reset(self, q: ArrayLike, qd: ArrayLike | None = None) -> None:
         """Start again at time 0 from joint coordinates ``(n,)`` and their rates, by default zero.
@@ -107,7 +121,7 @@ class Simulation:
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = self.arm.qpos(position), self.arm.qvel(position, velocity)
         self.steps = 0
-        self.moved.apply(0.0)
+        self.move_obstacles()
         self._sensors.reset()
         self.noise = self._sensors.draw()
 
@@ -135,7 +149,7 @@ class Simulation:
         if self.disturbances.pushes:
             self.pushes.apply(self.data, self.steps)
         if self.disturbances.obstacles:
-            self.moved.apply(self.time)
+            self.move_obstacles()
         mujoco.mj_step(self.model, self.data)
         # Positions follow from velocities. A finite sum has finite terms; otherwise it may have overflowed, so the
         # terms are checked one by one. For a few numbers a list is faster than an array.

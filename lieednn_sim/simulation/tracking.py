@@ -21,7 +21,7 @@ from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference
-from lieednn_sim.simulation.rollout import Rollout, as_rollout
+from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
@@ -131,9 +131,9 @@ def simulate(
             end = len(record) * arm.timestep
             # What was logged may be out of range before the state is.
             with contextlib.suppress(InputError):
-                error.rollout = as_rollout(arm, record, reference.q, reference.qd, motion_end=end, **meta)
+                error.rollout = record.rollout(reference.q, reference.qd, motion_end=end, **meta)
         raise
-    return as_rollout(arm, record, reference.q, reference.qd, motion_end=end, **meta)
+    return record.rollout(reference.q, reference.qd, motion_end=end, **meta)
 
 
 def _drive(driver: Controller, simulation: Simulation, total: int) -> Callable[[int], None]:

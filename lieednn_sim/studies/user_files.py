@@ -88,10 +88,10 @@ def load(name: str, scene: str, seed: int, user_files: Iterable[UserFile]) -> Ar
     if of_arm:
         _check_unchanged(of_arm, arm.fingerprint)
     if not of_scene:
-        return arm.among(scene, seed)
+        return arm.with_scene(scene, seed)
     obstacles = load_obstacles(of_scene.source)
     _check_unchanged(of_scene, describe(obstacles)[1])
-    arm = arm.amid(obstacles, of_scene.name)
+    arm = arm.with_obstacles(obstacles, of_scene.name)
     check_home(arm, of_scene.name)
     return arm
 

@@ -40,22 +40,14 @@ def test_link_poses_equal_mujocos_kinematics(arm):
         np.testing.assert_allclose(arm.tip_in_frames(positions)[:, k], seen, atol=1e-12)
 
 
-def test_jacobian_is_mujocos_own_and_the_derivative_of_the_pose(arm):
-    data, h = mujoco.MjData(arm.model), 1e-6
+def test_jacobian_is_the_derivative_of_the_pose(arm):
+    h = 1e-6
     positions = random_positions(arm, 10)
     positions[0], positions[1] = 0.0, 1e-9
     jacobians = np.stack([arm.jacobian(positions.reshape(2, 5, -1), link) for link in range(arm.n_links)], axis=-3)
     assert jacobians.shape == (2, 5, arm.n_links, 6, arm.n_joints)
     np.testing.assert_array_equal(arm.jacobian(positions[3]), jacobians[0, 3, -1])
     for q, jacobian in zip(positions, jacobians.reshape(10, arm.n_links, 6, -1), strict=True):
-        data.qpos[:] = arm.qpos(q)
-        mujoco.mj_kinematics(arm.model, data)
-        mujoco.mj_comPos(arm.model, data)
-        to_rates = arm.qvel(q, np.eye(arm.n_joints)).T
-        for site, own in zip(arm.site_ids, jacobian, strict=True):
-            linear, angular = np.zeros((2, 3, arm.model.nv))
-            mujoco.mj_jacSite(arm.model, data, linear, angular, site)
-            np.testing.assert_allclose(own, np.vstack([angular, linear]) @ to_rates, atol=1e-10)
         after, before = (arm.link_poses(q + sign * h * np.eye(arm.n_joints)) for sign in (1.0, -1.0))
         turn = (after.rotation * before.rotation.inv()).as_rotvec()
         numeric = np.concatenate([turn, after.translation - before.translation], axis=-1) / (2.0 * h)
@@ -76,7 +68,7 @@ def test_encoding_and_retraction_are_inverse_on_the_joints_set(arm):
 @pytest.mark.parametrize("size", [0.0, 1e-3, 0.2])
 def test_retracted_rates_agree_with_finite_differences(arm, size):
     rng = np.random.default_rng(1)
-    xi = arm.encode(random_positions(arm, 20)) + size * rng.normal(size=(20, arm.n_links, 6))
+    xi = arm.encode(random_positions(arm, 8)) + size * rng.normal(size=(8, arm.n_links, 6))
     rate = rng.normal(size=xi.shape)
     h = 1e-5
     numeric = (arm.decode(xi + h * rate).q - arm.decode(xi - h * rate).q) / (2 * h)

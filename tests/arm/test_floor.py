@@ -11,7 +11,7 @@ from lieednn_sim.arm.obstacles import load_obstacles
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError
-from lieednn_sim.rendering import stage
+from lieednn_sim.rendering import scene_setup
 
 ARM = """
 <mujoco>
@@ -112,7 +112,7 @@ def test_a_scene_has_the_last_word_and_walls(write, tmp_path):
 def test_a_film_shows_that_floor_or_none(write):
     for floor, heights in ((-0.2, [-0.2]), ("none", [])):
         arm = Arm.load(write(), floor=floor)
-        model, _ = stage.staged(arm, stage.reached(arm))
+        model, _ = scene_setup.staged(arm, scene_setup.reached(arm))
         planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
         assert model.body_pos[model.geom_bodyid[planes], 2].tolist() == heights
 

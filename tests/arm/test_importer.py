@@ -198,7 +198,7 @@ def test_home_is_taken_from_a_keyframe_and_given_joints():
     np.testing.assert_allclose(arm.keyframe("stow"), [1.0, -1.0])
     np.testing.assert_allclose(arm.model.body("grip").pos, [0.0, 0.0, 0.03], err_msg="the gripper's joint is locked")
     assert arm.import_report is report
-    assert arm.among("poles").import_report is report
+    assert arm.with_scene("poles").import_report is report
 
 
 def test_a_keyframe_of_controls_alone_is_no_posture_unless_they_hold_the_one_it_has():

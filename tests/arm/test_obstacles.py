@@ -53,7 +53,7 @@ def test_shapes_stand_where_the_list_says(gantry, tmp_path):
     ball = {"shape": "sphere", "radius": 0.2, "position": [1.0, 0.0, 2.0]}
     wedge = {"shape": "mesh", "file": "wedge.obj", "scale": 0.5, "position": [-0.5, 0.0, 1.2]}
     path = write(tmp_path, "own.json", {"obstacles": [BOX, POLE, turned, ball, wedge]})
-    arm = gantry.among(path, seed=3)
+    arm = gantry.with_scene(path, seed=3)
     assert (arm.scene, arm.scene_seed) == ("own", 0)
     assert clearance(arm, 0, 0, 0, 0) == pytest.approx(0.5 - 0.1 - 0.1)  # the box's face at x = 1.4
     assert clearance(arm, -1, 1, 0, 0) == pytest.approx(0.5 - 0.1 - 0.1)  # the pole
@@ -67,23 +67,23 @@ def test_shapes_stand_where_the_list_says(gantry, tmp_path):
 def test_a_quaternion_turns_as_the_angles_do(gantry, tmp_path):
     turns = {"rpy": [np.pi / 2, 0.0, np.pi / 2]}, {"quaternion": [0.5, 0.5, 0.5, 0.5]}
     one, other = (
-        gantry.among(write(tmp_path, f"turned{i}.json", {"obstacles": [BOX | turn]})).fingerprint
+        gantry.with_scene(write(tmp_path, f"turned{i}.json", {"obstacles": [BOX | turn]})).fingerprint
         for i, turn in enumerate(turns)
     )
     # Roll, then yaw: x to y to z to x.
-    assert one == other != gantry.among(write(tmp_path, "as_is.json", {"obstacles": [BOX]})).fingerprint
+    assert one == other != gantry.with_scene(write(tmp_path, "as_is.json", {"obstacles": [BOX]})).fingerprint
 
 
 def test_yaml_says_the_same(gantry, tmp_path):
     pytest.importorskip("yaml")
     text = "# a box\nobstacles:\n  - shape: box\n    size: [0.2, 0.4, 6e-1]\n    position: [1.5, 0, 0]\n"
     arms = [
-        gantry.among(write(tmp_path, "own.yaml", text)),
-        gantry.among(write(tmp_path, "o.json", {"obstacles": [BOX]})),
+        gantry.with_scene(write(tmp_path, "own.yaml", text)),
+        gantry.with_scene(write(tmp_path, "o.json", {"obstacles": [BOX]})),
     ]
     assert arms[0].fingerprint == arms[1].fingerprint
     with pytest.raises(FileError, match=r"bad.yml is not a valid list of obstacles \(ValueError: while parsing"):
-        gantry.among(write(tmp_path, "bad.yml", "obstacles: [1, 2"))
+        gantry.with_scene(write(tmp_path, "bad.yml", "obstacles: [1, 2"))
 
 
 def test_the_example_of_the_documentation_is_a_scene_of_an_arm(tmp_path):
@@ -102,7 +102,7 @@ def test_an_mjcf_file_is_an_obstacle_for_every_arm(gantry, tmp_path, bits):
     spec = gantry.spec.copy()
     ball = spec.geom("ball")
     ball.contype, ball.conaffinity = bits
-    arm = Arm.from_spec(spec, gantry.source, "gantry").among(path)
+    arm = Arm.from_spec(spec, gantry.source, "gantry").with_scene(path)
     assert clearance(arm, 0, 0, 0, 0) == pytest.approx(0.5 - 0.1 - 0.1)
     assert set(*arm.near_contacts([0.35, 0, 0, 0])) == {"obstacle_own", "wrist"}
     assert describe(load_obstacles(path))[0] == "1 cylinder, 1 mesh; targets anywhere"
@@ -129,13 +129,13 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
     x, y, z = map(float, tip)
     goal = {"size": [0.2, 0.2, 0.2], "position": [x, y, z]}
     shelf = {**BOX, "position": [x, y, z - 0.6]}
-    inside = arm.among(write(tmp_path, "goal.json", {"obstacles": [shelf], "goals": [goal]}))
+    inside = arm.with_scene(write(tmp_path, "goal.json", {"obstacles": [shelf], "goals": [goal]}))
     for seed in range(3):
         reached = inside.link_poses(draw_target(inside, seed)).translation[-1]
         assert np.abs(reached - tip).max() < 0.1 + 2e-3
     # Slots in which the ball has 15 mm on both sides, too few for a target, and room beyond the last plate.
     plates = [{**BOX, "size": [0.1, 9.0, 9.0], "position": [1.165 - 0.33 * k, 0.0, 0.0]} for k in range(4)]
-    anywhere = gantry.among(write(tmp_path, "anywhere.json", {"obstacles": plates}))
+    anywhere = gantry.with_scene(write(tmp_path, "anywhere.json", {"obstacles": plates}))
     collisions = Collisions(anywhere)
     assert all(collisions.is_free(draw_target(anywhere, seed), TARGET_CLEARANCE) for seed in range(8))
 
@@ -186,15 +186,15 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
 def test_what_a_file_says_wrongly_is_named(gantry, tmp_path, content, error, message):
     path = write(tmp_path, "own.xml" if isinstance(content, str) else "own.json", content)
     with pytest.raises(error, match=message) as caught:
-        gantry.among(path)
+        gantry.with_scene(path)
     assert len(str(caught.value)) < 500
 
 
 def test_a_scene_is_a_file_that_is_there_and_no_name_of_the_packages(gantry, tmp_path):
     with pytest.raises(FileError, match=r"no such file: .*gone.yaml"):
-        gantry.among(tmp_path / "gone.yaml")
+        gantry.with_scene(tmp_path / "gone.yaml")
     with pytest.raises(InputError, match=r"window.json has the name of the package's scene 'window'"):
-        gantry.among(write(tmp_path, "window.json", {"obstacles": [BOX]}))
-    around = gantry.among(write(tmp_path, "own.json", {"obstacles": [BOX]}))
+        gantry.with_scene(write(tmp_path, "window.json", {"obstacles": [BOX]}))
+    around = gantry.with_scene(write(tmp_path, "own.json", {"obstacles": [BOX]}))
     with pytest.raises(InputError, match="already has the obstacles of scene 'own'"):
-        around.among("poles")
+        around.with_scene("poles")

@@ -100,7 +100,7 @@ def test_joint_positions_of_a_region_are_in_it(monkeypatch):
     # A line of half a metre through the pose, with the hand kept upright.
     region = TaskSpaceRegion.line(there.translation, there.translation + np.array([0.0, 0.0, 0.5]))
     upright = TaskSpaceRegion.orientation(there.rotation, axis=[0.0, 0.0, 1.0])
-    found = ik_candidates(arm, region, start=start, keep=upright)
+    found = ik_candidates(arm, region, start=start, path_constraint=upright)
     assert len(found) == 4
     for q in found:
         for one in (region, upright):

@@ -23,7 +23,7 @@ def obstacles(arm):
 def test_home_is_free_and_targets_are_behind_the_obstacles(name):
     blocked, cases = 0, [(scene, seed) for scene in SCENES if scene != "free" for seed in range(3)]
     for scene, seed in cases:
-        arm = BARE[name].among(scene, seed)
+        arm = BARE[name].with_scene(scene, seed)
         collisions, home = Collisions(arm), arm.keyframe("home")
         assert collisions.is_free(home, HOME_CLEARANCE, own=0.0)
         target = draw_target(arm, seed)
@@ -50,7 +50,7 @@ def inside(arm, site, point):
 
 @pytest.mark.parametrize(("name", "scene"), CASES)
 def test_obstacles_are_named_solid_and_repeatable(name, scene):
-    arm, again, other = (BARE[name].among(scene, seed) for seed in (4, 4, 5))
+    arm, again, other = (BARE[name].with_scene(scene, seed) for seed in (4, 4, 5))
     model = arm.model
     assert model.body(f"obstacle_{scene}").id > 0
     for geom in obstacles(arm):
@@ -67,7 +67,7 @@ def test_obstacles_are_named_solid_and_repeatable(name, scene):
 
 
 def test_the_wall_that_is_seen_is_the_wall_that_is_hit():
-    arm = BARE["telescopic_pr"].among("window", 4)
+    arm = BARE["telescopic_pr"].with_scene("window", 4)
     model, data = arm.model, mujoco.MjData(arm.model)
     mujoco.mj_forward(model, data)
     body = model.body("obstacle_window").id

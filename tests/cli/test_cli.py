@@ -187,8 +187,8 @@ def test_of_several_poses_the_nearest_is_taken_and_a_line_or_an_orientation_is_k
     np.testing.assert_allclose(arm.tip(task["target"]), places[0], atol=1e-5)
     position = f"--position={','.join(map(repr, map(float, places[1])))}"
     for kept, options in (("line", poses[1:]), ("orientation", [position])):
-        task, motion = command(kept, *options, "--keep", kept)
-        assert task["options"]["keep"] == kept
+        task, motion = command(kept, *options, "--path-constraint", kept)
+        assert task["options"]["path_constraint"] == kept
         assert task["planner"] == "lieednn-shaped"
         np.testing.assert_allclose(arm.tip(motion.q[-1]), places[1], atol=1e-5)
         middle = arm.link_poses(motion.q[len(motion.q) // 2])[-1]
@@ -197,10 +197,12 @@ def test_of_several_poses_the_nearest_is_taken_and_a_line_or_an_orientation_is_k
             assert np.linalg.norm(np.cross(way, gone)) < 5e-4 * np.linalg.norm(way)
         else:
             assert (middle.rotation * here.rotation.inv()).magnitude() < np.deg2rad(0.1)
-    assert "--keep line takes one goal, got 2" in fails(
-        capsys, "plan", *poses, "--keep", "line", "--output", tmp_path / "no"
+    assert "--path-constraint line takes one goal, got 2" in fails(
+        capsys, "plan", *poses, "--path-constraint", "line", "--output", tmp_path / "no"
     )
-    words = fails(capsys, "plan", position, "--keep", "line", "--planner", "dmp", "--output", tmp_path / "no")
+    words = fails(
+        capsys, "plan", position, "--path-constraint", "line", "--planner", "dmp", "--output", tmp_path / "no"
+    )
     assert "the planner 'dmp' cannot keep a region on the way; planners that can: lieednn-shaped" in words
 
 

@@ -135,14 +135,14 @@ def test_options_go_to_the_parameters_that_they_are_of(monkeypatch):
 
 def test_the_options_of_a_planner_are_those_of_its_class(capsys):
     options = read_options(
-        ShapedOptions(), ["rate=0.5", "teacher.search.spacings=0.1,0.05", "neurons=8", "teacher.polished=false"]
+        ShapedOptions(), ["rate=0.5", "guide.search.spacings=0.1,0.05", "neurons=8", "guide.optimised=false"]
     )
-    assert (options.rate, options.neurons, options.teacher.polished) == (0.5, (8,), False)
-    assert options.teacher.search.spacings == (0.1, 0.05)
-    assert options.teacher.searches == ShapedOptions().teacher.searches
-    assert "teacher.search.spacings" in option_names(options)
-    for text in ("teacher=1", "rate.x=1", "teacher.speed=1", "teacher.polished=yes"):
-        with pytest.raises(InputError, match=r"NAME=VALUE with a name of|option polished must be true or false"):
+    assert (options.rate, options.neurons, options.guide.optimised) == (0.5, (8,), False)
+    assert options.guide.search.spacings == (0.1, 0.05)
+    assert options.guide.searches == ShapedOptions().guide.searches
+    assert "guide.search.spacings" in option_names(options)
+    for text in ("guide=1", "rate.x=1", "guide.speed=1", "guide.optimised=yes"):
+        with pytest.raises(InputError, match=r"NAME=VALUE with a name of|option optimised must be true or false"):
             read_options(ShapedOptions(), [text])
     # Of another package, where annotations may be the types themselves.
     own = make_dataclass("Own", [("gain", float, 1.0), ("sizes", tuple[int, ...], (1,)), ("call", object, None)])

@@ -59,7 +59,7 @@ def printed(capsys):
 
 HOW = {
     "networks": (CertifiedDetails(7, 3), {"networks": "7 networks drawn, 3 keep the joint limits"}),
-    "teacher": (ShapedDetails(0.0135, 0.25), {"teacher": "rrt-connect", "off its path": "14 mm at the end effector"}),
+    "guide": (ShapedDetails(0.0135, 0.25), {"guide": "rrt-connect", "off its path": "14 mm at the end effector"}),
     "nothing": (None, {}),
 }
 
@@ -68,8 +68,8 @@ HOW = {
 def test_plan_prints_what_was_found_and_what_is_proved(printed, how):
     details, told = HOW[how]
     network = None if how == "nothing" else Network()
-    teacher = SimpleNamespace(planner="rrt-connect")
-    result = SimpleNamespace(planner="some", network=network, motion=MOTION, details=details, teacher=teacher)
+    guide = SimpleNamespace(planner="rrt-connect")
+    result = SimpleNamespace(planner="some", network=network, motion=MOTION, details=details, guide=guide)
     planning.print_outcome(result)
     lines = printed()
     proof = {"largest bias": "0.7", "1-norm of W": "3.46 (no network with this equilibrium below 2.35)"}

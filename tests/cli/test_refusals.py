@@ -40,7 +40,7 @@ REFUSED = {
     "plan --option n_networks=2.5": "option n_networks must be a whole number, such as 12, got '2.5'",
     "plan --option rate": "'rate' must be NAME=VALUE with a name of activation, n_networks, ",
     "plan --planner minimum-jerk --option a=1": "the planner minimum-jerk has no options, got 'a=1'",
-    "plan --keep circle": "no keep 'circle'; allowed: line, orientation",
+    "plan --path-constraint circle": "no path_constraint 'circle'; allowed: line, orientation",
     "plan --target extended --output file/run": "cannot create directory",
     "demo --duration 1_000": "--duration: must be a finite decimal number, such as 0.25 or 1e-3, got '1_000'",
     "demo --duration 1000": "duration must be between 2 and 100000 time steps of 0.002 s, got 1000 s",

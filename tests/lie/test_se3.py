@@ -18,9 +18,9 @@ from lieednn_sim.lie import (
     left_jacobian_se3,
     left_jacobian_so3,
     log,
-    poses,
     rotations,
     spatial_twist,
+    transforms,
     vee,
 )
 
@@ -134,7 +134,7 @@ def test_rotations_and_poses_are_scipys_to_the_last_bit(shape):
     rotation, translation = matrix[..., :3, :3], matrix[..., :3, 3]
     np.testing.assert_array_equal(rotations(rotation).as_quat(), Rotation.from_matrix(rotation).as_quat())
     expected = RigidTransform.from_matrix(matrix).as_matrix()
-    np.testing.assert_array_equal(poses(rotation, translation).as_matrix(), expected)
+    np.testing.assert_array_equal(transforms(rotation, translation).as_matrix(), expected)
 
 
 @pytest.mark.parametrize(

@@ -11,4 +11,4 @@ def coarse(name: str = "telescopic_pr", scene: str = "free", seed: int = 0, time
     fine = Arm.load(name)
     spec = fine.spec.copy()
     spec.option.timestep = timestep
-    return Arm.from_spec(spec, fine.source, fine.name).among(scene, seed)
+    return Arm.from_spec(spec, fine.source, fine.name).with_scene(scene, seed)

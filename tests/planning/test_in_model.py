@@ -186,7 +186,7 @@ def test_sets_of_goals_are_in_the_given_order_of_the_joints_and_a_line_is_kept(s
     tip = arm.tip(found.plan.motion.q[0])
     up = ls.TaskSpaceRegion.line(tip, tip + np.array([0.0, 0.0, 0.1]))
     high = ls.TaskSpaceRegion.box([-9.0, -9.0, tip[2] + 0.1], [9.0, 9.0, tip[2] + 0.1])
-    kept = ls.plan_in(model, data, JOINTS, high, tip="pen", keep=up)
+    kept = ls.plan_in(model, data, JOINTS, high, tip="pen", path_constraint=up)
     off = arm.tip(kept.plan.motion.q)[:, :2] - tip[:2]
     assert np.abs(off).max() < 5e-4
     assert arm.tip(kept.plan.target)[2] == pytest.approx(tip[2] + 0.1, abs=1e-5)

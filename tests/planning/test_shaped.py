@@ -1,4 +1,4 @@
-"""The planner `lieednn-shaped`: a certified network that moves as its teacher does."""
+"""The planner `lieednn-shaped`: a certified network that moves as its guide does."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import PlanError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
-from lieednn_sim.planning import PLANNERS, CertifiedOptions, ShapedOptions, TeacherOptions, plan, shaped
+from lieednn_sim.planning import PLANNERS, CertifiedOptions, GuideOptions, ShapedOptions, plan, shaped
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import lever_units
@@ -20,7 +20,7 @@ from lieednn_sim.planning.time_laws import law_of
 from .arms import coarse
 
 FREE = coarse(timestep=0.005)
-UNPOLISHED = TeacherOptions(polished=False)
+UNPOLISHED = GuideOptions(optimised=False)
 needs_ompl = pytest.mark.skipif("rrt-connect" in PLANNERS.missing(), reason="RRT-Connect needs OMPL")
 
 
@@ -29,19 +29,19 @@ def planned(arm, target, **options):
 
 
 @pytest.mark.parametrize(
-    ("scene", "seed", "teacher", "asked"),
+    ("scene", "seed", "planner", "asked"),
     [
         ("free", 0, "minimum-jerk", 7e-4),
-        ("shelf", 2, "minimum-jerk, polished", 7e-4),
-        ("poles", 0, "rrt-connect, polished", 3e-3),
+        ("shelf", 2, "minimum-jerk, optimised", 7e-4),
+        ("poles", 0, "rrt-connect, optimised", 3e-3),
     ],
 )
-def test_the_motion_is_the_teachers_and_the_network_is_certified(scene, seed, teacher, asked):
-    arm = FREE.among(scene, seed)
+def test_the_motion_is_the_guides_and_the_network_is_certified(scene, seed, planner, asked):
+    arm = FREE.with_scene(scene, seed)
     target = draw_target(arm, seed)
     made = plan(arm, target, planner="lieednn-shaped", seed=seed, options=ShapedOptions(deviation=asked))
-    motion, guide = made.motion, made.teacher.motion
-    assert (made.planner, made.teacher.planner) == ("lieednn-shaped", teacher)
+    motion, guide = made.motion, made.guide.motion
+    assert (made.planner, made.guide.planner) == ("lieednn-shaped", planner)
     assert made.network.certified
     assert made.network.n_visible == arm.n_links
     check_motion(arm, motion)
@@ -49,7 +49,7 @@ def test_the_motion_is_the_teachers_and_the_network_is_certified(scene, seed, te
     assert measured.jerk_joints < 1.1 * given.jerk_joints
     assert measured.gap_mm < 1.0
     assert measured.path_ranges == pytest.approx(given.path_ranges, rel=0.01)
-    # Place and time are the teacher's: what is off along the path is off by the same little as what is across.
+    # Place and time are the guide's: what is off along the path is off by the same little as what is across.
     np.testing.assert_allclose(motion.q, guide.q, atol=5e-3)
     tips = [arm.link_poses(one.q[::20]).translation[:, -1] for one in (motion, guide)]
     nearest = np.linalg.norm(tips[0][:, None] - tips[1][None], axis=2).min(axis=1)
@@ -76,7 +76,7 @@ def test_the_universal_network_is_integrated_to_the_same_motion():
     """What the planner has in closed form, the equation itself has too; and the network is the same for all targets."""
     made = [planned(FREE, draw_target(FREE, seed)) for seed in (2, 4)]
     assert made[0].network.certificate is made[1].network.certificate
-    one, guide = made[0], made[0].teacher.motion
+    one, guide = made[0], made[0].guide.motion
     units = lever_units(FREE, guide.q)
     path = NetworkPath.integrate(FREE, one.network, FREE.keyframe("home"), units)
     again = path.timed(one.motion.t[-1], one.motion.timestep, law_of(guide, units))
@@ -129,22 +129,22 @@ def test_a_curve_beyond_the_universal_network_is_refused_but_for_a_slower_clock(
 @needs_ompl
 def test_where_no_network_follows_another_path_is_asked_for(monkeypatch):
     """The first path is refused; minimum jerk's motion would be the same again, and is asked for once."""
-    arm = FREE.among("poles", 0)
-    taught = []
+    arm = FREE.with_scene("poles", 0)
+    guides_taken = []
 
-    def picky(_problem, _options, teacher):
-        taught.append(teacher)
-        if len(taught) < 2:
+    def picky(_problem, _options, guide):
+        guides_taken.append(guide)
+        if len(guides_taken) < 2:
             raise PlanError("not this one")
-        return replace(teacher, teacher=teacher)
+        return replace(guide, guide=guide)
 
     monkeypatch.setattr(shaped, "_following", picky)
-    made = planned(arm, draw_target(arm, 0), teachers=2, teacher=UNPOLISHED)
-    first, second = (teacher.motion for teacher in taught)
-    assert made.teacher is taught[1]
+    made = planned(arm, draw_target(arm, 0), guides=2, guide=UNPOLISHED)
+    first, second = (guide.motion for guide in guides_taken)
+    assert made.guide is guides_taken[1]
     assert first.q.shape != second.q.shape or not np.array_equal(first.q, second.q)
-    for teachers, target_arm in ((1, arm), (2, FREE)):
-        taught.clear()
+    for guides, target_arm in ((1, arm), (2, FREE)):
+        guides_taken.clear()
         with pytest.raises(PlanError, match="not this one"):
-            planned(target_arm, draw_target(target_arm, 0), teachers=teachers, teacher=UNPOLISHED)
-        assert len(taught) == 1
+            planned(target_arm, draw_target(target_arm, 0), guides=guides, guide=UNPOLISHED)
+        assert len(guides_taken) == 1

@@ -9,7 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network.undriven import UndrivenState
 from lieednn_sim.planning import plan
-from lieednn_sim.planning.coded_course import Clock, CodedCourse
+from lieednn_sim.planning.timed_path import Clock, TimedPath
 from lieednn_sim.planning.transition import JointState, along, straight, transition
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 
@@ -86,7 +86,7 @@ def test_a_short_fade_is_looked_at_by_itself(gantry):
 def test_what_the_state_lacks_of_a_configuration_fades(gantry):
     made = transition(gantry, moving(), straight(gantry, np.zeros(4), TARGET, 2.0))
     gap = 1e-3 * np.random.default_rng(0).normal(size=(2, 6))
-    course = CodedCourse(gantry, CurveEncoder(2), made, gantry.encode(np.zeros(4)) + gap)
+    course = TimedPath(gantry, CurveEncoder(2), made, gantry.encode(np.zeros(4)) + gap)
     last = 0.0
     for time, left in ((0.02, 1.0), (1.0, 0.5), (2.0, 0.0)):
         z, _ = course.clock(time)
@@ -126,7 +126,7 @@ def test_the_network_follows_the_transition_from_its_first_velocity_on(name, gan
     now = JointState(home, 0.1 * arm.velocity_limits, -0.1 * arm.acceleration_limits)
     made = transition(arm, now, straight(arm, home, target, 2.0))
     encoder = CurveEncoder(arm.n_links)
-    course = CodedCourse(arm, encoder, made, arm.encode(home))
+    course = TimedPath(arm, encoder, made, arm.encode(home))
     assert course.network.certificate is encoder.network.certificate
     z, rate = course.clock(0.0)
     h = 1e-4

@@ -25,7 +25,7 @@ def beside(gantry):
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name="pole", pos=[3.0, 0.8, 0.0])
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.05, 4.0, 0.0])
-    return dataclasses.replace(gantry.amid(spec, "pole"), scene="free")
+    return dataclasses.replace(gantry.with_obstacles(spec, "pole"), scene="free")
 
 
 def coming(*more):
@@ -147,7 +147,9 @@ def test_what_is_in_the_way_by_hand(beside):
         assert gap_of(0.032, only_moving=only_moving) is None
         # It is no longer where the scene has it.
         assert look.blocked(at_pole[None], only_moving=only_moving) is None
-    labelled = dataclasses.replace(beside, scene="poles", scene_seed=3).placed({"obstacle_pole": np.zeros(3)})
+    labelled = dataclasses.replace(beside, scene="poles", scene_seed=3).with_moved_bodies(
+        {"obstacle_pole": np.zeros(3)}
+    )
     assert (labelled.scene, labelled.scene_seed) == ("poles", 3)
     # From 0.02 m the arm may get away, as long as four fifths of that are left.
     gap_of(0.02)

@@ -15,7 +15,7 @@ from rollouts import make_rollout
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.rendering import stage, viser_scene
+from lieednn_sim.rendering import scene_setup, viser_scene
 from lieednn_sim.rendering.page import render_page
 from lieednn_sim.rendering.recording import record
 from lieednn_sim.rendering.viser_scene import Viewpoint
@@ -72,7 +72,7 @@ def test_backing_off_fills_the_picture():
 def test_only_what_a_film_shows_is_in_the_scene(rollout):
     """Not the collision geometry; the glass ball of the target is as transparent as in a film."""
     arm = rollout.arm
-    model, _ = stage.staged(arm, stage.occupied(rollout))
+    model, _ = scene_setup.staged(arm, scene_setup.occupied(rollout))
     shapes = viser_scene.Shapes(model)
     colours = {shape.rgba for shape in shapes.shapes}
     assert (0.2, 0.6, 0.9, 0.35) not in colours  # of collision geoms, in group 3

@@ -10,7 +10,7 @@ from rollouts import make_rollout
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError
-from lieednn_sim.rendering import stage
+from lieednn_sim.rendering import scene_setup
 from lieednn_sim.rendering.still import OPACITIES, instants, render_still
 from lieednn_sim.rendering.video import Camera
 
@@ -31,7 +31,7 @@ def test_the_arm_is_seen_five_times_and_faded(tmp_path):
     rollout = make_rollout(arm, home + np.linspace(0.0, 1.0, 5)[:, None] * (far - home))
     render_still(rollout, tmp_path / "still.png", **view)
     made = np.asarray(Image.open(tmp_path / "still.png")).astype(float)
-    with Camera(arm, target=rollout.target, points=stage.occupied(rollout), **view) as camera:
+    with Camera(arm, target=rollout.target, points=scene_setup.occupied(rollout), **view) as camera:
         pictures = np.array([camera.picture(q) for q in rollout.q]).astype(float)
     background = np.median(pictures, axis=0)
     away = np.abs(pictures - background).max(axis=-1)

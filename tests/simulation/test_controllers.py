@@ -11,9 +11,9 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.simulation import CONTROLLERS, simulate
+from lieednn_sim.simulation import CONTROLLERS, Disturbances, Push, simulate
 from lieednn_sim.simulation.controllers.base import ComputedTorque
-from lieednn_sim.simulation.disturbances import Disturbances, Noise
+from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import Reference
 
 HEAVIER = Disturbances(mass_scale=1.2)
@@ -162,6 +162,12 @@ def test_welds_carry_what_hangs_on_them(small_arms, travel):
     np.testing.assert_allclose(rollout.channels["weld_torque"][-1], weight * 0.1, rtol=1e-3)
     assert rollout.contacts.max() == 0
     assert rollout.contact_force.max() == 0.0
+    # A telescope whose stages are coupled by an equality of the arm's own, pushed across it at 0.5 m from its axis.
+    arm, rest = small_arms["telescope"], np.array([0.25, 0.1])
+    pushed = Disturbances(pushes=(Push("end effector", (0.0, 20.0, 0.0), 0.0, 9.0),))
+    rollout = simulate(arm, travel(arm, rest, rest, 0.2), controller="mocap", hold=1.0, disturbances=pushed)
+    moment = 0.6 * rollout.channels["weld_force"][-1] + rollout.channels["weld_torque"][-1]
+    np.testing.assert_allclose(moment, 20.0 * 0.5, rtol=1e-3)
 
 
 def test_contacts_carry_what_lies_on_them(small_arms, travel):

@@ -44,6 +44,7 @@ def example(tmp_path):
     return re.search(r'controllers"\]\n(.*?)\n', text)[1].replace('"', "")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_example_of_an_installed_package_appears_in_table_and_page(example, tmp_path, capsys, in_this_process):
     information = tmp_path / "my_controllers-0.1.dist-info"
     information.mkdir()
@@ -58,7 +59,7 @@ def test_the_example_of_an_installed_package_appears_in_table_and_page(example, 
     assert "controller plain-servo: my_controllers.PlainServo" in capsys.readouterr().out
     rows = {row.controller: row for row in Comparison.read(tmp_path / "out").rows.values()}
     assert rows["plain-servo"].tracking_rms_mm > 10.0 * rows["position-servo"].tracking_rms_mm
-    assert "<td>plain-servo</td>" in (tmp_path / "out" / "comparison.html").read_text()
+    assert "plain-servo" in (tmp_path / "out" / "comparison.html").read_text()
 
 
 @pytest.mark.usefixtures("example")

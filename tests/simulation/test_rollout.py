@@ -121,7 +121,7 @@ def test_a_rollout_knows_its_plan_and_is_loaded_with_its_own_arm_scene_and_motio
     np.testing.assert_array_equal(whole.target, planned.target)
     np.testing.assert_array_equal(rollout.target, planned.motion.q[-1])
     whole.save(tmp_path / "rollout.npz")
-    for other, scene in ((Arm.load("telescopic_rrp"), "free"), (arm.among("poles", 1), "poles")):
+    for other, scene in ((Arm.load("telescopic_rrp"), "free"), (arm.with_scene("poles", 1), "poles")):
         with pytest.raises(
             FileError, match=f"is of arm 'telescopic_pr' in scene 'free' .*not of .* in scene '{scene}'"
         ):

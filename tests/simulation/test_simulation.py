@@ -23,8 +23,8 @@ def run(simulation: Simulation, q, steps: int = 60) -> np.ndarray:
     for _ in range(steps):
         simulation.data.ctrl[:] = simulation.measured()[0][: simulation.model.nu].sum()
         log.step()
-    seen = log.instants()
-    return np.column_stack([seen.t, seen.qpos, seen.qvel, seen.actuator_force, seen.link_position[:, -1]])
+    seen = log.rollout(*np.zeros((2, steps, len(q))), motion_end=0.0)
+    return np.column_stack([seen.t, seen.q, seen.qd, seen.force, seen.link_position[:, -1]])
 
 
 @settings(max_examples=5)
@@ -97,7 +97,7 @@ def test_references_ahead_of_what_is_known_go_straight_on(small_arms):
         arm.coordinates(reference.ahead(range(4, 5), 0.006)[0]), q[5] + 0.004 * qd[5], atol=1e-15
     )
     held = Reference.of(arm, q, qd, hold=4)
-    assert [held.row(k) for k in range(9)] == held.rows(range(9)).tolist() == [0, 0, 0, 0, 4, 4, 4, 4, 8]
+    assert [held.row(k) for k in range(9)] == held.row(np.arange(9)).tolist() == [0, 0, 0, 0, 4, 4, 4, 4, 8]
 
 
 def test_control_periods_are_whole_numbers_of_steps():

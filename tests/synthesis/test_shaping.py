@@ -13,10 +13,10 @@ from lieednn_sim import budget
 from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError, NotCertifiedError, OutOfTimeError
 from lieednn_sim.network import ACTIVATIONS
-from lieednn_sim.synthesis.shaping import ShapingOptions, placed_switches, shape, shaping
+from lieednn_sim.synthesis.shaping import ShapingOptions, shape, shaping, switch_fit
 from lieednn_sim.synthesis.shaping.cascade import TAIL, Cascade, Parameters, assemble, clockwork, turns_to
 from lieednn_sim.synthesis.shaping.curve import Curve, third_derivative
-from lieednn_sim.synthesis.shaping.placed_switches import LARGEST_SLOPE, fit_placed_switches
+from lieednn_sim.synthesis.shaping.switch_fit import LARGEST_SLOPE, fit_switches
 
 RATES = [1.0, 0.3, 0.1]
 UNITS = np.repeat([0.5, 1.0], 3)
@@ -182,7 +182,7 @@ def test_a_shaped_network_follows_its_curve(rate):
 
 
 @pytest.mark.parametrize("rate", [1.0, 0.1])
-def test_placed_switches_are_the_best_linear_fit_and_come_nearer_with_their_number(rate):
+def test_switch_fit_are_the_best_linear_fit_and_come_nearer_with_their_number(rate):
     samples = bent()
     found = [shape(samples, 1e-7, units=UNITS, options=ShapingOptions(rate, (count,))) for count in (4, 16, 64)]
     deviations = [one.deviation for one in found]
@@ -205,23 +205,23 @@ def test_ripples_that_the_deviation_hides_are_damped(monkeypatch):
     np.testing.assert_allclose(matrix @ (w[looks, None] ** [3, 2]), np.tile([6.0, 0.0], (len(matrix), 1)), atol=1e-7)
     middle = (w[looks][1:-2] > 0.1) & (w[looks][1:-2] < 0.85)
     ripples = []
-    for weight in (placed_switches._RIPPLE, 1e-6):
-        monkeypatch.setattr(placed_switches, "_RIPPLE", weight)
-        states = cascade.states(fit_placed_switches(cascade, curve, 64))[:-1]
-        error = states - curve.at(placed_switches._pace(curve)(w))[0]
+    for weight in (switch_fit._RIPPLE, 1e-6):
+        monkeypatch.setattr(switch_fit, "_RIPPLE", weight)
+        states = cascade.states(fit_switches(cascade, curve, 64))[:-1]
+        error = states - curve.at(switch_fit._pace(curve)(w))[0]
         assert np.abs(error).max() < 1e-5
         ripples.append(np.sqrt(np.mean(np.tensordot(matrix, error[looks], 1)[middle] ** 2)))
     assert ripples[0] < 0.2 * ripples[1]
 
 
-def test_placed_switches_keep_axes_and_halves_that_rest():
+def test_switch_fit_keep_axes_and_halves_that_rest():
     s = np.linspace(0.0, 1.0, 100)
     samples = np.zeros((100, 2, 6))
     axes = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
     samples[:, :, :3] = np.stack([np.sin(2.0 * s), s**2], axis=1)[:, :, None] * axes
     curve = Curve.through(samples, np.ones((2, 6)))
     cascade = Cascade(clockwork(1.0), curve.points[0], curve.points[-1])
-    parameters = fit_placed_switches(cascade, curve, 12)
+    parameters = fit_switches(cascade, curve, 12)
     # All neurons turn, since nothing is shifted.
     assert (parameters.c[:, 0] > 0.0).all()
     assert not parameters.c[:, 1:].any()

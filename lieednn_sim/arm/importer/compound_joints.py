@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.importer.stages import Couplings
+from lieednn_sim.arm.importer.coupled_joints import Couplings
 from lieednn_sim.values import Floats
 
 _BALL, _SLIDE, _HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("BALL", "SLIDE", "HINGE"))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.contacts import colliding_geoms
+from lieednn_sim.arm.importer.coupled_joints import tendon_joints
 from lieednn_sim.arm.importer.draft import Draft
-from lieednn_sim.arm.importer.stages import tendon_joints
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 

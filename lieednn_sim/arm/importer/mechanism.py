@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.importer.compound_joints import cut
+from lieednn_sim.arm.importer.coupled_joints import Couplings, find_couplings
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import compile_spec
 from lieednn_sim.arm.importer.serial_chain import (
@@ -23,7 +24,6 @@ from lieednn_sim.arm.importer.serial_chain import (
     named_chain,
     named_frames,
 )
-from lieednn_sim.arm.importer.stages import Couplings, find_couplings
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_floats, quoted
 from lieednn_sim.values import Floats

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import ancestry, joints_of
-from lieednn_sim.arm.importer.stages import driven_directly, driven_tendons, tendon_joints, tied_joints
+from lieednn_sim.arm.importer.coupled_joints import driven_directly, driven_tendons, tendon_joints, tied_joints
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, quoted
 from lieednn_sim.values import Floats

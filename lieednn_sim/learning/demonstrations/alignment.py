@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.recording import Demonstration, as_dof
-from lieednn_sim.lie import exp, left_jacobian_so3, poses
+from lieednn_sim.lie import exp, left_jacobian_so3, transforms
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
@@ -99,7 +99,7 @@ class Demonstrations:
         """World poses of twists ``(..., 6)``."""
         seen = exp(twists)
         origin = self.goal.rotation.as_matrix()
-        return poses(seen.rotation.as_matrix() @ origin, seen.translation + self.goal.translation)
+        return transforms(seen.rotation.as_matrix() @ origin, seen.translation + self.goal.translation)
 
 
 def align(

@@ -130,7 +130,7 @@ class PositionServo(FeedforwardServo):
     def controls(self, steps: range) -> Floats:
         """See `FeedforwardServo`."""
         reference = self._reference
-        rows = reference.rows(steps)
+        rows = reference.row(np.array(steps))
         velocity = reference.qvel[np.minimum(rows + 1, reference.known - 1)]
         return self._actuators.servo_controls(reference.qpos[rows], velocity, self._damping * velocity)
 
@@ -152,7 +152,7 @@ class InverseDynamicsServo(FeedforwardServo):
     def controls(self, steps: range) -> Floats:
         """See `FeedforwardServo`."""
         reference = self._reference
-        rows = reference.rows(steps)
+        rows = reference.row(np.array(steps))
         qpos, (velocity, acceleration) = reference.qpos[rows], reference.rates_at(rows)
         # Equal rows, such as those of a resting or held reference, are computed once.
         firsts, run = runs(np.hstack([qpos, velocity, acceleration]))
@@ -180,7 +180,6 @@ class ComputedTorque(DriveController):
         self._model = self._inverse.model
         self._actuators.make_direct(self._model)
         self._foreseen = Foreseen(reference)
-        self._turning = arm.model.nq > arm.model.nv
         # Gains of velocity and position, as arrays: multiplying by numbers takes twice as long.
         self._gains = np.full((2, arm.model.nv), [[2.0 * NATURAL_FREQUENCY], [NATURAL_FREQUENCY**2]])
         self._errors = np.empty_like(self._gains)
@@ -192,7 +191,7 @@ class ComputedTorque(DriveController):
 
     def _goals(self, steps: range) -> list[tuple[Floats, ...]]:
         """Wanted positions, velocities and accelerations at some steps."""
-        rows = self._reference.rows(steps)
+        rows = self._reference.row(np.array(steps))
         # Tuples are faster to unpack than arrays.
         return list(zip(self._reference.qpos[rows], *self._reference.rates_at(rows), strict=True))
 
@@ -201,14 +200,9 @@ class ComputedTorque(DriveController):
         inverse, lag, error = self._inverse, self._lag, self._error
         goal, velocity, acceleration = self._foreseen.row(step, self._goals)
         np.add(data.qvel, noise.velocity, inverse.velocity)
-        if self._turning:
-            # Even without noise this normalises quaternions.
-            inverse.qpos[:] = data.qpos
-            mujoco.mj_integratePos(self._model, inverse.qpos, noise.position, 1.0)
-            mujoco.mj_differentiatePos(self._model, error, 1.0, inverse.qpos, goal)
-        else:
-            np.add(data.qpos, noise.position, inverse.qpos)
-            np.subtract(goal, inverse.qpos, error)
+        inverse.qpos[:] = data.qpos
+        mujoco.mj_integratePos(self._model, inverse.qpos, noise.position, 1.0)
+        mujoco.mj_differentiatePos(self._model, error, 1.0, inverse.qpos, goal)
         # In place: a + 2 w (v - qd) + w^2 e.
         np.subtract(velocity, inverse.velocity, lag)
         self._errors *= self._gains

@@ -20,11 +20,6 @@ from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import AHEAD, Foreseen, Reference, runs
 from lieednn_sim.values import Floats
 
-# Reference acceleration of the welds: time constant T [s] and damping ratio zeta; and the impedance of the constraint.
-_TIME_CONSTANT = 0.01
-_DAMPING_RATIO = 1.0
-_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-
 
 class MocapWelds(Controller):
     """Mocap bodies at the reference's link frames, welded to those of the arm; the actuators are idle.
@@ -44,11 +39,11 @@ class MocapWelds(Controller):
         self._scratch = mujoco.MjData(arm.model)
         self._foreseen = Foreseen(reference)
         self._ids: NDArray[np.int_] = np.zeros(0, dtype=int)
-        self._equalities = -1
 
     def _weld(self, reference: Reference) -> tuple[tuple[float, float], float]:
         """Parameters solref of the welds, and the time [s] by which the mocap bodies run ahead."""
-        return (_TIME_CONSTANT, _DAMPING_RATIO), 2.0 * _TIME_CONSTANT * _DAMPING_RATIO**2
+        time_constant, damping_ratio = 0.01, 1.0
+        return (time_constant, damping_ratio), 2.0 * time_constant * damping_ratio**2
 
     def add_bodies(self, spec: Any) -> None:
         """See `Controller`."""
@@ -62,13 +57,12 @@ class MocapWelds(Controller):
                 name1=f"{mocap_name(i)}_frame",
                 name2=self._arm.model.site(int(site)).name,
             )
-            weld.solref[:2], weld.solimp[:] = self._solref, _IMPEDANCE
+            weld.solref[:2], weld.solimp[:] = self._solref, (0.9999, 0.9999, 0.001, 0.5, 2.0)
 
     def equip(self, plant: mujoco.MjModel) -> None:
         """See `Controller`."""
         names = [mocap_name(i) for i in range(self._arm.n_links)]
         self._ids = plant.body_mocapid[[plant.body(name).id for name in names]]
-        self._welds = np.array([plant.equality(name).id for name in names])
         bodies = np.argsort(plant.body_mocapid)[-plant.nmocap :]
         self._rest = np.hstack([plant.body_pos[bodies], plant.body_quat[bodies]])
         idle = driving_actuators(self._arm)
@@ -104,24 +98,12 @@ class MocapWelds(Controller):
 
     def sample(self, data: mujoco.MjData) -> Floats:
         """Constraint forces ``(6 N,)`` of the welds' rows in MuJoCo's solver."""
-        # Equalities are the first constraints, in the same rows until one is switched on or off.
-        if data.ne != self._equalities:
-            self._equalities = data.ne
-            of_weld = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & (
-                data.efc_id == self._welds[:, None]
-            )
-            self._pulling, rows = of_weld.any(axis=1), np.flatnonzero(of_weld.any(axis=0))
-            self._weld_rows = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
-        force = data.efc_force[self._weld_rows].copy()
-        if len(force) == 6 * len(self._welds):
-            return force
-        wrench = np.zeros((len(self._welds), 6))
-        wrench[self._pulling] = force.reshape(-1, 6)
-        return wrench.ravel()
+        # Equalities are the first constraints, those of the welds the last of them, which nothing switches off.
+        return data.efc_force[data.ne - 6 * len(self._ids) : data.ne].copy()
 
     def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
         """See `ChannelSource`."""
-        wrench = samples.reshape(-1, len(self._welds), 6)
+        wrench = samples.reshape(-1, len(self._ids), 6)
         force, torque = (np.sqrt(np.vecdot(part, part)) for part in (wrench[:, :, :3], wrench[:, :, 3:]))
         # The angular rows measure the sine of half the angle, so a torque is half their force.
         return force, 0.5 * torque

@@ -121,7 +121,7 @@ class ProblemSets:
         if missing := goal.keys() - start.keys():
             raise FileError(f"{where} has no start position of {', '.join(sorted(missing))}")
         ends = (self._rounded(np.array([one[joint] for joint in self.arm.joint_names])) for one in (start, goal))
-        return PublishedProblem(self.arm.amid(shapes({"obstacles": entries}, Path(where)), name), *ends)
+        return PublishedProblem(self.arm.with_obstacles(shapes({"obstacles": entries}, Path(where)), name), *ends)
 
     def _rounded(self, q: Floats) -> Floats:
         """Coordinates ``(n,)``, put on a limit where they exceed it by less than the URDF's precision."""

@@ -22,10 +22,10 @@ from lieednn_sim.budget import as_time_budget, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning import Plan, plan, retime
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
+from lieednn_sim.planning.guides import GuideOptions
 from lieednn_sim.planning.motion import Motion, least_duration
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.shaped import ShapedOptions
-from lieednn_sim.planning.teachers import TeacherOptions
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.rows import TableRow, column, outcome
@@ -50,11 +50,11 @@ _SEARCH = RrtConnectOptions(
 )
 OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
-    # Its teacher is minimum jerk, or else the same search, for a fair comparison with it. Contacts of a network that
+    # Its guide is minimum jerk, or else the same search, for a fair comparison with it. Contacts of a network that
     # deviates a little are found by the check of its motion.
     "lieednn-shaped": ShapedOptions(
-        teacher=TeacherOptions(polished=False, search=_SEARCH),
-        teachers=100,
+        guide=GuideOptions(optimised=False, search=_SEARCH),
+        guides=100,
         deviation=1e-2,
     ),
 }
@@ -74,7 +74,7 @@ class Solution(TableRow):
         success: whether there is a motion within all limits and free of contact.
         reason: why there is none; begins with "skipped" where start or goal are invalid, with "plan" where the planner
             failed, with "problem" where it could not be read, and with "error" for anything else.
-        teacher: for a shaped network, the planner whose motion it follows.
+        guide: for a shaped network, the planner whose motion it follows.
     """
 
     _key = ("problem", "number", "planner")
@@ -84,7 +84,7 @@ class Solution(TableRow):
     planner: str
     success: bool = outcome()
     reason: str = ""
-    teacher: str = ""
+    guide: str = ""
     solve_time: float | None = column(
         "solve time [s]",
         "CPU time of the planner, stopped at its budget; the one column that differs between runs",
@@ -156,13 +156,13 @@ def _sets(folder: str) -> ProblemSets:
 
 
 def measured(arm: Arm, made: Plan) -> dict[str, Any]:
-    """The measured columns of a plan, and its teacher."""
+    """The measured columns of a plan, and its guide."""
     motion: Motion = made.motion
     tips = arm.link_poses(motion.q).as_matrix()[:, -1]
     turns = Rotation.from_matrix(tips[:, :3, :3])
     jerk = np.diff(motion.qd, n=2, axis=0) / motion.timestep**2
     return {
-        "teacher": made.teacher.planner if made.teacher else "",
+        "guide": made.guide.planner if made.guide else "",
         "solve_time": made.cpu_time,
         "motion_time": float(motion.t[-1]),
         "cspace_path_length": float(np.linalg.norm(np.diff(motion.q, axis=0), axis=1).sum()),

@@ -122,7 +122,7 @@ class Task:
         arm: the arm.
         scene: name of its scene.
         target: ``(n,)`` joint position.
-        motion: the teacher's motion from home to the target.
+        motion: the guide's motion from home to the target.
         seed: of target, obstacles, disturbances and policies.
     """
 
@@ -201,7 +201,7 @@ def failed_reactions(arm: str, scene: str, policy: str, seed: int, reason: str) 
 def _task(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...]) -> Task:
     arm, target = arm_and_target(name, scene, seed, user_files)
     shown = plan(arm, target, planner="lieednn-shaped", seed=seed)
-    return Task(arm, scene, target, (shown.teacher or shown).motion, seed)
+    return Task(arm, scene, target, (shown.guide or shown).motion, seed)
 
 
 def _run(

@@ -36,7 +36,7 @@ METHOD = (
     " has arrived if every link ends within 1 mm and 0.1 degrees of the last target without any contact. It is back "
     "once its deviation from the undisturbed path stays below a tenth of the largest one, which a lasting weight "
     "prevents. Effort is the integral of the mean squared actuator force relative to its limits. All policies but the "
-    "tracker see the measured joints and wait for the arm; the tracker plays the teacher's motion, whatever arm and "
+    "tracker see the measured joints and wait for the arm; the tracker plays the guide's motion, whatever arm and "
     "target do. Among obstacles, and where a pole walks, lieednn-replanning, fabric and path integral (mppi) avoid "
     "contact by themselves; the other networks, primitives and the linear attractor use the safety filter. "
     "Policies without a time law of their own, but for lieednn-replanning, approach the target at "

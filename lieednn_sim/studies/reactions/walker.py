@@ -53,7 +53,7 @@ def walking_pole(arm: Arm, t: Floats, q: Floats, gone: Floats, begin: float, rng
     body = spec.worldbody.add_body(name=WALKER.removeprefix("obstacle_"))
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[_RADIUS, _HALF, 0.0], group=2, rgba=(0.9, 0.72, 0.18, 1.0))
     body.pos = [100.0, 0.0, 0.0]
-    beside = replace(arm.amid(spec, "walk"), scene=arm.scene, scene_seed=arm.scene_seed)
+    beside = replace(arm.with_obstacles(spec, "walk"), scene=arm.scene, scene_seed=arm.scene_seed)
     before, after, touching = (Surroundings(beside, margin) for margin in (_BEFORE, _AFTER, 1e-3))
     tips = np.asarray(arm.link_poses(q).translation)[:, -1]
     stands = begin + min(_WALK, _SHARE * (float(t[np.argmax(gone >= _PLACES[1])]) - begin))
@@ -70,7 +70,7 @@ def walking_pole(arm: Arm, t: Floats, q: Floats, gone: Floats, begin: float, rng
             continue
         # It walks into no arm, not even into one that has slowed down since it began.
         if not any(_blocks(before, obstacle.at(t[k]), q[walking[walking <= k]]) for k in walking):
-            return Walk(beside.placed({WALKER: first}), obstacle)
+            return Walk(beside.with_moved_bodies({WALKER: first}), obstacle)
     raise PlanError("no place was found where a pole can stand in the arm's way")
 
 

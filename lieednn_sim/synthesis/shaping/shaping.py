@@ -19,7 +19,7 @@ from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, assemble, clockwork
 from lieednn_sim.synthesis.shaping.curve import Curve, as_units
-from lieednn_sim.synthesis.shaping.placed_switches import fit_placed_switches
+from lieednn_sim.synthesis.shaping.switch_fit import fit_switches
 from lieednn_sim.validation import as_count, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
@@ -128,7 +128,7 @@ def shape(
         best: tuple[float, LieEDNN, Parameters] | None = None
         for count in chosen.neurons:
             check_time()
-            parameters = fit_placed_switches(cascade, path, count)
+            parameters = fit_switches(cascade, path, count)
             result = *_measured(parameters, chosen, path), parameters
             if best is None or result[0] < best[0]:
                 best = result

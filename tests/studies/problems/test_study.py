@@ -24,7 +24,7 @@ def test_a_straight_way_is_measured_by_hand(tiny: Path, monkeypatch: pytest.Monk
     # Without toppra the planner's own law stays.
     monkeypatch.setattr(study, "_TIMED", False)
     (row,) = solve(str(tiny), "easy", 1, "minimum-jerk", 10.0)
-    assert (row.success, row.skipped, row.teacher) == (True, False, "")
+    assert (row.success, row.skipped, row.guide) == (True, False, "")
     # The shoulder turns by 1.2 rad at 1 rad/s at most, and minimum jerk peaks at 15/8 of the mean: 2.25 s, and 2 %.
     assert row.cspace_path_length == pytest.approx(1.2, rel=1e-6)
     assert row.motion_time == pytest.approx(1.02 * 1.2 * 15.0 / 8.0, rel=0.02)
@@ -71,15 +71,15 @@ def test_what_cannot_be_is_skipped_and_what_is_not_found_has_failed(tiny: Path) 
     assert not unread.skipped
 
 
-def test_a_shaped_network_goes_around_as_its_teacher_does(tiny: Path) -> None:
+def test_a_shaped_network_goes_around_as_its_guide_does(tiny: Path) -> None:
     pytest.importorskip("ompl")
     arm, start, goal = ProblemSets(tiny).problem("post", 1)
     made = plan(
         arm, goal, start=start, planner="lieednn-shaped", max_time_scale=100.0, options=OPTIONS["lieednn-shaped"]
     )
-    assert made.teacher is not None
-    assert made.teacher.planner == "rrt-connect"
-    assert measured(arm, made)["teacher"] == "rrt-connect"
+    assert made.guide is not None
+    assert made.guide.planner == "rrt-connect"
+    assert measured(arm, made)["guide"] == "rrt-connect"
     collisions = Collisions(arm)
     assert min(collisions.clearance(q) for q in made.motion.q[::8]) > 0.0
 

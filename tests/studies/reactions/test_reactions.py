@@ -149,14 +149,14 @@ def test_the_disturbances_of_a_tracker_by_hand(task, monkeypatch):
 
 
 @pytest.mark.parametrize(("scene", "taught"), [("free", True), ("poles", False)])
-def test_a_task_shows_the_teachers_motion_and_filters_among_obstacles(scene, taught, monkeypatch, gantry, task):
-    own, teachers = dataclasses.replace(task.motion), task.motion
-    made = Plan(own, None, teacher=Plan(teachers) if taught else None)
+def test_a_task_shows_the_guides_motion_and_filters_among_obstacles(scene, taught, monkeypatch, gantry, task):
+    own, guides = dataclasses.replace(task.motion), task.motion
+    made = Plan(own, None, guide=Plan(guides) if taught else None)
     monkeypatch.setattr(cases, "arm_and_target", lambda *_: (gantry, task.target))
     monkeypatch.setattr(cases, "plan", lambda *_, **__: made)
     found = cases._task.__wrapped__("gantry", scene, 3, ())
     assert found.seed == 3
-    assert found.motion is (teachers if taught else own)
+    assert found.motion is (guides if taught else own)
     for name in ("linear-attractor", "dmp", "fabric", "mppi", "tracker"):
         policy = found.policy(name)
         assert policy.rate == 100.0

@@ -67,7 +67,7 @@ class Clock:
         return np.interp(-np.cbrt(left), -y, t)
 
 
-class CodedCourse:
+class TimedPath:
     """A transition that a universal network makes, from its visible state on.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.errors import PlanError
-from lieednn_sim.lie import poses
+from lieednn_sim.lie import transforms
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.values import Floats
 
@@ -25,7 +25,7 @@ _ENDS = 1e-4
 def _end_poses(arm: Arm, q: Floats) -> RigidTransform:
     """Poses ``(K,)`` of the end effector in the world at q ``(K, n)``."""
     matrix = arm.link_poses(q).as_matrix()[..., -1, :, :]
-    return poses(matrix[..., :3, :3], matrix[..., :3, 3])
+    return transforms(matrix[..., :3, :3], matrix[..., :3, 3])
 
 
 def excess_and_slopes(arm: Arm, q: Floats, *regions: TaskSpaceRegion) -> tuple[Floats, Floats]:
@@ -68,20 +68,20 @@ def _least_step(excess: Floats, slopes: Floats) -> Floats:
     return -np.einsum("kcn,kc->kn", slopes, np.linalg.solve(square, excess[..., None])[..., 0])
 
 
-def followed(arm: Arm, start: Floats, goal: TaskSpaceRegion, keep: TaskSpaceRegion) -> Floats | None:
+def followed(arm: Arm, start: Floats, goal: TaskSpaceRegion, path_constraint: TaskSpaceRegion) -> Floats | None:
     """The joint position ``(n,)`` in a goal that the arm reaches from a start in small steps within a region, if any.
 
     The goal's bounds are widened until they hold the start, and then drawn in.
     """
     inset = 1e-6
-    goal, keep, q = goal.within(inset), keep.within(inset), start[None]
+    goal, path_constraint, q = goal.within(inset), path_constraint.within(inset), start[None]
     beyond = goal.excess(arm.link_poses(start)[-1])
     for left in np.linspace(1.0, 0.0, 33)[1:]:
         wide = replace(
             goal, lower=goal.lower + left * np.minimum(beyond, 0.0), upper=goal.upper + left * np.maximum(beyond, 0.0)
         )
-        q = projected(arm, q, wide, keep)
-        if np.abs(excess_and_slopes(arm, q, wide, keep)[0]).max() > inset:
+        q = projected(arm, q, wide, path_constraint)
+        if np.abs(excess_and_slopes(arm, q, wide, path_constraint)[0]).max() > inset:
             return None
     return q[0]
 
@@ -95,7 +95,7 @@ def outside(arm: Arm, region: TaskSpaceRegion, q: Floats) -> float:
     return float(max((distance / KEPT_DISTANCE).max(), (angle / KEPT_ANGLE).max()))
 
 
-def check_kept(arm: Arm, region: TaskSpaceRegion | None, motion: Motion) -> None:
+def check_path_constraint(arm: Arm, region: TaskSpaceRegion | None, motion: Motion) -> None:
     """Check that the end effector is in a region, up to `KEPT_DISTANCE` and `KEPT_ANGLE`, at every sample of a motion.
 
     Raises:

@@ -38,7 +38,7 @@ _INSTANTS, _LEAST_CLOCK = 120, 0.01
 _RIDGE = 1e-9
 
 
-def fit_placed_switches(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
+def fit_switches(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
     """Parameters of the cascade with ``n_switches`` switches placed along the curve whose path is nearest to it."""
     n, m, clock = curve.points.shape[1], n_switches, cascade.clock
     pace = _pace(curve)

@@ -1,6 +1,6 @@
 """How closely planned motions keep a line, or an orientation, and how long planning takes.
 
-    python scripts/kept_ways.py telescopic_pr telescopic_rrp telescopic_compound robot.xml --ways 20
+    python scripts/path_constraints.py telescopic_pr telescopic_rrp telescopic_compound robot.xml --ways 20
 
 A start is a random target of the arm, and the end effector goes from there into a random direction, by 0.1 to 0.4 m: on
 a straight line, turned as it likes; or by any way, turned as at the start. Ways that the arm cannot follow in small
@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 
 import lieednn_sim as ls
 from lieednn_sim.errors import NoSolutionError
-from lieednn_sim.planning.kept import followed
+from lieednn_sim.planning.path_constraints import followed
 from lieednn_sim.studies.markdown import table
 
 HEADINGS = ("arm", "kept", "drawn", "can be followed", "planned", "off [mm]", "off [degrees]", "CPU [s]", "longest")
@@ -33,10 +33,12 @@ def drawn(arm: ls.Arm, kind: str, seed: int) -> tuple[np.ndarray, ls.TaskSpaceRe
     here, way = arm.link_poses(start)[-1], rng.normal(size=3)
     there = here.translation + rng.uniform(0.1, 0.4) * way / np.linalg.norm(way)
     line = kind == "line"
-    keep = ls.TaskSpaceRegion.line(here.translation, there) if line else ls.TaskSpaceRegion.orientation(here.rotation)
+    path_constraint = (
+        ls.TaskSpaceRegion.line(here.translation, there) if line else ls.TaskSpaceRegion.orientation(here.rotation)
+    )
     goal = ls.TaskSpaceRegion.box(there, there)
-    target = followed(arm, start, goal, keep)
-    return None if target is None or arm.near_contacts(target) else (start, goal, keep)
+    target = followed(arm, start, goal, path_constraint)
+    return None if target is None or arm.near_contacts(target) else (start, goal, path_constraint)
 
 
 def row(arm: ls.Arm, kind: str, ways: int) -> list[Any]:
@@ -46,14 +48,14 @@ def row(arm: ls.Arm, kind: str, ways: int) -> list[Any]:
         seed += 1
         problems += [(seed, problem) for problem in [drawn(arm, kind, seed)] if problem is not None]
     times, deviations = [np.nan], [np.zeros(2)]
-    for number, (start, goal, keep) in problems:
+    for number, (start, goal, path_constraint) in problems:
         try:
-            plan = ls.plan(arm, goal, start=start, keep=keep, seed=number)
+            plan = ls.plan(arm, goal, start=start, path_constraint=path_constraint, seed=number)
         except NoSolutionError as error:
             print(f"{arm.name}, {kind}, seed {number}: {error}")
             continue
         ends = RigidTransform.from_matrix(arm.link_poses(plan.motion.q).as_matrix()[:, -1])
-        deviations.append(np.max(keep.distance(ends), axis=1))
+        deviations.append(np.max(path_constraint.distance(ends), axis=1))
         times.append(plan.cpu_time)
     distance, angle = np.max(deviations, axis=0)
     cells = [arm.name, kind, seed, len(problems), len(times) - 1, f"{1e3 * distance:.2g}", f"{np.rad2deg(angle):.2g}"]

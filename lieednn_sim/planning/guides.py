@@ -1,9 +1,9 @@
-"""The teacher of a shaped network: a motion that is short, smooth and clear of everything, found quickly.
+"""The guide of a shaped network: a motion that is short, smooth and clear of everything, found quickly.
 
-Candidates are polished (`polishing`), and the one with the least measure is the teacher. They are the straight motion,
-though it touches something, and the paths of a few searches by RRT-Connect with balanced trees (`trees`), shortened.
-All work is counted in configurations tested and steps, so a teacher depends on no clock and, unless everything fails,
-on no optional library.
+Candidates are optimised (`guide_optimisation`), and the one with the least measure is the guide. They are the straight
+motion, though it touches something, and the paths of a few searches by RRT-Connect with balanced trees (`trees`),
+shortened. All work is counted in configurations tested and steps, so a guide depends on no clock and, unless everything
+fails, on no optional library.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from lieednn_sim.planning.baselines import interpolation, sampling
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.trees import connected
+from lieednn_sim.planning.guide_optimisation import GuideOptimisation
 from lieednn_sim.planning.joint_space import Workspace
-from lieednn_sim.planning.kept import outside, projected
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.polishing import Polish
+from lieednn_sim.planning.path_constraints import outside, projected
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.values import Floats
 
@@ -35,26 +35,26 @@ _LEAST_SWEEP = 0.1
 
 
 @dataclass(frozen=True)
-class TeacherOptions(PlannerOptions):
-    """Options for the teacher's motion, which the planner ``lieednn-shaped`` follows.
+class GuideOptions(PlannerOptions):
+    """Options for the guide's motion, which the planner ``lieednn-shaped`` follows.
 
     Attributes:
-        polished: whether to polish candidates; otherwise RRT-Connect's motion is taken if minimum jerk is not free.
-        clearance_weight: kappa, the weight of clearance in the measure of `polishing`: twice the clearance is worth
-            0.7 kappa of the sum of jerk and path length.
+        optimised: whether to optimise candidates; otherwise RRT-Connect's motion is taken if minimum jerk is not free.
+        clearance_weight: kappa, the weight of clearance in the measure of `guide_optimisation`: twice the clearance is
+            worth 0.7 kappa of the sum of jerk and path length.
         searches: number of paths searched for.
         collision_checks: largest number of configurations tested in a search.
         margin: clearance of paths, reduced where start or target is closer to something [m].
         spacing: largest distance that a link frame moves between configurations tested in a search, about [m].
         longest_edge: longest edge that a tree grows, as a fraction of the joint space's diagonal.
         shortcuts: number of shortcuts tried on a path.
-        intervals: number of intervals of the polished splines.
-        instants: number of instants at which distances from obstacles are measured in a step of the polish.
-        steps: largest number of steps of a polish.
+        intervals: number of intervals of the optimised splines.
+        instants: number of instants at which distances from obstacles are measured in a step of the optimisation.
+        steps: largest number of steps of an optimisation.
         search: options of RRT-Connect, which is asked if no candidate can be followed.
     """
 
-    polished: bool = True
+    optimised: bool = True
     clearance_weight: float = 0.15
     searches: int = field(default=2, metadata={"range": (1, 100)})
     collision_checks: int = 20_000
@@ -68,16 +68,16 @@ class TeacherOptions(PlannerOptions):
     search: RrtConnectOptions = _RRT
 
 
-def best_teacher(problem: PlanningProblem, options: TeacherOptions) -> Plan:
-    """The teacher's plan, under the name of the planner whose motion it is, with ", polished" if it was.
+def best_guide(problem: PlanningProblem, options: GuideOptions) -> Plan:
+    """The guide's plan, under the name of the planner whose motion it is, with ", optimised" if it was.
 
-    Minimum jerk is the teacher at once if it is free of contact: no motion is shorter or smoother. Otherwise it is the
-    polished candidate with the least measure that keeps all limits and the arm's clearance, at last RRT-Connect's
+    Minimum jerk is the guide at once if it is free of contact: no motion is shorter or smoother. Otherwise it is the
+    optimised candidate with the least measure that keeps all limits and the arm's clearance, at last RRT-Connect's
     motion.
 
     Raises:
         LieEDNNError: RRT-Connect is asked, but OMPL is not installed.
-        PlanError: no teacher finds a motion; the message has the reason of each.
+        PlanError: no guide finds a motion; the message has the reason of each.
     """
     begin, refusals = cpu_time(), list[str]()
     for name, solve in _motions(problem, options):
@@ -85,36 +85,36 @@ def best_teacher(problem: PlanningProblem, options: TeacherOptions) -> Plan:
             return Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begin)
         except PlanError as error:
             refusals.append(f"{name}: {error}")
-    if problem.keep is not None:
+    if problem.path_constraint is not None:
         refusals.append("no other way within it was found")
-    raise PlanError(f"no teacher finds a motion; {'; '.join(refusals)}")
+    raise PlanError(f"no guide finds a motion; {'; '.join(refusals)}")
 
 
-def _motions(problem: PlanningProblem, options: TeacherOptions) -> Iterator[tuple[str, Callable[[], Motion]]]:
-    """What makes and checks a teacher's motion, by the name of its planner, the one to ask first at the beginning."""
+def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[str, Callable[[], Motion]]]:
+    """What makes and checks a guide's motion, by the name of its planner, the one to ask first at the beginning."""
     yield "minimum-jerk", partial(_straight, problem)
-    if options.polished or problem.keep is not None:
-        search = (_Search if problem.keep is None else _KeptSearch)(problem, options)
-        for _, name, motion in sorted(search.polished(), key=itemgetter(0)):
-            yield f"{name}, polished", motion
-    if problem.keep is None:
+    if options.optimised or problem.path_constraint is not None:
+        search = (_Search if problem.path_constraint is None else _ConstrainedSearch)(problem, options)
+        for _, name, motion in sorted(search.optimised(), key=itemgetter(0)):
+            yield f"{name}, optimised", motion
+    if problem.path_constraint is None:
         yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search)
 
 
 def _straight(problem: PlanningProblem) -> Motion:
     """The motion by minimum jerk, in the region to keep, if any."""
-    if problem.keep is not None:
+    if problem.path_constraint is not None:
         some = np.linspace(problem.start, problem.target, 200)
         # A small part of what is allowed; the rest is for the network that follows it.
-        if outside(problem.arm, problem.keep, some) > 0.01:
+        if outside(problem.arm, problem.path_constraint, some) > 0.01:
             raise PlanError("the straight motion leaves the region to keep")
     return interpolation.minimum_jerk(problem)
 
 
 class _Search:
-    """Polished motions of a problem whose straight motion is blocked."""
+    """Optimised motions of a problem whose straight motion is blocked."""
 
-    def __init__(self, problem: PlanningProblem, options: TeacherOptions) -> None:
+    def __init__(self, problem: PlanningProblem, options: GuideOptions) -> None:
         self.problem, self.options, arm = problem, options, problem.arm
         self.workspace = Workspace(problem, options.margin)
         self.edges = EdgeTest(arm, self.workspace, options.spacing)
@@ -130,9 +130,9 @@ class _Search:
         """What moves points of a tree, in units of ``scale`` ``(n,)``, to where they may be; None for anywhere."""
         return None
 
-    def polish(self, *, own: bool) -> Polish:
+    def optimisation(self, *, own: bool) -> GuideOptimisation:
         """With the arm's distances from itself, at twice the instants; without them, at a fraction of the cost."""
-        return Polish(
+        return GuideOptimisation(
             self.problem,
             self.edges.swept / self.edges.scale,
             self.ends,
@@ -142,30 +142,30 @@ class _Search:
             own=own,
         )
 
-    def polished(self) -> Iterator[tuple[float, str, Callable[[], Motion]]]:
+    def optimised(self) -> Iterator[tuple[float, str, Callable[[], Motion]]]:
         """Measure, name, and the function that makes and checks the motion of each candidate that is clear."""
-        polish = self.polish(own=False)
-        for name, guess in self.guesses(polish):
-            measure, free, clear = polish.descend(polish.near_kept(guess), self.options.steps)
+        optimisation = self.optimisation(own=False)
+        for name, guess in self.guesses(optimisation):
+            measure, free, clear = optimisation.descend(optimisation.near_constraint(guess), self.options.steps)
             if clear:
-                yield measure, name, partial(self.motion, polish, free)
-                if self.enough(polish.cost(free)):
+                yield measure, name, partial(self.motion, optimisation, free)
+                if self.enough(optimisation.cost(free)):
                     break
 
-    def motion(self, polish: Polish, free: Floats) -> Motion:
-        """The checked motion; if it is refused, that of a finer polish from there."""
+    def motion(self, optimisation: GuideOptimisation, free: Floats) -> Motion:
+        """The checked motion; if it is refused, that of a finer optimisation from there."""
         try:
-            return in_time(polish.motion, self.problem, free)
+            return in_time(optimisation.motion, self.problem, free)
         except PlanError:
-            finer = self.polish(own=True)
+            finer = self.optimisation(own=True)
             return in_time(finer.motion, self.problem, finer.descend(free, self.options.steps)[1])
 
-    def guesses(self, polish: Polish) -> Iterator[tuple[str, Floats]]:
+    def guesses(self, optimisation: GuideOptimisation) -> Iterator[tuple[str, Floats]]:
         """The straight motion, and those near paths that are searched for, each with its planner's name."""
-        yield "minimum-jerk", polish.straight
+        yield "minimum-jerk", optimisation.straight
         for attempt in range(self.options.searches):
             if (corners := self.path(attempt)) is not None:
-                yield "rrt-connect", polish.near(corners)
+                yield "rrt-connect", optimisation.near(corners)
 
     def path(self, attempt: int) -> Floats | None:
         """Corners ``(M, n)`` of a shortened path; each attempt has a seed and as many tests of its own."""
@@ -193,10 +193,10 @@ class _Search:
         return scale * shortened(corners, clear, self.shortcuts, np.random.default_rng(shortcuts))
 
 
-class _KeptSearch(_Search):
+class _ConstrainedSearch(_Search):
     """The same where a region is kept on the way: the first clear motion will do."""
 
-    def __init__(self, problem: PlanningProblem, options: TeacherOptions) -> None:
+    def __init__(self, problem: PlanningProblem, options: GuideOptions) -> None:
         super().__init__(problem, options)
         # A projection takes as long as five tests. Straight shortcuts would leave the region.
         self.intervals, self.checks, self.shortcuts = 24, self.checks // 5, 0
@@ -207,9 +207,9 @@ class _KeptSearch(_Search):
 
     def onto(self, scale: Floats) -> Callable[[Floats], Floats]:
         """See `_Search`."""
-        arm, keep = self.problem.arm, self.problem.keep
-        assert keep is not None
-        return lambda point: projected(arm, (scale * point)[None], keep)[0] / scale
+        arm, path_constraint = self.problem.arm, self.problem.path_constraint
+        assert path_constraint is not None
+        return lambda point: projected(arm, (scale * point)[None], path_constraint)[0] / scale
 
 
 def shortened(

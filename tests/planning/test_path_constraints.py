@@ -9,10 +9,10 @@ import pytest
 
 import lieednn_sim as ls
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.planning import PlanningProblem, TeacherOptions
+from lieednn_sim.planning import GuideOptions, PlanningProblem
 from lieednn_sim.planning.goals import candidates
-from lieednn_sim.planning.kept import outside, projected
-from lieednn_sim.planning.teachers import _KeptSearch
+from lieednn_sim.planning.guides import _ConstrainedSearch
+from lieednn_sim.planning.path_constraints import outside, projected
 
 from .arms import coarse
 
@@ -43,7 +43,7 @@ def test_a_line_with_an_orientation_is_kept_by_a_certified_network_also_when_ret
     last = first + np.array([0.25, -0.2, 0.15])
     region = ls.TaskSpaceRegion.line(first, last, held)
     goal = ls.TaskSpaceRegion.box(last, last)
-    made = ls.plan(arm, goal, start=start, keep=region, fastest=True)
+    made = ls.plan(arm, goal, start=start, path_constraint=region, fastest=True)
     q = made.motion.q
     assert made.planner == "lieednn-shaped"
     assert made.network.certified
@@ -61,15 +61,15 @@ def test_an_upright_hand_finds_its_way_among_obstacles():
     arm = coarse("telescopic_pr", "poles", 5)
     held, place = arm.link_poses(arm.keyframe("home"))[-1].rotation, arm.tip(ls.draw_target(arm, seed=5))
     region = ls.TaskSpaceRegion.orientation(held, np.deg2rad(5.0), axis=[0.0, 0.0, 1.0])
-    made = ls.plan(arm, ls.TaskSpaceRegion.box(place, place), keep=region)
+    made = ls.plan(arm, ls.TaskSpaceRegion.box(place, place), path_constraint=region)
     assert made.motion.t[-1] == 4.0
-    assert made.teacher.planner == "rrt-connect, polished"
+    assert made.guide.planner == "rrt-connect, optimised"
     # The direction of the world's z in the hand turns with the tilt alone.
     down = arm.link_poses(made.motion.q).as_matrix()[:, -1, 2, :3]
     tilt = np.arccos(np.clip(down @ held.as_matrix()[2], -1.0, 1.0))
     assert np.deg2rad(0.5) < tilt.max() < np.hypot(*np.deg2rad([5.1, 5.1]))
     with pytest.raises(InputError, match="planner 'minimum-jerk' cannot keep a region on the way; planners that can: "):
-        ls.plan(arm, made.target, planner="minimum-jerk", keep=region)
+        ls.plan(arm, made.target, planner="minimum-jerk", path_constraint=region)
 
 
 @pytest.mark.parametrize("kind", ["line", "orientation"])
@@ -83,15 +83,15 @@ def test_every_motion_is_checked_with_how_far_it_leaves_the_region_and_when(arm,
     else:
         region = ls.TaskSpaceRegion.orientation(here.rotation)
         goal = ls.TaskSpaceRegion.box(here.translation + 0.2, here.translation + 0.2)
-    target = next(candidates(arm, goal, start, keep=region))
+    target = next(candidates(arm, goal, start, path_constraint=region))
 
     @ls.register_planner("careless")
     def careless(problem):
-        assert problem.keep is region
+        assert problem.path_constraint is region
         return ls.plan(arm, problem.target, start=problem.start, planner="minimum-jerk").motion
 
     with pytest.raises(PlanError, match="outside the region to keep at t = ") as caught:
-        ls.plan(arm, target, start=start, planner="careless", keep=region)
+        ls.plan(arm, target, start=start, planner="careless", path_constraint=region)
     said = [float(number) for number in re.findall(r"([\d.e-]+) (?:mm|degrees) ", str(caught.value))[:2]]
     q = ls.plan(arm, target, start=start, planner="minimum-jerk").motion.q
     if kind == "line":
@@ -106,8 +106,8 @@ def test_a_straight_motion_that_stays_in_the_region_is_taken(arm, start):
     slab = ls.TaskSpaceRegion.box([-np.inf, -np.inf, height - 0.2], [np.inf, np.inf, height + 0.2])
     target = start + 0.1 * (arm.keyframe("home") - start)
     for end in (start, target):
-        made = ls.plan(arm, end, start=start, keep=slab)
-        assert made.teacher.planner == "minimum-jerk"
+        made = ls.plan(arm, end, start=start, path_constraint=slab)
+        assert made.guide.planner == "minimum-jerk"
         np.testing.assert_allclose(made.motion.q[-1], end, atol=1e-6)
 
 
@@ -116,8 +116,10 @@ def test_a_path_that_is_searched_for_has_all_corners_in_the_region(arm, start):
     here = arm.link_poses(start)[-1]
     region = ls.TaskSpaceRegion.orientation(here.rotation)
     goal = ls.TaskSpaceRegion.box(here.translation + 0.2, here.translation + 0.2)
-    problem = PlanningProblem(arm, start, next(candidates(arm, goal, start, keep=region)), keep=region)
-    corners = _KeptSearch(problem, TeacherOptions()).path(0)
+    problem = PlanningProblem(
+        arm, start, next(candidates(arm, goal, start, path_constraint=region)), path_constraint=region
+    )
+    corners = _ConstrainedSearch(problem, GuideOptions()).path(0)
     assert outside(arm, region, corners[1:-1]) < 1e-6
 
 
@@ -125,11 +127,16 @@ def test_ends_outside_the_region_are_refused(arm, start):
     here = arm.tip(start)
     region = ls.TaskSpaceRegion.box(here, here + 1.0)
     with pytest.raises(InputError, match="at the target the end effector is outside the region to keep: by "):
-        ls.plan(arm, "home", start=start, keep=region)
+        ls.plan(arm, "home", start=start, path_constraint=region)
     with pytest.raises(
         InputError, match="at the start the end effector is outside the region to keep: by 500 mm and 0"
     ):
-        ls.plan(arm, "home", start=start, keep=ls.TaskSpaceRegion.box(here + np.array([0.5, 0.0, 0.0]), here + 1.0))
+        ls.plan(
+            arm,
+            "home",
+            start=start,
+            path_constraint=ls.TaskSpaceRegion.box(here + np.array([0.5, 0.0, 0.0]), here + 1.0),
+        )
 
 
 def test_projections_onto_a_region_keep_the_joint_limits(arm, start):

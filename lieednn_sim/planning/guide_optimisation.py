@@ -1,4 +1,4 @@
-"""Polishing a motion: from any first guess to the nearest local optimum of jerk, path length and clearance.
+"""Optimising a motion: from any first guess to the nearest local optimum of jerk, path length and clearance.
 
 A motion is a quintic B-spline in time with control points C, from rest to rest. In units of the joints' ranges and of
 the straight motion by minimum jerk, J is its squared jerk and E a bound on its squared length, the integral of
@@ -27,8 +27,8 @@ from scipy.interpolate import BSpline, CubicSpline
 from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.budget import check_time
 from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion
-from lieednn_sim.planning.kept import check_kept, excess_and_slopes, projected
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.path_constraints import check_path_constraint, excess_and_slopes, projected
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
@@ -37,7 +37,7 @@ from lieednn_sim.values import Floats
 _TOUCHING = 2.5e-3
 
 
-class Polish:
+class GuideOptimisation:
     """Descent for one problem; guesses and results are free control points ``(F, n)`` in units of the ranges.
 
     Args:
@@ -114,12 +114,14 @@ class Polish:
         smooth = 1e-4 * len(u) / self._hessian.diagonal().mean() * self._hessian
         return np.asarray(np.linalg.solve(free.T @ free + smooth, free.T @ left))
 
-    def near_kept(self, free: Floats) -> Floats:
+    def near_constraint(self, free: Floats) -> Floats:
         """The spline near the projections of a motion's positions onto the region that is kept; itself without one."""
-        if self._problem.keep is None:
+        if self._problem.path_constraint is None:
             return free
         q = self._scale * (self._kept_rows @ self._control(free))
-        left = projected(self._problem.arm, q, self._problem.keep) / self._scale - self._kept_rows @ self._ends
+        left = (
+            projected(self._problem.arm, q, self._problem.path_constraint) / self._scale - self._kept_rows @ self._ends
+        )
         return np.asarray(np.linalg.solve(self._kept_rows[:, self._free], left))
 
     def cost(self, free: Floats) -> float:
@@ -168,24 +170,24 @@ class Polish:
         u = t / t[-1]
         q, qd = (self._scale * (self._basis(u, nu=nu) @ control) for nu in (0, 1))
         progress = minimum_jerk_law(u)[0]
-        if problem.keep is not None:
-            q = projected(problem.arm, q, problem.keep)
+        if problem.path_constraint is not None:
+            q = projected(problem.arm, q, problem.path_constraint)
             # The ends are in the region up to the accuracy of inverse kinematics.
             q += np.outer(1.0 - progress, problem.start - q[0]) + np.outer(progress, problem.target - q[-1])
             qd = CubicSpline(t, q, bc_type="clamped")(t, 1) * t[-1]
         motion = joint_motion(problem, q, qd / t[-1], progress)
-        check_kept(problem.arm, problem.keep, motion)
+        check_path_constraint(problem.arm, problem.path_constraint, motion)
         return motion
 
     def _beyond(self, free: Floats) -> float:
         """Mean over the instants of the excess over the region that is kept [m, rad]."""
-        return 0.0 if self._problem.keep is None else float(np.abs(self._kept(free)[0]).sum(axis=1).mean())
+        return 0.0 if self._problem.path_constraint is None else float(np.abs(self._kept(free)[0]).sum(axis=1).mean())
 
     def _kept(self, free: Floats) -> tuple[Floats, Floats]:
         """Excess ``(I, 6)`` over the region that is kept, and slopes ``(I, 6, n)`` in units of the ranges."""
-        assert self._problem.keep is not None
+        assert self._problem.path_constraint is not None
         q = self._scale * (self._kept_rows @ self._control(free))
-        excess, slopes = excess_and_slopes(self._problem.arm, q, self._problem.keep)
+        excess, slopes = excess_and_slopes(self._problem.arm, q, self._problem.path_constraint)
         return excess, slopes * self._scale
 
     def _control(self, free: Floats) -> Floats:
@@ -229,7 +231,7 @@ class Polish:
         high = np.maximum(np.minimum(np.repeat(self._high, count) - x, reach), 0.0)
         upper = np.concatenate([high, [most], np.full(len(instant), 1e30)])
         lower = np.concatenate([low, [-0.5 if known > _TOUCHING else 0.0], known - distance])
-        if self._problem.keep is not None:
+        if self._problem.path_constraint is not None:
             excess, slope = self._kept(free)
             instant, bound = np.nonzero(slope.any(axis=2))
             each = slope[instant, bound][:, :, None] * self._kept_rows[instant][:, None, self._free]

@@ -7,7 +7,7 @@ import pytest
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.rendering import stage
+from lieednn_sim.rendering import scene_setup
 from lieednn_sim.rendering.video import Camera
 
 LINK = """<link name="{}"><inertial><mass value="1"/>
@@ -27,7 +27,7 @@ def arm(tmp_path_factory) -> Arm:
 
 
 def test_what_is_added_neither_moves_nor_touches(arm):
-    model, marker = stage.staged(arm, stage.reached(arm))
+    model, marker = scene_setup.staged(arm, scene_setup.reached(arm))
     assert (model.nq, model.nv, model.nu) == (arm.model.nq, arm.model.nv, arm.model.nu)
     assert model.nmocap == marker + 1 == 1
     planes = [np.count_nonzero(one.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) for one in (model, arm.model)]
@@ -37,7 +37,7 @@ def test_what_is_added_neither_moves_nor_touches(arm):
     assert not (model.geom_contype | model.geom_conaffinity)[added].any()
     assert model.body_mass.sum() == arm.model.body_mass.sum()
     native = Arm.load("telescopic_pr")
-    same, _ = stage.staged(native, stage.reached(native))
+    same, _ = scene_setup.staged(native, scene_setup.reached(native))
     assert (same.ngeom, same.nbody, same.nlight) == (native.model.ngeom, native.model.nbody, native.model.nlight)
 
 

@@ -1,4 +1,4 @@
-"""Teachers of shaped networks, and the polish of motions."""
+"""Guides of shaped networks, and the optimisation of motions."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
-from lieednn_sim.planning import PLANNERS, PlanningProblem, TeacherOptions, plan, teachers
+from lieednn_sim.planning import PLANNERS, GuideOptions, PlanningProblem, guides, plan
+from lieednn_sim.planning.guide_optimisation import GuideOptimisation
+from lieednn_sim.planning.guides import best_guide, shortened
 from lieednn_sim.planning.joint_space import sweeps
 from lieednn_sim.planning.motion import check_motion
-from lieednn_sim.planning.polishing import Polish
-from lieednn_sim.planning.teachers import best_teacher, shortened
 
 from .arms import coarse
 
@@ -26,7 +26,7 @@ needs_ompl = pytest.mark.skipif("rrt-connect" in PLANNERS.missing(), reason="RRT
 
 
 def problem_of(scene, seed):
-    arm = FREE.among(scene, seed)
+    arm = FREE.with_scene(scene, seed)
     return PlanningProblem(arm, arm.keyframe("home"), draw_target(arm, seed), seed=seed)
 
 
@@ -44,10 +44,10 @@ def no_ompl(monkeypatch):
         monkeypatch.setattr(f"lieednn_sim.planning.baselines.{module}.optional_module", missing)
 
 
-def polish(problem, **options):
+def optimisation(problem, **options):
     ends = min(map(Collisions(problem.arm).clearance, (problem.start, problem.target)))
     settings = {"weight": 0.1, "intervals": 8, "instants": 96, **options}
-    return Polish(problem, sweeps(problem.arm), ends, **settings)
+    return GuideOptimisation(problem, sweeps(problem.arm), ends, **settings)
 
 
 @pytest.mark.parametrize("own", [False, True])
@@ -77,16 +77,16 @@ def test_slopes_of_contacts_are_those_of_the_distances(own, poles):
 
 def test_without_obstacles_the_straight_motion_is_the_best_and_costs_two():
     problem = problem_of("free", 0)
-    one = polish(problem)
+    one = optimisation(problem)
     assert one.cost(one.straight) == pytest.approx(2.0, rel=1e-2)
     made, wanted = one.motion(problem, one.straight), plan(FREE, problem.target, planner="minimum-jerk").motion
     np.testing.assert_allclose(made.q, wanted.q, atol=2e-2)
-    assert best_teacher(problem, TeacherOptions()).planner == "minimum-jerk"
+    assert best_guide(problem, GuideOptions()).planner == "minimum-jerk"
 
 
-def test_a_polished_motion_is_no_worse_than_its_start_and_keeps_limits_and_clearance(poles):
-    one = polish(poles)
-    path = teachers._Search(poles, TeacherOptions()).path(0)
+def test_a_optimised_motion_is_no_worse_than_its_start_and_keeps_limits_and_clearance(poles):
+    one = optimisation(poles)
+    path = guides._Search(poles, GuideOptions()).path(0)
     guess = one.near(path)
     start = one.descend(guess, 0)
     measures = [start[0]]
@@ -101,40 +101,40 @@ def test_a_polished_motion_is_no_worse_than_its_start_and_keeps_limits_and_clear
     least = Collisions(poles.arm).least_clearance(motion.q)
     assert measure == pytest.approx(one.measure(free, least), abs=0.05)
     # A larger weight of clearance gives more of it, at the cost of length and jerk.
-    wide = polish(poles, weight=1.0)
+    wide = optimisation(poles, weight=1.0)
     wider = wide.motion(poles, wide.descend(free, 12)[1])
     assert Collisions(poles.arm).least_clearance(wider.q) > 1.1 * least
     assert wide.cost(wide.descend(free, 12)[1]) > one.cost(free)
 
 
 def test_the_winner_has_the_least_measure_whatever_the_order(poles, monkeypatch):
-    one = polish(poles, weight=TeacherOptions().clearance_weight)
-    guesses = [one.near(teachers._Search(poles, TeacherOptions()).path(k)) for k in range(2)]
+    one = optimisation(poles, weight=GuideOptions().clearance_weight)
+    guesses = [one.near(guides._Search(poles, GuideOptions()).path(k)) for k in range(2)]
     found = [one.descend(guess, steps) for guess, steps in zip(guesses, (12, 2), strict=True)]
     assert all(clear for _, _, clear in found)
     better, worse = (one.motion(poles, free) for _, free, _ in sorted(found, key=lambda each: each[0]))
     assert motion_metrics(poles.arm, better).jerk_joints < motion_metrics(poles.arm, worse).jerk_joints
     given = [(measure, "given", lambda free=free: one.motion(poles, free)) for measure, free, _ in found]
     for order in (given, given[::-1]):
-        monkeypatch.setattr(teachers._Search, "polished", lambda _, order=order: iter(order))
-        np.testing.assert_array_equal(best_teacher(poles, TeacherOptions()).motion.q, better.q)
+        monkeypatch.setattr(guides._Search, "optimised", lambda _, order=order: iter(order))
+        np.testing.assert_array_equal(best_guide(poles, GuideOptions()).motion.q, better.q)
 
 
-def test_a_teacher_is_the_same_for_a_seed_and_needs_no_optional_library(poles, no_ompl):
-    first, second = (best_teacher(poles, TeacherOptions()) for _ in range(2))
-    assert first.planner == "rrt-connect, polished"
+def test_a_guide_is_the_same_for_a_seed_and_needs_no_optional_library(poles, no_ompl):
+    first, second = (best_guide(poles, GuideOptions()) for _ in range(2))
+    assert first.planner == "rrt-connect, optimised"
     np.testing.assert_array_equal(first.motion.q, second.motion.q)
-    other = best_teacher(replace(poles, seed=1), TeacherOptions())
+    other = best_guide(replace(poles, seed=1), GuideOptions())
     assert np.abs(other.motion.q - first.motion.q).max() > 1e-3
     with pytest.raises(LieEDNNError, match="ompl is not installed"):
-        best_teacher(poles, TeacherOptions(polished=False))
+        best_guide(poles, GuideOptions(optimised=False))
 
 
 @needs_ompl
-def test_without_a_teacher_there_is_no_motion(poles, monkeypatch):
+def test_without_a_guide_there_is_no_motion(poles, monkeypatch):
     monkeypatch.setattr("lieednn_sim.planning.baselines.sampling.connecting_path", lambda *_: None)
-    with pytest.raises(PlanError, match=r"no teacher finds a motion; minimum-jerk: .*; rrt-connect: "):
-        best_teacher(poles, TeacherOptions(collision_checks=1))
+    with pytest.raises(PlanError, match=r"no guide finds a motion; minimum-jerk: .*; rrt-connect: "):
+        best_guide(poles, GuideOptions(collision_checks=1))
 
 
 def test_a_shortened_path_is_shorter_and_clear_by_hand():

@@ -12,7 +12,7 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import FileError, LieEDNNError
 
 
-def kept_rows(
+def saved_rows(
     path: Path, cases: Iterable[dict[str, Any]], measure: Callable[..., dict[str, Any]]
 ) -> list[dict[str, Any]]:
     """All rows of the file, with one for each of the cases; empty texts stand for what was not measured.
