@@ -154,6 +154,8 @@ def test_render(run, tmp_path):
     options = ["--preset", "draft", "--size", "160x90", "--fps", "5"]
     assert main(["render", str(run), "--output", str(tmp_path / "out.gif"), *options]) == 0
     assert (tmp_path / "out.gif").stat().st_size > 1000
+    assert main(["render", str(run), "--output", str(tmp_path / "out.png"), *options]) == 0
+    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_target_can_be_numbers_or_a_position(tmp_path):

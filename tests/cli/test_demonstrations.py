@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lieednn_sim.cli import main
+from lieednn_sim.cli import demonstrations, main
 from lieednn_sim.evaluation import paths
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import Motion
@@ -130,3 +130,11 @@ def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
     assert report["limit_broken"].startswith("joint 'x'")
     assert main(["learn", *files, "--arm", str(gantry.source), "--output", str(run), "--unit", "cm"]) == 2
     assert "--unit, --quaternion and --rivals are for positions and poses" in capsys.readouterr().err
+
+
+def test_poses_start_elsewhere_more_often_than_joints(monkeypatch):
+    starts = []
+    for name in ("_learn_poses", "_learn_joints"):
+        monkeypatch.setattr(demonstrations, name, lambda *_, **how: starts.append(how["starts"]))
+    assert main(["learn", "a.csv"]) == main(["learn", "a.csv", "--arm", "telescopic_pr"]) == 0
+    assert starts == [1000, 20]

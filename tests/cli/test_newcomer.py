@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import signal
 import sys
@@ -10,15 +9,12 @@ import warnings
 
 import numpy as np
 import pytest
-from rich.console import Console
-from rich.progress import TimeRemainingColumn
 from rollouts import make_rollout
 
-from lieednn_sim.arm import Arm, solve_ik
+from lieednn_sim.arm import Arm
 from lieednn_sim.cli import doctor, main
 from lieednn_sim.cli.console import console, to_stderr
 from lieednn_sim.cli.task import Task
-from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.learning import TrainingOptions
 from lieednn_sim.learning import train as learn
@@ -27,7 +23,6 @@ from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.studies.workers import progress_bar
 
 
 def test_what_is_printed_is_no_markup(capsys):
@@ -42,11 +37,6 @@ def test_what_is_printed_is_no_markup(capsys):
     assert all(part in printed for part in ("of [bold]arms", "[a]", "[b]", "[c]", "[red]9[/red]", "[d]"))
     to_stderr().print(text)
     assert text in capsys.readouterr().err.replace("\n", " ")
-
-
-def test_the_bar_of_the_studies_shows_the_time_left():
-    columns = progress_bar(Console(quiet=True)).columns
-    assert any(isinstance(column, TimeRemainingColumn) for column in columns)
 
 
 # While a module is imported a signal comes, and the module makes an error of its own of what that raises.
@@ -128,17 +118,6 @@ def test_large_objects_are_shown_in_a_line():
         assert "array" not in repr(value)
         assert "\n" not in repr(value)
     assert len(str(Plan(motion, network, CertifiedDetails(24, 3))).splitlines()) < 4
-
-
-def test_a_position_beyond_everything_is_refused_without_a_warning(monkeypatch):
-    arm = Arm.load("telescopic_pr")
-    for far in (1e308, 1e99, 2e6):
-        with pytest.raises(InputError, match="position must"):
-            solve_ik(arm, [far, 0.0, 0.0])
-    # No further start helps where nothing reaches.
-    monkeypatch.setattr(importlib.import_module("lieednn_sim.arm.inverse_kinematics"), "_ATTEMPTS", 2)
-    with pytest.raises(NoSolutionError, match=r"cannot reach \(1e\+06, 0, 0\) m"):
-        solve_ik(arm, [1e6, 0.0, 0.0])
 
 
 def test_a_warning_is_a_line(capsys, monkeypatch):
