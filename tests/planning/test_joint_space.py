@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import PlanError
 from lieednn_sim.planning import PlanningProblem, RrtConnectOptions, joint_space
-from lieednn_sim.planning.baselines import cbirrt, sampling
-from lieednn_sim.planning.baselines.sampling import PathOptions
+from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.joint_space import ClearanceTest, Workspace, joint_scale
 
@@ -106,30 +104,9 @@ def test_the_angle_of_a_ball_joint_bounds_points_and_edges():
 
 
 def test_longest_edges_are_a_share_of_the_diagonal(gantry, monkeypatch):
-    """Ranges of 2, 4, 5 and 6 in units of 1, 2, 4 and 8 for OMPL, mjpl and sscbirrt; of metres for balanced trees."""
+    """Ranges of 2, 4, 5 and 6 in units of 1, 2, 4 and 8 for OMPL; of metres for balanced trees."""
     diagonal = np.linalg.norm([2.0, 2.0, 1.25, 0.75])
     problem = PlanningProblem(gantry, np.zeros(4), np.array([0.6, 1.6, 0.0, 0.0]), 4.0)
-    found, spacings = [], []
-
-    def of(arm, _, spacing):
-        spacings.append(spacing)
-        return edges_of(arm, spacing)[0]
-
-    monkeypatch.setattr(cbirrt, "optional_module", lambda name: None)
-    monkeypatch.setattr(cbirrt, "Workspace", lambda *_: SimpleNamespace(clear=MagicMock()))
-    monkeypatch.setattr(cbirrt, "EdgeTest", of)
-    with pytest.raises(PlanError, match="mjpl found no path"):
-        cbirrt._plan(
-            problem,
-            PathOptions(longest_edge=0.3, spacings=(0.04, 0.02)),
-            "mjpl",
-            lambda edges, start, target, longest, *_: found.append((start, target, longest)),
-        )
-    assert spacings == [0.04]
-    ((start, target, longest),) = found
-    np.testing.assert_allclose([start, target], [np.zeros(4), [0.6, 0.8, 0.0, 0.0]])
-    assert longest == pytest.approx(0.3 * diagonal)
-
     edges, _ = edges_of(gantry)
     information = MagicMock(getMaximumExtent=lambda: diagonal)
     space = SimpleNamespace(

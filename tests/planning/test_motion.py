@@ -67,13 +67,6 @@ def test_large_targets_are_reached_though_the_integrator_errs_by_a_share_of_them
     assert end.residual <= 2 * RESIDUAL
 
 
-def test_the_path_is_the_networks_own(arm, network, motion):
-    # The time law changes when, never where: states lie on the trajectory in the network's own time.
-    assert (np.diff(motion.tau) >= 0.0).all()
-    trajectory = network.trajectory(arm.encode(arm.keyframe("home")), motion.tau[-1], method="DOP853")
-    np.testing.assert_allclose(trajectory(motion.tau), motion.xi, atol=1e-6)
-
-
 @pytest.mark.parametrize("hidden", [False, True])
 def test_the_pace_is_a_minimum_jerk_law_of_the_length(arm, network, motion, cascade, hidden):
     """|(q'/limits, p |xi - xi_d| tau')| = L sigma'(t/T) / T, p the slowest rate at the end: one L at all times."""
@@ -168,8 +161,6 @@ def test_bad_input(arm, network):
     for duration in (0.0, -1.0, np.nan):
         with pytest.raises(InputError, match="duration"):
             make_motion(arm, network, home, duration, 0.002)
-    with pytest.raises(InputError, match="between 2 and 100000 time steps"):
-        make_motion(arm, network, home, 0.001, 0.002)
     with pytest.raises(InputError, match=r"start must have shape \(8\)"):
         make_motion(arm, network, home[:3], 1.0, 0.002)
     small = synthesize(np.full((2, 6), 0.3), bias="sign-matched").unwrap()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
-from unittest.mock import MagicMock
 
 import mujoco
 import numpy as np
@@ -27,7 +25,7 @@ from lieednn_sim.planning import (
     plan,
     reference_network,
 )
-from lieednn_sim.planning.baselines import sampling, search_space
+from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.optimisation import _Descent
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along, smoothed, stopping
 from lieednn_sim.planning.joint_space import ClearanceTest, joint_scale, sweeps
@@ -156,36 +154,6 @@ def test_sampling_is_the_same_whatever_ran_before_and_silent(capfd):
     np.testing.assert_array_equal(plan_with("rrt-connect", blocked(3)).q, first)
     assert not np.array_equal(other, first), "the seed is of no effect"
     assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize("narrow", ["start", "target"])
-def test_the_tree_grows_from_the_narrower_end_and_the_path_from_the_start(gantry, monkeypatch, narrow):
-    """The library is played: it finds one corner near the end that it was given as the start, one near the other."""
-    base = MagicMock(MotionValidator=type("MotionValidator", (), {"__init__": lambda *_: None}))
-    definition = base.ProblemDefinition.return_value
-    for module in (sampling, search_space):
-        monkeypatch.setattr(module, "optional_module", lambda name: base if name == "ompl.base" else MagicMock())
-    monkeypatch.setattr(search_space.SearchSpace, "state", lambda _, values: values)
-    start, target = np.array([-0.5, 0.0, 0.0, 0.0]), np.array([0.5, 1.0, 1.0, 1.0])
-    asked = PlanningProblem(gantry, start, target, 4.0)
-    near = {"start": start, "target": target}[narrow]
-    rooms = SimpleNamespace(clearance=lambda q: 0.1 if np.array_equal(q, near) else 0.2)
-    workspace = SimpleNamespace(collisions=rooms, clear=MagicMock())
-
-    def path():
-        first, last = definition.setStartAndGoalStates.call_args.args
-        corners = [first, 0.75 * first + 0.25 * last, 0.5 * (first + last), last]
-        return MagicMock(getState=lambda i: corners[i], getStateCount=lambda: len(corners))
-
-    definition.getSolutionPath.side_effect = path
-    corners = sampling.connecting_path(asked, workspace, RrtConnectOptions(), sampling.ompl_search("rrt-connect"), 0)
-    scale = joint_scale(gantry)
-    given_first, given_last = (np.asarray(end) * scale for end in definition.setStartAndGoalStates.call_args.args)
-    other = target if narrow == "start" else start
-    np.testing.assert_allclose([given_first, given_last], [near, other])
-    share = 0.25 if narrow == "start" else 0.75
-    shares = np.sort([0.0, share, 0.5, 1.0])[:, None]
-    np.testing.assert_allclose(corners, start + shares * (target - start), atol=1e-12)
 
 
 @given(seed=seeds)

@@ -117,18 +117,27 @@ def test_where_no_sample_is_near_the_nearest_counts(monkeypatch):
 @pytest.mark.skipif("rrt-connect" in PLANNERS.missing(), reason="OMPL simplifies its path")
 def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     task, options = blocked(3), RrtConnectOptions(balanced=True)
+    # It ends nearer to the post than it begins.
+    task = replace(task, target=np.where(task.target == 2.6, 1.8, task.target))
     asked = dict.fromkeys(("start", "duration", "seed"))
     asked = {name: getattr(task, name) for name in asked}
     used = []
-    monkeypatch.setattr(sampling, "connected", lambda *ends, **more: used.append(more) or connected(*ends, **more))
+
+    def recorded(*ends, **more):
+        used.append({**more, "ends": ends})
+        return connected(*ends, **more)
+
+    monkeypatch.setattr(sampling, "connected", recorded)
     motion = plan(task.arm, task.target, planner="rrt-connect", options=options, **asked).motion
     assert len(used) == 1
     assert min(Collisions(POSTED).clearance(q) for q in motion.q[::8]) > POSTED.clearance - 1e-6
-    # From the other end it is the same search: the ends are sorted by what room they have.
+    # From the other end it is the same search, which begins at the end that has less room.
     workspace = Workspace(task, options.margin)
     back = replace(task, start=task.target, target=task.start)
     search = sampling.balanced_search
     there, home = (sampling.connecting_path(one, workspace, options, search, 0) for one in (task, back))
+    for narrow, wide in (tree["ends"] for tree in used[-2:]):
+        np.testing.assert_allclose(narrow * task.start, wide * task.target, atol=1e-12)
     for corners, one in ((there, task), (home, back)):
         np.testing.assert_array_equal(corners[[0, -1]], [one.start, one.target])
     again = sampling.connecting_path(task, Workspace(task, options.margin), options, search, 0)
