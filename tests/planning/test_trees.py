@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import PlanError
-from lieednn_sim.planning import PLANNERS, RrtConnectOptions, plan
+from lieednn_sim.planning import PLANNERS, RrtConnectOptions
 from lieednn_sim.planning.baselines import sampling, trees
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.joint_space import Workspace
 
+from .test_planners import plan_with
 from .test_rivals import POSTED, blocked
 
 BOUNDS = np.array([[0.0, 1.0], [0.0, 1.0]])
@@ -119,8 +120,6 @@ def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     task, options = blocked(3), RrtConnectOptions(balanced=True)
     # It ends nearer to the post than it begins.
     task = replace(task, target=np.where(task.target == 2.6, 1.8, task.target))
-    asked = dict.fromkeys(("start", "duration", "seed"))
-    asked = {name: getattr(task, name) for name in asked}
     used = []
 
     def recorded(*ends, **more):
@@ -128,7 +127,7 @@ def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
         return connected(*ends, **more)
 
     monkeypatch.setattr(sampling, "connected", recorded)
-    motion = plan(task.arm, task.target, planner="rrt-connect", options=options, **asked).motion
+    motion = plan_with("rrt-connect", task, options=options)
     assert len(used) == 1
     assert min(Collisions(POSTED).clearance(q) for q in motion.q[::8]) > POSTED.clearance - 1e-6
     # From the other end it is the same search, which begins at the end that has less room.
@@ -146,4 +145,4 @@ def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     sampling.connecting_path(task, workspace, options, search, 1)
     assert [used[0]["seed"].entropy, used[-1]["seed"].entropy] == [[task.seed, 0], [task.seed, 1]]
     with pytest.raises(PlanError, match="rrt-connect found no path free of contact"):
-        plan(task.arm, task.target, planner="rrt-connect", options=replace(options, max_collision_checks=(1,)), **asked)
+        plan_with("rrt-connect", task, options=replace(options, max_collision_checks=(1,)))

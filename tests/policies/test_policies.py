@@ -132,7 +132,7 @@ def test_networks_by_name_converge_at_the_rate_asked_for(name, options, gantry):
 def test_the_filter_goes_around_any_policy(gantry):
     # The ball of 0.1 m would be in the floor, which is at -1 m.
     low = np.array([0.0, 0.0, -1.2, 0.0])
-    policy = make_policy("dmp", gantry, low, rate=50.0, safety=FilterOptions(), motion=straight(gantry, low))
+    policy = make_policy("linear-attractor", gantry, low, rate=50.0, safety=FilterOptions())
     assert isinstance(policy, FilteredPolicy)
     for _ in range(200):
         q, _ = policy.step(policy.q, low)
@@ -141,13 +141,6 @@ def test_the_filter_goes_around_any_policy(gantry):
     assert policy.inner.q is policy.q or (policy.inner.q == policy.q).all()
     assert policy.message.startswith(("is held back by", "brakes for"))
     assert policy.channel_units == policy.inner.channel_units
-
-
-def straight(arm, target):
-    """A motion that touches whatever is in its way."""
-    free = plan(arm, GOAL, planner="minimum-jerk", duration=2.0).motion
-    scaled = free.q / GOAL * target
-    return type(free)(**{**vars(free), "q": scaled, "qd": free.qd / GOAL * target})
 
 
 def test_a_tracker_plays_a_motion_at_any_rate_and_begins_where_it_does(gantry):
