@@ -10,38 +10,22 @@ import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import PlanError
 from lieednn_sim.planning import PlanningProblem, RrtConnectOptions, joint_space
-from lieednn_sim.planning.baselines import cbirrt, sampling
-from lieednn_sim.planning.baselines.sampling import PathOptions
+from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.joint_space import ClearanceTest, Workspace, joint_scale
 
 
 @pytest.mark.parametrize(
     ("at_start", "at_target", "margin"),
-    [
-        ([9.0], [], 0.05),
-        # Four fifths of what is nearer than that, at either end.
-        ([9.0, 0.02], [9.0], 0.016),
-        ([], [0.01, 9.0], 0.008),
-        # What motions are checked for is kept in any case.
-        ([0.001, -0.01], [9.0], 0.002),
-    ],
+    # Four fifths of what is nearer than 5 cm, at either end; what motions are checked for is kept in any case.
+    [(0.5, 0.5, 0.05), (0.055, 0.5, 0.044), (0.5, 0.01, 0.008), (0.0022, 0.5, 0.002)],
 )
-def test_the_margin_is_what_both_ends_keep_themselves(monkeypatch, at_start, at_target, margin):
-    within = []
-
-    def distances(q, most):
-        within.append(most)
-        return SimpleNamespace(distance=np.array({"start": at_start, "target": at_target}[q]))
-
-    monkeypatch.setattr(joint_space, "Collisions", lambda _: SimpleNamespace(distances=distances))
-    monkeypatch.setattr(joint_space, "ClearanceTest", lambda _, margin: margin)
-    arm = SimpleNamespace(clearance=0.002, model=None)
-    workspace = Workspace(SimpleNamespace(arm=arm, start="start", target="target"), 0.05)
-    assert workspace.clear == pytest.approx(margin)
-    assert within == [0.1, 0.1]
+def test_the_margin_is_what_both_ends_keep_themselves(gantry, at_start, at_target, margin):
+    """The ball is so far from the floor."""
+    start, target, near = (np.array([0.0, 0.0, gap - 0.9, 0.0]) for gap in (at_start, at_target, 0.001))
+    workspace = Workspace(PlanningProblem(gantry, start, target), 0.05)
+    assert workspace.clear.lack(near[None]) == pytest.approx(margin - 0.001, abs=1e-6)
 
 
 def test_what_pairs_lack_is_counted_once_each(gantry, monkeypatch):
@@ -105,43 +89,9 @@ def test_the_angle_of_a_ball_joint_bounds_points_and_edges():
     assert seen == []
 
 
-def test_longest_edges_are_a_share_of_the_diagonal(gantry, monkeypatch):
-    """Ranges of 2, 4, 5 and 6 in units of 1, 2, 4 and 8 for OMPL, mjpl and sscbirrt; of metres for balanced trees."""
-    diagonal = np.linalg.norm([2.0, 2.0, 1.25, 0.75])
-    problem = PlanningProblem(gantry, np.zeros(4), np.array([0.6, 1.6, 0.0, 0.0]), 4.0)
-    found, spacings = [], []
-
-    def of(arm, _, spacing):
-        spacings.append(spacing)
-        return edges_of(arm, spacing)[0]
-
-    monkeypatch.setattr(cbirrt, "optional_module", lambda name: None)
-    monkeypatch.setattr(cbirrt, "Workspace", lambda *_: SimpleNamespace(clear=MagicMock()))
-    monkeypatch.setattr(cbirrt, "EdgeTest", of)
-    with pytest.raises(PlanError, match="mjpl found no path"):
-        cbirrt._plan(
-            problem,
-            PathOptions(longest_edge=0.3, spacings=(0.04, 0.02)),
-            "mjpl",
-            lambda edges, start, target, longest, *_: found.append((start, target, longest)),
-        )
-    assert spacings == [0.04]
-    ((start, target, longest),) = found
-    np.testing.assert_allclose([start, target], [np.zeros(4), [0.6, 0.8, 0.0, 0.0]])
-    assert longest == pytest.approx(0.3 * diagonal)
-
-    edges, _ = edges_of(gantry)
-    information = MagicMock(getMaximumExtent=lambda: diagonal)
-    space = SimpleNamespace(
-        information=information, ends=(problem.start, problem.target), edges=edges, state=lambda q: q
-    )
-    library = MagicMock()
-    monkeypatch.setattr(sampling, "optional_module", lambda _: library)
-    sampling.ompl_search("rrt-connect")(space, RrtConnectOptions(longest_edge=0.3), None)
-    library.RRTConnect.return_value.setRange.assert_called_once_with(pytest.approx(0.3 * diagonal))
-    library.Cost.assert_called_once_with(pytest.approx(1.0))
-
-    # What hardly moves a link counts as a tenth of what moves links most: 0.4 of 8 rad/s.
+def test_edges_of_balanced_trees_are_a_share_of_the_diagonal_in_metres(gantry, monkeypatch):
+    """Ranges of 2, 4 and 5 m; what hardly moves a link counts as a tenth of what moves links most, 0.4 of 8 rad/s."""
+    space = SimpleNamespace(ends=(np.zeros(4), np.array([0.6, 1.6, 0.0, 0.0])), edges=edges_of(gantry)[0])
     given = {}
     monkeypatch.setattr(sampling, "connected", lambda *ends, **world: given.update(world, ends=ends))
     assert sampling.balanced_search(space, RrtConnectOptions(longest_edge=0.3), None) is None

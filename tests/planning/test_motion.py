@@ -37,17 +37,6 @@ def motion(arm, network):
     return make_motion(arm, network, arm.keyframe("home"), 4.0, 0.002)
 
 
-def test_the_motion_goes_from_rest_to_rest_in_the_stated_time(arm, motion):
-    assert motion.t[0] == 0.0
-    assert motion.t[-1] == pytest.approx(4.0, abs=1e-12)
-    np.testing.assert_allclose(motion.q[0], arm.keyframe("home"), atol=1e-9)
-    np.testing.assert_allclose(motion.q[-1], arm.keyframe("extended"), atol=10 * RESIDUAL)
-    assert motion.residual <= 2 * RESIDUAL
-    np.testing.assert_array_equal(motion.qd[[0, -1]], 0.0)
-    # Minimum jerk: the acceleration vanishes at both ends too.
-    assert np.abs(motion.qd[[1, -2]]).max() < 1e-3 * np.abs(motion.qd).max()
-
-
 def test_large_targets_are_reached_though_the_integrator_errs_by_a_share_of_them():
     """At this target of six hinges the error of the default tolerances is above the residual to be reached."""
     axes = ("0 0 1", "0 1 0") * 3
@@ -65,13 +54,6 @@ def test_large_targets_are_reached_though_the_integrator_errs_by_a_share_of_them
     )
     end = make_motion(hinges, linear, np.zeros(6), 4.0, 0.01)
     assert end.residual <= 2 * RESIDUAL
-
-
-def test_the_path_is_the_networks_own(arm, network, motion):
-    # The time law changes when, never where: states lie on the trajectory in the network's own time.
-    assert (np.diff(motion.tau) >= 0.0).all()
-    trajectory = network.trajectory(arm.encode(arm.keyframe("home")), motion.tau[-1], method="DOP853")
-    np.testing.assert_allclose(trajectory(motion.tau), motion.xi, atol=1e-6)
 
 
 @pytest.mark.parametrize("hidden", [False, True])
@@ -155,28 +137,16 @@ def test_a_motion_to_where_the_arm_is_stays_there(arm):
     np.testing.assert_array_equal(still.qd, 0.0)
 
 
-def test_contact_on_the_way_is_refused(arm, motion):
-    down = motion.q.copy()
-    down[:, 2], down[:, 6], down[:, 3], down[:, 5], down[:, 7], down[:, 4] = -0.6, -1.0, 0.45, 0.4, 0.3, 0.0
-    down[:, 1] = 0.0
-    with pytest.raises(PlanError, match="would come within 2 mm of"):
-        check_motion(arm, dataclasses.replace(motion, q=down))
-
-
 def test_bad_input(arm, network):
     home = arm.keyframe("home")
     for duration in (0.0, -1.0, np.nan):
         with pytest.raises(InputError, match="duration"):
             make_motion(arm, network, home, duration, 0.002)
-    with pytest.raises(InputError, match="between 2 and 100000 time steps"):
-        make_motion(arm, network, home, 0.001, 0.002)
     with pytest.raises(InputError, match=r"start must have shape \(8\)"):
         make_motion(arm, network, home[:3], 1.0, 0.002)
     small = synthesize(np.full((2, 6), 0.3), bias="sign-matched").unwrap()
     with pytest.raises(InputError, match=r"2 visible neurons.*4 links"):
         make_motion(arm, small, home, 1.0, 0.002)
-    with pytest.raises(InputError, match="no bias rule 'none'; allowed: sign-matched, solved, uniform"):
-        CertifiedOptions(bias="none")
 
 
 def test_a_network_that_does_not_arrive_is_refused(arm, network, monkeypatch):

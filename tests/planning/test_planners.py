@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
-from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError, TooFastError
+from lieednn_sim.errors import InputError, NoSolutionError, PlanError, TooFastError
 from lieednn_sim.lie import exp, log
 from lieednn_sim.planning import (
     PLANNERS,
@@ -28,7 +28,7 @@ from lieednn_sim.planning import (
 )
 from lieednn_sim.planning.baselines import smoothing
 from lieednn_sim.planning.motion import Motion, check_motion
-from lieednn_sim.registry import PlannerEntry
+from lieednn_sim.planning.time_laws import minimum_jerk_law
 
 from .arms import coarse
 
@@ -113,22 +113,13 @@ def test_minimum_jerk_has_no_gap_and_is_straight_in_joint_space(seed):
     np.testing.assert_allclose(motion.qd[middle], 1.875 * way / 8.0, atol=1e-12)
 
 
-def test_the_screw_of_a_pure_slide_is_straight_and_without_gap():
-    start, target = ARM.keyframe("extended").copy(), ARM.keyframe("extended").copy()
-    slides = [joint for joint in range(ARM.n_joints) if ARM.unit(joint) == "m"]
-    start[slides], target[slides] = 0.1, 0.25
-    task = problem(0, start=start, target=target)
-    motion = plan_with("se3-geodesic", task)
-    assert max(motion.gap_translation.max(), motion.gap_rotation.max()) < 1e-7
-    np.testing.assert_allclose(motion.q, plan_with("minimum-jerk", task).q, atol=1e-9)
-
-
 def test_the_screw_is_the_geodesic_of_every_joint():
     task = problem(0)
     motion = plan_with("se3-geodesic", task)
     origin, goal = ARM.joint_poses(task.start), ARM.joint_poses(task.target)
     way = log(origin.inv() * goal)
     units = np.repeat([1.0, ARM.length_scale], 3)
+    np.testing.assert_allclose(motion.tau, minimum_jerk_law(motion.t / task.duration)[0], atol=1e-12)
     for k in (0, 140, 300, len(motion.t) - 1):
         done = log(origin.inv() * exp(motion.xi[k] * units))
         np.testing.assert_allclose(done, motion.tau[k] * way, atol=1e-9)
@@ -171,13 +162,6 @@ def test_networks_come_with_their_motions():
 
 
 def test_refusals_say_why():
-    with pytest.raises(
-        InputError,
-        match=r"no planner 'rrt'; allowed: .*minimum-jerk",
-    ):
-        plan_with("rrt", problem(0))
-    with pytest.raises(InputError, match="arm must be an Arm, got 'telescopic_pr'"):
-        plan("telescopic_pr", problem(0).target)
     hurried = problem(0, duration=0.05)
     for name in ("minimum-jerk", "se3-geodesic", "linear-attractor", "lieednn-certified", "lieednn-retargeted"):
         with pytest.raises(PlanError, match=r"would (move|accelerate) at .*its limit is|would be at"):
@@ -272,15 +256,6 @@ def test_a_network_that_ends_elsewhere_is_refused(monkeypatch):
         plan_with("lieednn-retargeted", task)
 
 
-def test_what_cannot_be_certified_is_no_motion(monkeypatch):
-    def refuse(*_args, **_options):
-        raise NotCertifiedError("none of 24")
-
-    monkeypatch.setitem(PLANNERS.entries, "lieednn-certified", PlannerEntry(refuse))
-    with pytest.raises(NotCertifiedError, match="none of 24"):
-        plan_with("lieednn-certified", problem(0))
-
-
 def test_problems_are_checked():
     task = problem(0)
     with pytest.raises(ValueError, match="read-only"):
@@ -294,12 +269,8 @@ def test_problems_are_checked():
     assert ARM.contacts(folded)
     with pytest.raises(InputError, match=r"target is out of reach: '.*' would touch '.*' there"):
         problem(0, target=folded)
-    with pytest.raises(InputError, match="between 2 and 100000 time steps"):
-        problem(0, duration=0.001)
     with pytest.raises(InputError, match="seed must be a whole number"):
         PlanningProblem(ARM, task.start, task.target, seed=-1)
-    with pytest.raises(InputError, match="arm must be an Arm, got 'telescopic_pr'"):
-        PlanningProblem("telescopic_pr", task.start, task.target)
 
 
 def test_of_refused_roundings_the_least_time_is_told(monkeypatch):

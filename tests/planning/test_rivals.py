@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
-from unittest.mock import MagicMock
 
 import mujoco
 import numpy as np
@@ -27,7 +25,7 @@ from lieednn_sim.planning import (
     plan,
     reference_network,
 )
-from lieednn_sim.planning.baselines import sampling, search_space
+from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.optimisation import _Descent
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along, smoothed, stopping
 from lieednn_sim.planning.joint_space import ClearanceTest, joint_scale, sweeps
@@ -158,36 +156,6 @@ def test_sampling_is_the_same_whatever_ran_before_and_silent(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("narrow", ["start", "target"])
-def test_the_tree_grows_from_the_narrower_end_and_the_path_from_the_start(gantry, monkeypatch, narrow):
-    """The library is played: it finds one corner near the end that it was given as the start, one near the other."""
-    base = MagicMock(MotionValidator=type("MotionValidator", (), {"__init__": lambda *_: None}))
-    definition = base.ProblemDefinition.return_value
-    for module in (sampling, search_space):
-        monkeypatch.setattr(module, "optional_module", lambda name: base if name == "ompl.base" else MagicMock())
-    monkeypatch.setattr(search_space.SearchSpace, "state", lambda _, values: values)
-    start, target = np.array([-0.5, 0.0, 0.0, 0.0]), np.array([0.5, 1.0, 1.0, 1.0])
-    asked = PlanningProblem(gantry, start, target, 4.0)
-    near = {"start": start, "target": target}[narrow]
-    rooms = SimpleNamespace(clearance=lambda q: 0.1 if np.array_equal(q, near) else 0.2)
-    workspace = SimpleNamespace(collisions=rooms, clear=MagicMock())
-
-    def path():
-        first, last = definition.setStartAndGoalStates.call_args.args
-        corners = [first, 0.75 * first + 0.25 * last, 0.5 * (first + last), last]
-        return MagicMock(getState=lambda i: corners[i], getStateCount=lambda: len(corners))
-
-    definition.getSolutionPath.side_effect = path
-    corners = sampling.connecting_path(asked, workspace, RrtConnectOptions(), sampling.ompl_search("rrt-connect"), 0)
-    scale = joint_scale(gantry)
-    given_first, given_last = (np.asarray(end) * scale for end in definition.setStartAndGoalStates.call_args.args)
-    other = target if narrow == "start" else start
-    np.testing.assert_allclose([given_first, given_last], [near, other])
-    share = 0.25 if narrow == "start" else 0.75
-    shares = np.sort([0.0, share, 0.5, 1.0])[:, None]
-    np.testing.assert_allclose(corners, start + shares * (target - start), atol=1e-12)
-
-
 @given(seed=seeds)
 @settings(max_examples=10)
 def test_the_fast_test_of_clearance_agrees_with_measured_distances(seed):
@@ -313,25 +281,16 @@ def test_a_primitive_keeps_its_shape_at_every_amplitude():
     assert way.max() <= 1.0 + 1e-9
 
 
-@pytest.mark.parametrize(
-    ("module", "names", "extra"),
-    [
-        ("ompl", {"rrt-connect", *IMPROVING}, "rivals"),
-        ("mjpl", {"mjpl"}, "cbirrt"),
-        ("sscbirrt", {"sscbirrt"}, "cbirrt"),
-    ],
-)
-def test_what_is_not_installed_is_reported_as_missing(monkeypatch, module, names, extra):
-    for loaded in [name for name in sys.modules if name.partition(".")[0] == module]:
+@pytest.mark.parametrize("name", [name for name, entry in PLANNERS.items() if entry.library])
+def test_who_lacks_a_library_says_what_to_install(monkeypatch, name):
+    library = PLANNERS[name].library
+    for loaded in [module for module in sys.modules if module.partition(".")[0] == library]:
         monkeypatch.delitem(sys.modules, loaded)
-    monkeypatch.setitem(sys.modules, module, None)
-    missing = PLANNERS.missing()
-    assert names <= set(missing)
-    for name in names:
-        assert f"pip install 'lieednn_sim[{extra}]'" in missing[name]
-        with pytest.raises(LieEDNNError, match=rf"planners? .*{name}.* pip install 'lieednn_sim\[{extra}\]'") as caught:
-            plan_with(name, blocked())
-        assert not isinstance(caught.value, PlanError | InputError), "a missing library is no failed plan"
+    monkeypatch.setitem(sys.modules, library, None)
+    assert name in PLANNERS.missing()
+    with pytest.raises(LieEDNNError, match=rf"planners? .*{name}.* pip install 'lieednn_sim\[\w+\]'") as caught:
+        plan_with(name, blocked())
+    assert not isinstance(caught.value, PlanError | InputError), "a missing library is no failed plan"
 
 
 @pytest.mark.parametrize("name", ["mjpl", "sscbirrt"])

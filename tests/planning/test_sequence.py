@@ -46,7 +46,7 @@ def planned():
     return model, data, sequence(model, data, STEPS)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def grasped(planned):
     """The model with the closed hand around the box."""
     model, data, found = planned
@@ -155,11 +155,8 @@ def test_a_held_box_is_kept_off_what_the_empty_hand_passes(grasped):
     ls.plan_in(changed, state, JOINTS, goal, **how)
 
 
-def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(planned):
-    model, data, found = planned
-    state = mujoco.MjData(model)
-    mujoco.mj_copyData(state, model, data)
-    state.qpos[:] = found.qpos[found.parts[1].last]
+def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(grasped):
+    model, state = grasped
     how = {"tip": "grasp", "limits": LIMITS, "duration": 1.5}
     aside = ls.plan_in(model, state, JOINTS, down(0.62, -0.40, 0.225), holding="box", **how)
     assert aside.qpos[:, 2].min() > 0.22 - 1e-3
@@ -196,9 +193,5 @@ def test_bad_steps_are_named(planned, steps, message):
 def test_bad_events_and_changes_are_refused():
     with pytest.raises(InputError, match="no event 'soon'; allowed: settled"):
         ls.Actuate(CLOSED, until="soon")
-    with pytest.raises(InputError, match="until must be a string or a tuple of 2"):
-        ls.Actuate(CLOSED, until=("box",))
     with pytest.raises(InputError, match="seconds must be positive"):
         ls.Actuate(CLOSED, seconds=0.0)
-    with pytest.raises(InputError, match="planner must be a string, got 3"):
-        ls.Move("home", planner=3)

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import PlanError
 from lieednn_sim.evaluation.motion_metrics import motion_metrics
-from lieednn_sim.planning import PLANNERS, CertifiedOptions, GuideOptions, ShapedOptions, plan, shaped
+from lieednn_sim.planning import PLANNERS, GuideOptions, ShapedOptions, plan, shaped
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import lever_units
@@ -58,20 +57,6 @@ def test_the_motion_is_the_guides_and_the_network_is_certified(scene, seed, plan
     assert nearest.max() <= made.details.deviation + 0.5 * spacing
 
 
-def test_a_law_of_time_is_kept_by_another_path_of_the_same_shape():
-    arm = Arm.load("telescopic_pr")
-    target = draw_target(arm, 3)
-    made = plan(arm, target, planner="lieednn-certified", options=CertifiedOptions(n_networks=2))
-    units = lever_units(arm, made.motion.q)
-    path = NetworkPath.integrate(arm, made.network, arm.keyframe("home"), units)
-    again = path.timed(made.motion.t[-1], made.motion.timestep, law_of(made.motion, units))
-    np.testing.assert_allclose(again.q, made.motion.q, atol=2e-6)
-    np.testing.assert_allclose(again.qd, made.motion.qd, atol=1e-4)
-    # In another time the same shares of the way are behind it at the same shares of the time.
-    slower = path.timed(2.0 * made.motion.t[-1], made.motion.timestep, law_of(made.motion, units))
-    np.testing.assert_allclose(slower.q[::2], made.motion.q, atol=2e-6)
-
-
 def test_the_universal_network_is_integrated_to_the_same_motion():
     """What the planner has in closed form, the equation itself has too; and the network is the same for all targets."""
     made = [planned(FREE, draw_target(FREE, seed)) for seed in (2, 4)]
@@ -82,6 +67,9 @@ def test_the_universal_network_is_integrated_to_the_same_motion():
     again = path.timed(one.motion.t[-1], one.motion.timestep, law_of(guide, units))
     np.testing.assert_allclose(again.q, one.motion.q, atol=2e-5)
     np.testing.assert_allclose(again.qd, one.motion.qd, atol=2e-3)
+    # In another time the same shares of the way are behind it at the same shares of the time.
+    slower = path.timed(2.0 * one.motion.t[-1], one.motion.timestep, law_of(guide, units))
+    np.testing.assert_allclose(slower.q[::2], again.q, atol=2e-6)
     early = one.motion.tau < 5.0
     np.testing.assert_allclose(again.tau[early], one.motion.tau[early], atol=2e-3)
     known, tau = NetworkPath.encoded(FREE, one.network, guide, units), path.states.t

@@ -63,30 +63,6 @@ def test_noises_weigh_by_what_they_cost():
     np.testing.assert_array_equal(noise_weights(costs, 10.0)[:, 1], 0.0)
 
 
-def test_without_costs_the_straight_path_is_fixed_and_every_other_comes_back_to_it(monkeypatch):
-    made = search()
-    monkeypatch.setattr(made, "costs", lambda path: np.zeros(len(path)))
-    made.cost = made.costs(made.path)
-    assert not made._round(0.3)
-    np.testing.assert_array_equal(made.clear_path(), made.straight)
-    np.testing.assert_allclose(np.diff(made.straight, n=2, axis=0), 0.0, atol=1e-12)
-    bent = made.straight + 0.1 * made.noise(1)[0]
-    np.testing.assert_allclose(made.smoothed(bent), made.straight, atol=1e-12)
-
-
-def test_a_quadratic_cost_is_descended_to_its_minimum(monkeypatch):
-    """The cost at each waypoint is the squared distance from a bend of one joint, which is the answer."""
-    made = search(rollouts=20, waypoints=20, rounds=200, stalled=200, spread=0.03, grow=1.0)
-    goal = made.straight.copy()
-    goal[:, TURN] += 0.5 * np.sin(np.pi * np.arange(1, 21) / 21)
-    monkeypatch.setattr(made, "costs", lambda path: ((path - goal) ** 2).sum(axis=1))
-    made.cost = made.costs(made.path)
-    first = made.cost.sum()
-    made.clear_path()
-    assert made.cost.sum() < 0.02 * first
-    assert np.abs(made.path - goal).max() < 0.1
-
-
 def test_costs_are_zero_where_the_fast_test_of_clearance_says_yes():
     test = ClearanceTest(posted(1.0, 0.06), 0.03)
     q = np.random.default_rng(0).uniform(LOW, HIGH, (100, len(LOW)))

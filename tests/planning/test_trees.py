@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import PlanError
-from lieednn_sim.planning import PLANNERS, RrtConnectOptions, plan
+from lieednn_sim.planning import PLANNERS, RrtConnectOptions
 from lieednn_sim.planning.baselines import sampling, trees
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.joint_space import Workspace
 
+from .test_planners import plan_with
 from .test_rivals import POSTED, blocked
 
 BOUNDS = np.array([[0.0, 1.0], [0.0, 1.0]])
@@ -117,18 +118,25 @@ def test_where_no_sample_is_near_the_nearest_counts(monkeypatch):
 @pytest.mark.skipif("rrt-connect" in PLANNERS.missing(), reason="OMPL simplifies its path")
 def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     task, options = blocked(3), RrtConnectOptions(balanced=True)
-    asked = dict.fromkeys(("start", "duration", "seed"))
-    asked = {name: getattr(task, name) for name in asked}
+    # It ends nearer to the post than it begins.
+    task = replace(task, target=np.where(task.target == 2.6, 1.8, task.target))
     used = []
-    monkeypatch.setattr(sampling, "connected", lambda *ends, **more: used.append(more) or connected(*ends, **more))
-    motion = plan(task.arm, task.target, planner="rrt-connect", options=options, **asked).motion
+
+    def recorded(*ends, **more):
+        used.append({**more, "ends": ends})
+        return connected(*ends, **more)
+
+    monkeypatch.setattr(sampling, "connected", recorded)
+    motion = plan_with("rrt-connect", task, options=options)
     assert len(used) == 1
     assert min(Collisions(POSTED).clearance(q) for q in motion.q[::8]) > POSTED.clearance - 1e-6
-    # From the other end it is the same search: the ends are sorted by what room they have.
+    # From the other end it is the same search, which begins at the end that has less room.
     workspace = Workspace(task, options.margin)
     back = replace(task, start=task.target, target=task.start)
     search = sampling.balanced_search
     there, home = (sampling.connecting_path(one, workspace, options, search, 0) for one in (task, back))
+    for narrow, wide in (tree["ends"] for tree in used[-2:]):
+        np.testing.assert_allclose(narrow * task.start, wide * task.target, atol=1e-12)
     for corners, one in ((there, task), (home, back)):
         np.testing.assert_array_equal(corners[[0, -1]], [one.start, one.target])
     again = sampling.connecting_path(task, Workspace(task, options.margin), options, search, 0)
@@ -137,4 +145,4 @@ def test_rrt_connect_finds_its_way_with_balanced_trees(monkeypatch):
     sampling.connecting_path(task, workspace, options, search, 1)
     assert [used[0]["seed"].entropy, used[-1]["seed"].entropy] == [[task.seed, 0], [task.seed, 1]]
     with pytest.raises(PlanError, match="rrt-connect found no path free of contact"):
-        plan(task.arm, task.target, planner="rrt-connect", options=replace(options, max_collision_checks=(1,)), **asked)
+        plan_with("rrt-connect", task, options=replace(options, max_collision_checks=(1,)))

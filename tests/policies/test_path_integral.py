@@ -63,13 +63,3 @@ def test_costs_by_hand(policy):
     way[:, :, 0] = 0.25
     aside = 0.6 * 0.25**2 / 4.0 + 0.06 * sum((0.015 * k) ** 2 for k in range(1, 11)) + 0.15**2 / 2.0
     np.testing.assert_allclose(made._costs(target, way), aside, rtol=2e-3)
-
-
-def test_it_stays_above_the_floor(policy):
-    # The target is beneath the floor, which the ball would touch at -0.9.
-    made, target = policy(0), np.array([0.0, 0.0, -1.5, 0.0])
-    for _ in range(150):
-        velocity = made.velocity(target, 1.0)
-        made.y = made.y + 0.02 * velocity
-        made.elapse(0.02)
-    assert -0.9 < made.y[2] < -0.5

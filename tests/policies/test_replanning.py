@@ -239,8 +239,6 @@ def test_what_it_is_not_for_is_said(gantry, beside):
     motion, other = plan(gantry, ACROSS, planner="minimum-jerk").motion, Arm.load("telescopic_pr")
     with pytest.raises(InputError, match="the motion has 4 joint coordinates, arm 'telescopic_pr' has 8"):
         ReplanningPolicy(other, motion=motion)
-    with pytest.raises(InputError, match="seed must be a whole number >= 0, got -1"):
-        ReplanningPolicy(beside, seed=-1)
     policy = ReplanningPolicy(beside)
     with pytest.raises(InputError, match=r"a reset puts obstacles back: call reset\(q\) before see"):
         policy.see({"obstacle_pole": np.zeros(3)})

@@ -75,29 +75,6 @@ def test_pairs_left_out_change_no_step(monkeypatch):
         q, v = q + 0.005 * (v + step.velocity), step.velocity
 
 
-def test_approach_bounds_by_hand(tmp_path):
-    """A box on a lever, a ball on a slide behind it and a post: reach and radius of what turns, 1 of what slides."""
-    path = tmp_path / "lever.xml"
-    path.write_text("""
-        <mujoco><compiler angle="radian" autolimits="true"/><worldbody>
-          <geom name="post" type="sphere" size="0.1" pos="5 0 0"/>
-          <body name="base"><geom size="0.01" contype="0" conaffinity="0"/><site name="base_frame"/>
-            <body name="lever"><joint name="turn" type="hinge" axis="0 0 1" range="-3 3"/>
-              <geom name="box" type="box" size="0.3 0.4 1.2" pos="1 0 0"/><site name="link1_frame"/>
-              <body name="rod"><joint name="slide" type="slide" axis="1 0 0" range="0 5"/>
-                <geom name="ball" size="0.2" pos="3 0 0"/><site name="link2_frame"/>
-              </body></body></body>
-        </worldbody></mujoco>""")
-    arm = Arm.from_xml(path, "lever")
-    post, box, ball = (arm.model.geom(name).id for name in ("post", "box", "ball"))
-    bounds = ApproachBounds(arm, np.array([[post, box], [ball, post], [box, ball]]))
-    # The box's ball has a radius of 1.3. Turning carries box and ball together.
-    for q, speeds in (([0.0, 0.0], [2.0, 0.5]), ([1.0, 0.75], [0.25, 3.0])):
-        turning, sliding = speeds
-        expected = [2.3 * turning, (3.2 + q[1]) * turning + sliding, sliding]
-        np.testing.assert_allclose(bounds(np.array(q), np.array(speeds)), expected, rtol=1e-12)
-
-
 def test_velocities_from_which_joints_can_brake_by_hand(gantry):
     """Limits of speed 1, 2, 4, 8 and of acceleration 10, 20, 40, 80, steps of 0.02 s."""
     filter_ = SafetyFilter(gantry, 0.02)
