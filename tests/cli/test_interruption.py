@@ -167,7 +167,8 @@ def test_a_full_standard_error_changes_no_exit_code(tmp_path, monkeypatch):
         assert main(["simulate", str(tmp_path / "none")]) == 2
 
 
-def test_signals_have_their_handlers_back(capsys):
+def test_signals_have_their_handlers_back(monkeypatch):
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    assert main(["arms"]) == 0
+    monkeypatch.setattr(doctor, "doctor", lambda: signal.getsignal(signal.SIGINT) in before)
+    assert main(["doctor"]) == 0
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
