@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import importlib
 import json
-import signal
 import sys
 import warnings
 
 import numpy as np
 import pytest
-from rich.console import Console
-from rich.progress import TimeRemainingColumn
 from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm, solve_ik
@@ -27,7 +24,6 @@ from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.studies.workers import progress_bar
 
 
 def test_what_is_printed_is_no_markup(capsys):
@@ -42,49 +38,6 @@ def test_what_is_printed_is_no_markup(capsys):
     assert all(part in printed for part in ("of [bold]arms", "[a]", "[b]", "[c]", "[red]9[/red]", "[d]"))
     to_stderr().print(text)
     assert text in capsys.readouterr().err.replace("\n", " ")
-
-
-def test_the_bar_of_the_studies_shows_the_time_left():
-    columns = progress_bar(Console(quiet=True)).columns
-    assert any(isinstance(column, TimeRemainingColumn) for column in columns)
-
-
-# While a module is imported a signal comes, and the module makes an error of its own of what that raises.
-IMPORTING = """
-import builtins, os, signal, sys
-sys.argv[0] = "lieednn-sim"
-from lieednn_sim.cli import doctor, main
-original = builtins.__import__
-def hook(name, *rest, **named):
-    if name.partition(".")[0] == {module!r} or name == {module!r}:
-        builtins.__import__ = original
-        try:
-            os.kill(os.getpid(), {number})
-        except BaseException:
-            raise ImportError("cannot load the library") from None
-    return original(name, *rest, **named)
-builtins.__import__ = hook
-words = "demo --no-page --no-video --target random:3 --planner minimum-jerk --hold 0 --output"
-sys.exit(main([*words.split(), {output!r}]))
-"""
-
-
-@pytest.mark.parametrize(
-    ("module", "number", "code", "said"),
-    [
-        # Nothing is to be cleaned up yet.
-        ("numpy", signal.SIGINT, -signal.SIGINT, ""),
-        ("matplotlib", signal.SIGTERM, 143, "lieednn-sim: interrupted; files already reported are complete\n"),
-    ],
-)
-def test_a_signal_during_an_import_ends_the_command_cleanly(module, number, code, said, tmp_path, start):
-    script = IMPORTING.format(module=module, number=int(number), output=str(tmp_path / "run"))
-    process = start("-c", script)
-    printed, message = process.communicate()
-    assert process.returncode == code, message
-    assert message == said
-    assert (tmp_path / "run" / "rollout.npz").exists() == ("rollout.npz" in printed) == (module == "matplotlib")
-    assert not (tmp_path / "run" / "metrics.json").exists()
 
 
 @pytest.mark.usefixtures("no_ink")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 import subprocess
 import sys
 from argparse import ArgumentTypeError
@@ -11,7 +10,6 @@ from dataclasses import make_dataclass
 from importlib import metadata
 from typing import get_type_hints
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -216,11 +214,3 @@ def test_the_help_imports_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "usage: lieednn-sim compare [OPTIONS]" in done.stdout
-
-
-def test_a_joint_position_may_begin_with_a_minus():
-    arm = Arm.load("telescopic_pr")
-    words = shlex.split("-0.2,0.1,0.4,0.1,-0.3,0.1,-0.2,0.1")
-    np.testing.assert_array_equal(joint_position(arm, words[0], "target")[:2], [-0.2, 0.1])
-    with pytest.raises(InputError, match="target must be 8 comma-separated numbers, got 3"):
-        joint_position(arm, "1,2,3", "target")
