@@ -304,13 +304,10 @@ def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, mad
     ("change", "words"),
     [
         ({"start": ["0"] * 8}, r"start\[0\] must be a number, got '0'"),
-        ({"start": [True] * 8}, r"start\[0\] must be a number"),
         ({"target": [[0.0]]}, r"target\[0\] must be a number"),
         ({"target": [10**400]}, "target must be an array of numbers"),
         ({"duration": math.inf}, "duration must be finite"),
-        ({"duration": -1.0}, "duration must be positive"),
         ({"seed": 1.5}, "seed must be a whole number"),
-        ({"scene_seed": -1}, "scene_seed must be a whole number"),
         ({"arm": 3}, "arm must be a string"),
         ({"imported": {"link": []}}, "no options of an import: link"),
         ({"options": []}, "options must be a dictionary"),

@@ -255,14 +255,7 @@ def test_bad_curves_are_refused(curve, named, message):
 
 
 @pytest.mark.parametrize(
-    "options",
-    [
-        {"rate": 0.0},
-        {"rate": 1.5},
-        {"neurons": ()},
-        {"neurons": (1,)},
-        {"neurons": (257,)},
-    ],
+    "options", [{"rate": 0.0}, {"rate": 1.5}, {"neurons": ()}, {"neurons": (1,)}, {"neurons": (257,)}]
 )
 def test_bad_options_are_refused(options):
     with pytest.raises(InputError):

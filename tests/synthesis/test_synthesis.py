@@ -156,24 +156,16 @@ def test_a_tiny_angle_does_not_stand_in_for_those_that_carry_the_certificate(ang
     assert 1.5 - np.tanh(1.5) < strength < 2.1 - 0.85 * np.tanh(2.1)
 
 
-@pytest.mark.parametrize("length", [0.2, 0.6, 0.9, 2.0])
-def test_sign_matched_bias_serves_every_length_of_pure_extension(length):
-    xi = np.zeros((4, 6))
-    xi[:, 3] = length
-    check(synthesize(xi, bias="sign-matched"), xi)
-
-
-@pytest.mark.parametrize("turn", [0.06, 0.3])
-@pytest.mark.parametrize("length", [0.2, 0.9])
-def test_sign_matched_bias_serves_one_turning_joint_among_sliding_ones(turn, length):
+@pytest.mark.parametrize("turn", [0.0, 0.06, 0.3])
+@pytest.mark.parametrize("length", [0.0, 0.2, 0.9, 2.0])
+def test_sign_matched_bias_serves_sliding_joints_of_which_none_or_one_turns(turn, length):
     """The rows of joints that do not turn force alpha_i0 R_i0 u_0 = 0, so no t carries their translations."""
     xi = np.zeros((4, 6))
     xi[:, 3], xi[0, 2] = length, turn
     check(synthesize(xi, bias="sign-matched"), xi)
 
 
-def test_target_at_rest_is_certified_where_the_bias_can_rest_too():
-    check(synthesize(np.zeros((4, 6)), bias="sign-matched"), np.zeros((4, 6)))
+def test_target_at_rest_is_certified_with_the_solved_bias():
     check(synthesize(np.zeros((4, 6)), bias="solved"), np.zeros((4, 6)))
 
 
@@ -241,13 +233,9 @@ def test_same_seed_gives_the_same_bits_and_another_seed_others(rule):
         ({"bias": "random"}, "no bias rule 'random'; allowed: sign-matched, solved, uniform"),
         ({"bias": np.zeros((3, 6))}, r"bias must have shape \(4, 6\), got \(3, 6\)"),
         ({"bias_magnitude": 0.0}, "bias_magnitude must be positive"),
-        ({"gamma": -1.0}, "gamma must be positive, got -1"),
         ({"mu": np.nan}, "mu must be finite"),
-        ({"activation": "relu"}, "no activation 'relu'; allowed: .*tanh"),
         ({"max_translation": 0.0}, "max_translation must be positive"),
-        ({"max_attempts": 0}, "max_attempts must be at least 1"),
         ({"seed": -1}, "seed"),
-        ({"seed": "five"}, "seed"),
     ],
 )
 def test_wrong_input_is_named(arguments, words):
