@@ -1,7 +1,6 @@
 """The command line as a user meets it: the whole road, one-line errors, exit code 2, no half-written file."""
 
 import errno
-import importlib.metadata
 import io
 import json
 import os
@@ -14,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.cli import commands, doctor, main
+from lieednn_sim.arm import Arm
+from lieednn_sim.cli import commands, main
 from lieednn_sim.errors import RenderingUnavailableError
 from lieednn_sim.learning import projected
 from lieednn_sim.planning import Motion
@@ -31,16 +30,6 @@ def run(tmp_path_factory):
     assert main(["plan", "--target", "extended", "--output", str(directory), *FAST]) == 0
     assert main(["simulate", str(directory), "--hold", "0.5"]) == 0
     return directory
-
-
-def fails(capsys, *arguments):
-    """Run a command that must fail, and return its one line on stderr."""
-    capsys.readouterr()
-    assert main([str(argument) for argument in arguments]) == 2
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
-    assert len(lines) == 1, lines
-    assert lines[0].startswith("lieednn-sim: error: ")
-    return lines[0]
 
 
 def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
@@ -107,7 +96,7 @@ def test_candidates_are_tried_until_a_motion_keeps_the_limits(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("no_plots")
-def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
+def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys, fails):
     directory = tmp_path / "learned"
     arguments = ["train", "--target", "extended", "--algorithm", "literal", "--epochs", "20", "--candidates", "1"]
     assert main([*arguments, "--output", str(directory)]) == 1
@@ -115,17 +104,17 @@ def test_a_training_that_fails_says_so_and_leaves_no_network(tmp_path, capsys):
     assert "epochs spent after 20 epochs" in printed
     assert "no network was written; try" in printed
     assert not directory.exists()
-    assert "holds no run" in fails(capsys, "simulate", directory)
+    assert "holds no run" in fails("simulate", directory)
 
 
 @pytest.mark.usefixtures("no_plots")
-def test_a_training_that_fails_leaves_an_earlier_run_as_it_was(run, tmp_path, capsys):
+def test_a_training_that_fails_leaves_an_earlier_run_as_it_was(run, tmp_path, fails):
     directory = tmp_path / "run"
     shutil.copytree(run, directory)
     before = {path.name: path.read_bytes() for path in directory.iterdir()}
     arguments = ["train", "--target", "extended", "--algorithm", "literal", "--epochs", "3", "--candidates", "1"]
     assert main([*arguments, "--output", str(directory)]) == 1
-    assert "seed must be a whole number" in fails(capsys, *arguments, "--output", directory, "--seed", "-1")
+    assert "seed must be a whole number" in fails(*arguments, "--output", directory, "--seed", "-1")
     assert before == {path.name: path.read_bytes() for path in directory.iterdir() if path.is_file()}
 
 
@@ -171,7 +160,7 @@ def test_a_target_can_be_numbers_or_a_position(tmp_path):
     np.testing.assert_allclose(reached.as_matrix(), goal.as_matrix(), atol=1e-5)
 
 
-def test_of_several_poses_the_nearest_is_taken_and_a_line_or_an_orientation_is_kept(tmp_path, capsys):
+def test_of_several_poses_the_nearest_is_taken_and_a_line_or_an_orientation_is_kept(tmp_path, fails):
     arm = Arm.load("telescopic_pr")
     here = arm.link_poses(arm.keyframe("home"))[-1]
     turn = [*map(float, here.rotation.as_rotvec())]
@@ -198,16 +187,14 @@ def test_of_several_poses_the_nearest_is_taken_and_a_line_or_an_orientation_is_k
         else:
             assert (middle.rotation * here.rotation.inv()).magnitude() < np.deg2rad(0.1)
     assert "--path-constraint line takes one goal, got 2" in fails(
-        capsys, "plan", *poses, "--path-constraint", "line", "--output", tmp_path / "no"
+        "plan", *poses, "--path-constraint", "line", "--output", tmp_path / "no"
     )
-    words = fails(
-        capsys, "plan", position, "--path-constraint", "line", "--planner", "dmp", "--output", tmp_path / "no"
-    )
+    words = fails("plan", position, "--path-constraint", "line", "--planner", "dmp", "--output", tmp_path / "no")
     assert "the planner 'dmp' cannot keep a region on the way; planners that can: lieednn-shaped" in words
 
 
-def test_broken_run_directories(run, tmp_path, capsys):
-    assert "holds no run" in fails(capsys, "simulate", tmp_path / "missing")
+def test_broken_run_directories(run, tmp_path, fails):
+    assert "holds no run" in fails("simulate", tmp_path / "missing")
     for name, damage in (("motion.npz", b"junk"), ("task.json", b"{"), ("motion.npz", None)):
         broken = tmp_path / f"{name}-{damage}"
         broken.mkdir()
@@ -218,14 +205,14 @@ def test_broken_run_directories(run, tmp_path, capsys):
         else:
             (broken / name).write_bytes(damage)
         before = sorted(path.name for path in broken.iterdir())
-        assert str(broken / name) in fails(capsys, "simulate", broken)
+        assert str(broken / name) in fails("simulate", broken)
         assert sorted(path.name for path in broken.iterdir()) == before
     only_task = tmp_path / "no-rollout"
     only_task.mkdir()
     for path in ("lieednn_sim.json", "task.json"):
         (only_task / path).write_bytes((run / path).read_bytes())
-    assert "rollout.npz" in fails(capsys, "evaluate", only_task)
-    assert "rollout.npz" in fails(capsys, "render", only_task)
+    assert "rollout.npz" in fails("evaluate", only_task)
+    assert "rollout.npz" in fails("render", only_task)
 
 
 def test_a_full_output_gives_one_line(start):
@@ -258,7 +245,7 @@ def test_a_path_that_the_output_cannot_spell_and_a_backend_for_windows_that_does
 
 
 @pytest.mark.usefixtures("no_plots")
-def test_without_opengl_the_demo_goes_on_without_video(tmp_path, capsys, monkeypatch):
+def test_without_opengl_the_demo_goes_on_without_video(tmp_path, capsys, fails, monkeypatch):
     def refused():
         raise RenderingUnavailableError("cannot render")
 
@@ -271,27 +258,4 @@ def test_without_opengl_the_demo_goes_on_without_video(tmp_path, capsys, monkeyp
     assert re.search(missing, printed, re.MULTILINE)
     assert (tmp_path / "metrics.json").exists()
     assert not any((tmp_path / name).exists() for name in ("motion.html", "video.mp4"))
-    assert fails(capsys, "render", tmp_path) == "lieednn-sim: error: cannot render"
-
-
-def test_doctor_reports_in_words_and_json(capsys, monkeypatch):
-    code = main(["doctor", "--json"])
-    report = json.loads(capsys.readouterr().out)
-    assert report["versions"]["mujoco"] == importlib.metadata.version("mujoco")
-    assert report["arms"] == arm_names()
-    assert report["healthy"] == (code == 0) == (report["opengl"]["backend"] != "disable")
-    # Optional packages may be absent.
-    versions = doctor.metadata.version
-
-    def version(name):
-        if name in ("ompl", "gymnasium"):
-            raise doctor.metadata.PackageNotFoundError
-        return versions(name)
-
-    monkeypatch.setattr(doctor.metadata, "version", version)
-    assert main(["doctor"]) == code
-    printed = capsys.readouterr().out
-    assert "OpenGL backend" in printed
-    assert "not installed (optional, for planners rrt-connect," in printed
-    assert main(["doctor", "--json"]) == code
-    assert json.loads(capsys.readouterr().out)["extras"]["gymnasium"]["version"] is None
+    assert fails("render", tmp_path) == "lieednn-sim: error: cannot render"

@@ -12,30 +12,26 @@ import pytest
 
 from lieednn_sim.cli import doctor, main
 
-DEMO = [
-    "demo",
-    "--no-page",
-    "--no-video",
-    "--target",
-    "random:3",
-    "--planner",
-    "linear-attractor",
-    "--duration",
-    "1",
-    "--hold",
-    "0",
-]
+
+def swallowing():
+    """It arrives in a callback of a weak reference, where Python swallows exceptions."""
+    thing = set()
+    kept = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGTERM))
+    del thing
+    assert kept() is None
 
 
-def test_a_signal_that_is_swallowed_is_told_by_the_exit_code(capsys, monkeypatch):
-    def swallowing():
-        # It arrives in a callback of a weak reference, where Python swallows exceptions.
-        thing = set()
-        kept = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGTERM))
-        del thing
-        assert kept() is None
+def renaming():
+    """As a library does that is interrupted while it is imported."""
+    try:
+        signal.raise_signal(signal.SIGTERM)
+    except BaseException:
+        raise ImportError("cannot load the library") from None
 
-    monkeypatch.setattr(doctor, "doctor", swallowing)
+
+@pytest.mark.parametrize("work", [swallowing, renaming])
+def test_a_signal_that_is_swallowed_is_told_by_the_exit_code(capsys, monkeypatch, work):
+    monkeypatch.setattr(doctor, "doctor", work)
     assert main(["doctor"]) == 143
     assert capsys.readouterr().err == "lieednn-sim: interrupted; files already reported are complete\n"
 
@@ -134,7 +130,8 @@ def test_a_refused_command_leaves_no_folder(tmp_path, capsys):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     directory = tmp_path_factory.mktemp("system") / "run"
-    assert main(["plan", *DEMO[3:-2], "--output", str(directory)]) == 0
+    words = "plan --target random:3 --planner linear-attractor --duration 1 --output"
+    assert main([*words.split(), str(directory)]) == 0
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
     return directory
 

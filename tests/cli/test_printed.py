@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from importlib import metadata
 from types import SimpleNamespace
 
 import numpy as np
@@ -120,20 +121,25 @@ def test_arms_prints_limits_in_the_units_of_the_joints_and_the_reach(gantry, pri
     ]
 
 
-@pytest.mark.parametrize("what", ["nothing", "a package", "rendering", "the arms"])
+@pytest.mark.parametrize("what", ["nothing", "an extra", "a package", "rendering", "the arms"])
 def test_doctor_is_content_where_nothing_is_missing(monkeypatch, capsys, what):
-    version = doctor._version
-    monkeypatch.setattr(
-        doctor, "_version", lambda name: None if (what, name) == ("a package", "daqp") else version(name)
-    )
+    installed = metadata.version
+
+    def version(name):
+        if (what, name) in (("a package", "daqp"), ("an extra", "ompl")):
+            raise metadata.PackageNotFoundError
+        return installed(name)
+
+    monkeypatch.setattr(doctor.metadata, "version", version)
     backend = Backend("disable", "no GPU") if what == "rendering" else Backend("egl", "a renderer")
     monkeypatch.setattr(doctor.opengl, "configure", lambda: backend)
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.setattr(doctor, "arm_names", lambda: [] if what == "the arms" else ["one", "two"])
-    well = what == "nothing"
+    well = what in ("nothing", "an extra")
     assert main(["doctor"]) == (0 if well else 1)
     printed = " ".join(capsys.readouterr().out.split())
     assert ("everything works" in printed) == well
+    assert what != "an extra" or "not installed (optional, for planners rrt-connect," in printed
     assert ("install with pip: daqp" in printed) == (what == "a package")
     assert ("on Debian or Ubuntu: apt-get install libegl1" in printed) == (what == "rendering")
     assert ("does not work: no GPU" in printed) == (what == "rendering")
@@ -141,6 +147,9 @@ def test_doctor_is_content_where_nothing_is_missing(monkeypatch, capsys, what):
     assert main(["doctor", "--json"]) == (0 if well else 1)
     report = json.loads(capsys.readouterr().out)
     assert report["healthy"] == well
+    assert report["arms"] == doctor.arm_names()
+    assert report["versions"]["mujoco"] == installed("mujoco")
+    assert what != "an extra" or report["extras"]["ompl"]["version"] is None
     assert report["python_packages_to_install"] == (["daqp"] if what == "a package" else [])
     assert report["debian_packages_to_install"] == (["libegl1", "libgl1"] if what == "rendering" else [])
     assert report["extras"]["ompl"]["install"] == "pip install 'lieednn_sim[rivals]'"

@@ -54,14 +54,6 @@ def names(directory):
     return {path.name for path in directory.iterdir()}
 
 
-def fails(capsys, *words):
-    """Run a command that must fail, and return its one line on stderr."""
-    capsys.readouterr()
-    assert main([str(word) for word in words]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    return line
-
-
 @pytest.mark.parametrize("planner", ["minimum-jerk", "lieednn-certified"])
 def test_the_fastest_run_is_kept_and_simulated(tmp_path, planner):
     """A certified network draws its motion by itself in a duration that was asked for, but not in the least one."""
@@ -107,7 +99,7 @@ def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsy
     assert run.load_motion(task).xi.shape[1:] == (4, 6)
 
 
-def test_files_of_different_runs_are_refused_and_both_named(tmp_path, made, capsys):
+def test_files_of_different_runs_are_refused_and_both_named(tmp_path, made, fails):
     _, _, motion, rollout = made
     run, task = save(tmp_path / "run", made)
     # A motion of another planner between the same ends, and one of another arm.
@@ -116,26 +108,26 @@ def test_files_of_different_runs_are_refused_and_both_named(tmp_path, made, caps
     for other in (*others, dataclasses.replace(motion, q=motion.q[:, :2], qd=motion.qd[:, :2])):
         other.save(run.motion)
         for command in ("simulate", "evaluate", "render"):
-            assert f"{run.motion} and {run.task} are of different runs" in fails(capsys, command, run.path)
+            assert f"{run.motion} and {run.task} are of different runs" in fails(command, run.path)
     # A task that was changed.
     motion.save(run.motion)
     for change in ({"seed": 1}, {"duration": 0.7}, {"target": task.start}):
         dataclasses.replace(task, **change).save(run.task)
-        assert f"{run.motion} and {run.task} are of different runs" in fails(capsys, "simulate", run.path)
+        assert f"{run.motion} and {run.task} are of different runs" in fails("simulate", run.path)
     dataclasses.replace(task, target=(99.0, *task.target[1:])).save(run.task)
-    assert "does not fit arm 'telescopic_pr': target is out of reach" in fails(capsys, "simulate", run.path)
+    assert "does not fit arm 'telescopic_pr': target is out of reach" in fails("simulate", run.path)
     # A rollout that followed another motion.
     run.save_network(task, None, others[1])
     rollout.save(run.rollout)
     for command in ("evaluate", "render"):
-        line = fails(capsys, command, run.path)
+        line = fails(command, run.path)
         assert f"{run.rollout} is not a valid rollout: the motion is another one than the rollout followed" in line
     # No motion at all.
     run.motion.unlink()
-    assert f"no such file: {run.motion}" in fails(capsys, "simulate", run.path)
+    assert f"no such file: {run.motion}" in fails("simulate", run.path)
 
 
-def test_an_arm_that_changed_since_is_refused(tmp_path, two_hinges, capsys):
+def test_an_arm_that_changed_since_is_refused(tmp_path, fails, two_hinges):
     path = tmp_path / "own.xml"
     path.write_text(two_hinges)
     arm = Arm.load(str(path))
@@ -149,7 +141,7 @@ def test_an_arm_that_changed_since_is_refused(tmp_path, two_hinges, capsys):
     assert run.load_task()[0] == task
     for old, new in (("0.05 0 0 0.3", "0.05 0 0 0.300001"), ("-90 90", "-90 80"), ('"b"', '"c"')):
         path.write_text(two_hinges.replace(old, new))
-        assert f"is not the one for which {run.task} was made" in fails(capsys, "simulate", run.path)
+        assert f"is not the one for which {run.task} was made" in fails("simulate", run.path)
 
 
 def test_a_new_simulation_leaves_nothing_of_the_first(tmp_path, made, capsys):
@@ -237,19 +229,8 @@ def command_line(task, metrics):
 
 def test_a_run_can_be_made_again_from_task_and_metrics(tmp_path, capsys):
     first, second = tmp_path / "first", tmp_path / "second"
-    road = [
-        "--target",
-        "random:3",
-        "--duration",
-        "3",
-        "--option",
-        "n_networks=2",
-        "--option",
-        "bias_magnitudes=0.5",
-        "--seed",
-        "5",
-    ]
-    assert main(["plan", *road, "--output", str(first)]) == 0
+    words = "plan --target random:3 --duration 3 --option n_networks=2 --option bias_magnitudes=0.5 --seed 5 --output"
+    assert main([*words.split(), str(first)]) == 0
     conditions = ["--controller", "computed-torque", "--payload", "0.3", "--mass-scale", "1.05", "--hold", "0.2"]
     conditions += ["--push", "end effector,0,-3,5.5,0.4,0.1", "--reference-rate", "250", "--position-noise", "1e-5"]
     conditions += ["--velocity-noise", "1e-4", "--noise-seed", "4"]
@@ -276,10 +257,10 @@ def test_a_run_can_be_made_again_from_task_and_metrics(tmp_path, capsys):
     assert "planner: lieednn-certified (asked for)" in capsys.readouterr().out
 
 
-def test_no_planner_takes_the_place_of_one_that_is_not_installed(tmp_path, capsys, monkeypatch):
+def test_no_planner_takes_the_place_of_one_that_is_not_installed(tmp_path, fails, monkeypatch):
     monkeypatch.setattr("lieednn_sim.registry.importlib.util.find_spec", lambda _: None)
     task = ["--scene", "window", "--target", "random:0", "--planner", "rrt-connect"]
-    line = fails(capsys, "plan", *task, "--output", tmp_path / "run")
+    line = fails("plan", *task, "--output", tmp_path / "run")
     assert "planner 'rrt-connect' is not installed: pip install 'lieednn_sim[rivals]'; or name another one" in line
     assert "lieednn-shaped" in line
     assert not (tmp_path / "run").exists()
@@ -287,28 +268,28 @@ def test_no_planner_takes_the_place_of_one_that_is_not_installed(tmp_path, capsy
         PLANNERS.require("rrt-connect")
 
 
-def test_a_named_output_is_looked_at_before_the_work(tmp_path, made, capsys):
+def test_a_named_output_is_looked_at_before_the_work(tmp_path, made, fails):
     run, _ = save(tmp_path / "run", made)
     (tmp_path / "x.gif").mkdir()
     before = names(run.path)
     for output, words in (("x.gif", "it is a directory"), ("no/x.gif", "there is no directory")):
-        assert words in fails(capsys, "render", run.path, "--output", tmp_path / output)
-    assert "must be a path, got ''" in fails(capsys, "render", run.path, "--output", "")
+        assert words in fails("render", run.path, "--output", tmp_path / output)
+    assert "must be a path, got ''" in fails("render", run.path, "--output", "")
     assert names(run.path) == before
 
 
-def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, made, capsys):
+def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, made, fails):
     run, task = save(tmp_path / "run", made)
     again = ["--target", "extended", "--output", run.path]
     busy = f"another lieednn-sim is at work in {run.path}"
     with run.at_work():
         for words in (["simulate", run.path], ["evaluate", run.path], ["plan", *again], ["train", *again]):
-            assert busy in fails(capsys, *words)
+            assert busy in fails(*words)
     # A video takes minutes; the plots may be made meanwhile, another rollout may not.
     with run.at_work(shared=True), run.at_work(shared=True):
-        assert busy in fails(capsys, "simulate", run.path)
+        assert busy in fails("simulate", run.path)
     with io.locked(tmp_path):
-        assert f"at work in {tmp_path}" in fails(capsys, "compare", "--output", tmp_path)
+        assert f"at work in {tmp_path}" in fails("compare", "--output", tmp_path)
     run.load_rollout(task, made[3].arm)
 
 
@@ -316,13 +297,10 @@ def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, mad
     ("change", "words"),
     [
         ({"start": ["0"] * 8}, r"start\[0\] must be a number, got '0'"),
-        ({"start": [True] * 8}, r"start\[0\] must be a number"),
         ({"target": [[0.0]]}, r"target\[0\] must be a number"),
         ({"target": [10**400]}, "target must be an array of numbers"),
         ({"duration": math.inf}, "duration must be finite"),
-        ({"duration": -1.0}, "duration must be positive"),
         ({"seed": 1.5}, "seed must be a whole number"),
-        ({"scene_seed": -1}, "scene_seed must be a whole number"),
         ({"arm": 3}, "arm must be a string"),
         ({"imported": {"link": []}}, "no options of an import: link"),
         ({"options": []}, "options must be a dictionary"),

@@ -125,26 +125,6 @@ def test_the_shortest_solution_is_the_pseudoinverse_and_the_neutral_part_its_com
     assert np.vdot(neutral, step - neutral) == pytest.approx(0.0, abs=1e-8)
 
 
-@settings(max_examples=30)
-@given(seeds, ratios)
-def test_the_neutral_step_lowers_the_eigenvalue_and_leaves_the_equilibrium(seed, ratio):
-    _, point, solver, equilibrium = stable_case(seed, ratio)
-    equations = RowEquations(differential(point, equilibrium.output), 1e-10)
-    value, in_point, _ = smoothed_eigenvalue(point, np.zeros(9), ratio, 16.0)
-    neutral, length = equations.neutral(in_point), 1e-4
-    moved = retract(point, -length * neutral)
-    drop = value - smoothed_eigenvalue(moved, np.zeros(9), ratio, 16.0)[0]
-    assert drop == pytest.approx(length * np.vdot(neutral, neutral), rel=0.05)
-    assert drop > 0.0
-
-    def shift(step):
-        after = solver.newton(retract(point, step).weight, equilibrium.x, tolerance=1e-14)
-        return np.abs(after.x - equilibrium.x).max()
-
-    # The whole gradient moves the equilibrium to first order, its neutral part does not.
-    assert shift(-length * neutral) < 1e-3 * shift(-length * in_point) + 1e-12
-
-
 def target(seed: int, n: int = 4):
     return np.random.default_rng(seed).uniform(-0.8, 0.8, (n, 6))
 
@@ -211,11 +191,6 @@ def test_every_gradient_step_lowers_the_error():
 
 def test_one_neuron_keeps_the_pitch_and_says_so():
     """omega . v / |omega|^2 is the same for y and alpha Ad(theta) y: one block does not make every twist of another."""
-    rng = np.random.default_rng(3)
-    point, y = random_point(rng, 1), rng.normal(size=6)
-    image = point.weight @ y
-    pitch = [w[:3] @ w[3:] / (w[:3] @ w[:3]) for w in (y, image)]
-    assert pitch[0] == pytest.approx(pitch[1])
     result = train(target(0, 1), RiemannianOptions(certified=True, restarts=1, max_start_epochs=100))
     assert not result.success
     assert result.starts == 2
@@ -225,15 +200,10 @@ def test_one_neuron_keeps_the_pitch_and_says_so():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"direction": "newton"}, "no direction 'newton'; allowed: gauss-newton, gradient"),
         ({"direction": "gradient", "certified": True}, "certified training needs the direction 'gauss-newton'"),
         ({"barrier": 1.0}, "barrier must lie below 1, where the certificate ends, got 1"),
         ({"damping": 0.0}, "damping must be positive, got 0"),
-        ({"max_jump": -0.1}, "max_jump must be positive, got -0.1"),
-        ({"restarts": -1}, "restarts must be at least 0, got -1"),
-        ({"max_start_epochs": 0}, "max_start_epochs must be at least 1, got 0"),
         ({"stability_interval": 2.5}, "stability_interval must be a whole number, got 2.5"),
-        ({"initial_rate": 2.0}, "initial_rate must lie between min_rate 0.0001 and max_rate 1, got 2"),
         ({"shrink": 1.0}, "shrink must be below 1 and grow at least 1, got 1 and 1.3"),
     ],
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import gc
 import sqlite3
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -157,20 +156,6 @@ def test_rows_are_all_added_or_none(table):
     with pytest.raises(FileError, match="cannot use the table"):
         table.add([Measured("c", 1), Measured("c", 2, count="many")])
     assert len(table.rows) == 3
-
-
-def test_rows_that_are_added_stay_on_disk_until_they_are_asked_for(table):
-    def alive():
-        gc.collect()
-        return sum(type(one) is Measured for one in gc.get_objects())
-
-    before = alive()
-    for number in range(30):
-        table.add([Measured("many", number), Measured("more", number)])
-    assert alive() - before <= 1
-    assert len(table.rows) == 63
-    # What many rows say is in memory once.
-    assert len({id(row.set) for row in table.rows.values() if row.set == "many"}) == 1
 
 
 def test_several_at_once_begin_and_fill_a_table(tmp_path):

@@ -62,20 +62,6 @@ def test_the_clock_falls_from_one_at_its_rate(rate):
     np.testing.assert_allclose(last, rate, rtol=1e-4)
 
 
-def test_feet_are_nearest_points_in_order():
-    curve = Curve.through(bent(), np.tile(UNITS, (2, 1)))
-    s = np.linspace(0.0, 1.0, 23)
-    points, tangents = curve.at(s)
-    off = np.random.default_rng(3).normal(size=points.shape)
-    off -= (np.einsum("kni,kni->k", off * UNITS**2, tangents) / np.einsum("kni,kni->k", tangents * UNITS**2, tangents))[
-        :, None, None
-    ] * tangents
-    np.testing.assert_allclose(curve.feet(points + 1e-3 * off, s + 0.01 * np.sin(40.0 * s)), s, atol=2e-3)
-    assert curve.length == pytest.approx(
-        np.linalg.norm((np.diff(bent(count=20_000), axis=0) * UNITS).reshape(19_999, -1), axis=1).sum(), rel=1e-5
-    )
-
-
 def test_a_foot_is_nearest_in_metres():
     """From (1, 0) to the line (s, s) with half a metre per unit of y: s = 1 / (1 + 0.25)."""
     samples = np.zeros((2, 1, 6))
@@ -269,14 +255,7 @@ def test_bad_curves_are_refused(curve, named, message):
 
 
 @pytest.mark.parametrize(
-    "options",
-    [
-        {"rate": 0.0},
-        {"rate": 1.5},
-        {"neurons": ()},
-        {"neurons": (1,)},
-        {"neurons": (257,)},
-    ],
+    "options", [{"rate": 0.0}, {"rate": 1.5}, {"neurons": ()}, {"neurons": (1,)}, {"neurons": (257,)}]
 )
 def test_bad_options_are_refused(options):
     with pytest.raises(InputError):

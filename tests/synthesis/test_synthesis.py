@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import LieEDNN
@@ -157,24 +156,16 @@ def test_a_tiny_angle_does_not_stand_in_for_those_that_carry_the_certificate(ang
     assert 1.5 - np.tanh(1.5) < strength < 2.1 - 0.85 * np.tanh(2.1)
 
 
-@pytest.mark.parametrize("length", [0.2, 0.6, 0.9, 2.0])
-def test_sign_matched_bias_serves_every_length_of_pure_extension(length):
-    xi = np.zeros((4, 6))
-    xi[:, 3] = length
-    check(synthesize(xi, bias="sign-matched"), xi)
-
-
-@pytest.mark.parametrize("turn", [0.06, 0.3])
-@pytest.mark.parametrize("length", [0.2, 0.9])
-def test_sign_matched_bias_serves_one_turning_joint_among_sliding_ones(turn, length):
+@pytest.mark.parametrize("turn", [0.0, 0.06, 0.3])
+@pytest.mark.parametrize("length", [0.0, 0.2, 0.9, 2.0])
+def test_sign_matched_bias_serves_sliding_joints_of_which_none_or_one_turns(turn, length):
     """The rows of joints that do not turn force alpha_i0 R_i0 u_0 = 0, so no t carries their translations."""
     xi = np.zeros((4, 6))
     xi[:, 3], xi[0, 2] = length, turn
     check(synthesize(xi, bias="sign-matched"), xi)
 
 
-def test_target_at_rest_is_certified_where_the_bias_can_rest_too():
-    check(synthesize(np.zeros((4, 6)), bias="sign-matched"), np.zeros((4, 6)))
+def test_target_at_rest_is_certified_with_the_solved_bias():
     check(synthesize(np.zeros((4, 6)), bias="solved"), np.zeros((4, 6)))
 
 
@@ -215,15 +206,6 @@ def test_impossible_extension_says_why_at_once():
     assert result.attempts == 0
 
 
-def test_the_reason_of_impossibility_is_true():
-    """p^T (u * (c - u)) < 0 is what every certified W with W u = c obeys: checked on networks that were made."""
-    for seed in range(20):
-        xi = random_target(seed)
-        network = synthesize(xi, seed=seed).unwrap()
-        u, c = np.tanh(xi[:, :3]).ravel(), (xi - network.bias)[:, :3].ravel()
-        assert network.lyapunov_diagonal @ (u * (c - u)) < 0.0
-
-
 def test_giving_up_says_how_often_it_tried():
     result = synthesize(random_target(2), max_translation=1e-3, max_attempts=3)
     check_failure(result, "no feasible weights found from 3 starts")
@@ -242,15 +224,6 @@ def test_same_seed_gives_the_same_bits_and_another_seed_others(rule):
     assert not np.array_equal(one.alpha, other.alpha)
 
 
-def test_target_is_not_changed_and_blocks_are_rotations():
-    xi = random_target(5)
-    before = xi.copy()
-    network = synthesize(xi).unwrap()
-    assert np.array_equal(xi, before)
-    turned = Rotation.from_matrix(network.rotation.reshape(-1, 3, 3)).as_matrix().reshape(4, 4, 3, 3)
-    np.testing.assert_allclose(turned, network.rotation, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -260,13 +233,9 @@ def test_target_is_not_changed_and_blocks_are_rotations():
         ({"bias": "random"}, "no bias rule 'random'; allowed: sign-matched, solved, uniform"),
         ({"bias": np.zeros((3, 6))}, r"bias must have shape \(4, 6\), got \(3, 6\)"),
         ({"bias_magnitude": 0.0}, "bias_magnitude must be positive"),
-        ({"gamma": -1.0}, "gamma must be positive, got -1"),
         ({"mu": np.nan}, "mu must be finite"),
-        ({"activation": "relu"}, "no activation 'relu'; allowed: .*tanh"),
         ({"max_translation": 0.0}, "max_translation must be positive"),
-        ({"max_attempts": 0}, "max_attempts must be at least 1"),
         ({"seed": -1}, "seed"),
-        ({"seed": "five"}, "seed"),
     ],
 )
 def test_wrong_input_is_named(arguments, words):

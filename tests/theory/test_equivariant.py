@@ -135,10 +135,8 @@ def test_save_and_load_are_bit_exact_and_checked(tmp_path):
     [
         (lambda n: dataclasses.replace(n, lyapunov_diagonal=np.ones(9)), r"must have shape \(3\), got \(9\)"),
         (lambda n: dataclasses.replace(n, bias=np.ones((3, 3))), r"bias must have shape \(3, 6\)"),
-        (lambda n: dataclasses.replace(n, rotation=np.ones((3, 3, 3, 3))), "rotation must hold rotation matrices"),
         (lambda n: n.transform(2.0 * np.eye(3), np.zeros(3)), "rotation must hold rotation matrices"),
         (lambda n: n.transform(np.eye(4), np.zeros(3)), r"rotation must have shape \(3, 3\), got \(4, 4\)"),
-        (lambda n: n.transform(np.stack([np.eye(3)] * 2), np.zeros(3)), r"must have shape \(3, 3, 3\)"),
         (lambda n: n.transform(np.eye(3), np.zeros((2, 3))), r"translation must have shape \(3, 3\)"),
         (lambda n: n.equilibrium(np.zeros((3, 3))), r"start must have shape \(3, 6\)"),
         (lambda n: n.vector_field(np.zeros((3, 5))), r"xi must have shape \(\.\.\., 3, 6\)"),
@@ -159,11 +157,6 @@ def moved(frames, xi):
     return np.einsum("...ab,...b->...a", np.broadcast_to(adjoint(*frames), (*xi.shape, 6)), xi)
 
 
-def printed_activation(x, epsilon):
-    size = np.linalg.norm(x[..., :3], axis=-1, keepdims=True)
-    return np.tanh(size) / (size + epsilon) * x
-
-
 @given(seeds, st.one_of(st.just(0.0), st.floats(-12.0, 1.0).map(lambda k: 10.0**k)))
 def test_the_corrected_activation_is_equivariant(seed, size):
     rng, network = np.random.default_rng(seed), random_network(0)
@@ -178,34 +171,6 @@ def test_transformed_weights_are_conjugated_by_the_adjoint(seed):
     ad = adjoint(q, s)
     blocks = network.transform(q, s).blocks
     np.testing.assert_allclose(blocks, ad @ network.blocks @ np.linalg.inv(ad), atol=1e-11)
-
-
-def test_the_componentwise_activation_is_not_equivariant():
-    """A quarter turn keeps tanh up to signs; an eighth turn does not, by a tenth of its value."""
-    network = random_network(0)
-    componentwise = LieEDNN(network.alpha, network.rotation, network.translation, network.bias)
-    frame = Rotation.from_rotvec([0.0, 0.0, np.pi / 4]).as_matrix(), np.zeros(3)
-    xi = np.tile([2.0, 0.0, 0.0, 2.0, 0.0, 0.0], (3, 1))
-    # tanh(2) (1, 1)/sqrt 2 against tanh(sqrt 2) (1, 1).
-    apart = componentwise.phi(moved(frame, xi)) - moved(frame, componentwise.phi(xi))
-    assert apart[0, 0] == pytest.approx(np.tanh(np.sqrt(2.0)) - np.tanh(2.0) / np.sqrt(2.0), abs=1e-12)
-    assert apart[0, 0] > 0.2
-    changed = network.transform(*frame)
-    seen = LieEDNN(changed.alpha, changed.rotation, changed.translation, changed.bias)
-    ends = seen.trajectory(moved(frame, xi), 4.0).xi[-1], moved(frame, componentwise.trajectory(xi, 4.0).xi[-1])
-    assert np.abs(ends[0] - ends[1]).max() > 0.05
-
-
-@pytest.mark.parametrize("epsilon", [1e-3, 1e-6, 1e-9])
-def test_the_printed_epsilon_erases_pure_translations(epsilon):
-    """X -> tanh(r)/(r + eps) X is 0 at omega = 0, and nearly X a hundred eps away: a layer of slope 1/eps."""
-    x = np.array([0.0, 0.0, 0.0, 1.0, -2.0, 3.0])
-    near = x + np.array([100.0 * epsilon, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert np.array_equal(printed_activation(x, epsilon), np.zeros(6))
-    assert printed_activation(near, epsilon)[5] > 2.9
-    phi = random_network(0).phi
-    assert np.array_equal(phi(x), x)
-    np.testing.assert_allclose(phi(near), near, atol=2.0 * (100.0 * epsilon) ** 2)
 
 
 @settings(max_examples=3)
@@ -245,22 +210,3 @@ def test_stability_by_the_cascade(seed):
     for start in starts:
         ended = network.trajectory(start, 90.0 / -found.spectral_abscissa, rtol=1e-8, atol=1e-10).xi[-1]
         np.testing.assert_allclose(ended, found.xi, atol=1e-5 * (1.0 + np.abs(found.xi).max()))
-
-
-@settings(max_examples=3)
-@given(seeds)
-def test_the_bregman_divergence_of_the_proof_decreases(seed):
-    network = certified_network(seed)
-    rest = network.equilibrium().xi[:, :3]
-    output = network.phi(np.concatenate([rest, rest], axis=1))[:, :3]
-
-    def energy(omega):
-        difference = np.log(np.cosh(np.linalg.norm(omega, axis=-1))) - np.log(np.cosh(np.linalg.norm(rest, axis=-1)))
-        divergence = difference - (output * (omega - rest)).sum(axis=-1)
-        return (network.lyapunov_diagonal * divergence).sum(axis=-1)
-
-    start = np.random.default_rng(seed).uniform(-5.0, 5.0, (3, 6))
-    path = network.trajectory(start, 20.0, rtol=1e-10, atol=1e-12)(np.linspace(0.0, 20.0, 200))[..., :3]
-    values = energy(path)
-    assert (np.diff(values) < 1e-9).all()
-    assert values[-1] < 1e-2 * values[0]

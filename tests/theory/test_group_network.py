@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim import io, stability
-from lieednn_sim.errors import FileError, InputError, NotCertifiedError
+from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.theory import GroupLieEDNN
 from lieednn_sim.theory.groups import GROUPS, affine, group
@@ -88,15 +88,6 @@ def test_a_certified_network_is_globally_stable_for_every_bias(seed, name):
     np.testing.assert_allclose(aimed.equilibrium().xi, target, atol=1e-9)
 
 
-def test_an_unstable_network_gets_no_certificate():
-    network = GroupLieEDNN(group("SO(3)"), [[1.5]], np.eye(3)[None, None], np.zeros((1, 3)))
-    with pytest.raises(NotCertifiedError, match=r"no certificate .*lambda_max 1\.5 against gamma/mu 1"):
-        network.certify()
-    carrying = dataclasses.replace(network, lyapunov_diagonal=np.ones(3))
-    assert not carrying.certified
-    assert not network.certified
-
-
 @pytest.mark.parametrize("name", ["SU(2)", "Sim(3)", "GL(2)", "affine(C^x)"])
 def test_save_and_load_are_bit_exact(tmp_path, name):
     network = random_network(1, name, strength=0.05, gamma=0.1 + 0.2, mu=0.05, activation="arctan").certify()
@@ -152,10 +143,8 @@ def test_tampered_files_are_refused(tmp_path, change, words):
         ({"alpha": np.zeros((0, 0))}, r"\(N, N\) with N >= 1"),
         ({"theta": np.eye(4)}, r"theta must have shape \(3, 3, 4, 4\), got \(4, 4\)"),
         ({"theta": np.zeros((3, 3, 4, 4))}, "9 of 9 are none; `project_to_adjoint` of the group"),
-        ({"theta": np.full((3, 3, 4, 4), np.nan)}, "must be finite"),
         ({"bias": np.zeros((3, 4))}, r"bias must have shape \(3, 6\)"),
         ({"lyapunov_diagonal": np.ones(9)}, r"lyapunov_diagonal must have shape \(18\), got \(9\)"),
-        ({"mu": -1.0}, "mu must be positive"),
         ({"activation": "relu"}, "allowed: .*tanh"),
     ],
 )

@@ -194,10 +194,8 @@ def test_search_repeats_itself():
         ("flat", np.zeros((3, 3)), r"basis must have shape \(d, m, m\), got \(3, 3\)"),
         ("empty", np.zeros((0, 2, 2)), "basis of empty must not be empty"),
         ("twice", [np.eye(2), 2.0 * np.eye(2)], "basis of twice must be linearly independent over the real numbers"),
-        ("many", np.ones((5, 2, 2)), "linearly independent"),
         ("open", lie.hat(np.eye(3))[:2], "spans no Lie algebra: the commutator of E_1 and E_2 lies outside"),
         ("nan", np.full((1, 2, 2), np.nan), "basis must be finite"),
-        ("text", "basis", "basis must be an array of numbers"),
     ],
 )
 def test_what_is_no_basis_is_refused(name, basis, message):
@@ -213,7 +211,6 @@ def test_independence_is_over_the_reals():
     ("call", "message"),
     [
         (lambda: group("SO(4)"), r"no group 'SO\(4\)'; allowed: SO\(2\), SO\(3\), .*Sim\(3\), GL\(n\)"),
-        (lambda: group("GL(0)"), "n must be at least 1"),
         (lambda: group("GL(9)"), r"n must be at most 8 for GL\(n\), got 9"),
         (lambda: affine(group("SU(2)")), r"affine needs a real matrix group, got SU\(2\)"),
         (lambda: group("SO(3)").hat(np.zeros(4)), r"x must have shape \(\.\.\., 3\), got \(4\)"),
@@ -223,7 +220,6 @@ def test_independence_is_over_the_reals():
         (lambda: group("SO(3)").adjoint(np.diag([1.0, 2, 3])), r"must be in SO\(3\): g E_k g\^-1 leaves"),
         (lambda: group("SO(3)").project_to_adjoint(np.eye(4)), r"theta must have shape \(\.\.\., 3, 3\), got \(4, 4\)"),
         (lambda: group("SU(2)").contains(np.eye(3)), r"g must have shape \(\.\.\., 2, 2\)"),
-        (lambda: group("SU(2)").contains(np.eye(2), 0.0), "tolerance must be positive"),
         (lambda: group("SU(2)").random(-1), "rng must be a whole number"),
     ],
 )

@@ -82,15 +82,3 @@ def test_theorem_smoothness_and_curvature_bound(seed, rates, small):
     around = np.stack([x[10] + s * h * velocity[10] + 0.5 * h * h * acceleration[10] for s in (-1.0, 1.0)])
     shifted = -gamma * around + mu * (np.tanh(around) @ weight.T + bias)
     np.testing.assert_allclose((shifted[1] - shifted[0]) / (2.0 * h), acceleration[10], atol=1e-5 * bounds.acceleration)
-
-
-def test_theorem_smoothness_and_curvature_bound_closing_line_fails_without_its_norm_condition():
-    """The closing bound is printed for every network; a trained one (||W||_inf > gamma/mu) may break it."""
-    weight, bias = np.array([[-8.0]]), np.array([0.0])
-    x = np.array([0.3])
-    velocity = -x + weight @ np.tanh(x)
-    acceleration = -velocity + weight @ ((1.0 - np.tanh(x) ** 2) * velocity)
-    radius = float(np.abs(x).max())  # -x + w tanh(x) pulls towards 0, so |xi| never grows
-    assert np.abs(acceleration).max() > 2.0 * (radius + 1.0 + 0.0)
-    assert np.abs(acceleration).max() <= smoothness_bounds(weight, bias, radius, gamma=1.0, mu=1.0).acceleration
-    assert smoothness_bounds(weight, bias, radius, gamma=1.0, mu=1.0).closing is None

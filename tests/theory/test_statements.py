@@ -30,6 +30,9 @@ def test_a_statement_holds_as_far_as_we_found(name):
 def test_what_fails_of_the_statements_that_hold_in_part():
     assert measured("closed group")["reflections_apart"] > 1.0
     assert measured("quotient")["unbounded"] > 1e3
+    algebras = measured("algebras")
+    assert algebras["complex_identity"] < 1e-12
+    assert min(algebras["complex_apart"], algebras["quaternion_apart"]) == 1.0
     activation = measured("activation")
     assert activation["printed_pure_translation"] == 0.0
     assert activation["corrected_pure_translation"] == 1.0

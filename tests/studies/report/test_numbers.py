@@ -16,7 +16,7 @@ from lieednn_sim.studies.comparison.summary import method
 from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
 from lieednn_sim.studies.reactions.study import Reactions
 from lieednn_sim.studies.report import figures, page, write_page
-from lieednn_sim.studies.report.page import _SHOWN, _columns
+from lieednn_sim.studies.report.page import _SHOWN
 
 # In this order in the registry, and so in what is shown.
 FIRST, SECOND, THIRD = "minimum-jerk", "se3-geodesic", "rrt-connect"
@@ -79,15 +79,6 @@ def test_the_page_has_each_median_in_its_column(table, tmp_path):
         assert f"{low}\N{EN DASH}{high} %" in line
     titles = [html.unescape(title) for title in re.findall(r'title="([^"]*)"', body[: body.index("</thead>")])]
     assert titles[1 : len(_SHOWN) + 1] == [BY_NAME[name].meaning for name in _SHOWN]
-
-
-def test_heads_of_angles_say_of_what_they_are():
-    heads = {column.name: column.heading for column in _columns()}
-    assert [heads[name] for name in ("final_worst_deg", "tracking_rms_deg", "gap_deg")] == [
-        "final worst link [deg]",
-        "tracking RMS [deg]",
-        "gap [deg]",
-    ]
 
 
 def test_reactions_stand_below_their_heads(table, tmp_path, monkeypatch):
@@ -188,29 +179,6 @@ def test_figures_draw_values_and_medians(monkeypatch):
     assert {"clearance [mm]", "planning [s]", "joint path [ranges]"} < set(by_title)
 
 
-def test_planning_times_within_a_decade_have_a_few_labels(monkeypatch):
-    drawn = {}
-    monkeypatch.setattr(figures, "_svg", lambda figure: drawn.update({figure.axes[0].get_xlabel(): figure}) or "<svg/>")
-    for fastest in (1.04, 2.4, 5.5):
-        figures.plots([row(FIRST, k, planning_s=fastest * (1.0 + 0.35 * k)) for k in range(3)], "position-servo")
-        axes = drawn["planning [s]"].axes[0]
-        low, high = axes.get_xlim()
-        ticks = axes.xaxis.get_majorticklocs()
-        assert 2 <= np.count_nonzero((low <= ticks) & (ticks <= high)) <= 6
-
-
 def test_controllers_come_in_the_order_of_the_package_then_those_that_are_not_installed_any_more():
     rows = [row(FIRST, 0, controller=name) for name in ("gone", "inverse-dynamics", "position-servo")]
     assert controllers_of(rows) == ["position-servo", "inverse-dynamics", "gone"]
-
-
-def test_long_lines_of_marks_are_thinned_and_keep_their_ends(monkeypatch):
-    drawn = []
-    monkeypatch.setattr(figures, "_svg", lambda figure: drawn.append(figure) or "<svg/>")
-    many = [row(FIRST, k, clearance_mm=float((7 * k) % 1000)) for k in range(1000)]
-    shown = {plot.title: (plot, drawn[i].axes[0].lines) for i, plot in enumerate(figures.plots(many, "position-servo"))}
-    plot, (quartiles, marks, *_) = shown["clearance [mm]"]
-    np.testing.assert_array_equal(marks.get_xdata(), np.linspace(0, 999, 200).astype(int))
-    np.testing.assert_allclose(quartiles.get_xdata(), [249.75, 749.25])
-    assert "at most 200 in a line are marked" in plot.caption
-    assert "200" not in figures.plots(ROWS, "position-servo")[1].caption

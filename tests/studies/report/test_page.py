@@ -11,7 +11,6 @@ import pytest
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies import Case, Comparison, Row, Settings, compute
 from lieednn_sim.studies.report import choose_problems, page, view, write_page
-from lieednn_sim.studies.report.figures import marks
 
 CONTROLLERS = ("position-servo", "computed-torque")
 SETTINGS = Settings(duration=1.2, hold=0.1)
@@ -92,12 +91,6 @@ def test_the_page_asks_for_nothing_and_says_what_was_compared(table, figures_kep
 def test_an_empty_table_is_refused(tmp_path):
     with pytest.raises(InputError, match="is empty"):
         write_page(tmp_path / "page.html", Comparison(common=SETTINGS).open(tmp_path / "table"))
-
-
-def test_planners_keep_their_marks_and_none_is_used_twice():
-    everyone = marks(["zzz"])
-    assert len({(mark.colour, mark.shape) for mark in everyone.values()}) == len(everyone)
-    assert marks([])["se3-geodesic"] == everyone["se3-geodesic"]
 
 
 def test_problems_are_those_of_the_best_of_lieednn_and_others_in_turn(tmp_path):
