@@ -9,8 +9,10 @@ import pytest
 
 import lieednn_sim as ls
 from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.planning import GuideOptions, PlanningProblem
 from lieednn_sim.planning.goals import candidates
-from lieednn_sim.planning.path_constraints import projected
+from lieednn_sim.planning.guides import _ConstrainedSearch
+from lieednn_sim.planning.path_constraints import outside, projected
 
 from .arms import coarse
 
@@ -107,6 +109,18 @@ def test_a_straight_motion_that_stays_in_the_region_is_taken(arm, start):
         made = ls.plan(arm, end, start=start, path_constraint=slab)
         assert made.guide.planner == "minimum-jerk"
         np.testing.assert_allclose(made.motion.q[-1], end, atol=1e-6)
+
+
+def test_a_path_that_is_searched_for_has_all_corners_in_the_region(arm, start):
+    """A straight shortcut would lead out of it."""
+    here = arm.link_poses(start)[-1]
+    region = ls.TaskSpaceRegion.orientation(here.rotation)
+    goal = ls.TaskSpaceRegion.box(here.translation + 0.2, here.translation + 0.2)
+    problem = PlanningProblem(
+        arm, start, next(candidates(arm, goal, start, path_constraint=region)), path_constraint=region
+    )
+    corners = _ConstrainedSearch(problem, GuideOptions()).path(0)
+    assert outside(arm, region, corners[1:-1]) < 1e-6
 
 
 def test_ends_outside_the_region_are_refused(arm, start):

@@ -31,15 +31,14 @@ from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_al
 from lieednn_sim.planning.joint_space import ClearanceTest, joint_scale, sweeps
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 
-from .arms import coarse
-from .test_planners import plan_with
+from .arms import posted
+from .test_planners import LITTLE_WORK, plan_with
 
 ARM = Arm.load("telescopic_pr")
 LOW, HIGH = ARM.position_limits.T
+POSTED = posted(0.5 * np.pi, 0.06)
 SMOOTHING = SmoothingOptions()
-# Little work, and twice as much until a path is found.
-DOUBLING = tuple(2_000 * 2**k for k in range(7))
-IMPROVING = ("rrt-star", "informed-rrt-star", "bit-star", "aorrtc")
+IMPROVING = tuple(LITTLE_WORK)
 DETOUR = ("rrt-connect", "mjpl", "sscbirrt", *IMPROVING, "trajectory-optimisation", "stomp")
 seeds = st.integers(0, 2**32 - 1)
 
@@ -49,18 +48,8 @@ def needs(name: str) -> None:
         pytest.skip(f"{name} needs {PLANNERS.missing()[name]}")
 
 
-def with_post() -> Arm:
-    """The arm with a post in the way of the half turn that `blocked` asks for."""
-    spec = coarse().spec.copy()
-    post = spec.worldbody.add_body(name="post", pos=(0.0, 0.95, 1.0))
-    post.add_geom(name="post", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.06, 0.06, 1.0))
-    return Arm.from_spec(spec, ARM.source, ARM.name)
-
-
-POSTED = with_post()
-
-
 def blocked(seed: int = 0, duration: float = 8.0) -> PlanningProblem:
+    """Half a turn, with a post in the way."""
     start, target = ARM.keyframe("extended").copy(), ARM.keyframe("extended").copy()
     turn = ARM.joint_names.index("turn")
     start[turn], target[turn] = 0.5, 2.6
@@ -93,7 +82,7 @@ def test_where_the_target_is_the_start_the_arm_stays(name):
 
 def corners(seed: int, count: int = 5) -> np.ndarray:
     drawn = np.random.default_rng(seed).uniform(LOW, HIGH, (count, len(LOW)))
-    drawn[0] = ARM.keyframe("home")
+    drawn[0], drawn[-1] = ARM.keyframe("home"), ARM.keyframe("extended")
     return drawn
 
 
@@ -114,12 +103,10 @@ def test_a_path_is_searched_for_once_however_long_the_motion_takes(monkeypatch):
 @pytest.mark.parametrize("name", DETOUR)
 def test_they_go_around_what_is_in_the_way_with_clearance(name):
     needs(name)
-    # They spend the rest on shortening the path that they found.
-    options = PLANNERS[name].options(max_collision_checks=DOUBLING) if name in IMPROVING else None
     task = blocked(3)
     with pytest.raises(PlanError, match=r"would come within .* of .post. at"):
         plan_with("minimum-jerk", task)
-    motion = plan_with(name, task, options=options)
+    motion = plan_with(name, task, options=LITTLE_WORK.get(name))
     collisions = Collisions(POSTED)
     assert min(collisions.clearance(q) for q in motion.q[::4]) > PLANNED_CLEARANCE - 1e-6
     assert (POSTED.limit_excess(motion.q) <= 1e-9).all()
@@ -176,8 +163,7 @@ def test_the_fast_test_of_clearance_agrees_with_measured_distances(seed):
 @settings(max_examples=10)
 def test_rounded_paths_stay_within_limits_and_come_close_to_the_polyline(seed, count):
     polyline = corners(seed)
-    task = PlanningProblem(ARM, polyline[0], ARM.keyframe("extended"), 8.0)
-    polyline[-1] = task.target
+    task = PlanningProblem(ARM, polyline[0], polyline[-1], 8.0)
     scale, times = joint_scale(ARM), task.times()
     q, qd, progress = smoothed(task, polyline, count, SMOOTHING.bend)
     np.testing.assert_allclose(q[[0, -1]], polyline[[0, -1]], atol=1e-9)
@@ -198,8 +184,7 @@ def test_rounded_paths_stay_within_limits_and_come_close_to_the_polyline(seed, c
 @settings(max_examples=5)
 def test_the_polyline_itself_is_followed_with_a_stop_at_every_corner(seed):
     polyline = corners(seed)
-    task = PlanningProblem(ARM, polyline[0], ARM.keyframe("extended"), 8.0)
-    polyline[-1] = task.target
+    task = PlanningProblem(ARM, polyline[0], polyline[-1], 8.0)
     q, qd, _ = stopping(task, polyline)
     scale = joint_scale(ARM)
     for corner in polyline:

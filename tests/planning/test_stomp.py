@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -11,6 +10,9 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.planning import PlanningProblem, StompOptions
 from lieednn_sim.planning.baselines.stomp import StompSearch, motion_along, noise_weights, stomp
 from lieednn_sim.planning.joint_space import ClearanceTest
+
+from .arms import posted
+from .test_rivals import blocked
 
 ARM = Arm.load("telescopic_pr")
 LOW, HIGH = ARM.position_limits.T
@@ -25,14 +27,6 @@ def search(arm: Arm = ARM, turn: tuple[float, float] = (0.5, 2.6), seed: int = 0
     return StompSearch(
         PlanningProblem(arm, start, target, 8.0, seed), chosen, chosen.spacing, np.random.default_rng(seed)
     )
-
-
-def posted(angle: float, half: float) -> Arm:
-    """The arm with a post at an angle of its turn, of this half width [m]."""
-    spec = ARM.spec.copy()
-    post = spec.worldbody.add_body(name="post", pos=(0.95 * np.cos(angle), 0.95 * np.sin(angle), 1.0))
-    post.add_geom(name="post", type=mujoco.mjtGeom.mjGEOM_BOX, size=(half, half, 1.0))
-    return Arm.from_spec(spec, ARM.source, ARM.name)
 
 
 # Of four waypoints: (A' A)^-1 = (A^-1)^2 with A^-1 = -[[4, 3, 2, 1], [3, 6, 4, 2], ...] / 5, times 25.
@@ -128,6 +122,5 @@ def test_the_motion_stays_in_the_hull_of_the_waypoints():
 
 
 def test_a_refusal_says_what_was_tried():
-    blocked = search(posted(np.pi / 2, 0.06)).problem
     with pytest.raises(PlanError, match="no path of 1 rounds is clear; try another seed or target"):
-        stomp(blocked, StompOptions(rounds=1, rollouts=1))
+        stomp(blocked(), StompOptions(rounds=1, rollouts=1))

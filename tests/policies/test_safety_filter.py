@@ -148,6 +148,16 @@ def beads(tmp_path_factory):
     return Arm.from_xml(path, "beads")
 
 
+def test_approach_bounds_by_hand(beads):
+    """What turns counts by its reach and radius, what slides by 1, and what moves both geoms of a pair not at all."""
+    post, first, near = (beads.model.geom(name).id for name in ("post", "first", "near"))
+    bounds = ApproachBounds(beads, np.array([[post, first], [near, post], [first, near]]))
+    for slid in (0.0, 0.75):
+        turning, sliding = (0.2 + slid + 0.05) * (0.1 + 0.2 + 0.3), 2.0
+        found = bounds(np.array([0.25, 0.0, 0.0, 0.0, slid]), np.array([0.5, 0.1, 0.2, 0.3, sliding]))
+        np.testing.assert_allclose(found, [0.5, 0.5 + turning + sliding, turning + sliding], rtol=1e-12)
+
+
 @pytest.mark.parametrize(("cutoff", "of_neighbours"), [(0.4, 0.04), (0.02, 0.02)])
 def test_only_parts_of_the_arm_that_are_near_at_home_are_looked_at_from_nearer(beads, cutoff, of_neighbours):
     """Gaps of 0.1 m (first to near, post to first), 0.18 (post to near) and 0.4 (first to far)."""
