@@ -68,7 +68,9 @@ def test_a_foot_is_nearest_in_metres():
     samples[1, 0, 3:5] = 1.0
     units = np.array([[1.0, 1.0, 1.0, 1.0, 0.5, 1.0]])
     point = np.eye(6)[None, 3:4]
-    feet = Curve.through(samples, units).feet(np.concatenate([point, point, point]), np.array([0.0, 0.75, 1.0]))
+    curve = Curve.through(samples, units)
+    assert curve.length == pytest.approx(np.hypot(1.0, 0.5))
+    feet = curve.feet(np.concatenate([point, point, point]), np.array([0.0, 0.75, 1.0]))
     np.testing.assert_allclose(feet, [0.0, 0.8, 1.0], atol=1e-9)
 
 
