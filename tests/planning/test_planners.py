@@ -35,7 +35,6 @@ from .arms import coarse
 ARM = coarse()
 LOW, HIGH = ARM.position_limits.T
 MISSING = PLANNERS.missing()
-INSTALLED = sorted(set(PLANNERS) - set(MISSING))
 # These spend what work they are given on shortening the path that they found: a tenth of that here.
 LITTLE_WORK = {
     name: PLANNERS[name].options(max_collision_checks=tuple(2_000 * 2**k for k in range(7)))

@@ -19,14 +19,14 @@ from lieednn_sim.planning.joint_space import Workspace
 from .test_planners import plan_with
 from .test_rivals import POSTED, blocked
 
-BOUNDS = np.array([[0.0, 1.0], [0.0, 1.0]])
-REACH = 0.05
 START, TARGET = np.array([0.05, 0.5]), np.array([0.9, 0.9])
 seeds = st.integers(0, 2**32 - 1)
 
 
 class World:
     """The unit square, solid left of 0.5 but for a passage around y = 0.5, which begins closed where it is so wide."""
+
+    bounds, reach = np.array([[0.0, 1.0], [0.0, 1.0]]), 0.05
 
     def __init__(self, width: float, most: int = 100_000) -> None:
         self.width, self.most = width, most
@@ -44,7 +44,7 @@ class World:
         return free
 
     def path(self, seed: int, start: np.ndarray = START, target: np.ndarray = TARGET) -> np.ndarray | None:
-        world = {"bounds": BOUNDS, "longest_edge": REACH, "clear": self.clear}
+        world = {"bounds": self.bounds, "longest_edge": self.reach, "clear": self.clear}
         return connected(start, target, **world, over=lambda: len(self.tested) >= self.most, seed=seed)
 
 
@@ -57,7 +57,7 @@ def test_a_path_leads_from_start_to_target_over_clear_edges(seed, backwards):
     np.testing.assert_array_equal(corners[[0, -1]], ends)
     assert all(map(world.clear, corners[:-1], corners[1:]))
     lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-    assert lengths.max() <= REACH * (1.0 + 1e-9)
+    assert lengths.max() <= world.reach * (1.0 + 1e-9)
     assert lengths.min() > 0.0, "a corner is there twice"
     assert (np.abs(corners - 0.5) <= 0.5).all()
 
@@ -81,27 +81,26 @@ def test_the_tree_in_the_open_waits_for_the_other_one(closed):
     ends = (START, TARGET) if closed == "start" else (TARGET, START)
     assert world.path(0, *ends) is None
     assert len(world.tested) >= world.most
-    assert world.accepted <= 1 + np.linalg.norm(TARGET - START) / REACH
+    assert world.accepted <= 1 + np.linalg.norm(TARGET - START) / world.reach
 
 
-def test_work_out_of_a_narrow_place_is_spent_where_it_helps(monkeypatch):
-    """From a box in four dimensions, open at the far side: else most samples are asked for through the wall."""
-    target = np.full(4, 0.8)
+class Box(World):
+    """In four dimensions, around the origin and open at the far side."""
 
-    def free(points: np.ndarray) -> np.ndarray:
+    bounds, reach = np.tile([-1.0, 1.0], (4, 1)), 0.1
+
+    def free(self, points: np.ndarray) -> np.ndarray:
         wall = np.abs(np.abs(points).max(axis=1) - 0.225) < 0.025
         return ~wall | ((points[:, 0] < -0.2) & (np.abs(points[:, 1:]).max(axis=1) < 0.1))
 
+
+def test_work_out_of_a_narrow_place_is_spent_where_it_helps(monkeypatch):
+    """From within a box: else most samples are asked for through its wall."""
+
     def tests(seed: int) -> int:
-        asked = list[np.ndarray]()
-
-        def clear(first: np.ndarray, second: np.ndarray) -> bool:
-            asked.append(second)
-            return bool(free(first + np.linspace(0.0, 1.0, 100)[:, None] * (second - first)).all())
-
-        world = {"bounds": np.tile([-1.0, 1.0], (4, 1)), "longest_edge": 0.1, "clear": clear}
-        connected(np.zeros(4), target, **world, over=lambda: len(asked) >= 3_000, seed=seed)
-        return len(asked)
+        world = Box(0.0, most=3_000)
+        world.path(seed, np.zeros(4), np.full(4, 0.8))
+        return len(world.tested)
 
     with_domain = [tests(seed) for seed in range(3)]
     assert max(with_domain) < 2_000

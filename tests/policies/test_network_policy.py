@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.network_planners import without_weights
-from lieednn_sim.policies import Feedback, FilteredPolicy, NetworkPolicy
+from lieednn_sim.policies import Feedback, NetworkPolicy
 from lieednn_sim.simulation import Disturbances, Push, follow
 from lieednn_sim.synthesis import synthesize
 
@@ -28,13 +28,11 @@ def started(arm, network, start, rate=50.0, **settings):
 
 @pytest.fixture(scope="module")
 def run(gantry, cascade):
-    """Follow the cascade to `GOAL` with the settings given, or to another target."""
+    """Follow the cascade to `GOAL` with this feedback and disturbances."""
 
-    def make(feedback, changes=None, target=GOAL, duration=6.0, safety=None, **settings):
-        policy = NetworkPolicy(gantry, cascade(gantry.encode(GOAL)), 50.0, feedback=feedback, **settings)
-        if safety is not None:
-            policy = FilteredPolicy(policy, safety)
-        return follow(policy, target, duration, disturbances=changes)
+    def make(feedback, changes):
+        policy = NetworkPolicy(gantry, cascade(gantry.encode(GOAL)), 50.0, feedback=feedback)
+        return follow(policy, GOAL, 6.0, disturbances=changes)
 
     return make
 

@@ -38,10 +38,9 @@ def test_changes_of_target_at_any_time_jump_in_nothing(gantry):
     policy, rng = ReplanningPolicy(gantry, 50.0), np.random.default_rng(0)
     policy.reset(np.zeros(4))
     low, high = gantry.position_limits.T
-    rows, changed = [(policy.q, policy.qd)], []
+    rows = [(policy.q, policy.qd)]
     for _ in range(15):
         target = np.clip(rng.uniform(0.9 * low, 0.9 * high), [-1.0, -2.0, -0.85, -3.0], high)
-        changed.append(len(rows))
         rows += [policy.step(policy.q, target) for _ in range(rng.integers(1, 80))]
     rows += [policy.step(policy.q, target) for _ in range(400)]
     q, qd = np.moveaxis(np.array(rows), 1, 0)
@@ -51,10 +50,8 @@ def test_changes_of_target_at_any_time_jump_in_nothing(gantry):
     assert (np.abs(acceleration) <= 0.9 * gantry.acceleration_limits).all()
     # Positions are those that the velocities lead to.
     np.testing.assert_allclose(np.diff(q, axis=0), 0.01 * (qd[1:] + qd[:-1]), atol=2e-3)
-    # Across a change the acceleration differs no more than elsewhere.
-    jerk = np.abs(np.diff(acceleration, axis=0)) / gantry.acceleration_limits
-    at = np.array([k - 1 for k in changed if 1 < k < len(jerk)])
-    assert jerk[at].max() < 0.12
+    # Across a change, too, accelerations go on.
+    assert (np.abs(np.diff(acceleration, axis=0)) / gantry.acceleration_limits).max() < 0.12
     np.testing.assert_allclose(q[-1], target, atol=1e-8)
     assert policy.network.certificate is CurveEncoder(2).network.certificate
     np.testing.assert_allclose(policy.network.visible(policy.network.equilibrium().xi), gantry.encode(target))
