@@ -156,23 +156,6 @@ def test_reach_puts_the_end_effector_where_it_is_asked(arm, monkeypatch):
         solve_ik(arm, [9.0, 0.0, 0.0])
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (("range", [-6.0, 6.0]), "may turn by 6 rad"),
-        (("limited", mujoco.mjtLimited.mjLIMITED_FALSE), "has no position limits"),
-    ],
-)
-def test_joints_that_would_be_got_wrong_are_refused(change, words):
-    arm = Arm.load("telescopic_pr")
-    spec = arm.spec.copy()
-    setattr(spec.joint("turn"), *change)
-    for actuator in spec.actuators:
-        actuator.inheritrange = 0
-    with pytest.raises(InputError, match=words):
-        Arm.from_spec(spec, arm.source, "changed")
-
-
 def test_what_reach_returns_can_be_planned_to():
     """A ball joint's largest angle bounds the norm of its rotation vector, not the box around it."""
     arm = Arm.load("telescopic_compound")

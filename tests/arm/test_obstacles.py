@@ -6,7 +6,6 @@ import json
 import re
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -111,16 +110,6 @@ def test_an_mjcf_file_is_an_obstacle_for_every_arm(gantry, tmp_path, bits):
     assert [arm.model.key(k).name for k in range(arm.model.nkey)] == [
         gantry.model.key(k).name for k in range(gantry.model.nkey)
     ]
-
-
-def test_goals_of_an_mjcf_file_are_not_drawn_as_obstacles(tmp_path):
-    (tmp_path / "room.xml").write_text(
-        '<mujoco><worldbody><geom size="1"/><site name="goal" type="box" size="1 1 1"/><site name="mark"/>'
-        "</worldbody></mujoco>"
-    )
-    model = load_obstacles(tmp_path / "room.xml").compile()
-    drawn = mujoco.MjvOption().sitegroup
-    assert [bool(drawn[model.site(name).group[0]]) for name in ("goal", "mark")] == [False, True]
 
 
 def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):

@@ -126,61 +126,47 @@ def test_slopes_and_angular_velocities_are_the_derivatives_of_the_pose(arm):
             np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2.0 * h), atol=1e-9)
 
 
-def twins(tmp_path, second):
-    """An arm of two universal joints with a slide, and of a third one of another build in their midst."""
-    links = ['axis="0 0 1"', second, 'axis="0 0 1"']
-    opening = "".join(
-        f"""<body pos="0.2 0 0"><joint name="a{i}" type="hinge" {link} range="-1 1"/><geom/>
-        <body pos="0 0.05 0"><joint name="b{i}" type="hinge" axis="0 1 0" range="-1 1"/>
-        <joint name="c{i}" type="slide" axis="1 0 0" range="0 0.3"/><geom/><site name="link{i + 1}_frame"/>"""
-        for i, link in enumerate(links)
+def link(begin, axis=(0.0, 0.0, 1.0), anchor=(0.0, 0.0, 0.0), ratio=1.0, kind="hinge", order=(0, 1, 2)):
+    """A hinge, another one or a slide along y, and a slide along x; of the coordinates from ``begin`` on."""
+    parts = (
+        ("hinge", axis, anchor, ratio),
+        (kind, (0.0, 1.0, 0.0), np.zeros(3), 1.0),
+        ("slide", [1, 0, 0], [0] * 3, 1.0),
     )
-    head, tail = ARM[: ARM.index("<body")], ARM[ARM.index('<body name="elsewhere"') :]
-    return make(tmp_path, head + opening + 6 * "</body>" + tail[: tail.index("<equality>")] + "</mujoco>")
-
-
-@pytest.mark.parametrize(
-    "second", ['axis="0 0 1"', 'axis="0 0.6 0.8"', 'axis="0 0 1" pos="0.1 0.1 0"', 'axis="0 0 -1"']
-)
-def test_links_that_are_built_alike_are_retracted_as_each_one_alone(tmp_path, second):
-    arm, rng = twins(tmp_path, second), np.random.default_rng(2)
-    q = positions(arm, 4)
-    np.testing.assert_allclose(arm.decode(arm.encode(q)).q, q, atol=1e-9)
-    way = (
-        arm.encode(np.linspace(q[0], q[1], 200))
-        + 0.1 * rng.normal(size=(3, 6)) * np.linspace(0.0, 1.0, 200)[:, None, None]
+    return CompoundJoint(
+        tuple(
+            Factor(kind, np.array(axis, float)[:, None], np.array(anchor, float), np.array([begin + k]), ratio)
+            for (kind, axis, anchor, ratio), k in zip(parts, order, strict=True)
+        )
     )
-    given_poses, followed = exp(way), arm.decode(way, np.gradient(way, axis=0), q[0])
-    for link, joint in enumerate(arm.joints.joints):
-        alone = NearestPose([joint], joint.indices, arm.n_joints, 1.0)
-        mine = given_poses.rotation.as_matrix()[:, [link]], given_poses.translation[:, [link]]
-        np.testing.assert_allclose(followed.q[:, joint.indices], alone.follow(*mine, q[0, joint.indices])[0], atol=1e-9)
-    np.testing.assert_allclose(followed.qd[1:-1], np.gradient(followed.q, axis=0)[1:-1], atol=1e-4)
 
 
 @pytest.mark.parametrize(
     "second",
     [
-        (("hinge", 2, 2.0, 3), ("hinge", 1, 1.0, 4), ("slide", 0, 1.0, 5)),
-        (("hinge", 2, 1.0, 3), ("slide", 1, 1.0, 4), ("slide", 0, 1.0, 5)),
-        (("hinge", 2, 1.0, 4), ("hinge", 1, 1.0, 3), ("slide", 0, 1.0, 5)),
+        {},
+        {"axis": [0.0, 0.6, 0.8]},
+        {"axis": [0.0, 0.0, -1.0]},
+        {"anchor": [0.1, 0.1, 0.0]},
+        {"ratio": 2.0},
+        {"kind": "slide"},
+        {"order": (1, 0, 2)},
     ],
-    ids=["another gear", "another kind", "another order of coordinates"],
+    ids=str,
 )
-def test_links_that_differ_are_retracted_each_by_its_own_joints(second):
-    """Two links of three joints each (kind, axis, ratio, coordinate)."""
-    first = (("hinge", 2, 1.0, 0), ("hinge", 1, 1.0, 1), ("slide", 0, 1.0, 2))
-    joints = CompoundJoints(
-        tuple(
-            CompoundJoint(
-                tuple(Factor(kind, np.eye(3)[:, [axis]], np.zeros(3), np.array([k]), r) for kind, axis, r, k in link)
-            )
-            for link in (first, second)
-        ),
-        np.zeros(6),
-    )
-    q = np.array([[0.3, -0.4, 0.2, 0.5, 0.25, -0.1], [-0.2, 0.6, 0.1, -0.3, 0.4, 0.3]])
-    np.testing.assert_allclose(Retractor(joints, 1.0)(joints.twists(q)).q, q, atol=1e-9)
+def test_links_are_retracted_each_by_its_own_joints(second):
+    """Between two that are built alike one that is too, or is not; from poses alone, and along a path of them."""
+    joints, rng = CompoundJoints((link(0), link(3, **second), link(6)), np.zeros(9)), np.random.default_rng(2)
+    retract, q = Retractor(joints, 1.0), rng.uniform(-0.5, 0.5, (4, 9))
+    np.testing.assert_allclose(retract(joints.twists(q)).q, q, atol=1e-9)
+    aside = 0.1 * rng.normal(size=(3, 6)) * np.linspace(0.0, 1.0, 200)[:, None, None]
+    path = joints.twists(np.linspace(q[0], q[1], 200)) + aside
+    poses, followed = exp(path), retract(path, np.gradient(path, axis=0), q[0])
+    for k, joint in enumerate(joints.joints):
+        alone = NearestPose([joint], joint.indices, 9, 1.0)
+        mine = poses.rotation.as_matrix()[:, [k]], poses.translation[:, [k]]
+        np.testing.assert_allclose(followed.q[:, joint.indices], alone.follow(*mine, q[0, joint.indices])[0], atol=1e-9)
+    np.testing.assert_allclose(followed.qd[1:-1], np.gradient(followed.q, axis=0)[1:-1], atol=1e-4)
 
 
 def test_the_gap_of_half_a_turn_is_half_a_turn(gantry):
@@ -262,16 +248,6 @@ def test_no_posture_of_a_dense_search_is_nearer_than_the_retraction(arm, name, l
         polished = least_squares(lambda x, goal=goal: poses(x[None])[0] - goal, best, method="lm", max_nfev=100)
         brute = 2.0 * polished.cost
         assert ((mine - goal) ** 2).sum() <= brute + 1e-9 * (brute + spread**2)
-
-
-@pytest.mark.parametrize("links", [[0], [1], [2, 3]], ids=["ball and telescope", "universal joint", "shared slide"])
-def test_a_far_search_starts_at_the_posture_that_fits_best_with_its_best_slides(arm, links):
-    joints = [arm.joints.joints[link] for link in links]
-    indices = np.unique(np.concatenate([joint.indices for joint in joints]))
-    problem = NearestPose(joints, indices, arm.n_joints, 1.0)
-    postures = problem._spread[0][[3, 100, 255]].copy()
-    postures[:, problem.sliding] = [[0.3], [-0.2], [0.7]]
-    np.testing.assert_allclose(problem._starts(problem._evaluate(postures)[0])[0], postures, atol=1e-12)
 
 
 def two_hinges(second, ratio=1.0):
@@ -356,6 +332,7 @@ def test_rates_are_the_derivative_of_the_retraction(arm, seed, size):
         ('joint1="out2" joint2="out1"', 'joint1="out2" joint2="wheel"', "'out2'.*its chain"),
         ('joint1="out2" joint2="out1"', 'joint1="out2" joint2="out3"', "in a circle"),
         ('type="ball" range="0 2"', 'type="ball" range="0 4"', "may turn by 4 rad"),
+        ('axis="1 0 0" range="-1 1"', 'axis="1 0 0" range="-6 6"', "may turn by 6 rad"),
         ('name="left" type="slide" axis="1 0 0" range="0 0.3"', 'name="left" type="slide"', "no position limits"),
         ('<site name="link4_frame"/>', '<site name="link4_frame"/><site name="link5_frame"/>', "link 5.*no joint"),
     ],

@@ -116,14 +116,6 @@ def test_batches_equal_one_by_one(function):
     assert function(np.zeros((0, size))).shape == (0, *result.shape[2:])
 
 
-def test_adjoint_batches_equal_one_by_one():
-    poses = exp(np.random.default_rng(2).normal(size=(2, 3, 6)))
-    rotation, translation = poses.rotation.as_matrix(), poses.translation
-    result = adjoint(rotation, translation)
-    for index in np.ndindex(2, 3):
-        assert np.array_equal(result[index], adjoint(rotation[index], translation[index]))
-
-
 @pytest.mark.parametrize("shape", [(), (50,), (20, 3), (0, 4)])
 def test_rotations_and_poses_are_scipys_to_the_last_bit(shape):
     rng = np.random.default_rng(3)

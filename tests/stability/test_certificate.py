@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.stability import assess, find_certificate, verify
-from lieednn_sim.stability.certificate import smooth_largest
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -148,24 +147,6 @@ def test_rate_is_gamma_at_most_and_nothing_without_a_proof():
     assert verify(np.ones(2), 2.0 * np.eye(2), gamma=3.0, mu=2.0).rate == 0.0
 
 
-@settings(max_examples=3)
-@given(seeds)
-def test_groups_share_one_entry_and_cost_nothing_when_the_weight_has_the_symmetry(seed):
-    rng = np.random.default_rng(seed)
-    core = rng.normal(size=(4, 4))
-    # A common rotation of every omega_i commutes with alpha (x) I_3, so grouping loses nothing there.
-    symmetric = find_certificate(np.kron(core, np.eye(3)), group_size=3)
-    assert np.ptp(symmetric.lyapunov_diagonal.reshape(4, 3), axis=1).max() == 0.0
-    assert symmetric.lambda_max == pytest.approx(find_certificate(core).lambda_max, abs=2e-3)
-    # Two groups leave one ratio to choose, which a scan finds as well.
-    rough = np.repeat(10.0 ** rng.uniform(-1, 1, 2), 3)[:, None] * rng.normal(size=(6, 6))
-    grouped = find_certificate(rough, group_size=3)
-    scan = min(verify(np.repeat([1.0, p], 3), rough).lambda_max for p in np.logspace(-6, 6, 601))
-    assert np.ptp(grouped.lyapunov_diagonal.reshape(2, 3), axis=1).max() == 0.0
-    assert grouped.lambda_max <= scan + 1e-3
-    assert find_certificate(rough).lambda_max <= grouped.lambda_max + 1e-3
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -186,13 +167,6 @@ def test_groups_share_one_entry_and_cost_nothing_when_the_weight_has_the_symmetr
 def test_wrong_input_is_named(call, words):
     with pytest.raises(InputError, match=words):
         call()
-
-
-def test_the_smoothed_eigenvalue_and_its_gradient_by_hand():
-    """log(e^0 + e^(s log 3 / s)) / s = log 4 / s, with shares of 1/4 and 3/4."""
-    value, gradient = smooth_largest(np.array([0.0, np.log(3.0) / 5.0]), np.eye(2), 5.0)
-    assert value == pytest.approx(np.log(4.0) / 5.0)
-    np.testing.assert_allclose(gradient, np.diag([0.25, 0.75]), atol=1e-12)
 
 
 def test_rows_of_zeros_are_fast_and_change_nothing():
