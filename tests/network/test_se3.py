@@ -183,15 +183,13 @@ def test_retarget_is_exact_and_keeps_the_proof(seed, rates):
     assert np.linalg.norm(network.weight, 1) >= smallest * (1.0 - 1e-12)
 
 
-def test_a_network_is_frozen_and_owns_its_arrays():
+def test_a_network_owns_its_arrays():
     source = {name: np.array(getattr(random_network(0), name)) for name in ARRAYS}
     network = LieEDNN(**source)
     before = network.vector_field(np.ones((3, 6)))
     for array in source.values():
         array[...] = 7.0
     assert np.array_equal(network.vector_field(np.ones((3, 6))), before)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        network.gamma = 2.0
 
 
 @pytest.mark.parametrize("name", [*ARRAYS, "weight", "rotational_weight", "blocks"])
@@ -208,17 +206,9 @@ def test_save_and_load_are_bit_exact(tmp_path, certified):
     network = make(5, gamma=0.1 + 0.2, mu=1.0 / 3.0, activation="arctan")
     network.save(tmp_path / "n.npz")
     loaded = LieEDNN.load(tmp_path / "n.npz")
-    for name in ARRAYS:
-        assert getattr(loaded, name).tobytes() == getattr(network, name).tobytes()
-    assert (loaded.gamma, loaded.mu, loaded.activation) == (network.gamma, network.mu, "arctan")
+    assert loaded == network
     assert loaded.certified == certified
-    if certified:
-        assert loaded.lyapunov_diagonal.tobytes() == network.lyapunov_diagonal.tobytes()
-        assert loaded.certificate.lambda_max == network.certificate.lambda_max
-    else:
-        assert loaded.certificate is None
-    xi = np.ones((3, 6))
-    assert np.array_equal(loaded.vector_field(xi), network.vector_field(xi))
+    assert loaded.certificate == network.certificate
 
 
 @pytest.mark.parametrize(
