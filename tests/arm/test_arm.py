@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm, arm_names, scene_path, solve_ik
+from lieednn_sim.arm import Arm, arm_names, solve_ik
 from lieednn_sim.errors import FileError, InputError, NoSolutionError
 
 
@@ -134,13 +134,6 @@ def test_the_home_posture_holds_under_noise_without_warnings(arm):
         mujoco.mj_step(arm.model, data)
     assert not data.warning.number.any()
     assert np.abs(arm.coordinates(data.qpos) - home).max() < 0.05
-
-
-def test_dm_control_reads_the_model():
-    mjcf = pytest.importorskip("dm_control.mjcf")
-    physics = mjcf.Physics.from_mjcf_model(mjcf.from_path(str(scene_path("telescopic_rrp"))))
-    physics.step()
-    assert physics.model.nv == Arm.load("telescopic_rrp").n_joints
 
 
 def test_reach_puts_the_end_effector_where_it_is_asked(arm, monkeypatch):

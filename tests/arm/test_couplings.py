@@ -1,28 +1,9 @@
-"""Lines of coupled joints, by hand."""
+"""Chains of coupled joints, by hand."""
 
 import pytest
 
-from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.coordinates import line_of, to_independent_leaders
+from lieednn_sim.arm.coordinates import to_independent_leaders
 from lieednn_sim.errors import InputError
-
-_MODEL = """
-<mujoco><worldbody><body><geom size="0.1"/>
-  <joint name="lead" type="slide" ref="0.25"/><joint name="follow" type="slide" ref="-0.5"/>
-</body></worldbody><equality>
-  <joint joint1="follow" joint2="lead" polycoef="0.125 3 0 0 0"/>
-  <joint joint1="follow" joint2="lead" polycoef="0.125 3 0 0 1"/>
-  <joint joint1="follow" joint2="lead" polycoef="0.125 0 0 0 0"/>
-</equality></mujoco>
-"""
-
-
-def test_the_line_of_an_equality():
-    """y + 0.5 = 0.125 + 3 (x - 0.25), so y = 3 x - 1.125; curved or constant ones are none."""
-    model = mujoco.MjModel.from_xml_string(_MODEL)
-    assert line_of(model, 0) == (0, 3.0, -1.125)
-    assert line_of(model, 1) is None
-    assert line_of(model, 2) is None
 
 
 def test_followers_of_followers_follow_their_leader():

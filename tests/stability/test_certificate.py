@@ -40,17 +40,6 @@ def test_no_slopes_destabilise_what_is_certified(seed, rates):
     assert np.linalg.eigvals(100.0 * open_loops - gamma * np.eye(9)).real.max() > 0.0
 
 
-@settings(max_examples=25)
-@given(seeds)
-def test_two_by_two_agrees_with_the_exact_criterion(seed):
-    """A 2 x 2 matrix A is diagonally stable exactly when a_11 < 0, a_22 < 0 and det A > 0."""
-    weight = np.random.default_rng(seed).normal(size=(2, 2)) * 1.5
-    a = weight - np.eye(2)
-    quantities = np.array([-a[0, 0], -a[1, 1], np.linalg.det(a)])
-    assume(np.abs(quantities).min() > 1e-2)
-    assert find_certificate(weight).valid == (quantities > 0).all()
-
-
 def test_badly_scaled_weight_is_certified_where_its_norms_and_its_symmetric_part_are_not():
     weight = np.array([[0.0, 300.0], [0.0, 0.0]])
     assert not verify([1.0, 1.0], weight).valid
