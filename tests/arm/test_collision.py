@@ -139,7 +139,6 @@ def test_parts_of_the_arm_may_be_nearer_to_each_other_than_to_all_else(scene):
 
 
 def test_the_pairs_are_those_that_mujoco_lets_collide():
-    arm = ARMS["poles"]
     names = {frozenset(COLLISIONS["poles"].names(pair)) for pair in COLLISIONS["poles"].pairs}
     assert frozenset({"floor", "link4_collision_palm"}) in names
     assert frozenset({"obstacle_pole0", "link4_collision_palm"}) in names
@@ -150,9 +149,6 @@ def test_the_pairs_are_those_that_mujoco_lets_collide():
     own = {frozenset(COLLISIONS["poles"].names(p)) for p in COLLISIONS["poles"].pairs[COLLISIONS["poles"].own]}
     assert not any("obstacle" in name or name == "floor" for pair in own for name in pair)
     assert own
-    free = Collisions(Arm.load("telescopic_pr"))
-    assert len(free.pairs) < len(COLLISIONS["poles"].pairs)
-    assert arm.scene == "poles"
 
 
 def test_refusals_say_why():

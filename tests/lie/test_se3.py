@@ -147,12 +147,6 @@ def test_wrong_input_is_named(call, words):
         call()
 
 
-def test_read_only_twists_are_taken():
-    twists = np.zeros((2, 6))
-    twists.setflags(write=False)
-    np.testing.assert_array_equal(exp(twists).translation, np.zeros((2, 3)))
-
-
 def test_logarithms_along_a_way_go_on_beyond_half_a_turn_and_come_back():
     s = np.sin(np.linspace(0.0, np.pi, 200))
     # About a fixed screw there and back, up to 1.6 pi, beside one that stays below half a turn.

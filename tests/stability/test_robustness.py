@@ -15,7 +15,7 @@ from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.lie import adjoint
 from lieednn_sim.stability import find_certificate, find_contraction, robustness
 from lieednn_sim.stability.decay import Decay
-from lieednn_sim.stability.guarantees import Guarantee
+from lieednn_sim.stability.guarantees import Guarantee, _lyapunov_step
 from lieednn_sim.stability.robustness import Robustness
 
 seeds = st.integers(0, 2**32 - 1)
@@ -144,6 +144,11 @@ def lyapunov(guarantee, x, equilibrium):
 
     v = log_cosh(x) - log_cosh(equilibrium) - np.tanh(equilibrium) * (x - equilibrium)
     return (v + 0.5 * eps * (x - equilibrium) ** 2) @ p
+
+
+def test_the_largest_step_of_a_quadratic_form_by_hand():
+    """With all 1 but a drive of 1/2: (1 - h) (1 - h / 4) = (1/4 + h / 2)^2, so that h = 0.625."""
+    assert _lyapunov_step(1.0, 1.0, 1.0, 0.5, stages=1) == pytest.approx(0.625, rel=1e-6)
 
 
 def test_by_hand():
