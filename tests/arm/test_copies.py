@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import copy
 import pickle
-import subprocess
-import sys
 from dataclasses import fields, replace
 
 import numpy as np
@@ -42,8 +40,9 @@ def test_an_unpickled_arm_is_the_arm_that_was_pickled(folder, monkeypatch, tmp_p
     changed = replace(arm, clearance=0.007, velocity_limits=limits)
     changed.model.dof_damping[:] += 0.25
     pickled = pickle.dumps(changed)
-    # The files are found from anywhere.
+    # In another process nothing is known yet, and the files are found from anywhere.
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
+    module._loaded.cache_clear()
     copied = pickle.loads(pickled)
     for item in fields(arm):
         if item.name not in ("spec", "model", "space", "joints"):
@@ -64,17 +63,6 @@ def test_import_options_are_remembered(folder):
     assert copied.import_report == arm.import_report is not None
     assert copied.spec.to_xml() == arm.spec.to_xml() != ls.Arm.load("turner.xml").spec.to_xml()
     np.testing.assert_array_equal(copied.keyframe("home"), [0.3])
-
-
-def test_another_process_can_use_an_arm(folder):
-    arm = ls.Arm.load("turner.xml", scene="box.yaml")
-    code = (
-        "import pickle, sys; arm = pickle.load(sys.stdin.buffer); "
-        "sys.stdout.buffer.write(pickle.dumps((arm.fingerprint, arm.scene, arm)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(arm), capture_output=True, check=True)
-    fingerprint, scene, back = pickle.loads(done.stdout)
-    assert (fingerprint, scene) == (arm.fingerprint, "box") == (back.fingerprint, back.scene)
 
 
 def test_an_arm_whose_file_has_changed_is_refused(folder):

@@ -10,7 +10,7 @@ from lieednn_sim.arm import Arm, import_arm
 from lieednn_sim.arm.obstacles import load_obstacles
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.cli import main
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.rendering import scene_setup
 
 ARM = """
@@ -25,7 +25,6 @@ ARM = """
   </worldbody>
 </mujoco>
 """
-CEILING = "{shape: plane, position: [0, 0, 0.9], rpy: [3.141593, 0, 0], name: ceiling}"
 PLANE = '<geom name="ground" type="plane" size="0 0 .1" pos="0 0 -0.3" contype="{0}" conaffinity="{0}"/>'
 
 
@@ -63,6 +62,15 @@ def test_a_floor_is_at_the_base_and_in_the_way(write):
     assert arm.fingerprint != free.fingerprint
     assert min(tip(arm, draw_target(arm, seed)) for seed in range(10)) > 0.0
     assert min(tip(free, draw_target(free, seed)) for seed in range(10)) < 0.0
+
+
+def test_no_random_target_says_that_something_is_too_near(write, tmp_path):
+    """The first link is always 1 cm off the arm's own fixed base."""
+    path, scene = write(), tmp_path / "scene.yaml"
+    path.write_text(path.read_text().replace("0 0 0.26", "0 0 0.24"))
+    scene.write_text("obstacles: [{shape: box, size: [0.2, 0.2, 0.04], position: [0.9, 0, 0.2]}]")
+    with pytest.raises(NoSolutionError, match=r"without contact, but something nearer than 20 mm, in \d+; give"):
+        draw_target(Arm.load(path, scene), 0)
 
 
 def test_a_floor_is_where_it_is_asked_for_or_where_home_needs_it(write):

@@ -72,15 +72,9 @@ def test_limits_of_a_description_go_before_those_of_the_model(folder):
         (described(links="tool"), InputError, "links must be a list, each item a string, got 'tool'"),
         (described(home={"a": "x"}), InputError, r"home\['a'\] must be a number, got 'x'"),
         (described(limits=[2.0]), InputError, "limits must be a dictionary, got a list of 1"),
-        (
-            described(limits={"a": 2.0}),
-            InputError,
-            r"limits\['a'\] must be a dictionary, got 2.0",
-        ),
         (described(limits={"a": {"speed": 2.0}}), InputError, "no limit 'speed'; allowed: acceleration, jerk"),
         (described(limits={"a": {"jerk": 0.0}}), InputError, "limit of jerk of a must be positive, got 0"),
         (described(limits={"c": {"jerk": 9.0}}), InputError, "coordinate 'c'.*a, b"),
-        (described(keyframe=3), InputError, "keyframe must be a string, got 3"),
     ],
 )
 def test_what_a_description_says_wrongly_is_named(folder, text, error, message):

@@ -6,7 +6,6 @@ import json
 import re
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -113,16 +112,6 @@ def test_an_mjcf_file_is_an_obstacle_for_every_arm(gantry, tmp_path, bits):
     ]
 
 
-def test_goals_of_an_mjcf_file_are_not_drawn_as_obstacles(tmp_path):
-    (tmp_path / "room.xml").write_text(
-        '<mujoco><worldbody><geom size="1"/><site name="goal" type="box" size="1 1 1"/><site name="mark"/>'
-        "</worldbody></mujoco>"
-    )
-    model = load_obstacles(tmp_path / "room.xml").compile()
-    drawn = mujoco.MjvOption().sitegroup
-    assert [bool(drawn[model.site(name).group[0]]) for name in ("goal", "mark")] == [False, True]
-
-
 def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
     arm = Arm.load("telescopic_pr")
     tip = arm.link_poses(arm.keyframe("extended")).translation[-1]
@@ -151,9 +140,7 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
         ({"obstacles": [{**BOX, "shape": "cone"}]}, InputError, "entry 1 .*no shape 'cone'; allowed: box, capsule"),
         ({"obstacles": [{**BOX, "radius": 1}]}, InputError, "unknown entries radius; allowed: name, position"),
         ({"obstacles": [{"shape": "sphere"}]}, InputError, "it has no position, radius"),
-        ({"obstacles": [{**BOX, "size": [1, float("nan"), 1]}]}, InputError, "size must be finite"),
         ({"obstacles": [{**BOX, "size": [1, 0, 1]}]}, InputError, "each size must be positive, got 0"),
-        ({"obstacles": [{**BOX, "position": [1, 2]}]}, InputError, r"position must have shape \(3\)"),
         ({"obstacles": [{**BOX, "quaternion": [0, 0, 0, 0]}]}, InputError, "quaternion must have length 1, got 0"),
         ({"obstacles": [{**BOX, "quaternion": [1, 0, 0, 0], "rpy": [0, 0, 0]}]}, InputError, "both rpy and quat"),
         ({"obstacles": [POLE, POLE]}, InputError, "entry 2 .*name must be a printable text that no other"),
@@ -169,7 +156,6 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
             "obstacle 'pole' of scene 'own' touches 'ball' of arm 'gantry' at home; move it",
         ),
         (MJCF.format(more=""), FileError, "files of the model are missing: .*wedge.obj"),
-        ("<mujoco>", FileError, "MuJoCo cannot read"),
         ("<mujoco/>", InputError, "holds no obstacle"),
         (
             '<mujoco><worldbody><body><joint name="door"/><geom size="1"/></body></worldbody></mujoco>',

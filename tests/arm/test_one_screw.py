@@ -132,12 +132,17 @@ def test_a_screw_in_any_direction_is_one_up_to_rounding():
         assert CompoundJoint((hinge(axis, 3.0 * axis[::-1]), slide(axis, 0.7))).screw is not None
 
 
-def test_coordinates_that_no_pose_tells_apart_are_refused():
+def chain(*axes, limit=1):
+    """MJCF of hinges in a row, on the bodies b0, b1, ..."""
     bodies = "".join(
-        f'<body name="b{i}" pos="0 0 .2"><joint axis="{axis}" range="-1 1"/><geom size=".01"/>'
-        for i, axis in enumerate(("0 0 1", "0 1 0", "1 0 0", "0 1 0", "0 0 1", "0 1 0", "1 0 0"))
+        f'<body name="b{i}" pos="0 0 .2"><joint axis="{axis}" range="-{limit} {limit}"/><geom size=".01"/>'
+        for i, axis in enumerate(axes)
     )
-    xml = f'<mujoco><compiler angle="radian"/><worldbody>{bodies}{"</body>" * 7}</worldbody></mujoco>'
+    return f'<mujoco><compiler angle="radian"/><worldbody>{bodies}{"</body>" * len(axes)}</worldbody></mujoco>'
+
+
+def test_coordinates_that_no_pose_tells_apart_are_refused():
+    xml = chain("0 0 1", "0 1 0", "1 0 0", "0 1 0", "0 0 1", "0 1 0", "1 0 0")
     assert arm_of(xml, links=["b5"]).n_joints == 6
     with pytest.raises(InputError, match=r"link 1 of arm .* is moved by 7 coordinates, but a pose determines six"):
         arm_of(xml, links=["b6"])
@@ -147,12 +152,6 @@ def test_coordinates_that_no_pose_tells_apart_are_refused():
 
 def test_hinges_of_other_links_are_decoded_within_half_a_turn():
     """Of three hinges in one link the search went on to postures that are turns away."""
-    bodies = "".join(
-        f'<body name="b{i}" pos="0 0 .2"><joint axis="{axis}" range="-3 3"/><geom size=".01"/>'
-        for i, axis in enumerate(("0 0 1", "0 1 0", "0 1 0"))
-    )
-    arm = arm_of(
-        f'<mujoco><compiler angle="radian"/><worldbody>{bodies}{"</body>" * 3}</worldbody></mujoco>', links=["b2"]
-    )
+    arm = arm_of(chain("0 0 1", "0 1 0", "0 1 0", limit=3), links=["b2"])
     xi = 3.0 * np.random.default_rng(0).normal(size=(50, 1, 6))
     assert np.abs(arm.decode(xi).q).max() <= np.pi

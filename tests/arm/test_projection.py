@@ -12,12 +12,13 @@ from scipy.optimize import least_squares
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.coordinates import to_independent_leaders
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.arm.projection import Retractor
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import exp, skew
+from lieednn_sim.lie import exp
 
 # A ball shoulder with a telescope of three coupled stages, a universal joint with an off-axis slide, and two links
 # whose slides share one coordinate.
@@ -32,7 +33,7 @@ ARM = """
       <body name="tube" pos="0 0 0.1">
         <joint name="out1" type="slide" axis="0 0 1" range="0 0.2"/><geom/>
         <body name="tube2" pos="0 0 0.1">
-          <joint name="out2" type="slide" axis="0 0 1" range="0 0.2"/><geom/>
+          <joint name="out2" type="slide" axis="0 0 1" range="0 0.2" ref="0.02"/><geom/>
           <body name="tube3" pos="0 0 0.1">
             <joint name="out3" type="slide" axis="0 0 1" range="-0.5 0.5" ref="0.05"/><geom/>
             <site name="link1_frame" pos="0 0 0.1" euler="0 0.5 0"/>
@@ -87,16 +88,34 @@ def positions(arm, count, seed=0):
 def test_coupled_stages_share_a_coordinate_whose_limits_are_the_strictest(arm):
     assert arm.joint_names == ("shoulder_x", "shoulder_y", "shoulder_z", "out1", "yaw", "pitch", "boom", "roll", "left")
     assert [arm.unit(j) for j in range(9)] == [*["rad"] * 3, "m", "rad", "rad", "m", "rad", "m"]
-    # out2 = out1 + 0.01 must stay below 0.2.
-    np.testing.assert_allclose(arm.position_limits[3], [0.0, 0.19], atol=1e-12)
+    # out2 - 0.02 = 0.01 + out1 must stay below 0.18.
+    np.testing.assert_allclose(arm.position_limits[3], [0.0, 0.17], atol=1e-12)
     q = positions(arm, 1)[0]
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.qpos(q)
     out2, out3 = data.joint("out2").qpos[0], data.joint("out3").qpos[0]
-    assert (out2, out3) == pytest.approx((q[3] + 0.01, 0.05 - 0.5 * out2))
+    assert (out2, out3) == pytest.approx((q[3] + 0.03, 0.05 - 0.5 * (out2 - 0.02)))
     # MuJoCo's own equality constraints are kept, exactly.
     mujoco.mj_forward(arm.model, data)
     np.testing.assert_allclose(data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY], 0.0, atol=1e-12)
+
+
+def test_followers_of_followers_follow_their_leader():
+    """q3 = 5 q2 + 7 with q2 = 2 q1 + 3 and q1 = -q0 + 1: q2 = -2 q0 + 5 and q3 = -10 q0 + 32."""
+    direct = {3: (2, 5.0, 7.0), 2: (1, 2.0, 3.0), 1: (0, -1.0, 1.0), 9: (8, 0.5, 0.25)}
+    assert to_independent_leaders(direct, str) == {
+        3: (0, -10.0, 32.0),
+        2: (0, -2.0, 5.0),
+        1: (0, -1.0, 1.0),
+        9: (8, 0.5, 0.25),
+    }
+
+
+@pytest.mark.parametrize("circle", [{1: 1}, {1: 2, 2: 1}, {0: 1, 1: 2, 2: 1}, {0: 1, 1: 2, 2: 3, 3: 2}])
+def test_circles_are_refused_wherever_they_are_entered(circle):
+    direct = {follower: (leader, 1.0, 0.0) for follower, leader in circle.items()}
+    with pytest.raises(InputError, match=f"joint {next(iter(circle))} is coupled in a circle"):
+        to_independent_leaders(direct, lambda joint: f"joint {joint}")
 
 
 def test_link_poses_equal_mujocos_kinematics(arm):
@@ -109,78 +128,47 @@ def test_link_poses_equal_mujocos_kinematics(arm):
         np.testing.assert_allclose(poses[:, :3, :3].reshape(-1, 9), data.site_xmat[arm.site_ids], atol=1e-12)
 
 
-def test_slopes_and_angular_velocities_are_the_derivatives_of_the_pose(arm):
-    offset, h = positions(arm, 5), 1e-6
-    geared = [CompoundJoint(tuple(replace(one, ratio=-0.7) for one in joint.factors)) for joint in arm.joints.joints]
-    for joint in [*arm.joints.joints, *geared]:
-        frames, omega = joint.pose_and_slopes(offset)
-        rotation, translation = joint.pose(offset)
-        np.testing.assert_allclose(frames[:, 0], np.dstack([rotation, translation[..., None]]), atol=1e-15)
-        np.testing.assert_allclose(frames[:, 1:, :, :3], skew(omega) @ rotation[:, None], atol=1e-15)
-        for index in joint.indices:
-            ends = [
-                joint.pose_and_slopes(offset + step)[0][:, 0]
-                for step in h * np.eye(arm.n_joints)[[index]] * [[1], [-1]]
-            ]
-            slope = frames[:, 1:][:, joint.coordinates == index].sum(axis=1)
-            np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2.0 * h), atol=1e-9)
-
-
-def twins(tmp_path, second):
-    """An arm of two universal joints with a slide, and of a third one of another build in their midst."""
-    links = ['axis="0 0 1"', second, 'axis="0 0 1"']
-    opening = "".join(
-        f"""<body pos="0.2 0 0"><joint name="a{i}" type="hinge" {link} range="-1 1"/><geom/>
-        <body pos="0 0.05 0"><joint name="b{i}" type="hinge" axis="0 1 0" range="-1 1"/>
-        <joint name="c{i}" type="slide" axis="1 0 0" range="0 0.3"/><geom/><site name="link{i + 1}_frame"/>"""
-        for i, link in enumerate(links)
+def link(begin, axis=(0.0, 0.0, 1.0), anchor=(0.0, 0.0, 0.0), ratio=1.0, kind="hinge", order=(0, 1, 2)):
+    """A hinge, another one or a slide along y, and a slide along x; of the coordinates from ``begin`` on."""
+    parts = (
+        ("hinge", axis, anchor, ratio),
+        (kind, (0.0, 1.0, 0.0), np.zeros(3), 1.0),
+        ("slide", [1, 0, 0], [0] * 3, 1.0),
     )
-    head, tail = ARM[: ARM.index("<body")], ARM[ARM.index('<body name="elsewhere"') :]
-    return make(tmp_path, head + opening + 6 * "</body>" + tail[: tail.index("<equality>")] + "</mujoco>")
-
-
-@pytest.mark.parametrize(
-    "second", ['axis="0 0 1"', 'axis="0 0.6 0.8"', 'axis="0 0 1" pos="0.1 0.1 0"', 'axis="0 0 -1"']
-)
-def test_links_that_are_built_alike_are_retracted_as_each_one_alone(tmp_path, second):
-    arm, rng = twins(tmp_path, second), np.random.default_rng(2)
-    q = positions(arm, 4)
-    np.testing.assert_allclose(arm.decode(arm.encode(q)).q, q, atol=1e-9)
-    way = (
-        arm.encode(np.linspace(q[0], q[1], 200))
-        + 0.1 * rng.normal(size=(3, 6)) * np.linspace(0.0, 1.0, 200)[:, None, None]
+    return CompoundJoint(
+        tuple(
+            Factor(kind, np.array(axis, float)[:, None], np.array(anchor, float), np.array([begin + k]), ratio)
+            for (kind, axis, anchor, ratio), k in zip(parts, order, strict=True)
+        )
     )
-    given_poses, followed = exp(way), arm.decode(way, np.gradient(way, axis=0), q[0])
-    for link, joint in enumerate(arm.joints.joints):
-        alone = NearestPose([joint], joint.indices, arm.n_joints, 1.0)
-        mine = given_poses.rotation.as_matrix()[:, [link]], given_poses.translation[:, [link]]
-        np.testing.assert_allclose(followed.q[:, joint.indices], alone.follow(*mine, q[0, joint.indices])[0], atol=1e-9)
-    np.testing.assert_allclose(followed.qd[1:-1], np.gradient(followed.q, axis=0)[1:-1], atol=1e-4)
 
 
 @pytest.mark.parametrize(
     "second",
     [
-        (("hinge", 2, 2.0, 3), ("hinge", 1, 1.0, 4), ("slide", 0, 1.0, 5)),
-        (("hinge", 2, 1.0, 3), ("slide", 1, 1.0, 4), ("slide", 0, 1.0, 5)),
-        (("hinge", 2, 1.0, 4), ("hinge", 1, 1.0, 3), ("slide", 0, 1.0, 5)),
+        {},
+        {"axis": [0.0, 0.6, 0.8]},
+        {"axis": [0.0, 0.0, -1.0]},
+        {"anchor": [0.1, 0.1, 0.0]},
+        {"ratio": 2.0},
+        {"kind": "slide"},
+        {"order": (1, 0, 2)},
     ],
-    ids=["another gear", "another kind", "another order of coordinates"],
+    ids=str,
 )
-def test_links_that_differ_are_retracted_each_by_its_own_joints(second):
-    """Two links of three joints each (kind, axis, ratio, coordinate)."""
-    first = (("hinge", 2, 1.0, 0), ("hinge", 1, 1.0, 1), ("slide", 0, 1.0, 2))
-    joints = CompoundJoints(
-        tuple(
-            CompoundJoint(
-                tuple(Factor(kind, np.eye(3)[:, [axis]], np.zeros(3), np.array([k]), r) for kind, axis, r, k in link)
-            )
-            for link in (first, second)
-        ),
-        np.zeros(6),
-    )
-    q = np.array([[0.3, -0.4, 0.2, 0.5, 0.25, -0.1], [-0.2, 0.6, 0.1, -0.3, 0.4, 0.3]])
-    np.testing.assert_allclose(Retractor(joints, 1.0)(joints.twists(q)).q, q, atol=1e-9)
+def test_links_are_retracted_each_by_its_own_joints(second):
+    """Between two that are built alike one that is too, or is not; from poses alone, and along a path of them."""
+    joints, rng = CompoundJoints((link(0), link(3, **second), link(6)), np.zeros(9)), np.random.default_rng(2)
+    retract, q = Retractor(joints, 1.0), rng.uniform(-0.5, 0.5, (4, 9))
+    np.testing.assert_allclose(retract(joints.twists(q)).q, q, atol=1e-9)
+    aside = 0.1 * rng.normal(size=(3, 6)) * np.linspace(0.0, 1.0, 200)[:, None, None]
+    path = joints.twists(np.linspace(q[0], q[1], 200)) + aside
+    poses, followed = exp(path), retract(path, np.gradient(path, axis=0), q[0])
+    for k, joint in enumerate(joints.joints):
+        alone = NearestPose([joint], joint.indices, 9, 1.0)
+        mine = poses.rotation.as_matrix()[:, [k]], poses.translation[:, [k]]
+        np.testing.assert_allclose(followed.q[:, joint.indices], alone.follow(*mine, q[0, joint.indices])[0], atol=1e-9)
+    np.testing.assert_allclose(followed.qd[1:-1], np.gradient(followed.q, axis=0)[1:-1], atol=1e-4)
 
 
 def test_the_gap_of_half_a_turn_is_half_a_turn(gantry):
@@ -264,16 +252,6 @@ def test_no_posture_of_a_dense_search_is_nearer_than_the_retraction(arm, name, l
         assert ((mine - goal) ** 2).sum() <= brute + 1e-9 * (brute + spread**2)
 
 
-@pytest.mark.parametrize("links", [[0], [1], [2, 3]], ids=["ball and telescope", "universal joint", "shared slide"])
-def test_a_far_search_starts_at_the_posture_that_fits_best_with_its_best_slides(arm, links):
-    joints = [arm.joints.joints[link] for link in links]
-    indices = np.unique(np.concatenate([joint.indices for joint in joints]))
-    problem = NearestPose(joints, indices, arm.n_joints, 1.0)
-    postures = problem._spread[0][[3, 100, 255]].copy()
-    postures[:, problem.sliding] = [[0.3], [-0.2], [0.7]]
-    np.testing.assert_allclose(problem._starts(problem._evaluate(postures)[0])[0], postures, atol=1e-12)
-
-
 def two_hinges(second, ratio=1.0):
     """A link with two hinges, one about z and one about another axis."""
     axes = np.array([[0.0, 0.0, 1.0], np.asarray(second, float) / np.linalg.norm(second)])
@@ -298,19 +276,16 @@ def test_what_is_nearest_weighs_shifts_by_the_length():
     np.testing.assert_allclose(np.tan(found), 1.0 / (0.5**2 + 1.0))
 
 
-@pytest.mark.parametrize("coupled", ["first", "last"])
-def test_the_local_retraction_follows_slides_of_which_one_is_coupled(tmp_path, coupled):
+def test_the_local_retraction_follows_slides_of_which_one_is_coupled(tmp_path):
     """The second link is moved by 0.4 of the first one's slide, the other way, and by a slide of its own."""
-    slides = '<joint name="b" type="slide" axis="0 1 0"', '<joint name="c" type="slide" axis="0 0 1"'
-    one, other = slides if coupled == "first" else slides[::-1]
     arm = make(
         tmp_path,
-        f"""
+        """
         <mujoco><default><geom type="sphere" size="0.01" contype="0" conaffinity="0" mass="1"/></default><worldbody>
           <site name="base_frame"/>
           <body><joint name="a" type="slide" axis="1 0 0" range="0 1"/><geom/><site name="link1_frame"/>
-            <body>{one} range="-1 1"/><geom/>
-              <body>{other} range="-1 1"/><geom/><site name="link2_frame"/></body>
+            <body><joint name="b" type="slide" axis="0 1 0" range="-1 1"/><geom/>
+              <body><joint name="c" type="slide" axis="0 0 1" range="-1 1"/><geom/><site name="link2_frame"/></body>
             </body></body></worldbody>
           <equality><joint joint1="b" joint2="a" polycoef="0 -0.4 0 0 0"/></equality></mujoco>
         """,
@@ -356,6 +331,7 @@ def test_rates_are_the_derivative_of_the_retraction(arm, seed, size):
         ('joint1="out2" joint2="out1"', 'joint1="out2" joint2="wheel"', "'out2'.*its chain"),
         ('joint1="out2" joint2="out1"', 'joint1="out2" joint2="out3"', "in a circle"),
         ('type="ball" range="0 2"', 'type="ball" range="0 4"', "may turn by 4 rad"),
+        ('axis="1 0 0" range="-1 1"', 'axis="1 0 0" range="-6 6"', "may turn by 6 rad"),
         ('name="left" type="slide" axis="1 0 0" range="0 0.3"', 'name="left" type="slide"', "no position limits"),
         ('<site name="link4_frame"/>', '<site name="link4_frame"/><site name="link5_frame"/>', "link 5.*no joint"),
     ],

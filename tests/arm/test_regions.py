@@ -82,8 +82,6 @@ def test_a_line_and_a_box_by_hand():
         ([0] * 6, [1, 1, -1, 1, 1, 1], "lower bound of z must not be above the upper one, got 0 and -1"),
         ([0, 0, 0, -np.inf, 0, 0], [1] * 6, "rotation about x must have two finite bounds, or none"),
         ([np.inf] + [0] * 5, [np.inf] + [0] * 5, "lower bound of x must not be above"),
-        ([0] * 5, [0] * 6, r"lower must have shape \(6\)"),
-        ([np.nan] * 6, [0] * 6, "lower must be finite"),
         ([[0], 0, 0, 0, 0, 0], [0] * 6, "lower must be an array of numbers"),
     ],
 )

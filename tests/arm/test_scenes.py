@@ -6,9 +6,8 @@ import pytest
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.arm.scenes import GOAL_PREFIX, HOME_CLEARANCE, add_obstacles
+from lieednn_sim.arm.scenes import GOAL_PREFIX, HOME_CLEARANCE
 from lieednn_sim.arm.targets import OWN_CLEARANCE, TARGET_CLEARANCE, draw_target
-from lieednn_sim.errors import InputError
 from lieednn_sim.registry import SCENES
 
 BARE = {name: Arm.load(name) for name in arm_names()}
@@ -110,11 +109,3 @@ def test_free_targets_keep_the_law_of_the_comparisons():
     np.testing.assert_array_equal(draw_target(arm, 5), first)
     spatial = BARE["telescopic_compound"]
     assert np.abs(spatial.encode(draw_target(spatial, 5))).max() <= 0.8 + 1e-9
-
-
-def test_refusals_say_why():
-    arm = BARE["telescopic_pr"]
-    with pytest.raises(InputError, match="no scene 'maze'; allowed: free, poles, shelf, window"):
-        add_obstacles(arm.spec.copy(), arm, "maze", 0)
-    with pytest.raises(InputError, match="seed must be a whole number"):
-        add_obstacles(arm.spec.copy(), arm, "poles", -1)

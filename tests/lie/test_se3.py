@@ -105,7 +105,9 @@ def test_the_spatial_twist_is_the_left_jacobian_times_the_rate(angle, direction,
     np.testing.assert_allclose(both[0, 0], spatial_twist(twist, rate), rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("function", [hat, left_jacobian_so3, left_jacobian_se3, lambda x: exp(x).as_matrix()])
+@pytest.mark.parametrize(
+    "function", [hat, left_jacobian_so3, left_jacobian_se3, lambda x: exp(x).as_matrix(), lambda x: adjoint_of(exp(x))]
+)
 def test_batches_equal_one_by_one(function):
     size = 3 if function is left_jacobian_so3 else 6
     twists = np.random.default_rng(1).normal(size=(2, 3, size)) * np.array([1e-9, 0.5, 3.0])[:, None]
@@ -114,14 +116,6 @@ def test_batches_equal_one_by_one(function):
     for index in np.ndindex(2, 3):
         np.testing.assert_allclose(result[index], function(twists[index]), rtol=0, atol=1e-15)
     assert function(np.zeros((0, size))).shape == (0, *result.shape[2:])
-
-
-def test_adjoint_batches_equal_one_by_one():
-    poses = exp(np.random.default_rng(2).normal(size=(2, 3, 6)))
-    rotation, translation = poses.rotation.as_matrix(), poses.translation
-    result = adjoint(rotation, translation)
-    for index in np.ndindex(2, 3):
-        assert np.array_equal(result[index], adjoint(rotation[index], translation[index]))
 
 
 @pytest.mark.parametrize("shape", [(), (50,), (20, 3), (0, 4)])
@@ -141,25 +135,16 @@ def test_rotations_and_poses_are_scipys_to_the_last_bit(shape):
     ("call", "words"),
     [
         (lambda: hat(np.zeros(4)), r"\(\.\.\., 3\) or \(\.\.\., 6\), got \(4,\)"),
-        (lambda: hat(1.0), r"\(\.\.\., 3\)"),
         (lambda: hat([0.0, np.nan, 0.0]), "vector must be finite, got 1"),
         (lambda: vee(np.zeros((3, 4))), r"\(\.\.\., 4, 4\), got \(3, 4\)"),
         (lambda: exp(np.zeros(5)), r"twist must have shape \(\.\.\., 6\), got \(5\)"),
-        (lambda: exp([np.inf] * 6), "twist must be finite, got 6"),
         (lambda: left_jacobian_so3(np.zeros(6)), r"omega must have shape \(\.\.\., 3\)"),
-        (lambda: left_jacobian_se3(np.zeros(3)), r"twist must have shape \(\.\.\., 6\)"),
         (lambda: adjoint(np.zeros((2, 3, 3)), np.zeros((3, 3))), r"share their leading axes, got \(2, 3, 3\)"),
     ],
 )
 def test_wrong_input_is_named(call, words):
     with pytest.raises(InputError, match=words):
         call()
-
-
-def test_read_only_twists_are_taken():
-    twists = np.zeros((2, 6))
-    twists.setflags(write=False)
-    np.testing.assert_array_equal(exp(twists).translation, np.zeros((2, 3)))
 
 
 def test_logarithms_along_a_way_go_on_beyond_half_a_turn_and_come_back():

@@ -1,4 +1,4 @@
-"""Networks side by side take the steps that each takes alone."""
+"""Quick ways to integrate: networks side by side, and Runge and Kutta's steps by few products."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,8 @@ import pytest
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.batch_integration import integrate_batch
+from lieednn_sim.network.dynamics import runge_kutta_step
+from lieednn_sim.network.runge_kutta import RungeKuttaStepper
 
 
 def drawn(rng: np.random.Generator, size: float, **rates) -> LieEDNN:
@@ -51,6 +53,20 @@ def test_those_that_need_many_steps_are_integrated_alone(monkeypatch):
     monkeypatch.setattr("lieednn_sim.network.dynamics._MAX_EVALUATIONS", 3000)
     with pytest.raises(LieEDNNError, match="too stiff"):
         integrate_batch([quick, stiff], start, 3.0, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("activation", ["tanh", "arctan"])
+def test_a_step_by_few_products_is_that_of_runge_and_kutta(activation):
+    rng = np.random.default_rng(2)
+    network = drawn(rng, 1.0, gamma=1.7, mu=0.6, activation=activation)
+    stepping, x = RungeKuttaStepper(network), rng.normal(size=18)
+    pull, other, drive = network.mu / network.gamma * network.bias.ravel(), x, stepping.drive(x)
+    np.testing.assert_allclose(network.gamma * (pull + drive - x), network.flat_vector_field(x), atol=1e-14)
+    for h in (0.3, 0.3, 0.7):
+        x, drive = stepping.step(x, drive, pull, network.gamma * h)
+        other = runge_kutta_step(lambda y, _: network.flat_vector_field(y), other, h)
+        np.testing.assert_allclose(x, other, rtol=1e-13, atol=1e-13)
+        np.testing.assert_array_equal(drive, stepping.drive(x))
 
 
 def test_networks_must_be_of_one_kind():

@@ -11,7 +11,6 @@ from lieednn_sim import stability
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.learning import ALGORITHMS, train
-from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.network import ACTIVATIONS, Activation, LieEDNN
 from lieednn_sim.planning import CertifiedOptions, RetargetedOptions, ShapedOptions, TrainedOptions, plan
 from lieednn_sim.synthesis import ShapingOptions, shape, synthesize
@@ -99,23 +98,6 @@ def test_planners_make_networks_of_any_activation(planner, options):
     np.testing.assert_allclose(made.motion.q[-1], arm.keyframe("extended"), atol=1e-6)
     with pytest.raises(InputError, match=r"no activation 'relu'; allowed: .*tanh"):
         dataclasses.replace(options, activation="relu")
-
-
-def test_the_gradient_through_an_activation_of_one_s_own_is_that_of_finite_differences(root):
-    rng = np.random.default_rng(0)
-    target, weight = rng.uniform(-0.5, 0.5, (2, 6)), 0.1 * rng.normal(size=(12, 12))
-    solver = EquilibriumSolver(np.full((2, 6), 0.3), 0.8, root)
-
-    def error(weight):
-        return 0.5 * np.sum((solver.newton(weight, np.zeros(12), steps=50).x - target.ravel()) ** 2)
-
-    found = solver.newton(weight, np.zeros(12), steps=50)
-    lifted = solver.sensitivity(weight, found).solve_transposed(found.x - target.ravel())
-    gradient = 0.8 * np.outer(lifted, found.output)
-    for i, j in ((0, 0), (3, 7), (11, 2)):
-        step = np.zeros((12, 12))
-        step[i, j] = 1e-6
-        assert gradient[i, j] == pytest.approx((error(weight + step) - error(weight - step)) / 2e-6, rel=1e-5)
 
 
 @pytest.mark.parametrize(

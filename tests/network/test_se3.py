@@ -183,15 +183,13 @@ def test_retarget_is_exact_and_keeps_the_proof(seed, rates):
     assert np.linalg.norm(network.weight, 1) >= smallest * (1.0 - 1e-12)
 
 
-def test_a_network_is_frozen_and_owns_its_arrays():
+def test_a_network_owns_its_arrays():
     source = {name: np.array(getattr(random_network(0), name)) for name in ARRAYS}
     network = LieEDNN(**source)
     before = network.vector_field(np.ones((3, 6)))
     for array in source.values():
         array[...] = 7.0
     assert np.array_equal(network.vector_field(np.ones((3, 6))), before)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        network.gamma = 2.0
 
 
 @pytest.mark.parametrize("name", [*ARRAYS, "weight", "rotational_weight", "blocks"])
@@ -208,17 +206,9 @@ def test_save_and_load_are_bit_exact(tmp_path, certified):
     network = make(5, gamma=0.1 + 0.2, mu=1.0 / 3.0, activation="arctan")
     network.save(tmp_path / "n.npz")
     loaded = LieEDNN.load(tmp_path / "n.npz")
-    for name in ARRAYS:
-        assert getattr(loaded, name).tobytes() == getattr(network, name).tobytes()
-    assert (loaded.gamma, loaded.mu, loaded.activation) == (network.gamma, network.mu, "arctan")
+    assert loaded == network
     assert loaded.certified == certified
-    if certified:
-        assert loaded.lyapunov_diagonal.tobytes() == network.lyapunov_diagonal.tobytes()
-        assert loaded.certificate.lambda_max == network.certificate.lambda_max
-    else:
-        assert loaded.certificate is None
-    xi = np.ones((3, 6))
-    assert np.array_equal(loaded.vector_field(xi), network.vector_field(xi))
+    assert loaded.certificate == network.certificate
 
 
 @pytest.mark.parametrize(
@@ -255,16 +245,13 @@ def test_tampered_files_are_refused(tmp_path, change, words):
         ({"alpha": np.zeros((0, 0))}, r"\(N, N\) with N >= 1"),
         ({"alpha": np.ones((3, 2))}, r"alpha must have shape \(N, N\), got \(3, 2\)"),
         ({"rotation": np.eye(3)}, r"rotation must have shape \(3, 3, 3, 3\), got \(3, 3\)"),
-        ({"rotation": np.broadcast_to(-np.eye(3), (3, 3, 3, 3))}, "project with lieednn_sim.lie.project_to_rotation"),
-        ({"rotation": np.zeros((3, 3, 3, 3))}, "differs from I by up to 1 "),
+        ({"rotation": np.broadcast_to(-np.eye(3), (3, 3, 3, 3))}, "differs from I .* project with .*_to_rotation"),
         ({"translation": np.full((3, 3, 3), 1.7e308)}, r"translation must not exceed 1e\+100 in size"),
         (
             {"translation": np.full((3, 3, 3), 9e99), "alpha": np.full((3, 3), 1e99)},
             r"alpha times translation must not exceed 1e\+100",
         ),
-        ({"bias": np.zeros((3, 3))}, r"bias must have shape \(3, 6\)"),
         ({"gamma": 0.0}, "gamma must be positive, got 0"),
-        ({"mu": np.inf}, "mu must be finite"),
         ({"activation": "relu"}, "allowed: .*tanh"),
         ({"lyapunov_diagonal": np.ones(18)}, r"lyapunov_diagonal must have shape \(9\), got \(18\)"),
     ],
@@ -278,14 +265,12 @@ def test_wrong_parts_are_named(change, words):
     ("call", "words"),
     [
         (lambda n: n.vector_field(np.zeros(18)), r"xi must have shape \(\.\.\., 3, 6\), got \(18\)"),
-        (lambda n: n.jacobian(np.zeros((3, 5))), r"\(\.\.\., 3, 6\), got \(3, 5\)"),
         (lambda n: n.equilibrium(np.full((3, 6), np.nan)), "start must be finite"),
         (lambda n: n.retarget(np.zeros((2, 6))), r"xi must have shape \(3, 6\), got \(2, 6\)"),
         (lambda n: n.trajectory(np.zeros((3, 6)), 0.0), "duration must be positive"),
         (lambda n: n.trajectory(np.zeros((3, 6)), 1.0, method="Euler"), "no method 'Euler'; allowed: .*RK45"),
         (lambda n: n.trajectory(np.zeros((3, 6)), 1.0, until=np.zeros(6)), r"until must have shape \(3, 6\)"),
         (lambda n: n.trajectory(np.zeros((3, 6)), 1.0)(1.5), r"t must lie in \[0, 1\], got 1\.5"),
-        (lambda n: n.trajectory(np.zeros((3, 6)), 1.0)([0.0, -0.1]), r"t must lie in \[0, 1\], got -0\.1"),
     ],
 )
 def test_wrong_arguments_are_named(call, words):

@@ -20,16 +20,6 @@ def arm():
     return Arm.load("telescopic_pr")
 
 
-def jacobian(arm: Arm, q) -> np.ndarray:
-    """Jacobian ``(3, n)`` of the end effector's position, by finite differences."""
-    step = 1e-6
-    rows = [
-        arm.link_poses(q + step * e).translation[-1] - arm.link_poses(q - step * e).translation[-1]
-        for e in np.eye(len(q))
-    ]
-    return np.array(rows).T / (2.0 * step)
-
-
 @settings(max_examples=3)
 @given(seed=seeds)
 def test_servos_yield_to_a_payload_by_its_moment_over_their_stiffness(arm, travel, seed):
@@ -37,7 +27,7 @@ def test_servos_yield_to_a_payload_by_its_moment_over_their_stiffness(arm, trave
     q = arm.keyframe("home") + 0.1 * rng.uniform(-1, 1, 8) * np.ptp(arm.position_limits, axis=1) * 0.3
     kilograms = float(rng.uniform(0.1, 2.0))
     rollout = simulate(arm, travel(arm, q, q, 0.01), hold=1.5, disturbances=Disturbances(payload=kilograms))
-    moment = jacobian(arm, rollout.q[-1]).T @ [0.0, 0.0, -9.81 * kilograms]
+    moment = arm.jacobian(rollout.q[-1])[3:].T @ [0.0, 0.0, -9.81 * kilograms]
     np.testing.assert_allclose(rollout.q[-1] - q, moment / arm.model.actuator_gainprm[:, 0], rtol=1e-3, atol=1e-8)
 
 
@@ -126,6 +116,7 @@ def test_a_push_at_the_end_leaves_no_entry(arm, travel):
         (lambda: Push("link 1", (1.0, 2.0, 3.0), 0.0, 0.0), "duration must be positive"),
         (lambda: Disturbances(pushes=("link 1",)), r"pushes\[0\] must be a Push"),
         (lambda: Disturbances(payload=-1.0), "payload must not be negative"),
+        (lambda: Disturbances(mass_scale=0.0), "mass_scale must be positive"),
         (lambda: Disturbances(position_noise=float("nan")), "position_noise must be finite"),
     ],
 )

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +16,7 @@ from lieednn_sim.planning import plan
 from lieednn_sim.simulation import CONTROLLERS, Controller, Rollout, register_controller, simulate
 from lieednn_sim.simulation.controllers.base import PositionServo
 from lieednn_sim.simulation.controllers.mocap import MocapWelds
-from lieednn_sim.studies import Comparison, Settings, compute
+from lieednn_sim.studies import Comparison
 
 ARM = Arm.load("telescopic_pr")
 DOCUMENT = Path(__file__).parents[2] / "docs" / "howto" / "own_controller.md"
@@ -34,36 +32,23 @@ def _only_here(own_names):
     sys.modules.pop("my_controllers", None)
 
 
-@pytest.fixture
-def example(tmp_path):
-    """The code of the documentation, as a module that can be imported, and the line of its entry point."""
+@pytest.mark.usefixtures("undrawn")
+def test_the_example_of_an_installed_package_appears_in_table_and_page(tmp_path, capsys):
     text = DOCUMENT.read_text()
     (code,) = (block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "my_controllers" in block)
     (tmp_path / "my_controllers.py").write_text(code)
     sys.path.insert(0, str(tmp_path))
-    return re.search(r'controllers"\]\n(.*?)\n', text)[1].replace('"', "")
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_the_example_of_an_installed_package_appears_in_table_and_page(example, tmp_path, capsys):
+    line = re.search(r'controllers"\]\n(.*?)\n', text)[1].replace('"', "")
     information = tmp_path / "my_controllers-0.1.dist-info"
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-controllers\nVersion: 0.1\n")
-    (information / "entry_points.txt").write_text(f"[lieednn_sim.controllers]\n{example}\n")
+    (information / "entry_points.txt").write_text(f"[lieednn_sim.controllers]\n{line}\n")
     words = "compare --planners minimum-jerk --arms telescopic_pr --scenes free --seeds 1 --duration 1"
     assert main([*words.split(), "--controllers", "plain-servo,position-servo", "--output", str(tmp_path / "out")]) == 0
     assert "controller plain-servo: my_controllers.PlainServo" in capsys.readouterr().out
     rows = {row.controller: row for row in Comparison.read(tmp_path / "out").rows.values()}
     assert rows["plain-servo"].tracking_rms_mm > 10.0 * rows["position-servo"].tracking_rms_mm
     assert "plain-servo" in (tmp_path / "out" / "comparison.html").read_text()
-
-
-@pytest.mark.usefixtures("example")
-def test_what_is_registered_here_is_known_to_workers(tmp_path):
-    importlib.import_module("my_controllers")
-    chosen = Comparison(("minimum-jerk",), ("telescopic_pr",), ("free",), ("plain-servo",), seeds=2)
-    table = compute(replace(chosen, common=Settings(duration=1.0, hold=0.1)), tmp_path / "out", jobs=2)
-    assert [row.reason for row in table.sorted_rows()] == ["", ""]
 
 
 @pytest.mark.parametrize("kind", [PositionServo, MocapWelds])

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.stability import assess, find_certificate, verify
-from lieednn_sim.stability.certificate import smooth_largest
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -39,17 +38,6 @@ def test_no_slopes_destabilise_what_is_certified(seed, rates):
     assert np.linalg.eigvals(open_loops - gamma * np.eye(9)).real.max() < 0.0
     # Some of them do destabilise the weight once it is too large to be certified, so the search has teeth.
     assert np.linalg.eigvals(100.0 * open_loops - gamma * np.eye(9)).real.max() > 0.0
-
-
-@settings(max_examples=25)
-@given(seeds)
-def test_two_by_two_agrees_with_the_exact_criterion(seed):
-    """A 2 x 2 matrix A is diagonally stable exactly when a_11 < 0, a_22 < 0 and det A > 0."""
-    weight = np.random.default_rng(seed).normal(size=(2, 2)) * 1.5
-    a = weight - np.eye(2)
-    quantities = np.array([-a[0, 0], -a[1, 1], np.linalg.det(a)])
-    assume(np.abs(quantities).min() > 1e-2)
-    assert find_certificate(weight).valid == (quantities > 0).all()
 
 
 def test_badly_scaled_weight_is_certified_where_its_norms_and_its_symmetric_part_are_not():
@@ -148,51 +136,22 @@ def test_rate_is_gamma_at_most_and_nothing_without_a_proof():
     assert verify(np.ones(2), 2.0 * np.eye(2), gamma=3.0, mu=2.0).rate == 0.0
 
 
-@settings(max_examples=3)
-@given(seeds)
-def test_groups_share_one_entry_and_cost_nothing_when_the_weight_has_the_symmetry(seed):
-    rng = np.random.default_rng(seed)
-    core = rng.normal(size=(4, 4))
-    # A common rotation of every omega_i commutes with alpha (x) I_3, so grouping loses nothing there.
-    symmetric = find_certificate(np.kron(core, np.eye(3)), group_size=3)
-    assert np.ptp(symmetric.lyapunov_diagonal.reshape(4, 3), axis=1).max() == 0.0
-    assert symmetric.lambda_max == pytest.approx(find_certificate(core).lambda_max, abs=2e-3)
-    # Two groups leave one ratio to choose, which a scan finds as well.
-    rough = np.repeat(10.0 ** rng.uniform(-1, 1, 2), 3)[:, None] * rng.normal(size=(6, 6))
-    grouped = find_certificate(rough, group_size=3)
-    scan = min(verify(np.repeat([1.0, p], 3), rough).lambda_max for p in np.logspace(-6, 6, 601))
-    assert np.ptp(grouped.lyapunov_diagonal.reshape(2, 3), axis=1).max() == 0.0
-    assert grouped.lambda_max <= scan + 1e-3
-    assert find_certificate(rough).lambda_max <= grouped.lambda_max + 1e-3
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
         (lambda: verify(np.ones(3), np.eye(4)), r"weight must have shape \(3, 3\), got \(4, 4\)"),
         (lambda: verify([1.0, 0.0], np.eye(2)), "lyapunov_diagonal must be positive, its smallest entry is 0"),
-        (lambda: verify([1.0, -3.0], np.eye(2)), "smallest entry is -3"),
         (lambda: verify([1.0, np.nan], np.eye(2)), "lyapunov_diagonal must be finite"),
-        (lambda: verify(np.ones(2), np.eye(2), mu=0.0), "mu must be positive"),
         (lambda: find_certificate(np.ones((2, 3))), r"weight must have shape \(n, n\), got \(2, 3\)"),
-        (lambda: find_certificate([[np.inf]]), "weight must be finite"),
         (lambda: find_certificate(np.eye(2), gamma=-1.0), "gamma must be positive"),
         (lambda: find_certificate(np.eye(4), group_size=3), "group_size must divide the 4 rows of weight, got 3"),
         (lambda: find_certificate(np.eye(4), group_size=0), "group_size must be at least 1"),
-        pytest.param(lambda: verify([], np.zeros((0, 0))), "lyapunov_diagonal", id="empty diagonal"),
         pytest.param(lambda: find_certificate(np.zeros((0, 0))), "weight", id="empty weight"),
     ],
 )
 def test_wrong_input_is_named(call, words):
     with pytest.raises(InputError, match=words):
         call()
-
-
-def test_the_smoothed_eigenvalue_and_its_gradient_by_hand():
-    """log(e^0 + e^(s log 3 / s)) / s = log 4 / s, with shares of 1/4 and 3/4."""
-    value, gradient = smooth_largest(np.array([0.0, np.log(3.0) / 5.0]), np.eye(2), 5.0)
-    assert value == pytest.approx(np.log(4.0) / 5.0)
-    np.testing.assert_allclose(gradient, np.diag([0.25, 0.75]), atol=1e-12)
 
 
 def test_rows_of_zeros_are_fast_and_change_nothing():

@@ -20,6 +20,7 @@ from lieednn_sim.stability.robustness import Robustness
 
 seeds = st.integers(0, 2**32 - 1)
 GAMMA, MU = 1.5, 0.8
+STILL = robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0)
 
 
 def twists(rng, margin):
@@ -35,17 +36,14 @@ def field(weight, x, equilibrium):
     return -GAMMA * (x - equilibrium) + MU * (np.tanh(x) - np.tanh(equilibrium)) @ weight.T
 
 
-def steps(weight, equilibrium, start, h, method, count):
-    """States of ``count`` steps by the book, from each row of ``start``."""
-    x = [start]
-    for _ in range(count):
-        a = field(weight, x[-1], equilibrium)
-        if method == "RK4":
-            b = field(weight, x[-1] + 0.5 * h * a, equilibrium)
-            c = field(weight, x[-1] + 0.5 * h * b, equilibrium)
-            a = (a + 2.0 * b + 2.0 * c + field(weight, x[-1] + h * c, equilibrium)) / 6.0
-        x.append(x[-1] + h * a)
-    return np.array(x)
+def stepped(weight, equilibrium, x, h, method):
+    """The rows of ``x``, and where a step by the book leads from each."""
+    a = field(weight, x, equilibrium)
+    if method == "RK4":
+        b = field(weight, x + 0.5 * h * a, equilibrium)
+        c = field(weight, x + 0.5 * h * b, equilibrium)
+        a = (a + 2.0 * b + 2.0 * c + field(weight, x + h * c, equilibrium)) / 6.0
+    return np.array([x, x + h * a])
 
 
 @settings(max_examples=4)
@@ -112,7 +110,7 @@ def test_up_to_the_largest_step_every_step_brings_two_runs_closer(seed, method):
         start = equilibrium + rng.normal(size=(60, 12)) * 10.0 ** rng.uniform(-2, 1, (60, 1))
         # One at the equilibrium: what is not contracting only speaks of that.
         start[-1] = equilibrium
-        x = steps(weight, equilibrium, start, rng.uniform(0.2, 1.0) * h, method, 1)
+        x = stepped(weight, equilibrium, start, rng.uniform(0.2, 1.0) * h, method)
         if guarantee.contracting:
             distance = np.linalg.norm((x[:, :-1] - x[:, 1:]) @ guarantee.factor.T, axis=2)
             assert (distance[1] <= distance[0] * (1.0 + 1e-12)).all()
@@ -204,21 +202,11 @@ def test_without_contraction_the_certificate_itself_bounds_pushes():
         (lambda: robustness(np.eye(2), gamma=1.0, mu=2.0, pushed=[2]), InputError, "coordinates from 0 to 1"),
         (lambda: robustness(np.eye(2), gamma=1.0, mu=2.0, pushed=[]), InputError, "coordinates from 0 to 1"),
         (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0, pushed=[0]).push_gain([1]), InputError, "name some"),
-        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0, pushed=[0.9]), InputError, "by whole numbers"),
         (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0, pushed=[True, False]), InputError, "whole numbers"),
-        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).push_gain("x"), InputError, "numbers, got 'x'"),
-        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).push_gain(watched=[2]), InputError, "watched must"),
-        (lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).lag(watched=[-1]), InputError, "from 0 to 1 by"),
-        (
-            lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).settling_time(0.0),
-            InputError,
-            "fraction must be positive",
-        ),
-        (
-            lambda: robustness(np.zeros((2, 2)), gamma=1.0, mu=1.0).largest_step("RK45"),
-            InputError,
-            "no method 'RK45'; allowed: Euler, RK4",
-        ),
+        (lambda: STILL.push_gain("x"), InputError, "numbers, got 'x'"),
+        (lambda: STILL.lag(watched=[-1]), InputError, "watched must .* from 0 to 1 by"),
+        (lambda: STILL.settling_time(0.0), InputError, "fraction must be positive"),
+        (lambda: STILL.largest_step("RK45"), InputError, "no method 'RK45'; allowed: Euler, RK4"),
     ],
 )
 def test_wrong_input_is_named(call, error, words):
