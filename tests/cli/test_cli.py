@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import sys
 import time
 from pathlib import Path
@@ -16,6 +17,7 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import commands, main
 from lieednn_sim.errors import RenderingUnavailableError
+from lieednn_sim.evaluation import plots
 from lieednn_sim.learning import projected
 from lieednn_sim.planning import Motion
 
@@ -136,6 +138,20 @@ def test_a_training_that_is_ended_says_so_and_leaves_nothing_half_made(run, tmp_
         assert said in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
     assert before == {path.name: path.read_bytes() for path in directory.iterdir()}
+
+
+@pytest.mark.usefixtures("no_plots")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interrupting_leaves_complete_files_only(tmp_path, capsys, monkeypatch, number, code):
+    """While the third plot is drawn."""
+    monkeypatch.setattr(plots, "plot_joints", lambda *_: signal.raise_signal(number))
+    directory = tmp_path / "demo"
+    assert main(["demo", "--no-video", "--no-page", "--output", str(directory), *FAST]) == code
+    printed, message = capsys.readouterr()
+    assert message == "lieednn-sim: interrupted; files already reported are complete\n"
+    left = {"task.json", "network.npz", "motion.npz", "rollout.npz"}
+    assert {path.name for path in directory.iterdir()} == {"lieednn_sim.json", *left}
+    assert set(re.findall(r"wrote .*/(\S+)", printed)) == left
 
 
 @pytest.mark.rendering

@@ -1,4 +1,4 @@
-"""Small things that a newcomer meets first: plain text, a clean end, one planner's run."""
+"""Small things that a newcomer meets first: plain text, one line for what is large, one planner's run."""
 
 from __future__ import annotations
 
