@@ -87,7 +87,7 @@ def test_a_signal_during_an_import_ends_the_command_cleanly(module, number, code
     assert not (tmp_path / "run" / "metrics.json").exists()
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_a_planner_without_a_network_goes_the_whole_road(tmp_path, capsys):
     directory = tmp_path / "run"
     # An earlier run's network must not stay.

@@ -112,22 +112,6 @@ def test_what_the_encoder_says_ends_the_rendering(encoding, frame):
     assert sum(event.is_set() for event in rendered) <= frame + 2, "no picture is rendered for nothing"
 
 
-@pytest.mark.rendering
-def test_an_interrupted_rendering_leaves_no_file(arm, rollout, tmp_path):
-    def interrupt(done, total):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        video.render_video(
-            rollout,
-            tmp_path / "v.mp4",
-            size=(160, 90),
-            preset="draft",
-            progress=interrupt,
-        )
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_bad_input_is_refused_before_rendering(arm, rollout, tmp_path):
     with pytest.raises(InputError, match=r"\.mp4 or \.gif"):
         video.render_video(rollout, tmp_path / "video.avi")
