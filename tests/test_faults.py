@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
 import signal
 import tempfile
 
@@ -13,6 +14,7 @@ import pytest
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import FileError
+from lieednn_sim.studies import Comparison
 
 # A process that ends itself by SIGKILL where it is told to: no moment to wait for, no time to clean up.
 KILL = "import os, signal, sys\nkill = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -55,6 +57,39 @@ def test_a_demo_that_is_killed_leaves_what_it_had_finished(tmp_path, start):
     assert names(directory) == {"lieednn_sim.json", "task.json", "network.npz", "motion.npz"}
     # The lock died with it, and the next step goes on from there.
     assert main(["simulate", str(directory), "--hold", "0"]) == 0
+
+
+def test_a_comparison_that_is_killed_goes_on_from_its_table(tmp_path, start, undrawn):
+    code = """
+from lieednn_sim.cli import main
+from lieednn_sim.studies import table
+add = table.Table.add
+table.Table.add = lambda self, rows: (add(self, rows), kill())
+if __name__ == "__main__":
+    sys.exit(main())
+"""
+    words = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "2", "--jobs", "1"]
+    words += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0", "--output", str(tmp_path)]
+    die(start, code, "compare", *words)
+    ((_, row),) = Comparison.read(tmp_path).rows.items()
+    assert main(["compare", *words]) == 0
+    rows = Comparison.read(tmp_path).rows
+    assert len(rows) == 2
+    # Not computed again, for that takes another time.
+    assert row in rows.values()
+
+
+def test_a_full_disk_leaves_the_run_as_it_was(run, capsys):
+    """Files may not grow beyond 20 kB for a while; a rollout has more."""
+    before = {path: path.read_bytes() for path in run.path.iterdir()}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        assert main(["simulate", str(run.path), "--hold", "0", "--payload", "1"]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert "cannot write" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in run.path.iterdir()} == before
 
 
 def test_a_read_only_directory_is_named_before_the_work(run, capsys, monkeypatch):
