@@ -236,19 +236,11 @@ def opened(chromium: Any) -> Callable[[str, int, int], Any]:
 
 
 @pytest.fixture
-def no_ink(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plots are composed, and their files written, but not drawn: that takes longer than all else of a run.
+def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plots are neither composed nor drawn, which takes longer than all else of a run, though their files are there.
 
     For tests in which plots are by the way; `test_cli.test_the_demo_without_video_meets_its_bounds` draws them.
     """
-    from lieednn_sim.evaluation import figure_layout
-
-    monkeypatch.setattr(figure_layout, "save_figure", lambda figure, path: Path(path).write_bytes(b"a picture"))
-
-
-@pytest.fixture
-def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plots are not even composed, though their files are there; for tests whose runs are as any other."""
     from lieednn_sim.evaluation import plot_training, plots
 
     for module, name in (

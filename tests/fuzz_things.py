@@ -30,11 +30,6 @@ from lieednn_sim.learning import demonstrations
 from lieednn_sim.rendering.video import Camera
 from lieednn_sim.simulation.tracking import as_reference
 
-_TWO_HINGES = """
-<mujoco><worldbody><body name="one"><joint name="a" range="-90 90"/><geom size="0.1"/>
-  <body name="two" pos="0.3 0 0"><joint name="b" axis="0 1 0" range="-90 90"/><geom size="0.1"/></body>
-</body></worldbody></mujoco>
-"""
 # Calls change these: a new one is made for each.
 CHANGING = {"Environment", "VectorEnvironment", "Reach", "Track", "ControlEnvironment", "Camera", "Table"}
 CHANGING |= {"Simulation", "MjSpec", "Controller", "FilteredPolicy"}
@@ -58,12 +53,12 @@ def home() -> Any:
     return thing("Arm").keyframe("home")
 
 
-def furnish() -> None:
+def furnish(two_hinges: str) -> None:
     """Files in the working directory, which calls name."""
     Path("folder").mkdir(exist_ok=True)
     Path("file.txt").write_text("0 0\n1 1\n2 4\n")
     np.savez("file.npz", a=np.zeros(2))
-    Path("two.xml").write_text(_TWO_HINGES)
+    Path("two.xml").write_text(two_hinges)
 
 
 def _demonstration() -> Any:

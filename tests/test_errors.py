@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lieednn_sim as ls
-from lieednn_sim import errors, evaluation, simulation, studies
+from lieednn_sim import errors, simulation
 from lieednn_sim.arm import Arm, targets
 from lieednn_sim.environments import tasks, trajectories
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -17,6 +17,8 @@ def test_each_error_is_of_one_kind():
     kinds = {one for one in vars(errors).values() if isinstance(one, type) and issubclass(one, errors.LieEDNNError)}
     assert {one for one in kinds if issubclass(one, NoSolutionError)} == {NoSolutionError, *searches}
     assert not issubclass(NoSolutionError, ValueError | OSError)
+    assert issubclass(InputError, ValueError)
+    assert issubclass(InputError, errors.LieEDNNError)
 
 
 @pytest.mark.parametrize(
@@ -54,13 +56,10 @@ FRONT_DOOR = {
     "rollout must be a Rollout or a ModelRun, got {}; see simulate": [
         lambda other: ls.render_video(other, "video.mp4")
     ],
-    "following must be a Following, got {}; see follow": [lambda other: evaluation.evaluate_following(other)],
     "path must be a string or a path, got {}": [
         lambda other: ls.LieEDNN.load(None if other is None else [other]),
         lambda other: simulation.Rollout.load(None if other is None else [other], None),
     ],
-    "pushes must be a list, each item a Push, got {}": [lambda other: ls.Disturbances(pushes=other)],
-    "study must be a Study, got {}": [lambda other: studies.compute(other, ".")],
 }
 
 

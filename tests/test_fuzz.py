@@ -5,8 +5,6 @@ Bounded here; open-ended by ``pytest tests/test_fuzz.py --hypothesis-profile=fuz
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from functools import partial
 
 import fuzz_public
@@ -19,8 +17,7 @@ from hypothesis import strategies as st
 from lieednn_sim import lie, stability, theory
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
-from lieednn_sim.cli.task import Task
-from lieednn_sim.errors import FileError, LieEDNNError
+from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.policies import SafetyFilter
@@ -167,39 +164,13 @@ def test_checks_of_input_refuse_without_taking_memory_or_time(value):
         assert len(said) < 3000
 
 
-# What JSON can hold; of a whole number Python writes at most 4300 digits.
 texts = st.one_of(st.text(max_size=12), st.sampled_from(fuzz_public.BAD_WORDS))
-scalars = st.one_of(
-    texts, st.integers(), st.sampled_from([10**400, 10**4000, -1]), st.floats(), st.none(), st.booleans()
-)
-values = st.one_of(scalars, st.lists(scalars, max_size=3), st.dictionaries(texts, scalars, max_size=2))
-TASK = dataclasses.asdict(Task("telescopic_pr", (0.0,) * 8, (0.1,) * 8, 4.0))
 
 
-@bounded(60)
-@given(
-    st.dictionaries(st.sampled_from([*TASK, "more"]), values, max_size=3), st.sets(st.sampled_from([*TASK]), max_size=1)
-)
-def test_task_files(tmp_path_factory, changed, removed):
-    content = {name: value for name, value in {**TASK, **changed}.items() if name not in removed}
-    path = tmp_path_factory.getbasetemp() / "fuzz.json"
-    path.write_text(json.dumps(content))
-    try:
-        task = Task.load(path)
-    except FileError:
-        return
-    assert not removed
-    task.save(path)
-    assert Task.load(path) == task
-    # The arm as it was takes a while to compile, and is good.
-    if changed.keys() & {"arm", "scene", "imported"}:
-        check(task.load_arm)
-
-
-def test_everything_public(tmp_path, monkeypatch):
+def test_everything_public(tmp_path, monkeypatch, two_hinges):
     """Each name once, whoever added it; but no rendering, which takes too long, and no live pages, which go on."""
     monkeypatch.chdir(tmp_path)
-    fuzz_things.furnish()
+    fuzz_things.furnish(two_hinges)
     known = fuzz_public.targets()
     assert {"plan", "stability.verify", "arm.Arm.keyframe", "environments.gymnasium.VectorEnvironment.step"} <= {
         target.name.removeprefix("planning.") for target in known

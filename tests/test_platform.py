@@ -110,10 +110,3 @@ def test_a_pool_has_as_many_workers_as_windows_can_wait_for(monkeypatch: pytest.
     # The standard library's pool refuses more there.
     with worker_pool(100) as pool:
         assert pool._max_workers == 61
-
-
-def test_the_package_is_a_program() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "lieednn_sim", "--version"], capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stdout.split()[0]) == (0, "lieednn-sim"), done.stderr

@@ -194,11 +194,7 @@ def test_an_interrupt_stops_cleanly_and_says_so(tmp_path, monkeypatch, capsys):
     assert results.load(FEW[0], tmp_path / "jobs") is not None
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"), [(["--jobs", "0"], "must be at least 1, got 0"), (["--jobs", "two"], "invalid int value")]
-)
-def test_bad_options_are_refused(arguments, message, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        reproduce_paper.main(arguments)
-    assert stopped.value.code == 2
-    assert message in capsys.readouterr().err
+def test_a_bad_option_is_refused(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        reproduce_paper.main(["--jobs", "0"])
+    assert "must be at least 1, got 0" in capsys.readouterr().err

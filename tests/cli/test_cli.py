@@ -248,7 +248,7 @@ def test_an_output_that_nobody_reads_ends_the_command_in_silence(start, unbuffer
     assert (process.stderr.read(), process.wait()) == ("", 141)
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_a_path_that_the_output_cannot_spell_and_a_backend_for_windows_that_does_not_exist(run, tmp_path, monkeypatch):
     copy = tmp_path / "d\u00e9mo"
     shutil.copytree(run, copy)

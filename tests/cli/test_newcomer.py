@@ -67,7 +67,7 @@ def test_a_signal_during_an_import_ends_the_command_cleanly(tmp_path, start):
     assert not (tmp_path / "run" / "metrics.json").exists()
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_a_planner_without_a_network_goes_the_whole_road(tmp_path, capsys):
     directory = tmp_path / "run"
     # An earlier run's network must not stay.

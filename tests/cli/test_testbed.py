@@ -36,7 +36,7 @@ def own(tmp_path):
     return path
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_an_arm_of_ones_own_goes_the_whole_road_from_another_directory(own, tmp_path, capsys, fails, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = "demo --no-page --no-video --arm own.xml --links two,tool --base world --servos design --keyframe bent"
@@ -74,7 +74,7 @@ def test_arms_are_listed_and_described(own, capsys, fails):
     assert farthest(Arm.load(str(own), links=("two", "tool"), base="one")) == pytest.approx(0.9, abs=1e-6)
 
 
-@pytest.mark.usefixtures("no_ink")
+@pytest.mark.usefixtures("no_plots")
 def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
     directory = tmp_path / "run"
     words = "demo --no-page --no-video --option n_networks=3 --duration 3 --payload 0.5"

@@ -7,15 +7,12 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.environments import observations, trajectories
+from lieednn_sim.environments import trajectories
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.tasks import REST, TASKS, make_task
 from lieednn_sim.environments.trajectories import band_limited, planned
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.lie import exp
-from lieednn_sim.planning import Plan
-from lieednn_sim.planning.network_path import make_motion
-from lieednn_sim.registry import PLANNERS, PlannerEntry
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -126,17 +123,6 @@ def test_an_episode_depends_on_its_seed_alone(reach, track, name, seed, other):
         assert (run(task, other) != first).any()
 
 
-def test_signed_squares_of_actions_are_velocities_as_fractions_of_their_limits(reach):
-    reach.begin(np.random.default_rng(0))
-    before = reach.command
-    fraction = np.linspace(-0.2, 0.2, 8)
-    for _ in range(10):
-        seen, *_ = reach.step(np.sign(fraction) * np.sqrt(np.abs(fraction)))
-    assert_allclose(seen["command"] - before, 0.2 * fraction * reach.arm.velocity_limits, atol=1e-12)
-    assert_allclose(seen["position"], seen["command"], atol=1e-3)
-    assert_allclose(seen["velocity"], fraction * reach.arm.velocity_limits, atol=0.02)
-
-
 def test_servos_are_told_of_the_velocity_and_of_the_damping_of_joints(reach):
     model, steps = reach.arm.model, reach.substeps
     start, velocity = reach.arm.keyframe("home"), np.linspace(-0.2, 0.2, 8)
@@ -147,15 +133,12 @@ def test_servos_are_told_of_the_velocity_and_of_the_damping_of_joints(reach):
     assert_allclose(found, np.linspace(start, end, steps, endpoint=False) + ahead, rtol=0.0, atol=1e-12)
 
 
-def test_commands_stop_at_the_limits_and_actions_at_one():
-    one, other = (make_task("reach", "telescopic_compound") for _ in range(2))
-    for task, action in ((one, 1.0), (other, 7.0)):
-        task.begin(np.random.default_rng(0))
-        for _ in range(40):
-            task.step(np.full(24, action))
-    arm = one.arm
-    assert_allclose(arm.limit_excess(one.command), 0.0, atol=1e-12)
-    assert_array_equal(other.command, one.command)
+def test_commands_stop_at_the_limits():
+    task = make_task("reach", "telescopic_compound")
+    task.begin(np.random.default_rng(0))
+    for _ in range(40):
+        task.step(np.ones(24))
+    assert_allclose(task.arm.limit_excess(task.command), 0.0, atol=1e-12)
 
 
 def test_success_needs_rest(reach):
@@ -189,8 +172,6 @@ def test_the_preview_is_where_the_target_will_be(track):
         target = now["position"] + now["position_error"]
         assert_allclose(target, rows[len(rows) - 2][0], atol=1e-12)
     assert_allclose(rows[0][-1], target, atol=1e-12)
-    rate = (rows[-1][0] - rows[-2][0]) / track.control_timestep
-    assert_allclose(now["target_velocity"], rate, atol=0.05)
 
 
 @settings(max_examples=5)
@@ -234,11 +215,6 @@ def test_the_pace_is_of_the_hardest_limit_by_hand(gantry):
         assert trajectories._pace(gantry, t, gain * t[:, None] * np.eye(4)[0], 0.9) == pytest.approx(expected)
 
 
-def test_the_reach_is_all_lengths_and_slides_by_hand(gantry):
-    """The end effector is 1 m beside link 1, which x, y and z move by up to 1, 2 and 3 m."""
-    assert observations.reach(gantry) == pytest.approx(7.0)
-
-
 @pytest.mark.parametrize("planner", [None, "minimum-jerk"])
 def test_plans_are_as_fast_as_the_limits_allow(planner):
     arm = Arm.load("telescopic_pr")
@@ -262,22 +238,6 @@ def test_more_networks_are_drawn_where_few_keep_the_limits(gantry, monkeypatch):
     with pytest.raises(PlanError, match="too fast"):
         planned(gantry, "home")
     assert counts == [2, 8, 32]
-
-
-def test_the_expert_takes_a_planner_whose_network_has_hidden_neurons(reach, cascade, monkeypatch):
-    made = []
-
-    def hidden(problem):
-        made.append(cascade(problem.arm.encode(problem.target), 0.02))
-        return Plan(make_motion(problem.arm, made[-1], problem.start, problem.duration, problem.timestep), made[-1])
-
-    monkeypatch.setitem(PLANNERS.entries, "hidden", PlannerEntry(hidden))
-    reach.begin(np.random.default_rng(0))
-    expert = Expert(reach, planner="hidden")
-    for _ in range(3):
-        reach.step(expert.act())
-    assert [network.n_hidden for network in made] == [3]
-    assert_allclose(expert._policy._rows[0][-1], reach.target(0.0), atol=1e-6)
 
 
 def test_a_policy_by_name_is_an_expert(arm):
@@ -308,6 +268,13 @@ def test_an_expert_may_begin_in_the_middle_of_an_episode(reach):
     most = reach.control_timestep * reach.arm.velocity_limits
     wanted = np.clip((plan.position(21 * reach.control_timestep) - reach.command) / most, -1.0, 1.0)
     assert_allclose(Expert(reach).act(), wanted, atol=1e-12)
+    # With a planner, the plan is that planner's: minimum jerk has no network, and no certificate.
+    certificates = []
+    for planner in (None, "minimum-jerk"):
+        expert = Expert(reach, planner=planner)
+        expert.act()
+        certificates.append(expert.certificate)
+    assert certificates == [plan.certificate, ""]
     # A policy by name begins where the arm is now, so that its first step is small.
     assert np.abs(Expert(reach, policy="tracker").act()).max() < 0.1
 
@@ -341,9 +308,7 @@ def test_a_failed_simulation_terminates(reach):
     [
         ({"task": "fly"}, "no task 'fly'; allowed: reach, track"),
         ({"arm": "unknown"}, "no arm 'unknown'; allowed: telescopic_compound"),
-        ({"scene": "moon"}, "no scene 'moon'"),
         ({"control_timestep": 0.021}, "control_timestep must be a whole number of simulation steps of 0.002 s"),
-        ({"control_timestep": 0.0}, "control_timestep must be positive"),
         ({"time_limit": 0.01}, "time_limit must be between one control step of 0.02 s"),
         ({"goal": "elbow"}, "no goal 'elbow'; allowed: end-effector, links"),
         ({"position_tolerance": -1.0}, "position_tolerance must be positive"),
@@ -373,8 +338,6 @@ def test_malformed_actions_and_options(reach):
         Expert("reach")
     with pytest.raises(InputError, match="no planner 'wishful'"):
         Expert(reach, planner="wishful")
-    with pytest.raises(InputError, match="no policy 'wishful'"):
-        Expert(reach, policy="wishful")
     with pytest.raises(InputError, match="give a policy or a planner, got 'tracker' and 'rrt-connect'"):
         Expert(reach, policy="tracker", planner="rrt-connect")
 
@@ -393,26 +356,18 @@ def test_success_needs_distance_and_angle(name):
         assert (reward == 1.0) == expected
 
 
-def test_distances_are_in_metres_and_angles_in_radians():
-    """Targets that are a slide of the last link by 0.01 m away, a turn of the whole arm, a slide on the way."""
+@pytest.mark.parametrize(
+    ("joint", "change", "name"), [("extend2", 0.05, "distance"), ("extend3", 0.01, "distance"), ("turn", 0.2, "angle")]
+)
+def test_distances_are_in_metres_and_angles_in_radians(joint, change, name):
+    """Targets that are a slide on the way, of the last link, and a turn of the whole arm away."""
     arm = Arm.load("telescopic_pr")
-    task, links = (make_task("reach", arm, goal=goal) for goal in ("end-effector", "links"))
-    home = arm.keyframe("home")
-    slid, turned = home.copy(), home.copy()
-    slid[-1] += 0.01  # extends the last link
-    turned[arm.joint_names.index("turn")] += 0.2
-    for target, expected in ((slid, (0.01, 0.0)), (turned, (None, 0.2))):
-        for either in (task, links):
-            seen = either.begin(np.random.default_rng(0), {"target": target})
-            info = either.state.info()
-            assert info["angle"] == pytest.approx(expected[1], abs=1e-7)
-            if expected[0] is not None:
-                assert info["distance"] == pytest.approx(expected[0], abs=1e-9)
-                assert np.linalg.norm(seen["pose_error"][-1, 3:]) == pytest.approx(0.01, abs=1e-9)
-    lifted = home.copy()
-    lifted[arm.joint_names.index("extend2")] += 0.05
-    links.begin(np.random.default_rng(0), {"target": lifted})
-    assert links.state.distance == pytest.approx(0.05, abs=1e-9)
+    task, target = make_task("reach", arm, goal="links"), arm.keyframe("home").copy()
+    target[arm.joint_names.index(joint)] += change
+    seen = task.begin(np.random.default_rng(0), {"target": target})
+    assert task.state.info()[name] == pytest.approx(change, abs=1e-7)
+    part = slice(3, 6) if name == "distance" else slice(0, 3)
+    assert np.linalg.norm(seen["pose_error"][:, part], axis=1).max() == pytest.approx(change, abs=1e-7)
 
 
 def test_rewards_by_hand():

@@ -20,7 +20,6 @@ from lieednn_sim.io import reading
 from lieednn_sim.learning.demonstrations import Demonstration, align, load_demonstrations
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.validation import as_count, as_floats, as_positive
 
 META = {"kind": "thing", "format": reading.FORMAT}
 ARRAYS = {"x": np.array([0.5, -0.0, np.nan]), "names": np.array(["Gelenk ä", "b"])}
@@ -148,16 +147,15 @@ def test_broken_json_is_named(tmp_path, content, words):
 
 
 @pytest.mark.parametrize("shape", [(10**12,), (10**6, 10**6), (2**62, 4), (-1,), (3, 5)])
-@pytest.mark.parametrize("suffix", ["npz", "npy"])
-def test_a_shape_that_the_content_has_not(tmp_path, shape, suffix):
-    path = tmp_path / f"x.{suffix}"
-    if suffix == "npy":
-        path.write_bytes(npy(shape, bytes(80)))
-        with pytest.raises(FileError, match="claims the shape"):
-            load_demonstrations([path])
-        return
-    archive(path, {"x": npy(shape, bytes(80))})
-    for read in (lambda: io.load_arrays(path, "thing"), lambda: load_demonstrations([path])):
+def test_a_shape_that_the_content_has_not(tmp_path, shape):
+    alone, packed = tmp_path / "x.npy", tmp_path / "x.npz"
+    alone.write_bytes(npy(shape, bytes(80)))
+    archive(packed, {"x": npy(shape, bytes(80))})
+    for read in (
+        lambda: load_demonstrations([alone]),
+        lambda: load_demonstrations([packed]),
+        lambda: io.load_arrays(packed, "thing"),
+    ):
         with pytest.raises(FileError, match="claims the shape"):
             read()
 
@@ -211,7 +209,6 @@ def test_devices_and_pipes_are_not_opened(tmp_path, name):
         ) + "obstacles: [{shape: box, name: *i}]", "more than 1000000 values"),
         ("a: &a [*a]", "more than 1000000 values"),
         ("[" * 100_000, "nested more than 100 deep"),
-        ("- " * 100_000, "nested more than 100 deep"),
         ("obstacles: [" + "{}, " * 10_001 + "{}]", "at most 10000 obstacles"),
         ("obstacles: [{shape: box, name: \"a\\0b\", size: [1, 1, 1], position: [9, 9, 9]}]", "printable"),
         ("obstacles: [{shape: box, size: [true, 1, 1], position: [9, 9, 9]}]", "size must be an array of numbers"),
@@ -269,15 +266,6 @@ def test_problems_that_are_too_large(tmp_path):
         (tmp_path / f"{kind}0001.yaml").write_bytes(bytes(3 * 10**6))
     with pytest.raises(FileError, match=r"request0001.yaml has 3000000 bytes; at most 1000000 are read"):
         ProblemSets(tmp_path).problem(tmp_path.name, 1)
-
-
-@pytest.mark.parametrize("value", [True, [True, 1.0], np.array([True]), "4.0", b"4", ["4.0"], np.array(["4"]), 1j])
-def test_truth_values_and_texts_are_no_numbers(value):
-    for check in (lambda: as_floats("x", value, (), batched=True), lambda: as_positive("x", value)):
-        with pytest.raises(InputError, match=r"x must be an array of numbers|x must have shape"):
-            check()
-    with pytest.raises(InputError, match="must be a whole number"):
-        as_count("n", True)
 
 
 WAY = np.column_stack([np.linspace(0.3, 0.0, 5), np.zeros(5)])

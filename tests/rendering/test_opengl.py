@@ -3,19 +3,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 
 import pytest
 
 from lieednn_sim.errors import RenderingUnavailableError
 from lieednn_sim.rendering import opengl
 
-Pretend = Callable[..., list[str]]
 VARIABLES = ("MUJOCO_GL", "PYOPENGL_PLATFORM", "LIEEDNN_SIM_GL", "DISPLAY", "WAYLAND_DISPLAY")
 
 
 @pytest.fixture(autouse=True)
-def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+def fresh(monkeypatch):
     """A process in which nothing has been chosen."""
     for variable in VARIABLES:
         # Set before deleting, so that what `configure` writes is undone too.
@@ -26,13 +24,13 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def working(monkeypatch: pytest.MonkeyPatch) -> Pretend:
+def working(monkeypatch):
     """Pretend that just the named libraries work; returns the list of probes made."""
 
-    def pretend(*names: str) -> list[str]:
-        asked: list[str] = []
+    def pretend(*names):
+        asked = []
 
-        def probe(name: str) -> tuple[str, str]:
+        def probe(name):
             asked.append(name)
             return (f"{name} renderer", "") if name in names else ("", f"no {name} here")
 
@@ -42,12 +40,10 @@ def working(monkeypatch: pytest.MonkeyPatch) -> Pretend:
     return pretend
 
 
-def run_python(code: str, **changes: str) -> subprocess.CompletedProcess[str]:
+def run_python(*arguments, **changes):
     environment = {key: value for key, value in os.environ.items() if key not in VARIABLES} | changes
-    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
-
-
-# --- the order ---------------------------------------------------------------------------------------------------
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +54,7 @@ def run_python(code: str, **changes: str) -> subprocess.CompletedProcess[str]:
         ((), "disable", ["egl", "osmesa"]),
     ],
 )
-def test_probe_order(working: Pretend, libraries: tuple[str, ...], expected: str, probes: list[str]) -> None:
+def test_probe_order(working, libraries, expected, probes):
     asked, before = working(*libraries), dict(os.environ)
     backend = opengl.choose_backend()
     assert (backend.name, backend.source, asked) == (expected, "probe", probes)
@@ -67,13 +63,8 @@ def test_probe_order(working: Pretend, libraries: tuple[str, ...], expected: str
     assert dict(os.environ) == before
 
 
-# --- the user's choice -------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("value", "name"), [("egl", "egl"), (" EGL ", "egl"), ("osmesa", "osmesa")])
-def test_users_choice_wins_in_the_spelling_of_dm_control(
-    working: Pretend, monkeypatch: pytest.MonkeyPatch, value: str, name: str
-) -> None:
+def test_users_choice_wins_in_the_spelling_of_dm_control(working, monkeypatch, value, name):
     asked = working("egl", "osmesa")
     monkeypatch.setenv("MUJOCO_GL", value)
     backend = opengl.configure()
@@ -81,27 +72,26 @@ def test_users_choice_wins_in_the_spelling_of_dm_control(
     assert (os.environ["MUJOCO_GL"], asked) == (name, [name])
 
 
-def test_empty_choice_is_no_choice(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_empty_choice_is_no_choice(working, monkeypatch):
     working("osmesa")
     monkeypatch.setenv("MUJOCO_GL", "  ")
     assert opengl.choose_backend().source == "probe"
 
 
-def test_unusable_choice_falls_back_to_physics_alone(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("value", "detail"),
+    [
+        ("osmesa", "MUJOCO_GL=osmesa is unusable (osmesa: no osmesa here)"),
+        ("elg", "MUJOCO_GL=elg is not one of: egl, osmesa, glfw, disable"),
+    ],
+)
+def test_unusable_choice_falls_back_to_physics_alone(working, monkeypatch, value, detail):
     working("egl")  # it would work, but was not asked for
-    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    monkeypatch.setenv("MUJOCO_GL", value)
     backend = opengl.configure()
     assert (backend.name, backend.source) == ("disable", "MUJOCO_GL")
-    assert "MUJOCO_GL=osmesa is unusable (osmesa: no osmesa here)" in backend.detail
+    assert detail in backend.detail
     assert os.environ["MUJOCO_GL"] == "disable"
-
-
-def test_unknown_choice_falls_back_and_lists_the_known(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
-    working("egl")
-    monkeypatch.setenv("MUJOCO_GL", "elg")
-    backend = opengl.choose_backend()
-    assert backend.name == "disable"
-    assert "MUJOCO_GL=elg is not one of: egl, osmesa, glfw, disable" in backend.detail
 
 
 @pytest.mark.parametrize(
@@ -115,15 +105,7 @@ def test_unknown_choice_falls_back_and_lists_the_known(working: Pretend, monkeyp
         ("win32", "wgl", "glfw", ["glfw"], "glfw"),
     ],
 )
-def test_elsewhere_it_is_the_window_system(
-    working: Pretend,
-    monkeypatch: pytest.MonkeyPatch,
-    platform: str,
-    asked: str,
-    library: str,
-    probes: list[str],
-    variable: str,
-) -> None:
+def test_elsewhere_it_is_the_window_system(working, monkeypatch, platform, asked, library, probes, variable):
     made = working(library)
     monkeypatch.setattr(sys, "platform", platform)
     monkeypatch.setenv("MUJOCO_GL", asked)
@@ -132,14 +114,10 @@ def test_elsewhere_it_is_the_window_system(
     # What MuJoCo and dm_control both take; PyOpenGL finds its platform by itself.
     assert (made, os.environ["MUJOCO_GL"], os.environ.get("PYOPENGL_PLATFORM")) == (probes, variable, None)
     assert backend.missing_packages == []
-    # A child process does not ask again.
-    monkeypatch.setattr(opengl, "_configured", None)
-    assert opengl.configure() == backend
-    assert made == probes
 
 
 @pytest.mark.parametrize("value", ["disable", "0"])
-def test_user_can_turn_rendering_off(working: Pretend, monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+def test_user_can_turn_rendering_off(working, monkeypatch, value):
     asked = working("egl")
     monkeypatch.setenv("MUJOCO_GL", value)
     backend = opengl.choose_backend()
@@ -148,12 +126,7 @@ def test_user_can_turn_rendering_off(working: Pretend, monkeypatch: pytest.Monke
         opengl.require()
 
 
-# --- configure ---------------------------------------------------------------------------------------------------
-
-
-def test_configure_probes_once_and_overrules_another_pyopengl_platform(
-    working: Pretend, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_configure_probes_once_and_overrules_another_pyopengl_platform(working, monkeypatch):
     asked = working("osmesa")
     monkeypatch.setenv("PYOPENGL_PLATFORM", "egl")  # with it, mujoco would refuse to be imported
     first = opengl.require()
@@ -163,9 +136,7 @@ def test_configure_probes_once_and_overrules_another_pyopengl_platform(
 
 
 @pytest.mark.parametrize("libraries", [("egl",), ()])
-def test_child_process_inherits_the_answer(
-    working: Pretend, monkeypatch: pytest.MonkeyPatch, libraries: tuple[str, ...]
-) -> None:
+def test_child_process_inherits_the_answer(working, monkeypatch, libraries):
     asked = working(*libraries)
     parent = opengl.configure()
     asked.clear()
@@ -174,7 +145,7 @@ def test_child_process_inherits_the_answer(
     assert asked == []
 
 
-def test_users_later_choice_beats_the_inherited(working: Pretend, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_users_later_choice_beats_the_inherited(working, monkeypatch):
     working("egl", "osmesa")
     opengl.configure()
     monkeypatch.setattr(opengl, "_configured", None)
@@ -183,13 +154,13 @@ def test_users_later_choice_beats_the_inherited(working: Pretend, monkeypatch: p
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"name": "egl"}'])
-def test_broken_inheritance_is_ignored(working: Pretend, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+def test_broken_inheritance_is_ignored(working, monkeypatch, text):
     working("egl")
     monkeypatch.setenv("LIEEDNN_SIM_GL", text)
     assert opengl.choose_backend().detail == "egl renderer"
 
 
-def test_importing_the_package_starts_no_process_and_sets_no_variable() -> None:
+def test_importing_the_package_starts_no_process_and_sets_no_variable():
     code = """
 import os, subprocess
 before = dict(os.environ)
@@ -201,12 +172,12 @@ assert dict(os.environ) == before, set(os.environ.items()) ^ set(before.items())
 lieednn_sim.Arm.load("telescopic_pr")
 print("fine")
 """
-    done = run_python(code)
+    done = run_python("-c", code)
     assert done.stdout == "fine\n", done.stderr
 
 
 @pytest.mark.rendering
-def test_it_is_not_too_late_when_mujoco_is_imported_and_the_probe_says_what_it_finds() -> None:
+def test_it_is_not_too_late_when_mujoco_is_imported_and_the_probe_says_what_it_finds():
     code = """
 import mujoco
 from lieednn_sim.rendering import opengl
@@ -218,14 +189,11 @@ with mujoco.Renderer(model, 16, 16) as renderer:
     from OpenGL import GL
     print(GL.glGetString(GL.GL_RENDERER).decode() == backend.detail)
 """
-    done = run_python(code)
+    done = run_python("-c", code)
     assert done.stdout == "(16, 16, 3)\nTrue\n", done.stderr
 
 
-# --- what to install ---------------------------------------------------------------------------------------------
-
-
-def test_require_names_the_packages(working: Pretend) -> None:
+def test_require_names_the_packages(working):
     working()
     with pytest.raises(RenderingUnavailableError) as caught:
         opengl.require()
@@ -235,18 +203,9 @@ def test_require_names_the_packages(working: Pretend) -> None:
 
 
 @pytest.mark.parametrize(
-    ("requested", "expected"),
-    [
-        ("", ["libegl1", "libgl1"]),
-        ("egl", ["libegl1", "libgl1"]),
-        ("osmesa", ["libosmesa6"]),
-        ("glfw", []),
-        ("elg", []),
-    ],
+    ("requested", "expected"), [("", ["libegl1", "libgl1"]), ("osmesa", ["libosmesa6"]), ("glfw", [])]
 )
-def test_missing_packages(
-    working: Pretend, monkeypatch: pytest.MonkeyPatch, requested: str, expected: list[str]
-) -> None:
+def test_missing_packages(working, monkeypatch, requested, expected):
     working()
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setenv("MUJOCO_GL", requested)
@@ -256,21 +215,11 @@ def test_missing_packages(
 @pytest.mark.parametrize(
     ("libraries", "status", "line"), [(("egl",), 0, "egl"), ((), 1, "libegl1 libgl1")], ids=["works", "nothing"]
 )
-def test_command_answers_in_one_line(
-    working: Pretend,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    libraries: tuple[str, ...],
-    status: int,
-    line: str,
-) -> None:
+def test_command_answers_in_one_line(working, monkeypatch, capsys, libraries, status, line):
     working(*libraries)
     monkeypatch.setattr(sys, "platform", "linux")
     assert opengl.main() == status
     assert capsys.readouterr().out == line + "\n"
-
-
-# --- child processes ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -283,22 +232,22 @@ def test_command_answers_in_one_line(
         ("raise SystemExit(3)", ("", "failed (exit status 3)")),
     ],
 )
-def test_broken_driver_becomes_a_text(monkeypatch: pytest.MonkeyPatch, code: str, expected: tuple[str, str]) -> None:
+def test_broken_driver_becomes_a_text(monkeypatch, code, expected):
     monkeypatch.setattr(opengl, "_PROBE", code)
     if "pause" in code:
         monkeypatch.setattr(opengl, "_PROBE_TIMEOUT", 0.1)
     assert opengl._probe("egl") == expected
 
 
-def test_gl_imports_the_standard_library_alone() -> None:
+def test_gl_imports_the_standard_library_alone():
     done = run_python(
-        "import sys; import lieednn_sim.rendering.opengl; print('numpy' in sys.modules, 'mujoco' in sys.modules)"
+        "-c", "import sys; import lieednn_sim.rendering.opengl; print('numpy' in sys.modules, 'mujoco' in sys.modules)"
     )
     assert done.stdout == "False False\n", done.stderr
 
 
 @pytest.mark.parametrize("value", ["osmesa", "glfw", "elg"])
-def test_mujoco_imports_whatever_the_user_exports(value: str) -> None:
+def test_mujoco_imports_whatever_the_user_exports(value):
     # With OpenGL's bindings broken, too, as where its library is missing.
     code = """
 import importlib.abc, os, sys
@@ -311,19 +260,12 @@ from lieednn_sim._mujoco import mujoco
 mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>"))
 print(os.environ["MUJOCO_GL"])
 """
-    done = run_python(code, MUJOCO_GL=value)
+    done = run_python("-c", code, MUJOCO_GL=value)
     assert done.stdout == f"{value}\n", done.stderr
 
 
 @pytest.mark.rendering
-def test_command_as_the_makefile_runs_it() -> None:
-    environment = {key: value for key, value in os.environ.items() if key not in VARIABLES}
-    done = subprocess.run(
-        [sys.executable, "-m", "lieednn_sim.rendering.opengl"],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def test_command_as_the_makefile_runs_it():
+    done = run_python("-m", "lieednn_sim.rendering.opengl")
     assert (done.returncode, done.stdout.strip()) in [(0, "egl"), (0, "osmesa")], done.stderr
     assert "Warning" not in done.stderr

