@@ -136,11 +136,11 @@ def annotations_of(function: Callable[..., Any], cls: type | None = None) -> dic
     # A field may be inherited from another module, where its annotation has its meaning.
     modules = (vars(sys.modules[base.__module__]) for base in (cls.__mro__ if cls else ()))
     names = _Names({"ArrayLike": Array}, inspect.unwrap(function).__globals__, *modules)
-    found = {name: _evaluate(hint, names) for name, hint in function.__annotations__.items() if name != "return"}
-    for hint in list(found.values()):
+    result = {name: _evaluate(hint, names) for name, hint in function.__annotations__.items() if name != "return"}
+    for hint in list(result.values()):
         if typing.get_origin(hint) is typing.Unpack:
-            found |= typing.get_type_hints(*typing.get_args(hint))
-    return found
+            result |= typing.get_type_hints(*typing.get_args(hint))
+    return result
 
 
 def _evaluate(hint: Any, names: Mapping[str, Any]) -> Any:
@@ -168,16 +168,16 @@ def _hint(hint: Any) -> _Hint:
     if kind in _PLAIN:
         return _PLAIN[kind]
     if kind in (typing.Union, types.UnionType):
-        return _union([_hint(one) for one in inner])
+        return _union([_hint(item) for item in inner])
     if isinstance(kind, typing.TypeVar):
         return _hint(kind.__bound__ or Any)
     if kind is type and inner:
         base = getattr(inner[0], "__bound__", inner[0])
-        wanted = f"a subclass of {base.__name__}"
-        return _Hint(wanted, lambda value: isinstance(value, type) and issubclass(value, base))
+        target = f"a subclass of {base.__name__}"
+        return _Hint(target, lambda value: isinstance(value, type) and issubclass(value, base))
     if kind in (tuple, list, Sequence, Collection):
         fixed = kind is tuple and bool(inner) and Ellipsis not in inner
-        return _sequence([_hint(one) for one in (inner if fixed else inner[:1])] or [_ANYTHING], fixed=fixed)
+        return _sequence([_hint(item) for item in (inner if fixed else inner[:1])] or [_ANYTHING], fixed=fixed)
     if kind in (dict, Mapping) or typing.is_typeddict(kind):
         return _mapping(*map(_hint, inner or (Any, Any)))
     if not isinstance(kind, type) or getattr(kind, "_is_protocol", False):
@@ -236,7 +236,7 @@ _PLAIN: dict[Any, _Hint] = {
 
 def _union(hints: list[_Hint]) -> _Hint:
     # Whoever gave something wants it, and not None.
-    wanted = " or ".join(dict.fromkeys(hint.wanted for hint in hints if hint.wanted != "None"))
+    target = " or ".join(dict.fromkeys(hint.wanted for hint in hints if hint.wanted != "None"))
 
     def parts(value: Any) -> Iterable[tuple[str, _Hint, Any]]:
         # No annotation has two kinds of lists.
@@ -244,13 +244,13 @@ def _union(hints: list[_Hint]) -> _Hint:
         return find(value) if find else ()
 
     simple = all(hint.parts is None for hint in hints)
-    return _Hint(wanted, lambda value: any(hint.accepts(value) for hint in hints), None if simple else parts)
+    return _Hint(target, lambda value: any(hint.accepts(value) for hint in hints), None if simple else parts)
 
 
 def _sequence(items: list[_Hint], *, fixed: bool) -> _Hint:
-    wanted = f"a tuple of {len(items)}" if fixed else "a list"
+    target = f"a tuple of {len(items)}" if fixed else "a list"
     if len({item.wanted for item in items} - {_ANYTHING.wanted}) == 1:
-        wanted += f", each item {items[0].wanted}"
+        target += f", each item {items[0].wanted}"
 
     def parts(value: Any) -> Iterable[tuple[str, _Hint, Any]]:
         # Items of an array of numbers, or of a range, are all alike, and may be many.
@@ -258,12 +258,12 @@ def _sequence(items: list[_Hint], *, fixed: bool) -> _Hint:
         pairs = zip(items if fixed else repeat(items[0]), value[:1] if alike else value, strict=False)
         return ((f"[{index}]", *pair) for index, pair in enumerate(pairs))
 
-    return _Hint(wanted, lambda value: _is_list(value) and (not fixed or len(value) == len(items)), parts)
+    return _Hint(target, lambda value: _is_list(value) and (not fixed or len(value) == len(items)), parts)
 
 
 def _mapping(key: _Hint, item: _Hint) -> _Hint:
     def parts(value: Any) -> Iterable[tuple[str, _Hint, Any]]:
         keys = ((": its keys", key, name) for name in value)
-        return chain(keys, ((f"[{quoted(name)}]", item, one) for name, one in value.items()))
+        return chain(keys, ((f"[{quoted(name)}]", item, entry) for name, entry in value.items()))
 
     return _Hint("a dictionary", lambda value: isinstance(value, Mapping), parts)

@@ -121,8 +121,8 @@ def _require_shape(name: str, given: tuple[int, ...], shape: tuple[int | str, ..
         )
     )
     if not fits:
-        wanted = ("...", *shape) if batched else shape
-        raise InputError(f"{name} must have shape {_describe(wanted)}, got {_describe(given)}")
+        target = ("...", *shape) if batched else shape
+        raise InputError(f"{name} must have shape {_describe(target)}, got {_describe(given)}")
     if math.prod(given) > MOST_ENTRIES:
         raise InputError(f"{name} must have at most {MOST_ENTRIES} entries, got shape {_describe(given)}")
 

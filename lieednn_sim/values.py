@@ -28,9 +28,9 @@ def frozen(cls: type[_Class]) -> type[_Class]:
     read-only views of them. Arrays are equal if their shapes and entries are, with NaN equal to NaN. Equal instances
     have the same hash; `dataclasses.replace` makes a changed copy. All this also holds of unpickled and deep copies.
     """
-    made: Any = dataclass(frozen=True, eq=False, repr=cls.__repr__ is object.__repr__)(cls)
-    initialise, names = made.__init__, [item.name for item in fields(made)]
-    compared = [item.name for item in fields(made) if item.compare]
+    result: Any = dataclass(frozen=True, eq=False, repr=cls.__repr__ is object.__repr__)(cls)
+    initialise, names = result.__init__, [item.name for item in fields(result)]
+    compared = [item.name for item in fields(result) if item.compare]
 
     @wraps(initialise)
     def __init__(self: Any, *arguments: Any, **named: Any) -> None:
@@ -50,8 +50,8 @@ def frozen(cls: type[_Class]) -> type[_Class]:
         # Unpickled and deep-copied arrays are writable.
         vars(self).update({name: _as_read_only(item) for name, item in state.items()})
 
-    made.__init__, made.__eq__, made.__hash__, made.__setstate__ = __init__, __eq__, __hash__, __setstate__
-    return made
+    result.__init__, result.__eq__, result.__hash__, result.__setstate__ = __init__, __eq__, __hash__, __setstate__
+    return result
 
 
 def set_fields(value: Any, /, **fields: Any) -> None:
@@ -88,17 +88,17 @@ def _as_read_only(item: Any) -> Any:
     return item
 
 
-def _equal(one: Any, other: Any) -> bool:
-    if one is other:
+def _equal(first: Any, second: Any) -> bool:
+    if first is second:
         return True
-    if type(one) is not type(other):
-        return bool(np.isscalar(one) and np.isscalar(other) and one == other)
-    if isinstance(one, np.ndarray):
-        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
-    if isinstance(one, tuple | list):
-        return len(one) == len(other) and all(map(_equal, one, other))
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(_equal(entry, other[key]) for key, entry in one.items())
-    if isinstance(one, scipy.spatial.transform.RigidTransform | scipy.spatial.transform.Rotation):
-        return np.array_equal(one.as_matrix(), other.as_matrix())
-    return bool(one == other) or (isinstance(one, float) and one != one and other != other)
+    if type(first) is not type(second):
+        return bool(np.isscalar(first) and np.isscalar(second) and first == second)
+    if isinstance(first, np.ndarray):
+        return np.array_equal(first, second, equal_nan=first.dtype.kind in "fc")
+    if isinstance(first, tuple | list):
+        return len(first) == len(second) and all(map(_equal, first, second))
+    if isinstance(first, dict):
+        return first.keys() == second.keys() and all(_equal(entry, second[key]) for key, entry in first.items())
+    if isinstance(first, scipy.spatial.transform.RigidTransform | scipy.spatial.transform.Rotation):
+        return np.array_equal(first.as_matrix(), second.as_matrix())
+    return bool(first == second) or (isinstance(first, float) and first != first and second != second)

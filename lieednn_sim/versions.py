@@ -14,11 +14,11 @@ _PACKAGES, _OPTIONAL = ("lieednn_sim", "mujoco", "numpy", "scipy"), ("daqp", "om
 
 def versions(*, optional: bool = False) -> dict[str, str]:
     """Versions by package, optionally with those of the planners' installed libraries."""
-    found = {name: metadata.version(name) for name in _PACKAGES}
+    result = {name: metadata.version(name) for name in _PACKAGES}
     for name in _OPTIONAL if optional else ():
         with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+            result[name] = metadata.version(name)
+    return result
 
 
 @cache
@@ -32,13 +32,13 @@ def commit() -> str:
         return ""
     git = ["git", "--no-optional-locks", "-C", str(root), "describe"]
     try:
-        found = subprocess.run(
+        result = subprocess.run(
             [*git, "--always", "--abbrev=12", "--exclude=*", "--dirty"],
             capture_output=True,
             text=True,
             check=True,
             timeout=10.0,
         )
-        return found.stdout.strip()
+        return result.stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""

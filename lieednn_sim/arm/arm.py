@@ -75,8 +75,8 @@ class Arm(SerialArm):
             FileError: there is no such file, or MuJoCo cannot compile it.
             InputError: an unknown arm or scene, or the file holds no arm.
         """
-        found = find_model(name, options)
-        return cls.from_xml(found.path, found.name, **found.options).with_scene(scene, seed)
+        model = find_model(name, options)
+        return cls.from_xml(model.path, model.name, **model.options).with_scene(scene, seed)
 
     @classmethod
     def from_xml(

@@ -111,8 +111,8 @@ class ClearanceBounds:
         gap = gaps - self._margin - come.max(axis=-1) - constant
         scales = np.maximum(each, _largest(gap, slope.max(axis=-1), square))
         worst = int(scales[1].argmin())
-        found = np.minimum(scales.min(axis=1), most)
-        return float(found[0]), float(found[1]), (int(fixed[worst]), int(moving[worst]))
+        result = np.minimum(scales.min(axis=1), most)
+        return float(result[0]), float(result[1]), (int(fixed[worst]), int(moving[worst]))
 
     def names(self, pair: tuple[int, int]) -> tuple[str, str]:
         """Names of two geoms."""
@@ -120,10 +120,10 @@ class ClearanceBounds:
 
     def _displacements(self, q: Floats) -> Floats:
         """Largest displacements of the joints ``(..., J)`` for changes of the coordinates up to ``(..., n)``."""
-        found = q @ self._into.T
+        result = q @ self._into.T
         if len(self._balls):
-            found[..., self._ball_joints] = np.linalg.norm(q[..., self._balls], axis=-1)
-        return np.asarray(found)
+            result[..., self._ball_joints] = np.linalg.norm(q[..., self._balls], axis=-1)
+        return np.asarray(result)
 
     def _near(self, q: Floats, steps: Floats) -> tuple[Floats, Floats, Pairs] | None:
         """Gaps ``(P,)``, normals ``(P, 3)`` and geoms ``(P, 2)`` of the pairs that the steps could bring together.
@@ -217,8 +217,8 @@ class ClearanceBounds:
 def _largest(free: Floats, slope: Floats, bent: Floats) -> Floats:
     """The largest s with free - slope s - bent s^2 >= 0, zero if there is none."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = 2.0 * free / (slope + np.sqrt(np.square(slope) + 4.0 * bent * np.maximum(free, 0.0)))
-    return np.where(free > 0.0, np.where(np.isnan(found), np.inf, found), 0.0)
+        result = 2.0 * free / (slope + np.sqrt(np.square(slope) + 4.0 * bent * np.maximum(free, 0.0)))
+    return np.where(free > 0.0, np.where(np.isnan(result), np.inf, result), 0.0)
 
 
 def _hulls(model: mujoco.MjModel) -> tuple[Floats, Floats]:

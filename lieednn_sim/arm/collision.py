@@ -128,16 +128,16 @@ class Collisions:
         if (limits <= 0.0).any():
             raise InputError(f"cutoff must be positive, got {limits.min():g}")
         near = np.flatnonzero(self._lower_bounds() < limits)
-        distance, segments, found = [], [], []
+        distance, segments, result = [], [], []
         for index in near.tolist():
             value = self._measure(index, limits[index])
             if value >= limits[index]:
                 continue
             segments.append(self._segment.copy())
             distance.append(value)
-            found.append(index)
+            result.append(index)
         order = np.argsort(distance, kind="stable")
-        chosen = np.array(found, dtype=int)[order]
+        chosen = np.array(result, dtype=int)[order]
         return np.array(distance)[order], np.array(segments).reshape(-1, 2, 3)[order], self.pairs[chosen]
 
     def clearance(self, q: ArrayLike) -> float:

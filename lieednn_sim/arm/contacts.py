@@ -102,18 +102,18 @@ def moved_by(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
 
 def fixed_body(model: mujoco.MjModel, name: str) -> int:
     """The id of a body that no joint moves and that carries no joint; `InputError` lists the names of such bodies."""
-    found = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
+    result = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
     jointed = model.body_weldid != 0
     # Children come after their parents.
     for body in range(model.nbody - 1, 0, -1):
         jointed[model.body_parentid[body]] |= jointed[body]
-    if found <= 0 or jointed[found]:
+    if result <= 0 or jointed[result]:
         fixed = sorted(filter(None, (model.body(k).name for k in np.flatnonzero(~jointed) if k)))
         raise InputError(
             f"no obstacle {quoted(name)} can move; bodies that neither move nor carry an arm are: "
             f"{', '.join(fixed) or 'none'}"
         )
-    return found
+    return result
 
 
 def move_bodies(model: mujoco.MjModel, places: Mapping[str, ArrayLike]) -> None:

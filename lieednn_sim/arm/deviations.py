@@ -130,5 +130,5 @@ def spread_of_nearest(problem: NearestPose, links: NDArray[np.int_], deviations:
     rho = np.zeros(len(offset))
     for _ in range(8):
         rho = np.minimum(1.02 * gain(rho) * goal, 1e3)
-    found = gain(rho)
-    return np.where(found * goal <= rho, found * moved, np.inf)
+    result = gain(rho)
+    return np.where(result * goal <= rho, result * moved, np.inf)

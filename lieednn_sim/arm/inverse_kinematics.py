@@ -82,14 +82,14 @@ def ik_candidates(
     rest = arm.check_position(start, "start")
     pace = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
     goal = pose if isinstance(pose, TaskSpaceRegion) else _Point(pose.translation, pose.rotation)
-    found: list[Floats] = []
+    result: list[Floats] = []
     for q in _Search(arm, goal, path_constraint, rest).solutions(seed, 32, several=True):
         # Others differ by more than a thousandth of a joint's range.
-        if all(np.abs((q - other) / arm.ranges).max() > 1e-3 for other in found):
-            found.append(q)
-        if len(found) == 4:
+        if all(np.abs((q - other) / arm.ranges).max() > 1e-3 for other in result):
+            result.append(q)
+        if len(result) == 4:
             break
-    return sorted(found, key=lambda q: float(np.abs((q - rest) / pace).max()))
+    return sorted(result, key=lambda q: float(np.abs((q - rest) / pace).max()))
 
 
 class _Point:

@@ -244,13 +244,13 @@ class NearestPose:
 
         T is infinite if a ball joint or a coupled hinge is among them. Stages coupled with ratios r count (sum r)^2.
         """
-        found = np.zeros((len(self._joints), 2, self._size))
-        for rates, joint in zip(found, self._joints, strict=True):
+        result = np.zeros((len(self._joints), 2, self._size))
+        for rates, joint in zip(result, self._joints, strict=True):
             for factor in joint.factors:
                 rates[int(factor.kind == "slide"), factor.indices] += abs(factor.ratio)
-        turning, sliding = np.square(found).sum(axis=-1).max(axis=0)
+        turning, sliding = np.square(result).sum(axis=-1).max(axis=0)
         plain = all(factor.kind != "ball" for joint in self._joints for factor in joint.factors)
-        return float(turning) if plain and np.isin(found[:, 0], (0.0, 1.0)).all() else np.inf, float(sliding)
+        return float(turning) if plain and np.isin(result[:, 0], (0.0, 1.0)).all() else np.inf, float(sliding)
 
     def firmness(self, q: Floats, rotation: Floats, translation: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """How firmly poses ``(B, m, 3, 3)`` and ``(B, m, 3)`` hold the coordinates at q ``(B, c)``.

@@ -98,8 +98,8 @@ def describe(obstacles: mujoco.MjSpec) -> tuple[str, str]:
     """A summary of a file's obstacles, and their fingerprint."""
     model = compile_spec(obstacles)
     kinds = {int(kind): kind.name.removeprefix("mjGEOM_").lower() for kind in mujoco.mjtGeom.__members__.values()}
-    found = [kinds[int(kind)] for kind in model.geom_type[colliding_geoms(model)]]
-    counts = [f"{found.count(kind)} {kind}" for kind in dict.fromkeys(found)]
+    results = [kinds[int(kind)] for kind in model.geom_type[colliding_geoms(model)]]
+    counts = [f"{results.count(kind)} {kind}" for kind in dict.fromkeys(results)]
     goals = len(_goals(model))
     where = f"targets in {goals} goal{'s' if goals > 1 else ''}" if goals else "targets anywhere"
     return f"{', '.join(counts)}; {where}", model_fingerprint(model)

@@ -73,8 +73,8 @@ def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
 def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
     """Follow the sites base_frame, link1_frame, link2_frame, ...; `InputError` when they do not form a chain."""
     sites = [_site(model, arm, "base_frame")]
-    while (found := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"link{len(sites)}_frame")) >= 0:
-        sites.append(found)
+    while (result := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"link{len(sites)}_frame")) >= 0:
+        sites.append(result)
     if len(sites) == 1:
         raise InputError(f"arm {arm!r} has no sites link1_frame, link2_frame, ... at its link frames")
     groups = []
@@ -249,10 +249,10 @@ def _joints_between(model: mujoco.MjModel, ancestor: int, body: int, arm: str, l
 
 
 def _site(model: mujoco.MjModel, arm: str, site: str) -> int:
-    found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
-    if found < 0:
+    result = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
+    if result < 0:
         raise InputError(f"arm {arm!r} has no site {site!r}")
-    return found
+    return result
 
 
 def _site_pose(data: mujoco.MjData, site: int) -> RigidTransform:

@@ -142,8 +142,8 @@ class _Nearest:
     def spread(self, deviations: Deviations) -> Floats:
         """See `spread_of_nearest`."""
         each = zip(self._links, self._coordinates, strict=True)
-        found = [spread_of_nearest(self._problem, links, deviations, deviations.q[:, mine]) for links, mine in each]
-        return np.stack(found, axis=-1)
+        results = [spread_of_nearest(self._problem, links, deviations, deviations.q[:, mine]) for links, mine in each]
+        return np.stack(results, axis=-1)
 
     def __call__(self, poses: MovingPoses, near: Floats | None) -> tuple[Floats, Floats | None]:
         rotation, translation = poses.rotation[..., self._links, :, :], poses.translation[..., self._links, :]

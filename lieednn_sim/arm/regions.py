@@ -211,8 +211,8 @@ class TaskSpaceRegion:
         (cp, cy), (sp, sy) = np.cos(np.moveaxis(given[..., 4:], -1, 0)), np.sin(np.moveaxis(given[..., 4:], -1, 0))
         # At 90 degrees the other angles are not determined.
         cp = np.where(cp < 0.0, np.minimum(cp, -1e-3), np.maximum(cp, 1e-3))
-        one = np.ones_like(cp)
-        rates = [cy / cp, sy / cp, none, -sy, cy, none, sp * cy / cp, sp * sy / cp, one]
+        full = np.ones_like(cp)
+        rates = [cy / cp, sy / cp, none, -sy, cy, none, sp * cy / cp, sp * sy / cp, full]
         slopes[..., 3:, :3] = np.stack(rates, axis=-1).reshape(*x.shape, 3, 3) @ to_frame
         inside = (self._beyond(given) == 0.0) & (self.lower < self.upper)
         return np.where(inside[..., None], 0.0, slopes)
@@ -242,8 +242,8 @@ class TaskSpaceRegion:
 
     def _pose(self, displacement: Floats) -> RigidTransform:
         moved = transforms(_matrix(displacement[..., 3:]), displacement[..., :3]).as_matrix()
-        made = self.pose.as_matrix() @ moved @ self.offset.as_matrix()
-        return transforms(made[..., :3, :3], made[..., :3, 3])
+        result = self.pose.as_matrix() @ moved @ self.offset.as_matrix()
+        return transforms(result[..., :3, :3], result[..., :3, 3])
 
 
 def _matrix(angles: Floats) -> Floats:

@@ -157,7 +157,7 @@ def shelf(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.r
 
 def poles(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:
     """Vertical poles in a sector of a ring, with gaps that the arm fits through."""
-    s, wanted, trials = room.scale, 7, 60
+    s, most, trials = room.scale, 7, 60
     radius = s * rng.uniform(0.02, 0.04, trials)
     distance = room.reach * np.sqrt(rng.uniform(0.4**2, 0.95**2, trials))
     angle = rng.uniform(-1.5, 1.5, trials)
@@ -167,7 +167,7 @@ def poles(_: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.r
     chosen: list[int] = []
     for index in map(int, np.flatnonzero(away)):
         gaps = [np.linalg.norm(spots[index] - spots[other]) for other in chosen]
-        if min(gaps, default=np.inf) > 0.42 * s and len(chosen) < wanted:
+        if min(gaps, default=np.inf) > 0.42 * s and len(chosen) < most:
             chosen.append(index)
     if not chosen:
         raise InputError(f"no place for poles around arm {room.arm.name!r} at home; use another scene or seed")

@@ -78,7 +78,7 @@ def straighten(
     q = np.where(free[:, None], guess, exact)
     for _ in range(30):
         values, jacobian = evaluate(q[free])
-        square = scipy.sparse.block_diag([scipy.sparse.coo_array(one.T @ one) for one in jacobian], format="csc")
+        square = scipy.sparse.block_diag([scipy.sparse.coo_array(block.T @ block) for block in jacobian], format="csc")
         slope = np.einsum("kri,kr->ki", jacobian, values - goal[free]) + pulls @ (bends @ q)
         step = scipy.sparse.linalg.spsolve(square + bending, slope.ravel()).reshape(slope.shape)
         q[free] -= step

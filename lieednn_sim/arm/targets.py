@@ -102,7 +102,7 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
             return q
         near.update(contacts)
         tight += not contacts
-    shown = ", ".join(f"{one!r} and {other!r} in {count}" for (one, other), count in near.most_common(3))
+    shown = ", ".join(f"{first!r} and {second!r} in {count}" for (first, second), count in near.most_common(3))
     raise NoSolutionError(
         f"no target free of contact was found for arm {arm.name!r}; of {_ATTEMPTS} random configurations, "
         f"contacts: {shown or 'none'}; without contact, but something nearer than {1e3 * TARGET_CLEARANCE:g} mm, in "

@@ -46,7 +46,7 @@ def demo(
         page: make motion.html, a page that plays the motion in 3D.
         video: make video.mp4.
     """
-    begun = time.perf_counter()
+    start = time.perf_counter()
     # Check options before any work.
     arm = planning.load()
     simulating.all_disturbances(arm)
@@ -68,7 +68,7 @@ def demo(
                 _render(run, run.video, look)
             except RenderingUnavailableError as error:
                 console.print(f"no video: {error}")
-    console.print(f"done in {time.perf_counter() - begun:.1f} s")
+    console.print(f"done in {time.perf_counter() - start:.1f} s")
 
 
 def plan(*, planning: Planning, output: Directory = "results/run") -> None:

@@ -55,8 +55,8 @@ def print_stability(network: ComponentwiseNetwork, xi: ArrayLike) -> None:
 
 def one_norm(network: ComponentwiseNetwork, xi: ArrayLike) -> str:
     """The 1-norm of the weights, and its least value for any network with the equilibrium ``xi``."""
-    found, least = np.linalg.norm(network.weight, 1), network.smallest_one_norm(xi)
-    return f"{found:.2f} (no network with this equilibrium below {least:.2f})"
+    result, least = np.linalg.norm(network.weight, 1), network.smallest_one_norm(xi)
+    return f"{result:.2f} (no network with this equilibrium below {least:.2f})"
 
 
 def wrote(*paths: object) -> None:

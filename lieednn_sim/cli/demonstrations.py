@@ -140,7 +140,7 @@ def _learn_poses(files: Sequence[str], reading: Reading, fitting: Fitting, run: 
         with io.atomic_paths(outputs) as (network, report, paths, field):
             shaped.network.save(network)
             goal = demonstrations.goal
-            found = {
+            results = {
                 "files": files,
                 "unit": reading.unit,
                 "quaternion": reading.quaternion,
@@ -161,7 +161,7 @@ def _learn_poses(files: Sequence[str], reading: Reading, fitting: Fitting, run: 
                 "tau": shaped.tau.tolist(),
                 "models": [asdict(row) for row in rows],
             }
-            io.save_json(report, found)
+            io.save_json(report, results)
             drawn = {shaped.name: shaped} if demonstrations.goals_kept else models
             plot_paths(drawn, demonstrations, paths)
             plot_field(shaped, demonstrations, field, fitting.seed)
@@ -192,7 +192,7 @@ def _learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run
         about = {"planner": "learn", "reason": "demonstrated", "options": asked}
         task = chosen.task(arm, shown.mean[0], shown.mean[-1], duration, fitting.seed, **about)
         written = run.save_network(task, learned.network, motion)
-        found = {
+        result = {
             **asked,
             **_learned(learned),
             "arm": arm.name,
@@ -208,10 +208,10 @@ def _learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run
             **asdict(study),
         }
         reproduced = learned.run(shown.mean[0]).q
-        fan = [motion_to(learned, shown, one[-1]).run(one[0]).q for one in shown.q] if learned.response else []
+        fan = [motion_to(learned, shown, item[-1]).run(item[0]).q for item in shown.q] if learned.response else []
         results = [run.report, run.plot("demonstrations"), run.plot("starts")]
         with io.atomic_paths(results) as (report, demonstrations_plot, starts_plot):
-            io.save_json(report, found)
+            io.save_json(report, result)
             plot_joint_paths(shown, reproduced, demonstrations_plot, fan=fan)
             plot_joint_paths(shown, reproduced, starts_plot, paths)
     print_import_report(arm)

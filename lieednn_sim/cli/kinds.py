@@ -79,10 +79,10 @@ def number_or_word(text: str) -> float | str:
 
 def size(text: str) -> tuple[int, int]:
     """Width and height in pixels."""
-    found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
-    if found is None:
+    match = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
+    if match is None:
         raise ArgumentTypeError(f"must look like 1280x720, got {text!r}")
-    return int(found[1]), int(found[2])
+    return int(match[1]), int(match[2])
 
 
 def force(text: str) -> Force:

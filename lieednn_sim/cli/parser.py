@@ -23,9 +23,9 @@ _PROGRAM = "lieednn-sim"
 
 def definition(module: str, command: str) -> Definition:
     """The function of a command in a module of `lieednn_sim.cli`."""
-    found = find(f"lieednn_sim.cli.{module}", command)
-    assert found is not None
-    return found
+    result = find(f"lieednn_sim.cli.{module}", command)
+    assert result is not None
+    return result
 
 
 def overview(description: str, commands: Mapping[str, Mapping[str, str]]) -> str:
@@ -84,8 +84,8 @@ def _settings(taken: Iterable[Parameter], within: str = "") -> Iterator[str]:
 
 def near(word: str, known: Iterable[str]) -> str:
     """A question that names the known word which is nearest to another one, if any is."""
-    found = difflib.get_close_matches(word, list(known), 1)
-    return f", did you mean {found[0]}?" if found else ""
+    close_matches = difflib.get_close_matches(word, list(known), 1)
+    return f", did you mean {close_matches[0]}?" if close_matches else ""
 
 
 def make_parser(source: Definition) -> argparse.ArgumentParser:
@@ -120,8 +120,8 @@ def _add_option(group: Any, taken: Parameter) -> None:
     how: dict[str, Any] = {"dest": taken.option, "metavar": kind.metavar, "type": kind.read}
     if taken.positional:
         name, how["metavar"] = how.pop("dest"), taken.option.upper()
-        several, one = ("+", None) if taken.required else ("*", "?")
-        how["nargs"] = several if kind.words else one
+        several, item = ("+", None) if taken.required else ("*", "?")
+        how["nargs"] = several if kind.words else item
     elif taken.kind == "bool":
         name = f"--no-{taken.option}" if taken.default else f"--{taken.option}"
         text = f"do not {text}" if taken.default else text
@@ -149,12 +149,12 @@ def _filled(text: str) -> str:
     """
 
     def listed(reference: re.Match[str]) -> str:
-        found = getattr(registry, reference[1], None)
-        if found is None:
+        result = getattr(registry, reference[1], None)
+        if result is None:
             return reference[0]
-        if found is registry.PLANNERS and reference.end() == len(text):
-            return "".join(f"\n{name}: {entry.help}" for name, entry in found.entries.items())
-        return ", ".join(found.entries)
+        if result is registry.PLANNERS and reference.end() == len(text):
+            return "".join(f"\n{name}: {entry.help}" for name, entry in result.entries.items())
+        return ", ".join(result.entries)
 
     return re.sub(r"\ba name of (?:[a-z]\w*\.)*([A-Z_]+)", listed, text).replace("%", "%%")
 

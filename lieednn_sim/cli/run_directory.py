@@ -112,10 +112,10 @@ class RunDirectory:
         if not io.is_file(self.motion):
             raise FileError(f"no such file: {self.motion}; the arm cannot follow the network of this run, make another")
         motion = Motion.load(self.motion)
-        if (found := task.fingerprint(motion)) != task.motion:
+        if (result := task.fingerprint(motion)) != task.motion:
             raise FileError(
                 f"{self.motion} and {self.task} are of different runs, or one was changed (fingerprint "
-                f"{io.short(found)}, not {io.short(task.motion)}); 'lieednn-sim plan' makes both again"
+                f"{io.short(result)}, not {io.short(task.motion)}); 'lieednn-sim plan' makes both again"
             )
         return motion
 

@@ -89,15 +89,15 @@ def parameters(source: Definition) -> list[Parameter]:
 
     Those that are neither of a kind of `kinds.KINDS`, nor a dataclass, nor ``Annotated``, are left out.
     """
-    found: dict[str, Parameter] = {}
+    result: dict[str, Parameter] = {}
     for base in source.node.bases if isinstance(source.node, ast.ClassDef) else ():
         if isinstance(base, ast.Name) and (parent := find(source.module, base.id)) is not None:
-            found |= {each.name: each for each in parameters(parent)}
-    texts = {name: each.help for name, each in found.items()} | _texts(source.docstring)
+            result |= {each.name: each for each in parameters(parent)}
+    texts = {name: each.help for name, each in result.items()} | _texts(source.docstring)
     for entry in _entries(source.node):
         if (own := _parameter(source.module, entry, texts)) is not None:
-            found[own.name] = own
-    return list(found.values())
+            result[own.name] = own
+    return list(result.values())
 
 
 class _Entry(NamedTuple):

@@ -227,10 +227,10 @@ class ArmTask(ABC):
         """
         q = self.arm.space.from_qpos(qpos)
         qd = self.arm.space.from_qvel(q, qvel)
-        wanted, goals, *more = target
+        desired, goals, *more = target
         twist, distance, angle = pose_error_twists(frames, goals)
-        approach, pose_error = self.commands.towards(command, wanted), twist.reshape(*q.shape[:-1], -1)
-        row = self.observations.rows(q, qd, command, wanted - q, approach, pose_error, *more)
+        approach, pose_error = self.commands.towards(command, desired), twist.reshape(*q.shape[:-1], -1)
+        row = self.observations.rows(q, qd, command, desired - q, approach, pose_error, *more)
         return State(steps, command, row, *self.judge(distance, angle, qd), distance, angle)
 
     @property

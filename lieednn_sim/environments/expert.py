@@ -105,9 +105,9 @@ class Expert:
             return make_policy(self._kind, arm, target, rate=rate, start=task.command, seed=self._seed)
         if isinstance(task, Track):
             return _TargetFollower(arm, rate)
-        made = planned(arm, target, planner=self._planner, seed=self._seed)
-        self.certificate = made.certificate
-        return MotionTracker(arm, made.spline, rate)
+        result = planned(arm, target, planner=self._planner, seed=self._seed)
+        self.certificate = result.certificate
+        return MotionTracker(arm, result.spline, rate)
 
 
 class _TargetFollower(Policy):

@@ -78,6 +78,6 @@ def pose_error_twists(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Fl
     return twist, np.maximum.reduce(distance, axis=-1), np.maximum.reduce(angle, axis=-1)
 
 
-def _cross(one: Floats, other: Floats) -> Floats:
-    products = one.take(_LEFT, axis=-1) * other.take(_RIGHT, axis=-1)
+def _cross(first: Floats, second: Floats) -> Floats:
+    products = first.take(_LEFT, axis=-1) * second.take(_RIGHT, axis=-1)
     return np.asarray(products[..., :3] - products[..., 3:])

@@ -201,6 +201,6 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         qpos, qvel = np.split(self._states[which, 1 : 1 + self._model.nq + self._model.nv], [self._model.nq], axis=1)
         rows = (self._targets[i].after(k) for i, k in zip(which.tolist(), steps.tolist(), strict=True))
         target = [np.array(values) for values in zip(*rows, strict=True)]
-        found = self.task.look(steps, command, qpos, qvel, self._site_frames.at(qpos), *target)
-        for known, values in zip(self._seen, found, strict=True):
+        result = self.task.look(steps, command, qpos, qvel, self._site_frames.at(qpos), *target)
+        for known, values in zip(self._seen, result, strict=True):
             known[which] = values

@@ -39,14 +39,14 @@ def error_causes(rollout: Rollout, translation: float, rotation: float) -> tuple
     angle = np.asarray(alone.rotation.magnitude()).max(axis=1)
     matters = np.maximum(distance / translation, angle / rotation)
     ranked = np.argsort(-matters, kind="stable")[: max(1, int((matters > 1.0).sum()))]
-    found, helpful = _reasons(rollout, error)
+    result, helpful = _reasons(rollout, error)
     lines = [
         f"joint {arm.joint_names[j]!r} ends {_amount(arm, j, error[j])} off, which alone moves a link by "
         f"{1e3 * distance[j]:.3g} mm and {np.rad2deg(angle[j]):.3g} degrees: "
-        + ("; ".join(found[j]) or "neither friction, a load nor a force limit of the model explains it")
+        + ("; ".join(result[j]) or "neither friction, a load nor a force limit of the model explains it")
         for j in map(int, ranked)
     ]
-    help_with = dict.fromkeys(one for j in ranked for one in helpful[j])
+    help_with = dict.fromkeys(item for j in ranked for item in helpful[j])
     return (*lines, f"what helps: {', or '.join(help_with)}") if help_with else tuple(lines)
 
 

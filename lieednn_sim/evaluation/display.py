@@ -9,10 +9,10 @@ from rich.table import Table
 
 def table(title: str, *columns: str) -> Table:
     """An empty table; the first column is for names, the others for numbers."""
-    made = Table(title=title, title_justify="left", caption_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    result = Table(title=title, title_justify="left", caption_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for index, column in enumerate(columns):
-        made.add_column(column, justify="left" if index == 0 else "right", no_wrap=index == 0)
-    return made
+        result.add_column(column, justify="left" if index == 0 else "right", no_wrap=index == 0)
+    return result
 
 
 def rounded(value: float, least: float = 1e-4) -> str:

@@ -147,16 +147,16 @@ class Evaluation:
 
     def __post_init__(self) -> None:
         times = [frame.settling_s for frame in self.frames if frame.settling_s is not None]
-        found = {
+        results = {
             "settling_s": max(times) if len(times) == len(self.frames) else None,
             "velocity_fraction": max(joint.peak_velocity / joint.velocity_limit for joint in self.joints),
             "force_fraction": max(joint.peak_force / joint.force_limit for joint in self.joints),
         }
         for unit in ("mm", "deg"):
-            found[f"final_effector_{unit}"] = getattr(self.end_effector, f"final_{unit}")
+            results[f"final_effector_{unit}"] = getattr(self.end_effector, f"final_{unit}")
             for name, of_frame in (("final_worst", "final"), ("tracking_rms",) * 2, ("tracking_max",) * 2):
-                found[f"{name}_{unit}"] = max(getattr(frame, f"{of_frame}_{unit}") for frame in self.frames)
-        set_fields(self, **found)
+                results[f"{name}_{unit}"] = max(getattr(frame, f"{of_frame}_{unit}") for frame in self.frames)
+        set_fields(self, **results)
 
     def __repr__(self) -> str:
         return (

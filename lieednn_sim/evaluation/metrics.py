@@ -123,9 +123,9 @@ class FollowingErrors:
 def evaluate_following(following: Following) -> FollowingErrors:
     """Compute how far the arm lagged behind a moving target; raises `InputError` for anything but a `Following`."""
     rollout = following.rollout
-    t, wanted = rollout.t, rollout.arm.link_poses(following.target)
-    distance, angle = pose_errors(rollout.link_poses(), wanted)
-    tip = np.asarray(wanted.translation)[:, -1]
+    t, target = rollout.t, rollout.arm.link_poses(following.target)
+    distance, angle = pose_errors(rollout.link_poses(), target)
+    tip = np.asarray(target.translation)[:, -1]
     velocity, behind = np.diff(tip, axis=0) / np.diff(t)[:, None], (tip - rollout.link_position[:, -1])[1:]
     starts = np.searchsorted(t, np.asarray(following.jumps) - 0.5 * rollout.timestep)
     # The follower sees a jump in the next control period: it occurred at the fastest step of the previous one.

@@ -44,13 +44,13 @@ class PathErrors:
 def path_errors(reproduced: ArrayLike, shown: ArrayLike, lever: float = LEVER) -> PathErrors:
     """Compare two paths of twists ``(K, 6)`` and ``(L, 6)`` [rad, m]; a radian counts as ``lever`` metres of length."""
     lever = as_positive("lever", lever)
-    one, other = (
-        _spaced(displacement(as_floats(name, path, ("K", 6))), lever)
-        for name, path in (("reproduced", reproduced), ("shown", shown))
+    path, reference = (
+        _spaced(displacement(as_floats(name, twists, ("K", 6))), lever)
+        for name, twists in (("reproduced", reproduced), ("shown", shown))
     )
     scale = np.array([lever] * 3 + [1.0] * 3)
-    matched = warp(one * scale, other * scale)
-    first, second = one[matched.pairs[:, 0]], other[matched.pairs[:, 1]]
+    matched = warp(path * scale, reference * scale)
+    first, second = path[matched.pairs[:, 0]], reference[matched.pairs[:, 1]]
     apart = np.linalg.norm(first[:, 3:] - second[:, 3:], axis=1)
     turned = (Rotation.from_rotvec(first[:, :3]) * Rotation.from_rotvec(second[:, :3]).inv()).magnitude()
     return PathErrors(

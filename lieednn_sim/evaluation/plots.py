@@ -51,16 +51,16 @@ def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...
         FileError: the directory cannot be written.
     """
     folder = io.make_directory(directory)
-    made = [folder / "tracking.png", folder / "joints.png"]
-    plot_tracking(rollout, made[0])
-    plot_joints(rollout, made[1])
+    result = [folder / "tracking.png", folder / "joints.png"]
+    plot_tracking(rollout, result[0])
+    plot_joints(rollout, result[1])
     if rollout.motion is not None:
-        made.append(folder / "network.png")
-        plot_network(rollout, made[-1])
+        result.append(folder / "network.png")
+        plot_network(rollout, result[-1])
     if rollout.channels:
-        made.append(folder / "channels.png")
-        plot_channels(rollout, made[-1])
-    return tuple(made)
+        result.append(folder / "channels.png")
+        plot_channels(rollout, result[-1])
+    return tuple(result)
 
 
 def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:

@@ -63,17 +63,17 @@ def export(
     chosen = FORMATS.find(format)
     FORMATS.require(format)
     kinds: Any
-    kinds, wanted, alone = Rollout, "a rollout", "motion"
+    kinds, expected, alone = Rollout, "a rollout", "motion"
     if chosen.of_comparison:
-        kinds, wanted, alone = (str, os.PathLike), "the directory of a comparison", "comparison"
+        kinds, expected, alone = (str, os.PathLike), "the directory of a comparison", "comparison"
         if rate is not None:
             raise InputError(f"the format {format} has no rate")
     sources = source if isinstance(source, Mapping) else {alone: source}
     if not sources:
         raise InputError("there is nothing to export")
-    for name, one in sources.items():
-        if not isinstance(one, kinds):
-            raise InputError(f"the format {format} is made from {wanted}, got {quoted(one)}")
+    for name, item in sources.items():
+        if not isinstance(item, kinds):
+            raise InputError(f"the format {format} is made from {expected}, got {quoted(item)}")
         if not isinstance(name, str) or name in ("", ".", "..") or as_path("the name of an export", name).name != name:
             raise InputError(f"the name of an export must be that of a file, without folders, got {quoted(name)}")
     more = {} if chosen.of_comparison else {"rate": rate}
@@ -99,11 +99,11 @@ def exporting(directory: str | os.PathLike[str]) -> Iterator[tuple[Path, list[Pa
     with io.output_folder(directory, "export") as target, tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         yield folder, written
-        made = sorted(path for path in folder.rglob("*") if path.is_file())
-        paths = [target / path.relative_to(folder) for path in made]
+        result = sorted(path for path in folder.rglob("*") if path.is_file())
+        paths = [target / path.relative_to(folder) for path in result]
         for parent in sorted({path.parent for path in paths}):
             io.make_directory(parent)
         with io.atomic_paths(paths) as temporaries:
-            for path, temporary in zip(made, temporaries, strict=True):
+            for path, temporary in zip(result, temporaries, strict=True):
                 shutil.copyfile(path, temporary)
         written += paths

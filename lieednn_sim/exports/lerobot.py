@@ -124,11 +124,11 @@ def write_dataset(
 
 def _with_indices(frames: Mapping[str, NDArray[Any]], number: int, begin: int, fps: float) -> dict[str, NDArray[Any]]:
     """The features of an episode in the types of the format, with its indices and times."""
-    made = {name: values if values.dtype == bool else values.astype(np.float32) for name, values in frames.items()}
+    result = {name: values if values.dtype == bool else values.astype(np.float32) for name, values in frames.items()}
     # One component alone is a number, not a list.
-    made = {name: values[:, 0] if values.shape[1:] == (1,) else values for name, values in made.items()}
-    index = np.arange(len(next(iter(made.values()))))
-    return made | {
+    result = {name: values[:, 0] if values.shape[1:] == (1,) else values for name, values in result.items()}
+    index = np.arange(len(next(iter(result.values()))))
+    return result | {
         **{"timestamp": (index / fps).astype(np.float32), "frame_index": index},
         **{"episode_index": np.full_like(index, number), "index": begin + index, "task_index": np.zeros_like(index)},
     }
@@ -145,9 +145,9 @@ def _table(frames: Mapping[str, NDArray[Any]]) -> Any:
 def _statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
     """Statistics over the frames, one number for each component."""
     columns = values.reshape(len(values), -1).astype(float)
-    found = {"min": columns.min(0), "max": columns.max(0), "mean": columns.mean(0), "std": columns.std(0)}
-    found |= {f"q{q:02d}": np.percentile(columns, q, axis=0) for q in _QUANTILES}
-    return {**{name: numbers.tolist() for name, numbers in found.items()}, "count": [len(values)]}
+    results = {"min": columns.min(0), "max": columns.max(0), "mean": columns.mean(0), "std": columns.std(0)}
+    results |= {f"q{q:02d}": np.percentile(columns, q, axis=0) for q in _QUANTILES}
+    return {**{name: numbers.tolist() for name, numbers in results.items()}, "count": [len(values)]}
 
 
 def _write_task(path: Path, task: str) -> None:

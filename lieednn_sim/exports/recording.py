@@ -67,22 +67,22 @@ def record(
         NoSolutionError: too few episodes succeed.
         LieEDNNError: pyarrow is not installed.
     """
-    wanted, first = as_count("episodes", episodes, most=_MOST), as_seed("seed", seed)
+    count, first = as_count("episodes", episodes, most=_MOST), as_seed("seed", seed)
     FORMATS.require("lerobot")
     dataset = importlib.import_module("lieednn_sim.exports.lerobot")
     task = make_task("reach", arm, scene=scene, scene_seed=scene_seed)
     expert = Expert(task, planner=planner)
-    made: list[Episode] = []
+    result: list[Episode] = []
     with exporting(directory) as (folder, written):
-        for attempt in range(_ATTEMPTS * wanted):
+        for attempt in range(_ATTEMPTS * count):
             if (episode := _episode(task, expert, first + attempt)) is not None:
-                made.append(episode)
+                result.append(episode)
                 if progress is not None:
-                    progress(len(made), wanted)
-                if len(made) == wanted:
+                    progress(len(result), count)
+                if len(result) == count:
                     break
         else:
-            raise NoSolutionError(f"only {len(made)} of {_ATTEMPTS * wanted} episodes succeeded, {wanted} are wanted")
+            raise NoSolutionError(f"only {len(result)} of {_ATTEMPTS * count} episodes succeeded, {count} are wanted")
         joints = task.arm.joint_names
         names = {
             "observation.state": dataset.state_names(joints, "position", "velocity", "command"),
@@ -93,7 +93,7 @@ def record(
             "action": list(joints),
         }
         about = {"fps": 1.0 / task.control_timestep, "robot": task.arm.name}
-        dataset.write_dataset(folder, made, names, task="Come to rest at the target.", **about)
+        dataset.write_dataset(folder, result, names, task="Come to rest at the target.", **about)
     return written
 
 

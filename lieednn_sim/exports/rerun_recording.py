@@ -76,12 +76,12 @@ def _write(stream: rr.RecordingStream, rollout: Rollout, rows: slice) -> None:
 
 def _poses(model: mujoco.MjModel, qpos: Floats) -> tuple[Floats, Floats]:
     """Positions ``(K, B, 3)`` and quaternions (x, y, z, w) ``(K, B, 4)`` of all bodies."""
-    data, found = mujoco.MjData(model), []
+    data, result = mujoco.MjData(model), []
     for row in qpos:
         data.qpos[:] = row
         mujoco.mj_kinematics(model, data)
-        found.append((data.xpos.copy(), data.xquat[:, [1, 2, 3, 0]]))
-    positions, quaternions = zip(*found, strict=True)
+        result.append((data.xpos.copy(), data.xquat[:, [1, 2, 3, 0]]))
+    positions, quaternions = zip(*result, strict=True)
     return np.array(positions), np.array(quaternions)
 
 
@@ -96,23 +96,23 @@ def _log_geoms(stream: rr.RecordingStream, path: list[object], model: mujoco.MjM
         size, centre, quaternion = (values[alike] for values in (model.geom_size, model.geom_pos, model.geom_quat))
         turn = Rotation.from_quat(quaternion, scalar_first=True)
         look = {"quaternions": turn.as_quat(), "colors": colours[alike], "fill_mode": rr.components.FillMode.Solid}
-        made: Any = None
+        result: Any = None
         if kind == mujoco.mjtGeom.mjGEOM_BOX:
-            made = rr.Boxes3D(half_sizes=size, centers=centre, **look)
+            result = rr.Boxes3D(half_sizes=size, centers=centre, **look)
         elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-            made = rr.Cylinders3D(lengths=2.0 * size[:, 1], radii=size[:, 0], centers=centre, **look)
+            result = rr.Cylinders3D(lengths=2.0 * size[:, 1], radii=size[:, 0], centers=centre, **look)
         elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
             # A capsule of Rerun begins at its origin.
             lower = centre - turn.apply(np.array([0.0, 0.0, 1.0])) * size[:, 1:2]
-            made = rr.Capsules3D(lengths=2.0 * size[:, 1], radii=size[:, 0], translations=lower, **look)
+            result = rr.Capsules3D(lengths=2.0 * size[:, 1], radii=size[:, 0], translations=lower, **look)
         elif kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
             round_ = kind == mujoco.mjtGeom.mjGEOM_SPHERE
-            made = rr.Ellipsoids3D(half_sizes=size[:, [0, 0, 0]] if round_ else size, centers=centre, **look)
+            result = rr.Ellipsoids3D(half_sizes=size[:, [0, 0, 0]] if round_ else size, centers=centre, **look)
         elif kind == mujoco.mjtGeom.mjGEOM_MESH:
             for geom in alike:
                 stream.log([*path, f"mesh {geom}"], _mesh(model, geom, colours[geom]), static=True)
-        if made is not None:
-            stream.log([*path, kind.name.removeprefix("mjGEOM_").lower()], made, static=True)
+        if result is not None:
+            stream.log([*path, kind.name.removeprefix("mjGEOM_").lower()], result, static=True)
 
 
 def _mesh(model: mujoco.MjModel, geom: int, colour: Any) -> rr.Mesh3D:

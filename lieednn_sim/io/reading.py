@@ -62,15 +62,15 @@ def opened(path: str | os.PathLike[str], largest: int = LARGEST_FILE) -> Iterato
     """
     with raising_file_error(f"cannot read {path}"):
         try:
-            found = Path(path).stat()
+            result = Path(path).stat()
         except FileNotFoundError:
             raise FileError(f"no such file: {path}") from None
-        if stat.S_ISDIR(found.st_mode):
+        if stat.S_ISDIR(result.st_mode):
             raise FileError(f"{path} is a directory, not a file")
-        if not stat.S_ISREG(found.st_mode):
+        if not stat.S_ISREG(result.st_mode):
             raise FileError(f"{path} is not a regular file")
-        if found.st_size > largest:
-            raise FileError(f"{path} has {found.st_size} bytes; at most {largest} are read")
+        if result.st_size > largest:
+            raise FileError(f"{path} has {result.st_size} bytes; at most {largest} are read")
         with Path(path).open("rb") as stream:
             yield stream
 
@@ -153,10 +153,10 @@ class Archive:
 
     def __init__(self, stream: IO[bytes]) -> None:
         self._archive = zipfile.ZipFile(stream)
-        self._members = {one.filename.removesuffix(".npy"): one for one in self._archive.infolist()}
+        self._members = {item.filename.removesuffix(".npy"): item for item in self._archive.infolist()}
         if len(self._members) > _MOST_ARRAYS:
             raise ValueError(f"it holds {len(self._members)} arrays; at most {_MOST_ARRAYS} are read")
-        if (total := sum(one.file_size for one in self._archive.infolist())) > LARGEST_ARRAYS:
+        if (total := sum(item.file_size for item in self._archive.infolist())) > LARGEST_ARRAYS:
             raise ValueError(f"it unpacks to {total} bytes; at most {LARGEST_ARRAYS} are read")
 
     @property
@@ -224,9 +224,9 @@ def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, ND
 
 
 def _check_meta(meta: Any, source: Path, kinds: tuple[str, ...]) -> None:
-    found = meta.get("kind") if isinstance(meta, dict) else None
-    if found not in kinds:
-        raise FileError(f"{source} holds {found!r}, expected {kinds[0]!r}")
+    result = meta.get("kind") if isinstance(meta, dict) else None
+    if result not in kinds:
+        raise FileError(f"{source} holds {result!r}, expected {kinds[0]!r}")
     if meta.get("format") != FORMAT:
         raise FileError(
             f"{source} was written by another version of this package (format {meta.get('format')!r}, not {FORMAT}); "

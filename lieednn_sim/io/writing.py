@@ -126,9 +126,9 @@ def _claim(folder: Path, holds: str, *, remove_unfinished: bool) -> bool:
     unfinished = [path for path in there if path.name.startswith(".") and _UNFINISHED in path.name]
     mark = folder / MARK
     if mark in there:
-        found = load_json(mark, "mark of a folder of results").get("holds")
-        if found != holds:
-            raise FileError(f"{folder} is for another purpose ({found}, not {holds}); choose another directory")
+        result = load_json(mark, "mark of a folder of results").get("holds")
+        if result != holds:
+            raise FileError(f"{folder} is for another purpose ({result}, not {holds}); choose another directory")
     elif others := sorted(path.name for path in there if path not in unfinished):
         more = "" if len(others) == 1 else f" and {len(others) - 1} more"
         raise FileError(

@@ -130,8 +130,8 @@ class EquilibriumSolver:
 
     def first(self, weight: Floats) -> FlatEquilibrium:
         """The equilibrium found from zero by more Newton steps, or by running the network where these fail."""
-        found = self.newton(weight, np.zeros(len(weight)), steps=_PATIENT_STEPS)
-        return found if found.success else self.flow(weight, np.zeros(len(weight)))
+        result = self.newton(weight, np.zeros(len(weight)), steps=_PATIENT_STEPS)
+        return result if result.success else self.flow(weight, np.zeros(len(weight)))
 
     def settled(self, weight: Floats, x: Floats, *, tolerance: float = _TOLERANCE) -> FlatEquilibrium:
         """The equilibrium to which the network itself runs from ``x``: slow, for where Newton steps fail.

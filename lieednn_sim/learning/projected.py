@@ -85,10 +85,10 @@ class ProjectedTraining(Training[TrainingOptions]):
             return self.solver.flow(weight, x)
         delta = x - self.goal
         tolerance = max(_RELATIVE_TOLERANCE * math.sqrt(delta.dot(delta)), _LEAST_TOLERANCE)
-        found = self.solver.newton(weight, x, nearby, tolerance=tolerance)
-        if found.success or self.options.step_control == "tracked":
+        result = self.solver.newton(weight, x, nearby, tolerance=tolerance)
+        if result.success or self.options.step_control == "tracked":
             # A tracked trial is repeated with a smaller step instead, which costs less and keeps the equilibrium.
-            return found
+            return result
         return self.solver.settled(weight, x, tolerance=tolerance)
 
     def _step(self, now: Iterate) -> tuple[Iterate, bool]:

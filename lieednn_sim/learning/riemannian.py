@@ -150,5 +150,5 @@ class RiemannianTraining(Training[RiemannianOptions]):
 
     def _certificate(self, now: Iterate) -> Certificate:
         """The better one of the learned certificate and the best that can be found."""
-        found = find_certificate(rotational_weight(now.point), gamma=self.problem.gamma, mu=self.problem.mu)
-        return min(self._learned_certificate(now), found, key=lambda proof: proof.lambda_max + proof.rounding)
+        certificate = find_certificate(rotational_weight(now.point), gamma=self.problem.gamma, mu=self.problem.mu)
+        return min(self._learned_certificate(now), certificate, key=lambda proof: proof.lambda_max + proof.rounding)

@@ -52,15 +52,15 @@ def sensitivity(network: LieEDNN, target: ArrayLike, *, loss: str = "squared") -
     """
     goal = as_floats("target", target, (network.n_visible, 6))
     as_choice("loss", loss, LOSSES)
-    found = network.equilibrium()
-    if not found.success:
-        raise InputError(f"the gradient needs an equilibrium: {found.message}")
+    result = network.equilibrium()
+    if not result.success:
+        raise InputError(f"the gradient needs an equilibrium: {result.message}")
     # The Jacobian of the vector field is -gamma S.
-    matrix = -network.jacobian(found.xi) / network.gamma
-    output = network.phi(found.xi).ravel()
+    matrix = -network.jacobian(result.xi) / network.gamma
+    output = network.phi(result.xi).ravel()
     # Hidden neurons do not count.
-    delta = np.zeros_like(found.xi)
-    delta[: network.n_visible] = network.visible(found.xi) - goal
+    delta = np.zeros_like(result.xi)
+    delta[: network.n_visible] = network.visible(result.xi) - goal
     delta = delta.ravel()
     error = float(np.linalg.norm(delta))
     if loss == "norm" and error == 0.0:
@@ -75,7 +75,7 @@ def sensitivity(network: LieEDNN, target: ArrayLike, *, loss: str = "squared") -
         weight /= error
     return Sensitivity(
         loss=error if loss == "norm" else 0.5 * error**2,
-        equilibrium=found.xi,
+        equilibrium=result.xi,
         matrix=matrix,
         weight=weight,
         alpha=strength_gradient(weight, adjoint(network.rotation, network.translation)),

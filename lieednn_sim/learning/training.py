@@ -118,14 +118,14 @@ class Training(ABC, Generic[_Options]):
 
     def run(self, first: Floats | None) -> TrainingResult:
         """Train until a start arrives or none is left; ``first`` are weights for the first one, random by default."""
-        begun, options = cpu_time(), self.options
+        started, options = cpu_time(), self.options
         for start in range(options.restarts + 1):
             weight = first if first is not None and start == 0 else self.problem.initial_weight(start)
             last, reason = self._descend(weight, options.end(start, self.epoch))
             if reason is StopReason.CONVERGED or self.epoch >= options.most_epochs:
                 break
         result = self._checked(last, reason, start + 1)
-        return replace(result, cpu_time=cpu_time() - begun)
+        return replace(result, cpu_time=cpu_time() - started)
 
     def _descend(self, weight: Floats, end: int) -> tuple[Iterate, StopReason]:
         """The last iterate of a start, and why it ends there, at the epoch ``end`` at the latest."""

@@ -100,11 +100,11 @@ def continued(twists: Floats) -> Floats:
     beyond = np.concatenate([np.zeros_like(turned[:1]), np.cumsum(turned, axis=0) % 2 == 1])
     if not beyond.any():
         return twists
-    found, given = twists.copy(), twists[beyond]
+    result, given = twists.copy(), twists[beyond]
     other = given[:, :3] * (1.0 - 2.0 * np.pi / np.linalg.norm(given[:, :3], axis=-1, keepdims=True))
     place = left_jacobian_so3(given[:, :3]) @ given[:, 3:, None]
-    found[beyond] = np.concatenate([other, np.linalg.solve(left_jacobian_so3(other), place)[..., 0]], axis=-1)
-    return found
+    result[beyond] = np.concatenate([other, np.linalg.solve(left_jacobian_so3(other), place)[..., 0]], axis=-1)
+    return result
 
 
 def rotations(matrix: Floats) -> Rotation:
@@ -232,13 +232,13 @@ def _coefficients(angle: Floats, *orders: int) -> list[Floats]:
         4: lambda: (0.5 * x**2 + np.cos(x) - 1.0) / x**4,
         5: lambda: (x**3 / 6.0 + np.sin(x) - x) / x**5,
     }
-    found: dict[int, Floats] = {}
+    result: dict[int, Floats] = {}
     for order in sorted(orders, reverse=True):
-        if order + 2 in found:
-            found[order] = 1.0 / factorial(order) - angle**2 * found[order + 2]
+        if order + 2 in result:
+            result[order] = 1.0 / factorial(order) - angle**2 * result[order + 2]
             continue
         series = np.zeros_like(square)
         for k in reversed(range(10)):
             series = series * square + (-1.0) ** k / factorial(2 * k + order)
-        found[order] = np.where(big, closed[order](), series)
-    return [found[order] for order in orders]
+        result[order] = np.where(big, closed[order](), series)
+    return [result[order] for order in orders]

@@ -111,16 +111,16 @@ class Engine:
         self._go_on_with(stopping)
         return stopping.end
 
-    def put_in(self, made: Made) -> None:
+    def put_in(self, result: Made) -> None:
         """Let another policy take over from the reference of the present one.
 
         Raises:
             InputError: it cannot start there; then the present one goes on.
         """
-        self._go_on_with(made.policy)
-        self._name, self.motion = made.settings.policy, made.motion
-        if made.progress is not None:
-            self.progress = made.progress.towards(self.policy, self.target)
+        self._go_on_with(result.policy)
+        self._name, self.motion = result.settings.policy, result.motion
+        if result.progress is not None:
+            self.progress = result.progress.towards(self.policy, self.target)
 
     def equip(self, plant: ClosedLoop, settings: Settings) -> None:
         """Let another plant and controller take over from the present state of the arm."""
@@ -172,7 +172,7 @@ class Engine:
 
     def _apply_forces(self) -> None:
         data, model = self._loop.simulation.data, self._loop.simulation.model
-        self._pushes = [one for one in self._pushes if one[1] > self._periods]
+        self._pushes = [push for push in self._pushes if push[1] > self._periods]
         acting: list[tuple[Push, Floats | None]] = [(push, None) for push, _ in self._pushes]
         if self.pull is not None:
             acting.append(self.pull)

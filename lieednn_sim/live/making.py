@@ -94,8 +94,8 @@ class Progress:
         return replace(self, xi=inner.xi, time=self.time + inner.pace * inner.speed * inner.period)
 
     def _begun(self, xi: Floats, goal: Floats) -> Progress:
-        begun = np.empty(0) if self.decay is None else self.decay.begin((xi - goal).ravel())
-        return replace(self, xi=xi, goal=goal, begun=begun, time=0.0)
+        start = np.empty(0) if self.decay is None else self.decay.begin((xi - goal).ravel())
+        return replace(self, xi=xi, goal=goal, begun=start, time=0.0)
 
     @property
     def distance(self) -> float:

@@ -91,20 +91,20 @@ class Panel:
         self._server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
     def _menus(self) -> None:
-        gui, wanted = self._server.gui, self._session.wanted
+        gui, settings = self._server.gui, self._session.wanted
         menus = {
-            "policy": gui.add_dropdown("policy", tuple(POLICIES), initial_value=wanted.policy),
+            "policy": gui.add_dropdown("policy", tuple(POLICIES), initial_value=settings.policy),
             "planner": gui.add_dropdown(
                 "planner",
                 tuple(name for name, entry in PLANNERS.items() if not entry.install),
-                initial_value=wanted.planner,
+                initial_value=settings.planner,
                 hint=f"for the policies {' and '.join(PLANNED)}",
             ),
-            "rho": gui.add_slider("rho", 0.05, 1.0, step=0.05, initial_value=wanted.rho, hint="of lieednn-shaped"),
-            "filtered": gui.add_checkbox("safety filter", wanted.filtered),
-            "controller": gui.add_dropdown("controller", tuple(CONTROLLERS), initial_value=wanted.controller),
-            "payload": gui.add_slider("payload kg", 0.0, 5.0, step=0.25, initial_value=wanted.payload),
-            "mass_scale": gui.add_slider("mass scale", 0.5, 2.0, step=0.05, initial_value=wanted.mass_scale),
+            "rho": gui.add_slider("rho", 0.05, 1.0, step=0.05, initial_value=settings.rho, hint="of lieednn-shaped"),
+            "filtered": gui.add_checkbox("safety filter", settings.filtered),
+            "controller": gui.add_dropdown("controller", tuple(CONTROLLERS), initial_value=settings.controller),
+            "payload": gui.add_slider("payload kg", 0.0, 5.0, step=0.25, initial_value=settings.payload),
+            "mass_scale": gui.add_slider("mass scale", 0.5, 2.0, step=0.05, initial_value=settings.mass_scale),
         }
         for name, menu in menus.items():
             menu.on_update(lambda event, name=name: self._session.choose(**{name: event.target.value}))
@@ -142,17 +142,17 @@ class Plots:
         self._tracking = self._plot(gui, "tracking error [mm]", (("error", _ORANGE),))
 
     def _plot(self, gui: Any, title: str, series: tuple[tuple[str, str], ...]) -> Any:
-        made, empty = self._uplot, np.array([0.0, 1.0])
-        lines = [made.Series(label=name, stroke=colour, width=1.6) for name, colour in series]
-        axis = {"stroke": _GREY, "grid": made.Axis_Grid(stroke="#86868633", width=1)}
-        axis["ticks"] = made.Axis_Ticks(show=False)
+        result, empty = self._uplot, np.array([0.0, 1.0])
+        lines = [result.Series(label=name, stroke=colour, width=1.6) for name, colour in series]
+        axis = {"stroke": _GREY, "grid": result.Axis_Grid(stroke="#86868633", width=1)}
+        axis["ticks"] = result.Axis_Ticks(show=False)
         return gui.add_uplot(
             data=(empty, *[np.full(2, np.nan) for _ in series]),
-            series=(made.Series(label="s"), *lines),
+            series=(result.Series(label="s"), *lines),
             title=title,
-            scales={"x": made.Scale(time=False), "y": made.Scale(distr=3, log=10)},
-            axes=(made.Axis(size=34, **axis), made.Axis(size=50, **axis)),
-            legend=made.Legend(show=False),
+            scales={"x": result.Scale(time=False), "y": result.Scale(distr=3, log=10)},
+            axes=(result.Axis(size=34, **axis), result.Axis(size=50, **axis)),
+            legend=result.Legend(show=False),
             height=140,
         )
 

@@ -298,13 +298,13 @@ class Session:
 
     def _remake(self) -> None:
         """Let the worker make what the wanted settings need, beyond what there is."""
-        engine, wanted = self._engine, self.wanted
-        needs_policy = self._served is None or self._served.of_policy != wanted.of_policy
-        needs_plant = engine.equipped.of_plant != wanted.of_plant
+        engine, desired = self._engine, self.wanted
+        needs_policy = self._served is None or self._served.of_policy != desired.of_policy
+        needs_plant = engine.equipped.of_plant != desired.of_plant
         start = engine.policy.q
         if needs_policy:
             self._served = self._waiting = None
-            if wanted.policy == "tracker":
+            if desired.policy == "tracker":
                 # A planned motion begins at rest.
                 start = engine.stop()
         target, policy = engine.target, engine.policy
@@ -312,26 +312,26 @@ class Session:
         def work() -> None:
             arm = copy.deepcopy(self.arm)
             how: dict[str, Any] = {"rate": self._rate, "seed": self.seed, "check": self._maker.check}
-            made = make_for(arm, wanted, start, target, **how) if needs_policy else None
-            plant = ClosedLoop(policy, wanted.controller, wanted.disturbances) if needs_plant else None
+            result = make_for(arm, desired, start, target, **how) if needs_policy else None
+            plant = ClosedLoop(policy, desired.controller, desired.disturbances) if needs_plant else None
             self._maker.check()
-            self._requests.put(lambda: self._adopt(wanted, made, plant))
+            self._requests.put(lambda: self._adopt(desired, result, plant))
 
         if needs_policy or needs_plant:
             self._maker.submit(work)
 
-    def _adopt(self, settings: Settings, made: Made | None, plant: ClosedLoop | None) -> None:
+    def _adopt(self, settings: Settings, result: Made | None, plant: ClosedLoop | None) -> None:
         self.failure = ""
         if plant is not None:
             self._engine.equip(plant, settings)
-        if made is not None and settings.policy == "tracker" and self.policy.qd.any():
-            self._waiting = made
-        elif made is not None:
-            self._put_in(made)
+        if result is not None and settings.policy == "tracker" and self.policy.qd.any():
+            self._waiting = result
+        elif result is not None:
+            self._put_in(result)
 
-    def _put_in(self, made: Made) -> None:
-        self._engine.put_in(made)
-        self._served = made.settings
+    def _put_in(self, result: Made) -> None:
+        self._engine.put_in(result)
+        self._served = result.settings
         self._foresee()
 
     def _foresee(self) -> None:

@@ -125,11 +125,11 @@ def status(snapshot: Snapshot) -> str:
 
 
 def _proof(snapshot: Snapshot) -> str:
-    progress, found = snapshot.tick.progress, certificate_of(snapshot.session.policy)
-    if found is None:
+    progress, result = snapshot.tick.progress, certificate_of(snapshot.session.policy)
+    if result is None:
         return f'<span style="color:{_IDLE}">none</span>'
-    word, colour = ("certified", _GOOD) if found.valid else ("not certified", _BAD)
-    largest = f"&lambda;<sub>max</sub> {found.lambda_max:.3g} against &gamma;/&mu; {found.bound:.3g}"
+    word, colour = ("certified", _GOOD) if result.valid else ("not certified", _BAD)
+    largest = f"&lambda;<sub>max</sub> {result.lambda_max:.3g} against &gamma;/&mu; {result.bound:.3g}"
     rate = "" if progress is None else f"<br>rate {progress.rate:.3g} /s"
     return f'<b style="color:{colour}">{word}</b><br>{largest}{rate}'
 

@@ -131,13 +131,13 @@ class BlockNetwork(ABC):
         def jacobian(x: Floats) -> Floats:
             return self.jacobian(np.concatenate([still, x]).reshape(self.bias.shape))[size:, size:]
 
-        found = find_equilibrium(field, jacobian, hidden, rate=self.gamma, tolerance=1e-12)
-        if not found.success:
+        equilibrium = find_equilibrium(field, jacobian, hidden, rate=self.gamma, tolerance=1e-12)
+        if not equilibrium.success:
             raise InputError(
-                f"the hidden neurons do not come to rest while the visible ones are at xi ({found.message}); "
+                f"the hidden neurons do not come to rest while the visible ones are at xi ({equilibrium.message}); "
                 "use a certified network"
             )
-        return found.xi
+        return equilibrium.xi
 
     @property
     @abstractmethod
@@ -224,7 +224,7 @@ class BlockNetwork(ABC):
         def whole(x: Floats) -> Floats:
             return np.concatenate([x, rest])
 
-        found = find_equilibrium(
+        result = find_equilibrium(
             lambda x: self.flat_vector_field(whole(x))[:size],
             lambda x: self.mu * self._driven(whole(x).reshape(shape))[:, :size] - self.gamma * np.eye(size),
             first[:driven],
@@ -232,9 +232,9 @@ class BlockNetwork(ABC):
             tolerance=as_positive("tolerance", tolerance),
         )
         if driven == len(first):
-            return found
-        abscissa = max(found.spectral_abscissa, -self.gamma)
-        return replace(found, xi=whole(found.xi.ravel()).reshape(shape), spectral_abscissa=abscissa)
+            return result
+        abscissa = max(result.spectral_abscissa, -self.gamma)
+        return replace(result, xi=whole(result.xi.ravel()).reshape(shape), spectral_abscissa=abscissa)
 
     def trajectory(
         self,
@@ -340,10 +340,10 @@ class BlockNetwork(ABC):
     @cached_property
     def _visible_target(self) -> Floats:
         """The visible neurons' equilibrium ``(N - M, d)``."""
-        found = self.equilibrium()
-        if not found.success:
-            raise InputError(f"hidden starts move with the equilibrium, which was not found ({found.message})")
-        return found.xi[: self.n_visible]
+        result = self.equilibrium()
+        if not result.success:
+            raise InputError(f"hidden starts move with the equilibrium, which was not found ({result.message})")
+        return result.xi[: self.n_visible]
 
     @classmethod
     @cache
@@ -352,11 +352,11 @@ class BlockNetwork(ABC):
         # mypy cannot know that every subclass is a dataclass, here and below.
         return (*(field.name for field in fields(cls)), *cls._bias_free)  # type: ignore[arg-type]
 
-    def _carrying(self, found: stability.Certificate, every: int = 1) -> Self:
+    def _carrying(self, result: stability.Certificate, every: int = 1) -> Self:
         """This network with a new certificate, of whose diagonal the entries 0, ``every``, ... are stored."""
-        if not found.valid:
-            raise NotCertifiedError(f"no certificate was found for the weights ({found}); scale alpha or mu down")
-        diagonal = found.lyapunov_diagonal[::every]
+        if not result.valid:
+            raise NotCertifiedError(f"no certificate was found for the weights ({result}); scale alpha or mu down")
+        diagonal = result.lyapunov_diagonal[::every]
         network: Self = replace(self, lyapunov_diagonal=diagonal)  # type: ignore[type-var]
         return network
 

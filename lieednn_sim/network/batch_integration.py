@@ -59,7 +59,7 @@ def integrate_batch(
         step = _first_steps(field, x, rate, duration, rtol, atol)
         now, stack = np.zeros(len(networks)), np.arange(len(networks))
         retried = np.zeros(len(networks), bool)
-        found = [[one] for one in x]
+        results = [[item] for item in x]
         for _ in range(_MOST_STEPS):
             check_time()
             after = np.minimum(now + step, duration)
@@ -74,14 +74,14 @@ def integrate_batch(
             now = np.where(good, after, now)
             x, rate = np.where(good[:, None], there, x), np.where(good[:, None], stages[:, -1], rate)
             for k, state in zip(stack[good].tolist(), x[good], strict=True):
-                found[k].append(state)
+                results[k].append(state)
             left = (now < duration).nonzero()[0]
             if len(left) < len(stack):
                 weight, bias, decay, x, rate = weight[left], bias[left], decay[left], x[left], rate[left]
                 now, step, retried, stack = now[left], step[left], retried[left], stack[left]
             if not len(stack):
                 break
-    states: list[Floats] = [np.array(one).reshape(-1, *start.shape) for one in found]
+    states: list[Floats] = [np.array(item).reshape(-1, *start.shape) for item in results]
     for k in stack.tolist():
         states[k] = networks[k].trajectory(start, duration, rtol=rtol, atol=atol).xi
     return states

@@ -154,9 +154,9 @@ def write_c(network: BlockNetwork, activation: str, folder: str | os.PathLike[st
     first, d = network.n_visible, network.bias.shape[1]
     if network.n_hidden and network.n_driven > first and network.blocks[first:, :first].any():
         raise InputError("hidden neurons hear visible ones in this network, which the C code cannot retarget")
-    found = network.equilibrium()
-    if not found.success:
-        raise InputError(f"the network has no equilibrium that its target could be ({found.message})")
+    result = network.equilibrium()
+    if not result.success:
+        raise InputError(f"the network has no equilibrium that its target could be ({result.message})")
     proof = network.certificate if network.certified else None
     values = {
         "proof": f"   {proof}." if proof else "   It is not certified: nothing is proved about where it goes.",
@@ -169,7 +169,7 @@ def write_c(network: BlockNetwork, activation: str, folder: str | os.PathLike[st
         "gamma": _number(network.gamma),
         "weight": _array(network.mu * network.driven_weight.T),
         "bias_values": _array(network.mu * network.bias.ravel()),
-        "rest": _array(found.xi.ravel()),
+        "rest": _array(result.xi.ravel()),
         "phi": _PHI[activation],
         **_hidden(network),
     }

@@ -147,13 +147,13 @@ class ComponentwiseNetwork(BlockNetwork):
 
     def assess(self, start: ArrayLike | None = None) -> stability.Verdict:
         """All stability conditions with the rates they prove; the local one at the equilibrium found from ``start``."""
-        found = self.equilibrium(start)
+        result = self.equilibrium(start)
         return stability.assess(
             self.weight,
             gamma=self.gamma,
             mu=self.mu,
             rotational_weight=None if self.certifiable_weight is self.weight else self.certifiable_weight,
-            jacobian=self.jacobian(found.xi) if found.success else None,
+            jacobian=self.jacobian(result.xi) if result.success else None,
             lyapunov_diagonal=self.lyapunov_diagonal,
         )
 

@@ -200,21 +200,21 @@ def _drawn(xi: Floats, magnitudes: list[float], options: CertifiedOptions, rng: 
 def _plan(problem: PlanningProblem, options: CertifiedOptions, networks: list[LieEDNN], drawn: int) -> Plan:
     """The plan of the best network; raises as `certified`."""
     arm, start = problem.arm, problem.start
-    found = _screened(arm, networks, start) if len(networks) > 1 else [_Candidate(arm, networks[0], start)]
+    result = _screened(arm, networks, start) if len(networks) > 1 else [_Candidate(arm, networks[0], start)]
     # Networks and their paths are independent of the duration.
-    network, motion = in_time(_best, problem, options, found)
+    network, motion = in_time(_best, problem, options, result)
     # The motion has been checked.
-    within = sum(candidate.network is network or candidate.excess <= LIMIT_TOLERANCE for candidate in found)
+    within = sum(candidate.network is network or candidate.excess <= LIMIT_TOLERANCE for candidate in result)
     return Plan(motion, network, CertifiedDetails(drawn, within))
 
 
-def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Candidate]) -> tuple[LieEDNN, Motion]:
+def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Candidate]) -> tuple[LieEDNN, Motion]:
     """The first of the `_promising` networks with a feasible motion; raises as `certified`."""
     arm = problem.arm
     # If no motion can be fast enough, one refusal suffices; sampled ones may seem slightly faster than they are.
     hurried = problem.duration <= 0.99 * least_duration(arm, problem.start, problem.target)
     refusals: list[PlanError] = []
-    for candidate in _promising(found):
+    for candidate in _promising(result):
         if refusals and (candidate.touches or candidate.excess > options.hopeless_excess):
             break
         try:
@@ -231,16 +231,16 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, found: list[_Cand
     raise PlanError(f"{message}; try more candidates, another seed, a larger bias magnitude or the solved bias")
 
 
-def _promising(found: list[_Candidate]) -> Iterator[_Candidate]:
+def _promising(result: list[_Candidate]) -> Iterator[_Candidate]:
     """Candidates by `_Candidate.rank`, those whose path is free of contact first.
 
     Contact is checked only when a candidate's turn comes, since that costs more than everything else.
     """
-    if len(found) == 1:
-        yield found[0]
+    if len(result) == 1:
+        yield result[0]
         return
     touching = []
-    for candidate in sorted(found, key=lambda one: one.rank):
+    for candidate in sorted(result, key=lambda item: item.rank):
         if candidate.touches:
             touching.append(candidate)
         else:

@@ -109,10 +109,10 @@ class JointDemonstrations:
                 f"{ends[k, joint]:.4g} {arm.unit(joint)}, their mean is {goal[joint]:.4g}; "
                 "keep their goals (--goals kept), or learn other goals apart"
             )
-        made = cls(arm, np.mean(times, axis=0), np.array(paths), units, kept)
-        for configuration, what in ((made.mean[0], "the mean start"), (made.mean[-1], "the mean end")):
+        result = cls(arm, np.mean(times, axis=0), np.array(paths), units, kept)
+        for configuration, what in ((result.mean[0], "the mean start"), (result.mean[-1], "the mean end")):
             arm.check_reachable(configuration, what)
-        return made
+        return result
 
     def __len__(self) -> int:
         """Number of demonstrations."""
@@ -230,14 +230,14 @@ class JointMotion:
 
 def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:
     """The names of the joints' columns; a table may have others."""
-    wanted = [name.lower() for name in arm.joint_names]
-    if missing := [name for name in wanted if name not in names]:
-        strange = [name for name in names if name not in (*wanted, *TIMES)]
+    target = [name.lower() for name in arm.joint_names]
+    if missing := [name for name in target if name not in names]:
+        strange = [name for name in names if name not in (*target, *TIMES)]
         raise InputError(
             f"{path} must name the joints of {arm.name}: {', '.join(arm.joint_names)}; it lacks {', '.join(missing)}"
             + (f", and names {', '.join(strange)}" if strange else "")
         )
-    return wanted
+    return target
 
 
 def _motion(arm: Arm, source: str, samples: ArrayLike, t: ArrayLike | None, rate: float) -> tuple[Floats, Floats]:

@@ -32,10 +32,10 @@ def single_goals(arm: Arm, target: Goal, what: str = "target") -> list[Single]:
     Raises:
         InputError: one is malformed, or there is none.
     """
-    found = list(_single(arm, target, what))
-    if not found:
+    result = list(_single(arm, target, what))
+    if not result:
         raise InputError(f"{what} must hold at least one goal, got an empty {type(target).__name__}")
-    return found
+    return result
 
 
 def _single(arm: Arm, target: Goal, what: str, *, outermost: bool = True) -> Iterator[Single]:
@@ -49,9 +49,9 @@ def _single(arm: Arm, target: Goal, what: str, *, outermost: bool = True) -> Ite
         if len(shape) > 1:
             raise InputError(f"{what} must be a pose or poses of shape (m,), got {shape}")
         yield from target if shape else [target]
-    elif outermost and isinstance(target, list | tuple) and not all(isinstance(one, Number) for one in target):
-        for number, one in enumerate(target):
-            yield from _single(arm, one, f"{what} {number}", outermost=False)
+    elif outermost and isinstance(target, list | tuple) and not all(isinstance(item, Number) for item in target):
+        for number, entry in enumerate(target):
+            yield from _single(arm, entry, f"{what} {number}", outermost=False)
     elif outermost and isinstance(target, np.ndarray) and target.ndim == 2:
         yield from as_floats(what, target, ("m", arm.n_joints))
     elif not (isinstance(target, list | tuple) and len(target) == 0):
@@ -80,20 +80,20 @@ def candidates(
     goals = single_goals(arm, target)
     near = [] if path_constraint is None else list(_followed(arm, goals, start, path_constraint))
     yield from sorted(near, key=lambda q: least_duration(arm, start, q))
-    found, refusals = list[Floats](), list[InputError | NoSolutionError]()
+    result, refusals = list[Floats](), list[InputError | NoSolutionError]()
     for goal in goals:
         check_time()
         try:
             if isinstance(goal, np.ndarray | str):
-                found.append(arm.check_reachable(goal, "target"))
+                result.append(arm.check_reachable(goal, "target"))
             else:
-                found += ik_candidates(arm, goal, start=start, seed=seed, path_constraint=path_constraint)
+                result += ik_candidates(arm, goal, start=start, seed=seed, path_constraint=path_constraint)
         except (InputError, NoSolutionError) as error:
             refusals.append(error)
-    yield from sorted(found, key=lambda q: least_duration(arm, start, q))
-    if not near and not found and len(goals) == 1:
+    yield from sorted(result, key=lambda q: least_duration(arm, start, q))
+    if not near and not result and len(goals) == 1:
         raise refusals[0]
-    if not near and not found:
+    if not near and not result:
         raise NoSolutionError(f"none of {len(goals)} goals can be reached; the first one: {refusals[0]}")
 
 

@@ -108,9 +108,9 @@ class GuideOptimisation:
         length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
         u = np.linspace(0.0, 1.0, 200)[1:-1]
         fraction = minimum_jerk_law(u)[0]
-        wanted = np.stack([np.interp(fraction, length / length[-1], joint) for joint in points.T], axis=1)
+        target = np.stack([np.interp(fraction, length / length[-1], joint) for joint in points.T], axis=1)
         basis = self._basis(u)
-        left, free = wanted - basis @ self._ends, basis[:, self._free]
+        left, free = target - basis @ self._ends, basis[:, self._free]
         smooth = 1e-4 * len(u) / self._hessian.diagonal().mean() * self._hessian
         return np.asarray(np.linalg.solve(free.T @ free + smooth, free.T @ left))
 
@@ -242,5 +242,5 @@ class GuideOptimisation:
         sense = np.zeros(len(upper), dtype=np.int32)
         # DAQP's mark of soft constraints.
         sense[n * count + 1 :] = 8
-        found = daqp.solve(hessian, np.append(pull, -value), rows, upper, lower, sense, rho_soft=1e-6)
-        return free + np.asarray(found[0])[:-1].reshape(n, count).T
+        result = daqp.solve(hessian, np.append(pull, -value), rows, upper, lower, sense, rho_soft=1e-6)
+        return free + np.asarray(result[0])[:-1].reshape(n, count).T

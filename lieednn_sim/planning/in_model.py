@@ -49,9 +49,9 @@ class ModelPlan:
     def rows(self, timestep: float) -> NDArray[np.int_]:
         """The rows nearest to times at a distance of ``timestep`` [s], such as the given model's, to the end."""
         times = np.arange(round(self.t[-1] / as_positive("timestep", timestep)) + 1) * timestep
-        found = np.minimum(np.rint(times / self.arm.timestep).astype(int), len(self.t) - 1)
-        found[-1] = len(self.t) - 1
-        return found
+        result = np.minimum(np.rint(times / self.arm.timestep).astype(int), len(self.t) - 1)
+        result[-1] = len(self.t) - 1
+        return result
 
 
 def plan_in(
@@ -108,11 +108,11 @@ def plan_in(
     theirs, ours, their_rates, our_rates = shared_addresses(model, arm.model)
     now = arm.qpos(np.zeros(arm.n_joints))
 
-    def named(one: Any) -> Any:
+    def named(item: Any) -> Any:
         """A keyframe of the model, in the order of the given joints; other goals as they are."""
-        if not isinstance(one, str):
-            return one
-        key = as_choice("keyframe", one, [model.key(k).name for k in range(model.nkey)])
+        if not isinstance(item, str):
+            return item
+        key = as_choice("keyframe", item, [model.key(k).name for k in range(model.nkey)])
         now[ours] = model.key(key).qpos[theirs]
         return arm.coordinates(now)[_given(arm, joints)]
 
@@ -123,7 +123,7 @@ def plan_in(
     inside = np.clip(start, *arm.position_limits.T)
     start = np.where(np.abs(start - inside) <= LIMIT_TOLERANCE, inside, start)
     _check_hand(model, arm, start)
-    found = plan(
+    result = plan(
         arm,
         goals,
         start=start,
@@ -136,14 +136,14 @@ def plan_in(
         fastest=fastest,
         path_constraint=path_constraint,
     )
-    motion = found.motion
+    motion = result.motion
     qpos, qvel = np.tile(data.qpos, (len(motion.t), 1)), np.zeros((len(motion.t), model.nv))
     qpos[:, theirs] = arm.qpos(motion.q)[:, ours]
     qvel[:, their_rates] = arm.qvel(motion.q, motion.qd)[:, our_rates]
     if grasp is not None:
         _carry(model, data, grasp, qpos, qvel, motion.timestep)
     _check_contacts(model, data, qpos, their_rates, grasp)
-    return ModelPlan(motion.t, qpos, qvel, found, arm)
+    return ModelPlan(motion.t, qpos, qvel, result, arm)
 
 
 def _given(arm: Arm, joints: Sequence[str]) -> list[int]:
@@ -156,8 +156,8 @@ def _in_order_of_arm(arm: Arm, joints: Sequence[str], goal: Goal) -> Goal:
     """Goals in the order of the given joints, in that of the arm's coordinates; poses and regions as they are."""
     given = _given(arm, joints)
     ordered = [
-        one[np.argsort(given)] if isinstance(one, np.ndarray) else one
-        for one in single_goals(arm, goal, f"the goal of {', '.join(arm.joint_names[k] for k in given)}")
+        item[np.argsort(given)] if isinstance(item, np.ndarray) else item
+        for item in single_goals(arm, goal, f"the goal of {', '.join(arm.joint_names[k] for k in given)}")
     ]
     return ordered if len(ordered) > 1 else ordered[0]
 
@@ -187,8 +187,8 @@ def _check_hand(model: mujoco.MjModel, arm: Arm, start: Floats) -> None:
     """Raise `InputError` that tells how to hold a free body, if the arm touches one at its start."""
     free = {model.body(model.jnt_bodyid[joint]).name for joint in range(model.njnt) if model.jnt_type[joint] == _FREE}
     for pair in arm.near_contacts(start):
-        if found := free.intersection(pair):
-            body = min(found)
+        if result := free.intersection(pair):
+            body = min(result)
             raise InputError(
                 f"start is out of reach: {pair[0]!r} would touch {pair[1]!r} there; if the hand holds it, say so by "
                 f"holding={body!r}"
@@ -221,8 +221,8 @@ def _check_contacts(
 
     before = touching(data.qpos)
     for positions in qpos:
-        if found := touching(positions) - before:
-            one, other = (model.body(body).name or f"body {body}" for body in min(found))
+        if result := touching(positions) - before:
+            first, second = (model.body(body).name or f"body {body}" for body in min(result))
             raise PlanError(
-                f"in the given model {one!r} would touch {other!r}, which the arm's own model does not show"
+                f"in the given model {first!r} would touch {second!r}, which the arm's own model does not show"
             )

@@ -48,14 +48,14 @@ def retime(arm: Arm, motion: Motion) -> Motion:
     duration = max(float(law.x[-1]), 2.0 * arm.timestep)
     count_steps(duration, arm.timestep)
     for _ in range(20):
-        found = path.motion(law, math.ceil(duration / arm.timestep))
+        result = path.motion(law, math.ceil(duration / arm.timestep))
         try:
-            check_motion(arm, found)
+            check_motion(arm, result)
         except TooFastError:
             # Rates sampled at the model's time step may exceed those of the law slightly.
             duration *= 1.002
             continue
-        return found
+        return result
     raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")
 
 
@@ -104,7 +104,7 @@ class _Path:
         t = np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
         law = CubicHermiteSpline(t, grid, rate)
         laws = [self._own, law, *(_averaged(law, window * t[-1]) for window in np.geomspace(0.002, 1.0, 20))]
-        return min(map(self._stretched, laws), key=lambda one: float(one.x[-1]))
+        return min(map(self._stretched, laws), key=lambda item: float(item.x[-1]))
 
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
         """The law, stretched or compressed to the least time in which it keeps all limits."""

@@ -161,10 +161,10 @@ class _Planned:
 
     def move(self, joints: Sequence[str], step: Move, common: Mapping[str, Any]) -> Plan:
         """Plan a move, and add its rows."""
-        found = plan_in(self._model, self._state, joints, step.goal, **step.arguments(common))
-        rows = found.rows(self._model.opt.timestep)[1:]
-        self._add(found.qpos[rows], found.qvel[rows])
-        return found.plan
+        result = plan_in(self._model, self._state, joints, step.goal, **step.arguments(common))
+        rows = result.rows(self._model.opt.timestep)[1:]
+        self._add(result.qpos[rows], result.qvel[rows])
+        return result.plan
 
     def grip(self, gripping: Gripping) -> None:
         """Simulate a step of controls with the arm at rest, and add its rows."""

@@ -141,9 +141,9 @@ class Gripping:
                 return True
             missing = f"its joints have not settled, the fastest moves at {fastest:.2g} rad/s or m/s"
         else:
-            one, other = self._sides
+            first, second = self._sides
             bodies = self._model.geom_bodyid[data.contact.geom]
-            if ((one[bodies[:, 0]] & other[bodies[:, 1]]) | (other[bodies[:, 0]] & one[bodies[:, 1]])).any():
+            if ((first[bodies[:, 0]] & second[bodies[:, 1]]) | (second[bodies[:, 0]] & first[bodies[:, 1]])).any():
                 return True
             missing = "{!r} and {!r} have not touched".format(*self.step.until)
         if late:

@@ -72,13 +72,13 @@ class Transition:
         own = np.clip(t / self.slower, 0.0, self.base.x[-1])
         s = np.clip(t / self.fade, 0.0, 1.0)[:, None] ** np.arange(6)
         scaled = self.differences * self.fade ** np.arange(3.0)[:, None]
-        found = []
+        results = []
         factors = _FADING
         for order in range(3):
             part = self.base(own, nu=order) / self.slower**order
-            found.append(part + s[:, : factors.shape[1]] @ (factors.T @ scaled) / self.fade**order)
+            results.append(part + s[:, : factors.shape[1]] @ (factors.T @ scaled) / self.fade**order)
             factors = factors[:, 1:] * np.arange(1.0, factors.shape[1])
-        return found[0], found[1], found[2]
+        return results[0], results[1], results[2]
 
 
 def transition(
@@ -107,10 +107,10 @@ def transition(
     for slower, share in product((1.0, 1.25, 1.6, 2.2, 3.0), shares):
         duration = slower * float(base.x[-1])
         fade = share * duration
-        found = Transition(base, slower, differences, fade)
+        result = Transition(base, slower, differences, fade)
         of_fade = np.linspace(0.0, fade, 16)
         t = np.concatenate([of_fade, np.linspace(0.0, duration, 48)])
-        q, qd, qdd = found(t)
+        q, qd, qdd = result(t)
         if (
             (np.abs(qd) > FRACTION * arm.velocity_limits).any()
             or (np.abs(qdd) > FRACTION * arm.acceleration_limits).any()
@@ -120,7 +120,7 @@ def transition(
         # All samples of a fade that takes the whole motion are there twice.
         blocked = None if clear is None else clear(q[len(of_fade) * (share == 1.0) :])
         if blocked is None:
-            return found
+            return result
         refusal = f"no transition keeps clear of {blocked}"
     raise PlanError(refusal)
 

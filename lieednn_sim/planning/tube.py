@@ -214,10 +214,10 @@ class _Path:
             middle = 0.5 * (a + b)
             parts = ((a, b),) if scale < 0.0 else ((a, middle), (middle, b))
             for begin, end in parts:
-                found, there, geoms = self._scales(begin, end, spread, best)
+                result, there, geoms = self._scales(begin, end, spread, best)
                 if there < best:
                     best, t, pair = there, 0.5 * (begin + end) * self._motion.timestep, geoms
-                heapq.heappush(heap, (found, begin, end))
+                heapq.heappush(heap, (result, begin, end))
         size = max(heap[0][0], 0.0)
         if size == 0.0:
             raise PlanError(f"there is no tube: the motion comes too close to contact at t = {t:.2f} s")

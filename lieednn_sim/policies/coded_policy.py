@@ -107,12 +107,12 @@ class CodedPolicy(FeedbackPolicy):
         drawn, slope = self._retraction(course.state.x.reshape(-1, 6), course.state.flow.reshape(-1, 6))
         self._velocity = rate * slope
         pace = self._within_acceleration(wish, pull_rate)
-        wanted = pace * self._velocity + pull_rate
-        slower = 1.0 / max(1.0, float((np.abs(wanted) / self.allowed()).max()))
+        desired = pace * self._velocity + pull_rate
+        slower = 1.0 / max(1.0, float((np.abs(desired) / self.allowed()).max()))
         self._limited = slower * pace < 0.99 * self._waiting
         self._pace_rate, self.pace = (slower * pace - self.pace) / self.period, slower * pace
         self.drawn, inside = drawn, self._within_limits(drawn)
-        return inside, np.where(inside == drawn, slower * wanted, 0.0)
+        return inside, np.where(inside == drawn, slower * desired, 0.0)
 
     def _within_acceleration(self, wish: float, extra: Floats) -> float:
         """The pace nearest to a wish with which no joint's velocity changes by more than its limit in a period."""
@@ -136,9 +136,9 @@ class CodedPolicy(FeedbackPolicy):
     def take(self, base: PPoly, clear: Callable[[Floats], str | None]) -> None:
         """Turn to a base motion, see `transition`; raises `PlanError` if there is no clear transition or no code."""
         now, pace = self._now()
-        made = transition(self.arm, now, base, clear)
+        result = transition(self.arm, now, base, clear)
         try:
-            course = TimedPath(self.arm, self._encoder, made, self.state)
+            course = TimedPath(self.arm, self._encoder, result, self.state)
         except InputError as error:
             raise PlanError(f"the network cannot follow the motion: {error}") from None
         self.pace, self._pace_rate = pace, 0.0

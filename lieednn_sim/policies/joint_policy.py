@@ -39,14 +39,14 @@ class JointPolicy(FeedbackPolicy):
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""
         waiting, strength = self._response(measured, self.y)
-        wanted = waiting * self.velocity(target, waiting)
+        desired = waiting * self.velocity(target, waiting)
         if measured is not None:
-            wanted = wanted + strength * (measured - self.y)
-        slower = 1.0 / max(1.0, float((np.abs(wanted) / self.allowed()).max()))
+            desired = desired + strength * (measured - self.y)
+        slower = 1.0 / max(1.0, float((np.abs(desired) / self.allowed()).max()))
         self.pace, self._limited = slower * waiting, slower < 1.0
         self.elapse(self.pace * self.period)
-        self.y = y = self._within_limits(self.y + self.period * slower * wanted)
-        return y, np.where((y[:, None] == self.arm.position_limits).any(axis=1), 0.0, slower * wanted)
+        self.y = y = self._within_limits(self.y + self.period * slower * desired)
+        return y, np.where((y[:, None] == self.arm.position_limits).any(axis=1), 0.0, slower * desired)
 
     @abstractmethod
     def velocity(self, target: Floats, waiting: float) -> Floats:

@@ -93,9 +93,9 @@ def control_loop(
     policy.reset(first)
     lateness, step_time = np.empty(total), np.empty(total)
     with _without_collections():
-        begun = start = time.perf_counter()
+        started = start = time.perf_counter()
         for k in range(total):
-            measured, goal = read() if k else first, aim(start - begun)
+            measured, goal = read() if k else first, aim(start - started)
             asked = time.perf_counter()
             q, qd = policy.step(measured, goal)
             step_time[k] = time.perf_counter() - asked

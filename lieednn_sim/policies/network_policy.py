@@ -127,12 +127,12 @@ class NetworkPolicy(FeedbackPolicy):
             drift, rate = drift.copy(), rate + pull[1]
             drift[: self._visible] += pull[0]
         allowed = self.allowed()
-        wanted = scale * self._flow_rate + rate
-        fraction = 1.0 / max(1.0, _max_abs(wanted / allowed))
+        desired = scale * self._flow_rate + rate
+        fraction = 1.0 / max(1.0, _max_abs(desired / allowed))
         # Run again if velocities at the end exceed their limits.
         for _ in range(4):
             x, drive, flow = self._integrate(fraction * scale, drift / scale)
-            drawn, flow_rate = self._decode(x, flow, self._drawn + fraction * period * wanted)
+            drawn, flow_rate = self._decode(x, flow, self._drawn + fraction * period * desired)
             qd = fraction * (scale * flow_rate + rate)
             excess = _max_abs(qd / allowed)
             if excess <= 1.001:

@@ -151,9 +151,9 @@ class ReplanningPolicy(CodedPolicy):
         """Take a base motion; raises `PlanError`."""
 
         def clear(q: Floats) -> str | None:
-            found = self._surroundings.blocked(q)
-            self._blocker = found[1] if found else ""
-            return repr(found[1]) if found else None
+            result = self._surroundings.blocked(q)
+            self._blocker = result[1] if result else ""
+            return repr(result[1]) if result else None
 
         # Where limits alone refuse all transitions, nothing is in the way.
         self._blocker = ""
@@ -237,9 +237,9 @@ class ReplanningPolicy(CodedPolicy):
         if all((ahead[name] == place).all() for name, place in now.items()):
             return None
         self._surroundings.see(ahead)
-        found = self._surroundings.blocked(q, only_moving=True)
+        result = self._surroundings.blocked(q, only_moving=True)
         self._surroundings.see(now)
-        return found
+        return result
 
     def _look(self, goal: Floats) -> None:
         """Look whether the path ahead is clear, and what to do if it is not, or if the arm waits."""
@@ -247,9 +247,9 @@ class ReplanningPolicy(CodedPolicy):
         if self._surroundings.places:
             end = max(course.transition.duration, self.time)
             times, q = self._sampled(lambda t: course.transition(t)[0], self.time, end)
-            found = self._surroundings.blocked(q, only_moving=True) or self._foreseen(q)
-            if found is not None:
-                self._blocked_at, self._blocker = float(times[max(found[0] - 1, 0)]), found[1]
+            result = self._surroundings.blocked(q, only_moving=True) or self._foreseen(q)
+            if result is not None:
+                self._blocked_at, self._blocker = float(times[max(result[0] - 1, 0)]), result[1]
                 if not busy:
                     self._seek(goal)
                 return

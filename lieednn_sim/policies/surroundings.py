@@ -61,10 +61,10 @@ class Surroundings:
         finders = [each for each in (None if only_moving else self._all, self._near) if each is not None]
         for index, qpos in enumerate(self._arm.space.to_qpos(q)):
             for finder in finders:
-                distance, found = finder.geoms(qpos)
-                found = found if finder is self._all else self._near_pairs(distance, found, self._kept)[1]
-                if len(found):
-                    first, second = found[0]
+                distance, result = finder.geoms(qpos)
+                result = result if finder is self._all else self._near_pairs(distance, result, self._kept)[1]
+                if len(result):
+                    first, second = result[0]
                     obstacle = first if self._model.body_weldid[self._model.geom_bodyid[first]] == 0 else second
                     return index, self._model.body(self._model.geom_bodyid[obstacle]).name
         return None

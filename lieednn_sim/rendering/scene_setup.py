@@ -88,17 +88,17 @@ def occupied(run: Run) -> Floats:
 def _occupied_in(run: ModelRun) -> Floats:
     """Points around the geoms of the bodies in question, at some instants; what moves by a millimetre counts."""
     model, data = run.model, mujoco.MjData(run.model)
-    wanted = np.zeros(model.ngeom, dtype=bool)
+    target = np.zeros(model.ngeom, dtype=bool)
     body = named_frame(model, run.tip).body
     while body > 0:
-        wanted |= model.geom_bodyid == body
+        target |= model.geom_bodyid == body
         body = int(model.body_parentid[body])
-    found = []
+    results = []
     for data.qpos[:] in run.qpos[np.linspace(0, len(run.t) - 1, 25, dtype=int)]:
         mujoco.mj_kinematics(model, data)
-        found.append(_corners(model, data, np.ones(model.ngeom, dtype=bool)))
-    wanted |= np.ptp(found, axis=0).max(axis=(1, 2)) > 1e-3
-    return np.array(found)[:, wanted & (model.geom_type != _PLANE)].reshape(-1, 3)
+        results.append(_corners(model, data, np.ones(model.ngeom, dtype=bool)))
+    target |= np.ptp(results, axis=0).max(axis=(1, 2)) > 1e-3
+    return np.array(results)[:, target & (model.geom_type != _PLANE)].reshape(-1, 3)
 
 
 def _corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray[np.bool_]) -> Floats:
@@ -168,10 +168,10 @@ def staged(arm: Shown, points: Floats) -> tuple[mujoco.MjModel, int]:
     """
     model = model_of(arm)
     if not isinstance(arm, Arm):
-        made = copy.deepcopy(model)
-        if not made.nlight:
-            made.vis.headlight.ambient[:] = made.vis.headlight.diffuse[:] = 0.45
-        return made, _NO_MARKER
+        result = copy.deepcopy(model)
+        if not result.nlight:
+            result.vis.headlight.ambient[:] = result.vis.headlight.diffuse[:] = 0.45
+        return result, _NO_MARKER
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "target")
     marked = body >= 0 and model.body_mocapid[body] >= 0
     if marked and arm.import_report is None:
@@ -208,8 +208,8 @@ def staged(arm: Shown, points: Floats) -> tuple[mujoco.MjModel, int]:
             ends = [0.0, 0.0, 0.0, *((radius + 0.65 * size) * axis)]
             kind = mujoco.mjtGeom.mjGEOM_CAPSULE
             marker.add_geom(type=kind, fromto=ends, size=[0.04 * size, 0.0, 0.0], rgba=colour, **_UNSEEN)
-    made = spec.compile()
-    return made, int(made.body_mocapid[made.body(name).id])
+    result = spec.compile()
+    return result, int(result.body_mocapid[result.body(name).id])
 
 
 def model_of(what: Shown) -> mujoco.MjModel:

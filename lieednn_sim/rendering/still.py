@@ -79,12 +79,12 @@ def still(rollout: Rollout | ModelRun, *, camera: str | None, size: tuple[int, i
     ) as view:
         empty = view.picture(rows[0], draw_without_arm)
         # In the order of time. Where a picture is the empty one, the arm is not, nor its shadow.
-        made = empty.astype(float)
+        result = empty.astype(float)
         for k, opacity in zip(chosen, OPACITIES, strict=True):
             picture = view.picture(rows[k], draw)
             there = (picture != empty).any(axis=-1)
-            made[there] += opacity * (picture[there] - made[there])
-    return np.rint(made).astype(np.uint8)
+            result[there] += opacity * (picture[there] - result[there])
+    return np.rint(result).astype(np.uint8)
 
 
 def instants(path: Floats, count: int) -> list[int]:
@@ -95,8 +95,8 @@ def instants(path: Floats, count: int) -> list[int]:
     travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     if travelled[-1] < 1e-6:
         travelled = np.linspace(0.0, 1.0, len(path))
-    wanted = np.linspace(0.0, 1.0, count) * travelled[-1] * (1.0 - 1e-9)
-    return [int(k) for k in np.searchsorted(travelled, wanted)]
+    target = np.linspace(0.0, 1.0, count) * travelled[-1] * (1.0 - 1e-9)
+    return [int(k) for k in np.searchsorted(travelled, target)]
 
 
 typecheck_public(globals())

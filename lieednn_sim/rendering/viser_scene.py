@@ -144,15 +144,15 @@ class ModelNodes:
             name = f"{root}/{model.body(shape.body).name or shape.body}"
             if shape.body not in self.bodies:
                 self.bodies[shape.body] = scene.add_frame(name, show_axes=False)
-            made = self.surfaces.setdefault(shape.body, [])
-            name = f"{name}/{len(made)}"
+            result = self.surfaces.setdefault(shape.body, [])
+            name = f"{name}/{len(result)}"
             if shape.rgba is None:
-                made.append(scene.add_mesh_trimesh(name, shape.mesh))
+                result.append(scene.add_mesh_trimesh(name, shape.mesh))
                 continue
             *colour, alpha = shape.rgba
             solid = alpha >= 1.0
             given = {"color": tuple(colour), "opacity": None if solid else alpha, "cast_shadow": solid}
-            made.append(scene.add_mesh_simple(name, shape.mesh.vertices, shape.mesh.faces, **given))
+            result.append(scene.add_mesh_simple(name, shape.mesh.vertices, shape.mesh.faces, **given))
         self.tendons: list[tuple[Any, list[int]]] = []
         for (rgba, radius), tendons in shapes.tendons.items():
             name = f"{root}/tendons {len(self.tendons)}"

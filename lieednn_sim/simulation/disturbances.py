@@ -50,14 +50,14 @@ class Push:
         """The pushed body in a model of the arm; `InputError` lists the names."""
         if self.body in arm.link_names:
             return int(model.site_bodyid[arm.site_ids[arm.link_names.index(self.body)]])
-        found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, self.body)
-        if found <= 0:
+        result = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, self.body)
+        if result <= 0:
             names = sorted(filter(None, (model.body(i).name for i in range(1, model.nbody))))
             raise InputError(
                 f"no body {quoted(self.body)} to push; links are: {', '.join(arm.link_names)}; "
                 f"bodies are: {', '.join(names)}"
             )
-        return found
+        return result
 
 
 @dataclass(frozen=True)

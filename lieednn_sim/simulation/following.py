@@ -186,9 +186,9 @@ class ClosedLoop:
         if self.simulation.disturbances.obstacles:
             self.policy.see(self.simulation.move_obstacles())
         measured, before = self.simulation.measured()[0], (self.policy.q, self.policy.qd)
-        begun = time.thread_time()
+        start = time.thread_time()
         after = self.policy.step(measured, target)
-        spent = time.thread_time() - begun
+        spent = time.thread_time() - start
         reference.extend(*self._between(*before, *after))
         return spent
 

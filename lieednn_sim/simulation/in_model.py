@@ -31,7 +31,7 @@ _SEEN = 100  # steps between calls of ``progress``
 def run_in(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    found: ModelPlan | PlanSequence,
+    plan: ModelPlan | PlanSequence,
     *,
     hold: float = 1.0,
     feedforward: bool = True,
@@ -48,7 +48,7 @@ def run_in(
     Args:
         model: the model that the plan was made in, which is not changed.
         data: its state, which is not changed: the simulation begins there.
-        found: the plan, or a sequence, whose steps of controls end by time or by their events, which may come sooner or
+        plan: the plan, or a sequence, whose steps of controls end by time or by their events, which may come sooner or
             later than planned.
         hold: how long the simulation goes on after the plan, with the arm at rest [s].
         feedforward: whether servos get what gravity and inertia need; without it they sag and lag as plain ones do.
@@ -63,17 +63,17 @@ def run_in(
     if not 0.0 <= rest <= _LONGEST_HOLD:
         raise InputError(f"hold must be from 0 to {_LONGEST_HOLD:g} s, got {rest:g}")
     check_data(model, data)
-    if found.qpos.shape[1] != model.nq:
+    if plan.qpos.shape[1] != model.nq:
         raise InputError(
-            f"found is of another model: it has {found.qpos.shape[1]} positions, and this model has {model.nq}"
+            f"plan is of another model: it has {plan.qpos.shape[1]} positions, and this model has {model.nq}"
         )
-    running = _Running(model, data, found, feedforward, round(rest / model.opt.timestep), progress)
+    running = _Running(model, data, plan, feedforward, round(rest / model.opt.timestep), progress)
     with QuietWarnings():
         running.begin()
-        if isinstance(found, ModelPlan):
+        if isinstance(plan, ModelPlan):
             running.follow(0, len(running.qpos) - 1)
         else:
-            for k, part in enumerate(found.parts):
+            for k, part in enumerate(plan.parts):
                 running.steps.append((running.time, part.step.name))
                 if isinstance(part.step, Move):
                     running.follow(part.first, part.last)
@@ -82,7 +82,7 @@ def run_in(
         end = running.time
         for _ in range(round(rest / running.timestep)):
             running.step(len(running.qpos) - 1, len(running.qpos) - 1)
-    return running.result(found.arm, end)
+    return running.result(plan.arm, end)
 
 
 class _Running:
@@ -98,7 +98,7 @@ class _Running:
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
-        found: ModelPlan | PlanSequence,
+        plan: ModelPlan | PlanSequence,
         feedforward: bool,
         rest: int,
         progress: Callable[[int, int], None] | None,
@@ -107,9 +107,9 @@ class _Running:
         self._data = mujoco.MjData(self._model)
         mujoco.mj_copyData(self._data, self._model, data)
         self._data.time = 0.0
-        rows = found.rows(self.timestep) if isinstance(found, ModelPlan) else slice(None)
-        self.qpos, self._qvel = found.qpos[rows], found.qvel[rows]
-        self._drive = _Drive(self._model, found.arm, self._data, feedforward)
+        rows = plan.rows(self.timestep) if isinstance(plan, ModelPlan) else slice(None)
+        self.qpos, self._qvel = plan.qpos[rows], plan.qvel[rows]
+        self._drive = _Drive(self._model, plan.arm, self._data, feedforward)
         self._drive.check_start(self._data, self.qpos[0])
         self._log: dict[str, list[Floats]] = {"qpos": [], "qvel": [], "ctrl": []}
         self._rows: list[int] = []
@@ -220,8 +220,8 @@ class _Drive:
         actuators, model = self._actuators, self._model
         mujoco.mj_differentiatePos(model, self._error, 1.0, data.qpos, qpos)
         feedback = 2.0 * (self._rates @ (qvel - data.qvel)) + self._frequency * (self._rates @ self._error)
-        wanted = self._rates @ (next_qvel - qvel) / model.opt.timestep + self._frequency * feedback
-        mujoco.mj_mulM(model, data, self._load, self._basis @ wanted)
+        target = self._rates @ (next_qvel - qvel) / model.opt.timestep + self._frequency * feedback
+        mujoco.mj_mulM(model, data, self._load, self._basis @ target)
         load = self._load + data.qfrc_bias - data.qfrc_passive
         forces = self._allocation @ (self._fed * (self._basis.T @ load))
         servo = actuators.affine_controls(qpos, next_qvel, forces)

@@ -155,15 +155,15 @@ def find_contraction(
         reached, _, _ = least_level(scale(unit, moved))
         if reached < level:
             best, level = moved, reached
-    found = verify_contraction(np.diag(np.exp(best)), np.exp(2.0 * best), matrix, gamma=gamma, mu=mu)
+    result = verify_contraction(np.diag(np.exp(best)), np.exp(2.0 * best), matrix, gamma=gamma, mu=mu)
     # P is searched for at distances above the least v, relative to v or gamma/mu, in turn.
     for above in (1e-6, 1e-4, 1e-2, 1.0):
         factor = norm_at(unit, best, level + above * max(level, min(bound / magnitude, 1.0)))
         if factor is not None:
             trial = verify_contraction(factor / np.sqrt(magnitude), np.exp(2.0 * best), matrix, gamma=gamma, mu=mu)
-            if trial.value + trial.rounding < found.value + found.rounding:
+            if trial.value + trial.rounding < result.value + result.rounding:
                 return trial
-    return found
+    return result
 
 
 def least_level(scaled: Floats) -> tuple[float, float, float]:

@@ -70,7 +70,7 @@ class Guarantee:
 
 def by_contraction(weight: Floats, log_scale: Floats, best: Contraction, gamma: float, mu: float) -> list[Guarantee]:
     """Guarantees of contraction with Q = S^2, at rates below the best one."""
-    found = []
+    results = []
     # Fractions of the highest rate that are given up: slower rates allow rounder norms.
     for fraction in (1e-3, 0.25, 0.5, 0.75) if best.valid else ():
         factor = norm_at(weight, log_scale, best.value + fraction * (best.bound - best.value))
@@ -81,17 +81,17 @@ def by_contraction(weight: Floats, log_scale: Floats, best: Contraction, gamma: 
             continue
         inverse = np.asarray(np.linalg.inv(factor), np.float64)
         step = _contraction_step(scale(weight, log_scale), factor / np.exp(log_scale), gamma, mu)
-        found.append(Guarantee(True, factor, inverse, 1.0, proof.rate, 1.0 / proof.rate, step, step))
-    return found
+        results.append(Guarantee(True, factor, inverse, 1.0, proof.rate, 1.0 / proof.rate, step, step))
+    return results
 
 
 def _contraction_step(scaled: Floats, factor: Floats, gamma: float, mu: float) -> float:
     """h_0 from M = S W S^-1 and T S^-1, in the coordinates S e and S f."""
     n = len(scaled)
-    metric, one = factor.T @ factor, np.eye(n)
-    cross = -mu * (metric @ scaled + one)
-    decay = np.block([[2.0 * gamma * metric, cross], [cross.T, 2.0 * mu * one]])
-    field = factor @ np.hstack([gamma * one, -mu * scaled])
+    metric, identity = factor.T @ factor, np.eye(n)
+    cross = -mu * (metric @ scaled + identity)
+    decay = np.block([[2.0 * gamma * metric, cross], [cross.T, 2.0 * mu * identity]])
+    field = factor @ np.hstack([gamma * identity, -mu * scaled])
     try:
         return (1.0 - 1e-6) / float(eigh(field.T @ field, decay, eigvals_only=True)[-1])
     except np.linalg.LinAlgError:
@@ -101,7 +101,7 @@ def _contraction_step(scaled: Floats, factor: Floats, gamma: float, mu: float) -
 def by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> list[Guarantee]:
     """Guarantees of U = eps |y|^2 / 2 + V, for several rates."""
     certificate: Certificate = verify(np.exp(2.0 * log_scale), weight, gamma=gamma, mu=mu)
-    found = []
+    results = []
     drive = max(mu * spectral_norm(scale(weight, log_scale)) * UP, 1e-6 * gamma)
     # Fractions of the highest rate that are kept.
     for fraction in (0.1, 0.5, 0.9) if certificate.valid else ():
@@ -111,12 +111,12 @@ def by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> l
         euler, rk4 = (_lyapunov_step(certificate.rate, eps, gamma, drive, stages) for stages in (1, 4))
         root = np.asarray(np.exp(log_scale), np.float64)
         growth = 1.0 + 1.0 / eps
-        found.append(
+        results.append(
             Guarantee(
                 False, np.diag(root), np.diag(1.0 / root), float(np.sqrt(growth)), 0.5 * c, 2.0 * growth / c, euler, rk4
             )
         )
-    return found
+    return results
 
 
 def _lyapunov_step(margin: float, eps: float, gamma: float, drive: float, stages: int) -> float:

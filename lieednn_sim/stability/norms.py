@@ -31,11 +31,11 @@ def smallest_one_norm(output: ArrayLike, required: ArrayLike) -> float:
         The ratio; infinite when the output vanishes beside the requirement, 0 when both vanish.
     """
     outputs = as_floats("output", output, (), batched=True)
-    given, wanted = np.abs(outputs).sum(), np.abs(as_floats("required", required, outputs.shape)).sum()
+    given, target = np.abs(outputs).sum(), np.abs(as_floats("required", required, outputs.shape)).sum()
     if given == 0.0:
-        return 0.0 if wanted == 0.0 else np.inf
+        return 0.0 if target == 0.0 else np.inf
     with np.errstate(over="ignore"):
-        return float(wanted / given)
+        return float(target / given)
 
 
 def as_weight(name: str, value: ArrayLike) -> Floats:

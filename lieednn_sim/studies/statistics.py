@@ -48,8 +48,8 @@ class Group(Generic[R]):
 
     def median(self, column: str) -> float | None:
         """Median of `values`, or None."""
-        found = self.values(column)
-        return float(np.median(found)) if found else None
+        result = self.values(column)
+        return float(np.median(result)) if result else None
 
 
 def wilson(successes: int, total: int) -> tuple[float, float]:
@@ -67,10 +67,10 @@ def wilson(successes: int, total: int) -> tuple[float, float]:
 
 def grouped(rows: Iterable[R], columns: Sequence[str]) -> list[Group[R]]:
     """Rows grouped by the values of some columns, in the order of first occurrence."""
-    found: dict[tuple[str, ...], list[R]] = {}
+    result: dict[tuple[str, ...], list[R]] = {}
     for row in rows:
-        found.setdefault(tuple(getattr(row, name) for name in columns), []).append(row)
-    return [Group(key, tuple(members)) for key, members in found.items()]
+        result.setdefault(tuple(getattr(row, name) for name in columns), []).append(row)
+    return [Group(key, tuple(members)) for key, members in result.items()]
 
 
 def motions(rows: Iterable[R]) -> list[R]:
@@ -86,8 +86,8 @@ def numbers(rows: Sequence[R], column: str) -> list[float]:
     if not rows:
         return []
     of_motion = next(entry.metadata["of_motion"] for entry in fields(rows[0]) if entry.name == column)
-    found = (getattr(row, column) for row in (motions(rows) if of_motion else rows))
-    return [float(value) for value in found if value is not None]
+    result = (getattr(row, column) for row in (motions(rows) if of_motion else rows))
+    return [float(value) for value in result if value is not None]
 
 
 def pattern_of(reason: str) -> str:

@@ -151,8 +151,8 @@ class Table(Generic[R]):
         with self._connected() as base:
             base.execute("ATTACH ? AS part", (_address(other.path, "rw"),))
             both = f"SELECT {key} FROM rows AS mine JOIN part.rows AS its USING ({key}) WHERE {differ} LIMIT 1"
-            if found := base.execute(both).fetchone():
-                what = ", ".join(map(str, found))
+            if result := base.execute(both).fetchone():
+                what = ", ".join(map(str, result))
                 raise FileError(f"{self.path} and {other.path} disagree on {what}; remove one of them")
             base.execute("INSERT OR IGNORE INTO rows SELECT * FROM part.rows")
 

@@ -66,7 +66,7 @@ def resolve(
             else:
                 name, fingerprint = scene_label(source), describe(load_obstacles(source))[1]
             file = UserFile(kind, name, source, fingerprint)
-            if any(one in name for one in ":/\n"):
+            if any(item in name for item in ":/\n"):
                 raise InputError(f"no {kind} in a table can be called {name!r}; rename {value}{_or_describe(kind)}")
             if name in known or any(other.name == name and other != file for other in user_files):
                 raise InputError(f"there is another {kind} {name!r}; rename {value}{_or_describe(kind)}")
@@ -81,8 +81,8 @@ def _or_describe(kind: str) -> str:
 
 def load(name: str, scene: str, seed: int, user_files: Iterable[UserFile]) -> Arm:
     """The arm in its scene, from the package or from files; raises as `Arm.load`, and `FileError` if a file changed."""
-    found = {file[:2]: file for file in user_files}
-    of_arm, of_scene = found.get((ARM, name)), found.get((SCENE, scene))
+    result = {file[:2]: file for file in user_files}
+    of_arm, of_scene = result.get((ARM, name)), result.get((SCENE, scene))
     arm = bare_arm(of_arm.source if of_arm else name)
     if of_arm:
         _check_unchanged(of_arm, arm.fingerprint)

@@ -117,9 +117,9 @@ class _Task:
     def offer(self, network: LieEDNN) -> None:
         """End with this network if it is certified, has the target as equilibrium, and t is not too large."""
         if network.certified:
-            made = self.end("certified", network)
-            exact = made.residual < RESIDUAL_TOLERANCE * self.options.gamma
-            if not (exact and made.largest_translation < self.options.max_translation):
+            result = self.end("certified", network)
+            exact = result.residual < RESIDUAL_TOLERANCE * self.options.gamma
+            if not (exact and result.largest_translation < self.options.max_translation):
                 self.outcome = None
 
     def refuse(self) -> None:
@@ -144,12 +144,12 @@ def attempt_all(
     options: Options,
 ) -> list[Synthesis]:
     """The outcomes of `synthesize` for targets ``(B, N, 6)``; the bias is a rule or an array ``(B, N, 6)``."""
-    begun = cpu_time()
+    start = cpu_time()
     rule = bias if isinstance(bias, str) else None
     tasks = []
     for k, (target, state) in enumerate(zip(targets, ACTIVATIONS[options.activation].phi(targets), strict=True)):
         offset = bias_for(bias, target, state, options.ratio, magnitudes[k]) if isinstance(bias, str) else bias[k]
-        tasks.append(_Task(target, state, offset, generators[k], options, begun))
+        tasks.append(_Task(target, state, offset, generators[k], options, start))
     solved = rule == "solved"
     if not solved:
         for task in tasks:
@@ -198,8 +198,8 @@ def _fast_attempt(stack: Sequence[_Task], solved: bool) -> None:
     unknowns, feasible, iterations = feasible_points(problem, start, aim=0.85, accept=0.97)
     for task, count in zip(stack, iterations.tolist(), strict=True):
         task.iterations += count
-    found = np.flatnonzero(feasible)
-    _offer_polished([stack[k] for k in found.tolist()], problem.of(found), unknowns[found])
+    result = np.flatnonzero(feasible)
+    _offer_polished([stack[k] for k in result.tolist()], problem.of(result), unknowns[result])
 
 
 def _patient_attempt(task: _Task) -> None:

@@ -83,16 +83,16 @@ def impossibility(outputs: Floats, required: Floats) -> str | None:
         required: xi - (mu/gamma) b, ``(N, 6)``.
     """
     for part, name in ((slice(0, 3), "rotational"), (slice(3, 6), "translational")):
-        given, wanted = outputs[:, part], required[:, part]
+        given, target = outputs[:, part], required[:, part]
         if given.any():
-            if (given * (wanted - given)).min() >= 0.0:
+            if (given * (target - given)).min() >= 0.0:
                 return (
                     f"no {name} coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can "
                     "exist; use the sign-matched bias or retarget a certified network"
                 )
             # Nonzero rotations may drive the translations through t.
             return None
-        if wanted.any():
+        if target.any():
             return (
                 f"every {name} coordinate of the target is zero, so no weights can produce the {name} bias; "
                 "use the sign-matched bias"

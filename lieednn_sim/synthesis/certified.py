@@ -97,7 +97,7 @@ def synthesize_many(
     offset = bias if isinstance(bias, str) else as_floats("bias", bias, targets.shape)
     given = as_floats("bias_magnitude", bias_magnitude, (), batched=True)
     given = np.broadcast_to(as_floats("bias_magnitude", given, (count,) if given.ndim else ()), (count,))
-    magnitudes = [as_positive("bias_magnitude", float(one)) for one in given]
+    magnitudes = [as_positive("bias_magnitude", float(item)) for item in given]
     options = Options(gamma, mu, activation, max_translation, max_attempts)
     return attempt_all(targets, offset, magnitudes, as_generator("seed", seed).spawn(count), options)
 

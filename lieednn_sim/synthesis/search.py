@@ -69,9 +69,9 @@ def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: floa
             value, damping, linear = value[kept], damping[kept], [linear[k] for k in kept]
         fresh = moved.nonzero()[0]
         if len(fresh):
-            for k, one in zip(fresh, _linearised(problem.of(fresh), point.of(fresh), aim), strict=True):
-                linear[k] = one
-        steps = [one.step(weight) for one, weight in zip(linear, damping.tolist(), strict=True)]
+            for k, entry in zip(fresh, _linearised(problem.of(fresh), point.of(fresh), aim), strict=True):
+                linear[k] = entry
+        steps = [item.step(weight) for item, weight in zip(linear, damping.tolist(), strict=True)]
         predicted = value - np.array([left for _, left in steps])
         there = point.unknowns + np.array([step for step, _ in steps])
         log_scale = there[:, problem.n_quaternion :]
@@ -154,8 +154,8 @@ def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
             np.multiply(problem.of(piece).eigenspace_jacobian(part, first), slope[..., None], out=jacobian[:, height:])
             right = np.concatenate([residual[piece], over * diagonal], axis=-1)
             gram = jacobian @ jacobian.swapaxes(-1, -2)
-            for k, *one in zip(piece.tolist(), right, jacobian, gram, strict=True):
-                linear[k] = _Linear(*one)
+            for k, *item in zip(piece.tolist(), right, jacobian, gram, strict=True):
+                linear[k] = _Linear(*item)
     return linear
 
 
@@ -177,7 +177,7 @@ def smallest_eigenvalue_point(
         return problem.smooth_largest_eigenvalue(trial, sharpness)
 
     for sharpness in (20.0, 80.0, 320.0, 1280.0):
-        found = minimize(
+        solution = minimize(
             largest,
             unknowns,
             args=(sharpness,),
@@ -187,10 +187,10 @@ def smallest_eigenvalue_point(
             constraints={"type": "eq", "fun": problem.flat_residual, "jac": problem.flat_jacobian},
             options={"maxiter": 400, "ftol": 1e-6},
         )
-        iterations += found.nit
-        if not np.isfinite(found.x).all():
+        iterations += solution.nit
+        if not np.isfinite(solution.x).all():
             return None, iterations
-        unknowns = found.x
+        unknowns = solution.x
         point = problem.evaluate(unknowns)
         if point.values[-1] < accept and np.abs(point.residual).max() < _ROUGH:
             return unknowns, iterations

@@ -107,8 +107,8 @@ class EquivariantLieEDNN(RigidNetwork):
         Raises:
             NotCertifiedError: none was found; the network may be unstable.
         """
-        found = stability.find_certificate(self.rotational_weight, gamma=self.gamma, mu=self.mu, group_size=3)
-        return self._carrying(found, every=3)
+        certificate = stability.find_certificate(self.rotational_weight, gamma=self.gamma, mu=self.mu, group_size=3)
+        return self._carrying(certificate, every=3)
 
     def phi(self, x: Floats) -> Floats:
         """Activation Phi of twists ``(..., 6)``: the whole twist, scaled by tanh(||omega||)/||omega||; unchecked."""

@@ -41,29 +41,29 @@ def group(name: str) -> MatrixLieGroup:
         linear, times = linear.removeprefix("affine(").removesuffix(")"), times + 1
     general = re.fullmatch(r"GL\(([0-9]{1,4})\)", linear) if isinstance(linear, str) else None
     if general is not None:
-        one = general_linear(int(general[1]))
+        item = general_linear(int(general[1]))
     elif isinstance(linear, str) and linear in GROUPS:
-        one = GROUPS[linear]()
+        item = GROUPS[linear]()
     else:
         raise InputError(f"no group {quoted(name)}; allowed: {', '.join(GROUPS)}, GL(n), affine(...)")
     for _ in range(times):
-        one = affine(one)
-    return one
+        item = affine(item)
+    return item
 
 
-def catalogue_name(one: MatrixLieGroup) -> str:
+def catalogue_name(item: MatrixLieGroup) -> str:
     """Name by which `group` gives the same group again, for files.
 
     Raises:
         InputError: it is the user's own group.
     """
     try:
-        known = group(one.name)
+        known = group(item.name)
     except InputError:
         known = None
-    if known is None or not np.array_equal(known.basis, one.basis):
-        raise InputError(f"only a group of lieednn_sim.theory.groups can be saved, and {one.name!r} is not one of them")
-    return one.name
+    if known is None or not np.array_equal(known.basis, item.basis):
+        raise InputError(f"only a group of lieednn_sim.theory.groups can be saved, and {item.name!r} is none")
+    return item.name
 
 
 @cache

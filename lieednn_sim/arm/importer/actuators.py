@@ -37,13 +37,13 @@ def read_actuators(draft: Draft) -> None:
         if model.jnt_actfrclimited[joint] and not moments[:, k].any():
             # The joint's own bound, such as the effort of a URDF, applies to any servo added later.
             ranges[k] = model.jnt_actfrcrange[joint]
-    found = [_actuation(model, moments, (float(low), float(high)), k) for k, (low, high) in enumerate(ranges)]
+    results = [_actuation(model, moments, (float(low), float(high)), k) for k, (low, high) in enumerate(ranges)]
     if draft.servo_rule == "design":
-        found = [replace(one, gains=None, remark=one.remark or "as asked for") for one in found]
-    for remark in dict.fromkeys(one.remark for one in found if one.remark):
-        affected = [dof.name for dof, one in zip(dofs, found, strict=True) if one.remark == remark]
+        results = [replace(item, gains=None, remark=item.remark or "as asked for") for item in results]
+    for remark in dict.fromkeys(item.remark for item in results if item.remark):
+        affected = [dof.name for dof, item in zip(dofs, results, strict=True) if item.remark == remark]
         draft.notes.append(f"new servos for {', '.join(affected)}: {remark}")
-    draft.actuations = found
+    draft.actuations = results
 
 
 def design_servos(draft: Draft) -> None:
@@ -174,11 +174,11 @@ def _soften(
         if decays[-1] >= _DECAY:
             break
     best = max(decays)
-    found = choices[next(i for i, decay in enumerate(decays) if decay >= min(_DECAY, best - 0.1 * abs(best)))]
+    result = choices[next(i for i, decay in enumerate(decays) if decay >= min(_DECAY, best - 0.1 * abs(best)))]
     for k in tied:
         actuator = spec.actuator(names[k])
-        actuator.gainprm, actuator.biasprm = gain_parameters(found[k])
-    return found
+        actuator.gainprm, actuator.biasprm = gain_parameters(result[k])
+    return result
 
 
 def _slower(servo: Servo, factor: float) -> Servo:

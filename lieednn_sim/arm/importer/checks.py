@@ -42,10 +42,10 @@ def check_kinematics(draft: Draft) -> None:
     for before.qpos[:], after.qpos[:] in zip(*configurations, strict=True):
         mujoco.mj_kinematics(original, before)
         mujoco.mj_kinematics(model, after)
-        wanted = pose(before.xpos[bodies], before.xquat[bodies]) * fixed
+        target = pose(before.xpos[bodies], before.xquat[bodies]) * fixed
         rotations = scipy.spatial.transform.Rotation.from_matrix(after.site_xmat[sites].reshape(-1, 3, 3))
-        found = scipy.spatial.transform.RigidTransform.from_components(after.site_xpos[sites], rotations)
-        same = np.isclose(wanted.as_matrix(), found.as_matrix(), rtol=0.0, atol=1e-9).all(axis=(-2, -1))
+        result = scipy.spatial.transform.RigidTransform.from_components(after.site_xpos[sites], rotations)
+        same = np.isclose(target.as_matrix(), result.as_matrix(), rtol=0.0, atol=1e-9).all(axis=(-2, -1))
         if not same.all():
             raise InputError(
                 f"the frame {frames[int(same.argmin())].name!r} moved while other joints were locked; the model uses a "
@@ -110,8 +110,8 @@ def look_at_home(draft: Draft) -> None:
             notes.append(f"{servo.name}: {sag}; {helps}")
     for contact in data.contact[: data.ncon]:
         if contact.dist < 0.0:
-            one, other = (model.body(model.geom_bodyid[geom]).name for geom in contact.geom)
-            notes.append(f"bodies {one!r} and {other!r} touch at home")
+            first, second = (model.body(model.geom_bodyid[geom]).name for geom in contact.geom)
+            notes.append(f"bodies {first!r} and {second!r} touch at home")
 
 
 def look_at_straight_paths(draft: Draft) -> None:
@@ -122,10 +122,10 @@ def look_at_straight_paths(draft: Draft) -> None:
     fractions = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
     for path in _straight_paths(draft, home, [random_coordinates(draft, rng) for _ in range(_PATHS)], fractions):
         for fraction, qpos in zip(fractions, path, strict=True):
-            found = finder.bodies(qpos)
-            if found:
+            result = finder.bodies(qpos)
+            if result:
                 touching, blocked = touching + int(fraction == 1.0), blocked + int(fraction < 1.0)
-                (ends if fraction == 1.0 else between).update({"{!r} and {!r}".format(*sorted(pair)) for pair in found})
+                (ends if fraction == 1.0 else between).update({"{!r} and {!r}".format(*sorted(p)) for p in result})
                 break
     for count, what, pairs, then in (
         (touching, f"{_PATHS} random configurations are", ends, "these cannot be targets"),
@@ -138,7 +138,7 @@ def look_at_straight_paths(draft: Draft) -> None:
     ):
         if count:
             # Sets have no order: ties are broken by name.
-            most = sorted(pairs.items(), key=lambda one: (-one[1], one[0]))[:_SHOWN]
+            most = sorted(pairs.items(), key=lambda item: (-item[1], item[0]))[:_SHOWN]
             shown = ", ".join(f"{pair} ({times})" for pair, times in most)
             draft.notes.append(
                 f"{count} of {what} within {1e3 * PLANNED_CLEARANCE:g} mm of contact, between {shown}: {then}"
@@ -191,8 +191,8 @@ def _frame_matrices(model: mujoco.MjModel, configurations: Sequence[Floats], lin
     """Rotation matrices of the base's and the links' frames at each of K configurations, ``(K, links + 1, 3, 3)``."""
     data = mujoco.MjData(model)
     sites = _frame_sites(model, links + 1)
-    found = np.empty((len(configurations), links + 1, 9))
-    for matrices, data.qpos[:] in zip(found, configurations, strict=True):
+    result = np.empty((len(configurations), links + 1, 9))
+    for matrices, data.qpos[:] in zip(result, configurations, strict=True):
         mujoco.mj_kinematics(model, data)
         matrices[:] = data.site_xmat[sites]
-    return found.reshape(-1, links + 1, 3, 3)
+    return result.reshape(-1, links + 1, 3, 3)

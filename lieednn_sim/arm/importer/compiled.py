@@ -82,14 +82,14 @@ def spec_of(model: mujoco.MjModel, data: mujoco.MjData, grasp: Grasp | None = No
 
 def _entries(model: mujoco.MjModel, order: list[int], grasp: Grasp | None) -> list[int]:
     """Which entries of qpos the joints of bodies in an order have, without the free joint of a held body."""
-    found: list[int] = []
+    result: list[int] = []
     for body in order:
         if grasp is not None and body == grasp.body:
             continue
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
             first = int(model.jnt_qposadr[joint])
-            found += range(first, first + {_FREE: 7, _BALL: 4}.get(int(model.jnt_type[joint]), 1))
-    return found
+            result += range(first, first + {_FREE: 7, _BALL: 4}.get(int(model.jnt_type[joint]), 1))
+    return result
 
 
 class _Names:
@@ -161,29 +161,29 @@ def _add_body(
         pos, quat = grasp.place.translation, grasp.place.rotation.as_quat(scalar_first=True)
     if (mocap := model.body_mocapid[body]) >= 0:
         pos, quat = data.mocap_pos[mocap], data.mocap_quat[mocap]
-    made = parent.add_body(name=names("body", body), pos=pos, quat=quat, explicitinertial=True)
-    made.mass, made.gravcomp = float(model.body_mass[body]), float(model.body_gravcomp[body])
-    made.ipos, made.iquat, made.inertia = model.body_ipos[body], model.body_iquat[body], model.body_inertia[body]
+    result = parent.add_body(name=names("body", body), pos=pos, quat=quat, explicitinertial=True)
+    result.mass, result.gravcomp = float(model.body_mass[body]), float(model.body_gravcomp[body])
+    result.ipos, result.iquat, result.inertia = model.body_ipos[body], model.body_iquat[body], model.body_inertia[body]
     if grasp is None:
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-            _add_joint(made, model, data, joint, names)
-    return made
+            _add_joint(result, model, data, joint, names)
+    return result
 
 
 def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, data: mujoco.MjData, joint: int, names: _Names) -> None:
-    made = body.add_joint(name=names("joint", joint), align=0)
-    _copy(made, model, "jnt", joint, _JOINT)
+    result = body.add_joint(name=names("joint", joint), align=0)
+    _copy(result, model, "jnt", joint, _JOINT)
     dof, address = model.jnt_dofadr[joint], model.jnt_qposadr[joint]
-    made.limited = _limited(model.jnt_limited[joint])
+    result.limited = _limited(model.jnt_limited[joint])
     if model.jnt_type[joint] == _HINGE and not model.jnt_limited[joint]:
-        made.limited, made.range = _limited(True), data.qpos[address] + 2.0 * np.pi * np.array([-1.0, 1.0])
-    made.stiffness = [model.jnt_stiffness[joint], *model.jnt_stiffnesspoly[joint]]
-    made.damping = [model.dof_damping[dof], *model.dof_dampingpoly[dof]]
-    made.armature, made.frictionloss = float(model.dof_armature[dof]), float(model.dof_frictionloss[dof])
+        result.limited, result.range = _limited(True), data.qpos[address] + 2.0 * np.pi * np.array([-1.0, 1.0])
+    result.stiffness = [model.jnt_stiffness[joint], *model.jnt_stiffnesspoly[joint]]
+    result.damping = [model.dof_damping[dof], *model.dof_dampingpoly[dof]]
+    result.armature, result.frictionloss = float(model.dof_armature[dof]), float(model.dof_frictionloss[dof])
     if model.jnt_type[joint] in (_HINGE, _SLIDE):
-        made.ref, made.springref = float(model.qpos0[address]), float(model.qpos_spring[address])
-        _copy(made, model, "jnt", joint, _JOINT_FORCES)
-        made.actfrclimited = _limited(model.jnt_actfrclimited[joint])
+        result.ref, result.springref = float(model.qpos0[address]), float(model.qpos_spring[address])
+        _copy(result, model, "jnt", joint, _JOINT_FORCES)
+        result.actfrclimited = _limited(model.jnt_actfrclimited[joint])
 
 
 def _add_geom(
@@ -191,14 +191,14 @@ def _add_geom(
 ) -> Any:
     """Add a copy of a geom to its body."""
     kind = int(model.geom_type[geom])
-    made = bodies[int(model.geom_bodyid[geom])].add_geom(name=name)
-    _copy(made, model, "geom", geom, _GEOM_FIELDS)
-    made.rgba = colours[geom]
+    result = bodies[int(model.geom_bodyid[geom])].add_geom(name=name)
+    _copy(result, model, "geom", geom, _GEOM_FIELDS)
+    result.rgba = colours[geom]
     if kind in (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF)):
-        made.meshname = names("mesh", model.geom_dataid[geom])
+        result.meshname = names("mesh", model.geom_dataid[geom])
     elif kind == int(_GEOM.mjGEOM_HFIELD):
-        made.hfieldname = names("hfield", model.geom_dataid[geom])
-    return made
+        result.hfieldname = names("hfield", model.geom_dataid[geom])
+    return result
 
 
 def _add_parts(spec: mujoco.MjSpec, bodies: dict[int, mujoco.MjsBody], model: mujoco.MjModel, names: _Names) -> None:
@@ -207,17 +207,17 @@ def _add_parts(spec: mujoco.MjSpec, bodies: dict[int, mujoco.MjsBody], model: mu
     for geom in range(model.ngeom):
         _add_geom(bodies, model, names, colours, geom, names("geom", geom))
     for site in range(model.nsite):
-        made = bodies[int(model.site_bodyid[site])].add_site(name=names("site", site))
-        _copy(made, model, "site", site, ("pos", "quat", "size", "group", "rgba"))
+        result = bodies[int(model.site_bodyid[site])].add_site(name=names("site", site))
+        _copy(result, model, "site", site, ("pos", "quat", "size", "group", "rgba"))
 
 
 def _add_tendons(spec: mujoco.MjSpec, model: mujoco.MjModel, names: _Names) -> None:
     """Add fixed tendons, which may drive the stages of a telescope."""
     for tendon in range(model.ntendon):
         if coefficients := tendon_joints(model, tendon):
-            made = spec.add_tendon(name=names("tendon", tendon))
+            result = spec.add_tendon(name=names("tendon", tendon))
             for joint, coefficient in coefficients.items():
-                made.wrap_joint(names("joint", joint), coefficient)
+                result.wrap_joint(names("joint", joint), coefficient)
 
 
 def _add_equalities(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData, names: _Names) -> None:
@@ -227,12 +227,12 @@ def _add_equalities(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjD
             continue
         on_sites = model.eq_objtype[equality] == int(_OBJ.mjOBJ_SITE)
         sort = "joint" if kind == int(_EQ.mjEQ_JOINT) else "site" if on_sites else "body"
-        made = spec.add_equality(name=model.equality(equality).name, type=model.eq_type[equality].item())
-        made.objtype = model.eq_objtype[equality].item()
-        made.name1 = names(sort, model.eq_obj1id[equality])
+        result = spec.add_equality(name=model.equality(equality).name, type=model.eq_type[equality].item())
+        result.objtype = model.eq_objtype[equality].item()
+        result.name1 = names(sort, model.eq_obj1id[equality])
         if model.eq_obj2id[equality] >= 0:
-            made.name2 = names(sort, model.eq_obj2id[equality])
-        _copy(made, model, "eq", equality, ("data", "solref", "solimp"))
+            result.name2 = names(sort, model.eq_obj2id[equality])
+        _copy(result, model, "eq", equality, ("data", "solref", "solimp"))
 
 
 def _add_actuators(spec: mujoco.MjSpec, model: mujoco.MjModel, names: _Names) -> None:
@@ -242,24 +242,24 @@ def _add_actuators(spec: mujoco.MjSpec, model: mujoco.MjModel, names: _Names) ->
         on_tendon = transmission == int(_TRN.mjTRN_TENDON) and bool(tendon_joints(model, target))
         if not on_tendon and transmission not in ON_JOINTS:
             continue
-        made = spec.add_actuator(
+        result = spec.add_actuator(
             name=names("actuator", actuator), target=names("tendon" if on_tendon else "joint", target)
         )
-        _copy(made, model, "actuator", actuator, _ACTUATOR)
-        made.ctrllimited = _limited(model.actuator_ctrllimited[actuator])
-        made.forcelimited = _limited(model.actuator_forcelimited[actuator])
+        _copy(result, model, "actuator", actuator, _ACTUATOR)
+        result.ctrllimited = _limited(model.actuator_ctrllimited[actuator])
+        result.forcelimited = _limited(model.actuator_forcelimited[actuator])
 
 
 def _add_contact_rules(spec: mujoco.MjSpec, model: mujoco.MjModel, names: _Names) -> None:
     """Add excluded pairs of bodies, and explicit pairs of geoms."""
     for signature in model.exclude_signature:
-        one, other = divmod(int(signature), 1 << 16)
-        spec.add_exclude(bodyname1=names("body", one), bodyname2=names("body", other))
+        first, second = divmod(int(signature), 1 << 16)
+        spec.add_exclude(bodyname1=names("body", first), bodyname2=names("body", second))
     for pair in range(model.npair):
-        made = spec.add_pair(
+        result = spec.add_pair(
             geomname1=names("geom", model.pair_geom1[pair]), geomname2=names("geom", model.pair_geom2[pair])
         )
-        _copy(made, model, "pair", pair, ("margin", "gap", "solref", "solimp", "friction", "condim=dim"))
+        _copy(result, model, "pair", pair, ("margin", "gap", "solref", "solimp", "friction", "condim=dim"))
 
 
 def name_in_spec(model: mujoco.MjModel, body: int) -> str:
@@ -288,9 +288,9 @@ def shared_addresses(model: mujoco.MjModel, arm: mujoco.MjModel) -> tuple[NDArra
     theirs = {names("joint", joint): joint for joint in range(model.njnt)}
     for joint in range(arm.njnt):
         other = theirs[as_choice("joint of the arm in the model", arm.joint(joint).name, theirs)]
-        for width, found, address in ((_WIDTHS, qpos, "jnt_qposadr"), (_RATES, qvel, "jnt_dofadr")):
+        for width, result, address in ((_WIDTHS, qpos, "jnt_qposadr"), (_RATES, qvel, "jnt_dofadr")):
             count = width.get(int(arm.jnt_type[joint]), 1)
-            found += [(getattr(model, address)[other] + k, getattr(arm, address)[joint] + k) for k in range(count)]
+            result += [(getattr(model, address)[other] + k, getattr(arm, address)[joint] + k) for k in range(count)]
     return (*np.array(qpos).T, *np.array(qvel).T)
 
 

@@ -104,10 +104,10 @@ def find_grasp(
     # What moves with the arm's base may not be touched: neither the arm itself nor its hand stands below the body.
     robot = (model.body_rootid == root) & (model.body_weldid != 0)
     for distance, geoms in zip(*ContactFinder(model, clearance + _DEPTH, mocap=data).geoms(data.qpos), strict=True):
-        one, other = (int(geom) for geom in (geoms if mine[geoms[0]] else geoms[::-1]))
-        if mine[one] and not mine[other] and not robot[model.geom_bodyid[other]]:
+        first, second = (int(geom) for geom in (geoms if mine[geoms[0]] else geoms[::-1]))
+        if mine[first] and not mine[second] and not robot[model.geom_bodyid[second]]:
             depth = max(-float(distance), 0.0)
-            supports[one, other] = max(supports.get((one, other), 0.0), clearance + depth + _DEPTH)
+            supports[first, second] = max(supports.get((first, second), 0.0), clearance + depth + _DEPTH)
     solid = colliding_geoms(model)
     named = np.isin(model.geom_bodyid, list(allowed)) & solid
     for pair in product(np.flatnonzero(mine & solid).tolist(), np.flatnonzero(named).tolist()):
@@ -116,11 +116,11 @@ def find_grasp(
 
 
 def _body(model: mujoco.MjModel, name: str) -> int:
-    found = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
-    if found < 0:
+    result = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
+    if result < 0:
         known = ", ".join(filter(None, (model.body(k).name for k in range(model.nbody))))
         raise InputError(f"no body {quoted(name)} to touch; bodies are: {known}")
-    return found
+    return result
 
 
 def _kinematics(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
@@ -164,8 +164,8 @@ def add_supports(
     """
     taken = {geom.name for geom in spec.geoms}
     bodies = {(int(model.geom_bodyid[a]), int(model.geom_bodyid[b])) for a, b in grasp.supports}
-    for one, other in sorted(bodies):
-        spec.add_exclude(bodyname1=name("body", one), bodyname2=name("body", other))
+    for body, other in sorted(bodies):
+        spec.add_exclude(bodyname1=name("body", body), bodyname2=name("body", other))
     solid = np.flatnonzero(colliding_geoms(model))
     kind, affinity = model.geom_contype, model.geom_conaffinity
     for a in solid.tolist():
@@ -192,9 +192,9 @@ def _shrink(spec: mujoco.MjSpec, model: mujoco.MjModel, core: Any, geom: int, by
         rows = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
         centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         points = centre + (model.mesh_vert[rows] - centre) * np.maximum(half - by, _THIN) / np.maximum(half, _THIN)
-        made = spec.add_mesh(name=f"{core.name}", uservert=np.asarray(points).ravel())
-        made.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        core.meshname = made.name
+        result = spec.add_mesh(name=f"{core.name}", uservert=np.asarray(points).ravel())
+        result.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        core.meshname = result.name
         return
     size: Floats = np.array(core.size)
     entries = _SIZES.get(shape, 0)

@@ -62,8 +62,8 @@ def _velocities(source: Path) -> dict[str, float]:
     if robot.tag != "robot":
         return {}
     limits = {joint.get("name", ""): joint.find("limit") for joint in robot.iterfind("joint")}
-    found = {name: float(limit.get("velocity", "0")) for name, limit in limits.items() if limit is not None}
-    return {name: velocity for name, velocity in found.items() if velocity > 0.0}
+    result = {name: float(limit.get("velocity", "0")) for name, limit in limits.items() if limit is not None}
+    return {name: velocity for name, velocity in result.items() if velocity > 0.0}
 
 
 def limit_accelerations(draft: Draft) -> None:

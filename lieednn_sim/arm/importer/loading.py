@@ -189,8 +189,8 @@ def check_size(source: Path) -> None:
             # MuJoCo tells what is missing or wrong.
             continue
         _check_elements(root, path)
-        included = (source.parent / one.get("file", "") for one in root.iter("include") if one.get("file"))
-        waiting += [one for one in included if one not in seen and one.is_file()]
+        included = (source.parent / item.get("file", "") for item in root.iter("include") if item.get("file"))
+        waiting += [item for item in included if item not in seen and item.is_file()]
 
 
 def _check_elements(root: ElementTree.Element, path: Path) -> None:

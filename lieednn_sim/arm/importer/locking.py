@@ -111,27 +111,27 @@ def _superfluous_equalities(
     model: mujoco.MjModel, locked: set[int], tendons: set[int], rigid: NDArray[np.int_]
 ) -> tuple[set[int], list[str]]:
     """Equalities that refer to locked joints or hold bodies that are rigid anyway, and remarks on them."""
-    found, notes = set(), []
+    result, notes = set(), []
     for e in range(model.neq):
-        kind, one, other = int(model.eq_type[e]), int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        kind, first, second = int(model.eq_type[e]), int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
         name = model.equality(e).name or f"number {e}"
         if not model.eq_active0[e]:
-            found.add(e)
+            result.add(e)
             notes.append(f"removed the inactive equality {name!r}")
         elif kind == int(_EQ.mjEQ_JOINT):
-            if locked.intersection((one, other)):
-                found.add(e)
-                if one not in locked:
-                    notes.append(f"joint {model.joint(one).name!r} followed a locked joint and is free of it now")
+            if locked.intersection((first, second)):
+                result.add(e)
+                if first not in locked:
+                    notes.append(f"joint {model.joint(first).name!r} followed a locked joint and is free of it now")
         elif kind == int(_EQ.mjEQ_TENDON):
-            if not tendons.intersection((one, other)):
+            if not tendons.intersection((first, second)):
                 raise InputError(
                     f"equality {name!r} between tendons holds the arm; tie its joints by equalities instead"
                 )
-            found.add(e)
+            result.add(e)
         elif kind in (int(_EQ.mjEQ_CONNECT), int(_EQ.mjEQ_WELD)):
             site = model.eq_objtype[e] == int(_OBJ.mjOBJ_SITE)
-            bodies = [int(model.site_bodyid[b]) if site else max(b, 0) for b in (one, other)]
+            bodies = [int(model.site_bodyid[b]) if site else max(b, 0) for b in (first, second)]
             if any(model.body_mocapid[model.body_rootid[b]] >= 0 for b in bodies):
                 notes.append(f"removed the equality {name!r} to a mocap body")
             elif rigid[bodies[0]] != rigid[bodies[1]]:
@@ -139,8 +139,8 @@ def _superfluous_equalities(
                     f"equality {name!r} closes a loop between bodies {model.body(bodies[0]).name!r} and "
                     f"{model.body(bodies[1]).name!r}, which the arm moves apart; delete it, or choose links beside it"
                 )
-            found.add(e)
-    return found, notes
+            result.add(e)
+    return result, notes
 
 
 def _keep_contact_filter(spec: mujoco.MjSpec, model: mujoco.MjModel, rigid: NDArray[np.int_]) -> None:
@@ -148,16 +148,16 @@ def _keep_contact_filter(spec: mujoco.MjSpec, model: mujoco.MjModel, rigid: NDAr
     solid = np.unique(model.geom_bodyid[colliding_geoms(model)]).tolist()
     known = {frozenset((exclude.bodyname1, exclude.bodyname2)) for exclude in spec.excludes}
     weld = model.body_weldid
-    for one, other in itertools.combinations(solid, 2):
-        pair = frozenset((model.body(one).name, model.body(other).name))
-        if pair in known or not _filtered(model, weld, one, other) or _filtered(model, rigid, one, other):
+    for first, second in itertools.combinations(solid, 2):
+        pair = frozenset((model.body(first).name, model.body(second).name))
+        if pair in known or not _filtered(model, weld, first, second) or _filtered(model, rigid, first, second):
             continue
-        spec.add_exclude(bodyname1=model.body(one).name, bodyname2=model.body(other).name)
+        spec.add_exclude(bodyname1=model.body(first).name, bodyname2=model.body(second).name)
 
 
-def _filtered(model: mujoco.MjModel, part: NDArray[np.int_], one: int, other: int) -> bool:
+def _filtered(model: mujoco.MjModel, part: NDArray[np.int_], first: int, second: int) -> bool:
     """MuJoCo's rule: no contact within a rigid part, nor with its parent part unless that is the world."""
-    a, b = int(part[one]), int(part[other])
+    a, b = int(part[first]), int(part[second])
     if a == b:
         return True
     carriers = int(part[model.body_parentid[a]]), int(part[model.body_parentid[b]])

@@ -43,8 +43,8 @@ def ignore_overlaps(draft: Draft) -> None:
     bodies = overlaps.bodies
     seen = [overlaps.at(qpos) for qpos in draft.configurations([*draft.samples, *draft.extremes])]
     nearest: dict[_Pair, float] = {}
-    for found in seen:
-        for geoms, distance in found.items():
+    for solution in seen:
+        for geoms, distance in solution.items():
             nearest[geoms] = min(distance, nearest.get(geoms, np.inf))
     ignored: dict[_Pair, set[_Pair]] = {}
     reasons: dict[str, list[str]] = {}
@@ -55,7 +55,7 @@ def ignore_overlaps(draft: Draft) -> None:
         reasons.setdefault(why, []).append(f"{overlaps.names(pair)} ({_depth(deepest)})")
 
     for pair in sorted(set(map(bodies, nearest)), key=overlaps.names):
-        near = [{geoms for geoms in found if bodies(geoms) == pair} for found in seen]
+        near = [{geoms for geoms in result if bodies(geoms) == pair} for result in seen]
         always = set.intersection(*near)
         if overlaps.telescopic(pair):
             ignore(pair, overlaps.geoms(pair), "stages of a telescope that overlap")
@@ -86,7 +86,7 @@ def ignore_overlaps(draft: Draft) -> None:
             draft.notes.append(f"home moved, since {shown} collide there: {', '.join(moved)}")
             place_home(draft, home)
     _exclude(draft, overlaps, ignored)
-    draft.notes += [f"contacts ignored between {', '.join(found)}: {why}" for why, found in reasons.items()]
+    draft.notes += [f"contacts ignored between {', '.join(result)}: {why}" for why, result in reasons.items()]
 
 
 class _Overlaps:
@@ -104,10 +104,10 @@ class _Overlaps:
     def at(self, qpos: Floats) -> _Distances:
         """Pairs of geoms of one robot that are near each other, and their distances [m]."""
         near: dict[_Pair, float] = {}
-        for distance, found in zip(*self._finder.geoms(qpos), strict=True):
-            geoms = _pair(*found)
-            one, other = self.bodies(geoms)
-            if self._robot[one] and self._robot[one] == self._robot[other]:
+        for distance, result in zip(*self._finder.geoms(qpos), strict=True):
+            geoms = _pair(*result)
+            first, second = self.bodies(geoms)
+            if self._robot[first] and self._robot[first] == self._robot[second]:
                 near[geoms] = min(float(distance), near.get(geoms, np.inf))
         return near
 
@@ -126,8 +126,8 @@ class _Overlaps:
 
     def names(self, pair: _Pair) -> str:
         """Names of two bodies, for a note."""
-        one, other = sorted(self._model.body(body).name for body in pair)
-        return f"{one!r} and {other!r}"
+        first, second = sorted(self._model.body(body).name for body in pair)
+        return f"{first!r} and {second!r}"
 
     def telescopic(self, pair: _Pair) -> bool:
         """Whether only slides along one line move the bodies against each other."""
@@ -146,8 +146,8 @@ class _Overlaps:
     def _between(self, pair: _Pair) -> list[int]:
         """The joints that move just one of the bodies against the world."""
         model = self._model
-        one, other = ({joint for b in ancestry(model, body) for joint in joints_of(model, b)} for body in pair)
-        return sorted(one ^ other)
+        first, second = ({joint for b in ancestry(model, body) for joint in joints_of(model, b)} for body in pair)
+        return sorted(first ^ second)
 
 
 def _nearby(draft: Draft) -> Iterator[dict[int, Floats]]:
@@ -182,10 +182,10 @@ def _exclude(draft: Draft, overlaps: _Overlaps, ignored: Mapping[_Pair, Collecti
         explicit.add(geoms)
         if geoms in ignored.get(overlaps.bodies(geoms), ()):
             spec.delete(pair)
-    for one, other in ignored:
-        spec.add_exclude(bodyname1=model.body(one).name, bodyname2=model.body(other).name)
-    for one, other in sorted(kept - explicit):
-        spec.add_pair(geomname1=name[one], geomname2=name[other], **_contact(model, [one, other]))
+    for first, second in ignored:
+        spec.add_exclude(bodyname1=model.body(first).name, bodyname2=model.body(second).name)
+    for first, second in sorted(kept - explicit):
+        spec.add_pair(geomname1=name[first], geomname2=name[second], **_contact(model, [first, second]))
 
 
 def _contact(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
@@ -210,8 +210,8 @@ def _contact(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
     }
 
 
-def _pair(one: int, other: int) -> _Pair:
-    return min(int(one), int(other)), max(int(one), int(other))
+def _pair(first: int, second: int) -> _Pair:
+    return min(int(first), int(second)), max(int(first), int(second))
 
 
 def _depth(distance: float) -> str:

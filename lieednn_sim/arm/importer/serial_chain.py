@@ -66,18 +66,18 @@ def named_frames(model: mujoco.MjModel, links: Sequence[str], base: str | None) 
     Raises:
         InputError: a name is unknown or comes twice.
     """
-    found = [find_frame(model, name) for name in links]
-    inboard = found[0] if base is None else find_frame(model, base)
+    results = [find_frame(model, name) for name in links]
+    inboard = results[0] if base is None else find_frame(model, base)
     if base is None:
-        moved = [body for body in ancestry(model, found[0].body) if _chain_joints(model, body)]
+        moved = [body for body in ancestry(model, results[0].body) if _chain_joints(model, body)]
         if not moved:
             raise InputError(f"no hinge, slide or ball joint moves {links[0]!r}; name a link that moves")
         inboard = body_frame(model, int(model.body_parentid[moved[0]]))
-    frames = (inboard, *found)
-    for one, other in itertools.combinations(frames, 2):
-        same = np.allclose(one.pos, other.pos, atol=1e-12) and abs(one.quat @ other.quat) > 1.0 - 1e-12
-        if one.body == other.body and same:
-            raise InputError(f"{one.name!r} and {other.name!r} are the same frame; every link needs its own")
+    frames = (inboard, *results)
+    for first, second in itertools.combinations(frames, 2):
+        same = np.allclose(first.pos, second.pos, atol=1e-12) and abs(first.quat @ second.quat) > 1.0 - 1e-12
+        if first.body == second.body and same:
+            raise InputError(f"{first.name!r} and {second.name!r} are the same frame; every link needs its own")
     return frames
 
 

@@ -127,14 +127,14 @@ def align(
     kept = as_choice("goals", goals, GOALS) == "kept"
     lever = as_positive("lever", lever)
     fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, _MOST_SAMPLES))
-    if not demonstrations or len({one.dof for one in demonstrations}) > 1:
+    if not demonstrations or len({demonstration.dof for demonstration in demonstrations}) > 1:
         raise InputError("align needs at least one demonstration, and all must show the same")
     goal, twists, times = mean_goal(demonstrations), [], []
     rest = np.tile(goal.translation, (2, 1)), np.tile(goal.rotation.as_matrix(), (2, 1, 1))
     at_goal = Demonstration(np.arange(2.0), *rest, demonstrations[0].dof)
-    for one in demonstrations:
-        seen = one.twists_from(at_goal) if kept else one.twists
-        reached, at = at_phases(fractions, seen, one.t, one.steps(lever), phase)
+    for item in demonstrations:
+        seen = item.twists_from(at_goal) if kept else item.twists
+        reached, at = at_phases(fractions, seen, item.t, item.steps(lever), phase)
         twists.append(reached)
         times.append(at)
     return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].dof, lever, kept)
@@ -142,15 +142,17 @@ def align(
 
 def mean_goal(demonstrations: Sequence[Demonstration]) -> RigidTransform:
     """The mean of the poses at which demonstrations end."""
-    ends = Rotation.from_matrix(np.stack([one.rotation[-1] for one in demonstrations]))
-    return RigidTransform.from_components(np.mean([one.position[-1] for one in demonstrations], axis=0), ends.mean())
+    ends = Rotation.from_matrix(np.stack([demonstration.rotation[-1] for demonstration in demonstrations]))
+    return RigidTransform.from_components(
+        np.mean([shown.position[-1] for shown in demonstrations], axis=0), ends.mean()
+    )
 
 
 def goal_distance(demonstrations: Sequence[Demonstration], lever: float = LEVER) -> float:
     """Largest distance of a demonstration's end from the mean one [m], a radian counting for ``lever`` metres."""
     goal = mean_goal(demonstrations)
-    turns = [(Rotation.from_matrix(one.rotation[-1]) * goal.rotation.inv()).magnitude() for one in demonstrations]
-    apart = [np.linalg.norm(one.position[-1] - goal.translation) for one in demonstrations]
+    turns = [(Rotation.from_matrix(shown.rotation[-1]) * goal.rotation.inv()).magnitude() for shown in demonstrations]
+    apart = [np.linalg.norm(demonstration.position[-1] - goal.translation) for demonstration in demonstrations]
     return float(np.hypot(apart, lever * np.array(turns)).max())
 
 

@@ -63,16 +63,16 @@ def load_demonstrations(
     length = UNITS[as_choice("unit", unit, UNITS)]
     as_choice("order of quaternions", quaternion, QUATERNIONS)
     rate = as_positive("rate", rate)
-    found: list[Demonstration] = []
+    result: list[Demonstration] = []
     for source, samples, t in read_tables(files, partial(_pose_columns, quaternion)):
-        found.append(Demonstration.from_samples(samples, t, length, quaternion, rate, source))
-    for other in found[1:]:
-        if other.dof != found[0].dof:
+        result.append(Demonstration.from_samples(samples, t, length, quaternion, rate, source))
+    for other in result[1:]:
+        if other.dof != result[0].dof:
             raise InputError(
-                f"demonstrations must all show the same: {found[0].source} has {found[0].shown}, "
+                f"demonstrations must all show the same: {result[0].source} has {result[0].shown}, "
                 f"{other.source} {other.shown}"
             )
-    return tuple(found)
+    return tuple(result)
 
 
 def read_tables(
@@ -84,15 +84,15 @@ def read_tables(
         FileError: a file cannot be read, or is of another kind.
         InputError: there is no table, or a csv file's columns are not those of ``columns``.
     """
-    found = []
+    results = []
     for name in files:
         path = as_path("the name of a file of demonstrations", name)
         tables = list(_tables(path, columns))
         for number, table in enumerate(tables):
-            found.append((path.name if len(tables) == 1 else f"{path.name}[{number}]", *table))
-    if not found:
+            results.append((path.name if len(tables) == 1 else f"{path.name}[{number}]", *table))
+    if not results:
         raise InputError("there is no demonstration; name at least one file")
-    return found
+    return results
 
 
 def _tables(path: Path, columns: Columns) -> Iterator[Table]:
@@ -117,8 +117,8 @@ def _several(path: Path, samples: NDArray[Any], t: NDArray[Any] | None = None) -
     if samples.ndim == 2:
         yield samples, t
     else:
-        for number, one in enumerate(samples):
-            yield one, t if t is None or t.ndim == 1 else t[number]
+        for number, item in enumerate(samples):
+            yield item, t if t is None or t.ndim == 1 else t[number]
 
 
 def _npy(path: Path, _: Columns) -> Iterator[Table]:
@@ -152,18 +152,18 @@ def _csv(path: Path, columns: Columns) -> Iterator[Table]:
     table = np.loadtxt(path, delimiter=",", skiprows=int(headed), ndmin=2, encoding="utf-8-sig")
     if not headed:
         return _several(path, table)
-    wanted = columns(path, names)
+    target = columns(path, names)
     t = next((table[:, names.index(name)] for name in TIMES if name in names), None)
-    return _several(path, table[:, [names.index(name) for name in wanted]], t)
+    return _several(path, table[:, [names.index(name) for name in target]], t)
 
 
 def _pose_columns(quaternion: str, path: Path, names: list[str]) -> Sequence[str]:
-    wanted = [name for name in _COLUMNS if name in names]
+    target = [name for name in _COLUMNS if name in names]
     if any(name in names for name in _QUATERNION_COLUMNS):
-        wanted = [*_COLUMNS, *(f"q{letter}" for letter in quaternion)]
-    if wanted[:2] != ["x", "y"] or not set(wanted) <= set(names):
+        target = [*_COLUMNS, *(f"q{letter}" for letter in quaternion)]
+    if target[:2] != ["x", "y"] or not set(target) <= set(names):
         raise InputError(f"{path} must have columns x, y, z and qw, qx, qy, qz, or x, y; it has: {', '.join(names)}")
-    return wanted
+    return target
 
 
 def _mat(path: Path, _: Columns) -> Iterator[Table]:

@@ -63,14 +63,14 @@ class MovementPrimitive:
         shown = shown_part(dof)
         n_basis = max(2, round(n_parameters / dof))
         grid = np.arange(0.0, 1.0 + 0.5 * STEP, STEP)
-        wanted = displacement(at_times(demonstrations.twists, demonstrations.t / duration, grid))
+        target = displacement(at_times(demonstrations.twists, demonstrations.t / duration, grid))
         inverse = np.linalg.pinv(responses(forcing(n_basis, np.exp(-DECAY * grid)), STEP), rcond=_LEAST_RESPONSE)
         weights = np.zeros((n_basis, 6))
         for _ in range(_CORRECTIONS if dof == 6 else 1):
             model = cls(weights, duration, dof)
-            missing = wanted - displacement(model.reproduce(demonstrations.twists[:, 0], duration * grid))
+            missing = target - displacement(model.reproduce(demonstrations.twists[:, 0], duration * grid))
             if dof == 6:
-                turns = [Rotation.from_rotvec(path[..., :3].reshape(-1, 3)) for path in (wanted, wanted - missing)]
+                turns = [Rotation.from_rotvec(path[..., :3].reshape(-1, 3)) for path in (target, target - missing)]
                 missing[..., :3] = (turns[0] * turns[1].inv()).as_rotvec().reshape((*missing.shape[:-1], 3))
             weights = weights.copy()
             weights[:, shown] += inverse @ missing.mean(axis=0)[:, shown]

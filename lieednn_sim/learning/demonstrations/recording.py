@@ -105,10 +105,10 @@ class Demonstration:
                 worst = int(np.argmax(np.abs(norms - 1.0)))
                 raise InputError(f"quaternions of {source} must be units, got norm {norms[worst]:g} in row {worst}")
             rotation = Rotation.from_quat(table[:, 3:], scalar_first=quaternion == "wxyz").as_matrix()
-        made = cls(times - times[0], position, rotation, 6 if columns == 7 else columns, source)
-        if made.steps(1.0).sum() < _LEAST_LENGTH:
+        result = cls(times - times[0], position, rotation, 6 if columns == 7 else columns, source)
+        if result.steps(1.0).sum() < _LEAST_LENGTH:
             raise InputError(f"{source} does not move")
-        return made
+        return result
 
     @property
     def shown(self) -> str:

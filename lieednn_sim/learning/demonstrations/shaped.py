@@ -88,17 +88,17 @@ class ShapedMotion:
             family: whether the motion depends on its start, and on its goal if they are kept, as the demonstrations do
                 (`family`), which takes a clock rate of 1; else deviations of the start fade as e^-t.
         """
-        begun = cpu_time()
+        start = cpu_time()
         chosen = ShapingOptions() if options is None else options
         asked = DEVIATION * demonstrations.extent if deviation is None else as_positive("deviation", deviation)
         curve = displacement(demonstrations.mean)[:, None]
         shaping = shape(curve, asked, units=demonstrations.scale, options=chosen)
         times = np.array([0.0, demonstrations.duration])
         ends = np.array([0.0, _NETWORK_TIME / chosen.rate])
-        made = cls(shaping.network, chosen.rate, times, ends, demonstrations.dof, shaping)
-        made = replace(made, t=demonstrations.t, tau=made._beside(demonstrations), cpu_time=cpu_time() - begun)
+        result = cls(shaping.network, chosen.rate, times, ends, demonstrations.dof, shaping)
+        result = replace(result, t=demonstrations.t, tau=result._beside(demonstrations), cpu_time=cpu_time() - start)
         if not family or chosen.rate < 1.0:
-            return made
+            return result
         units, extent, spread = demonstrations.scale, demonstrations.extent, None
         paths, kept = demonstrations.displaced[:, :, None], demonstrations.goals_kept
         network, response, codes = with_response(shaping, curve, paths, units[None], kept)
@@ -109,7 +109,7 @@ class ShapedMotion:
         if kept:
             # Turns and positions of the mean path end near the mean goal, not at it.
             network = network.retarget(np.zeros((1, 6)))
-        return replace(made, network=network, response=response, spread=spread, cpu_time=cpu_time() - begun)
+        return replace(result, network=network, response=response, spread=spread, cpu_time=cpu_time() - start)
 
     @property
     def n_parameters(self) -> int:
@@ -268,13 +268,13 @@ class ShapedMotion:
     ) -> ShapedMotion:
         """The motion with codes ``(6M,)`` added to its own, with another spread, and with other gains if given."""
         network = self.network
-        made = network.with_start(
+        result = network.with_start(
             network.hidden_start + shifts(network, code.reshape(1, PAIRS, 6)),
             network.start_gain if start_gain is None else start_gain,
             network.start_reference,
             network.goal_gain if goal_gain is None else goal_gain,
         )
-        return replace(self, network=made, spread=spread)
+        return replace(self, network=result, spread=spread)
 
     def _network_times(self, t: Floats) -> Floats:
         """Network times ``(K,)`` at times [s]."""
@@ -286,7 +286,7 @@ class ShapedMotion:
 
     def _run(self, start: Floats, tau: Floats) -> Floats:
         """Displacements ``(n, K, 6)`` at network times ``tau``, from displacements ``(n, 6)``."""
-        states = np.stack([self.network.start(one[None]).ravel() for one in start])
+        states = np.stack([self.network.start(item[None]).ravel() for item in start])
         return run_field(
             self.network.flat_vector_field, states, _grid(max(tau[-1], _FRACTION_STEP), self.rate), tau, kept=6
         )

@@ -147,9 +147,9 @@ def _laws(gamma: Floats, x: Floats, rates: Floats) -> tuple[Floats, Floats]:
 
     def jacobian(unknown: Floats) -> Floats:
         factor, damping, _ = unpack(unknown)
-        found, metric = laws(unknown)
+        result, metric = laws(unknown)
         inverse = np.linalg.inv(metric)
-        predicted = np.einsum("kab,nkb->na", found, drive)
+        predicted = np.einsum("kab,nkb->na", result, drive)
         columns = []
         # d(P^-1) w = -P^-1 dP (P^-1 w), and dP = dC C^T + C dC^T.
         pulled = predicted @ factor

@@ -26,13 +26,13 @@ class Warp:
     pairs: NDArray[np.intp]
 
 
-def warp(one: ArrayLike, other: ArrayLike) -> Warp:
+def warp(path: ArrayLike, other: ArrayLike) -> Warp:
     """Match samples ``(K, D)`` and ``(L, D)`` of two paths.
 
     Raises:
         InputError: a path has no samples, or their dimensions differ.
     """
-    first, second = (as_floats(name, path, ("K", "D")) for name, path in (("one", one), ("other", other)))
+    first, second = (as_floats(name, samples, ("K", "D")) for name, samples in (("path", path), ("other", other)))
     n, m, backwards = len(first), len(second), second[::-1]
     if not n or not m or first.shape[1] != second.shape[1]:
         raise InputError(f"paths must have samples of the same size, got {first.shape} and {second.shape}")

@@ -56,11 +56,11 @@ def _plan(problem: PlanningProblem, options: PathOptions, name: str, search: _Se
         longest_edge = options.longest_edge * float(np.linalg.norm(np.ptp(edges.bounds, axis=1)))
         seed = int(np.random.SeedSequence([problem.seed, attempt]).generate_state(1)[0])
         ends = (problem.start / edges.scale, problem.target / edges.scale)
-        found = search(edges, *ends, longest_edge, options, seed)
+        waypoints = search(edges, *ends, longest_edge, options, seed)
         check_time()
-        if found is None:
+        if waypoints is None:
             return None
-        path = edges.scale * np.array(found)
+        path = edges.scale * np.array(waypoints)
         path[0], path[-1] = problem.start, problem.target
         return path
 
@@ -87,7 +87,7 @@ def _mjpl_path(
             raise _SpentError
         return step(q_old, q)
 
-    searched, shortened = (SimpleNamespace(valid_config=edges.free, apply=one) for one in (step_of_search, step))
+    searched, shortened = (SimpleNamespace(valid_config=edges.free, apply=item) for item in (step_of_search, step))
     model = _box(edges.bounds)
     names = [model.joint(k).name for k in range(model.njnt)]
     # It takes points closer than the longest edge for connected, without a test.
@@ -95,12 +95,12 @@ def _mjpl_path(
     # Work is limited by the number of tests, not by its wall-clock time.
     planner = planning.RRT(model, names, [searched], max_planning_time=math.inf, epsilon=longest_edge, seed=seed)
     try:
-        found = planner.plan_to_config(start, target)
+        result = planner.plan_to_config(start, target)
     except _SpentError:
         return None
-    if len(found) > 2:
-        found = planning.smooth_path(found, [shortened], longest_edge, options.shortcuts, seed, sparse=True)
-    return list(found)
+    if len(result) > 2:
+        result = planning.smooth_path(result, [shortened], longest_edge, options.shortcuts, seed, sparse=True)
+    return list(result)
 
 
 def _box(limits: Floats) -> mujoco.MjModel:

@@ -165,7 +165,7 @@ class _Descent:
         """The local optimum ``(F n,)`` near ``x``."""
         # The solver needs a start strictly inside the bounds.
         edge = 1e-6 * (self.high - self.low)
-        found = least_squares(
+        solution = least_squares(
             lambda y: self.terms(y, weight)[0],
             np.clip(x, self.low + edge, self.high - edge),
             jac=lambda y: self.terms(y, weight)[1],
@@ -175,7 +175,7 @@ class _Descent:
             gtol=1e-6,
             max_nfev=self.options.evaluations,
         )
-        return np.asarray(found.x)
+        return np.asarray(solution.x)
 
     def terms(self, x: Floats, weight: float) -> tuple[Floats, Floats]:
         """Residuals, whose squares are summed, and their Jacobian ``(terms, F n)``."""
@@ -209,10 +209,10 @@ class _Descent:
             check_time()
             if self.near(position):
                 continue
-            found = self.workspace.collisions.distances(position, influence)
-            hinge = 1.0 - found.distance / influence
+            result = self.workspace.collisions.distances(position, influence)
+            hinge = 1.0 - result.distance / influence
             value[k] = math.sqrt(hinge @ hinge)
-            slope[k] = -(hinge @ found.jacobian) / (influence * max(value[k], 1e-12))
+            slope[k] = -(hinge @ result.jacobian) / (influence * max(value[k], 1e-12))
         return value, slope
 
 

@@ -162,8 +162,8 @@ def connecting_path(
         seed = np.random.SeedSequence([problem.seed, attempt])
         util.RNG.setSeed(1 + int(seed.generate_state(1)[0] % (2**31)))
         space = SearchSpace(problem, workspace, options.spacings[min(attempt, len(options.spacings) - 1)])
-        found = search(space, options, seed)
-        return None if found is None else space.corners(found, options.shortcuts)
+        waypoints = search(space, options, seed)
+        return None if waypoints is None else space.corners(waypoints, options.shortcuts)
     finally:
         util.setLogLevel(level)
 
@@ -201,7 +201,7 @@ def balanced_search(space: SearchSpace, options: PathOptions, seed: np.random.Se
     edges = space.edges
     weight = np.maximum(edges.swept, _LEAST_SWEEP * edges.swept.max())
     box = weight[:, None] * edges.limits / edges.scale[:, None]
-    found = connected(
+    result = connected(
         *(weight * q / edges.scale for q in space.ends),
         bounds=box,
         longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
@@ -210,4 +210,4 @@ def balanced_search(space: SearchSpace, options: PathOptions, seed: np.random.Se
         seed=seed,
     )
     check_time()
-    return None if found is None else space.path(found / weight)
+    return None if result is None else space.path(result / weight)

@@ -191,10 +191,12 @@ class StompSearch:
         step = np.einsum("kt,ktj->tj", weights, paths - self.path)
         average = np.clip(self.path + self.smoother @ step, low, high)
         best = int(costs.sum(axis=1).argmin())
-        found = min(((average, self.costs(average)), (paths[best], costs[best])), key=lambda one: float(one[1].sum()))
-        better = bool(found[1].sum() < self.cost.sum())
+        result = min(
+            ((average, self.costs(average)), (paths[best], costs[best])), key=lambda pair: float(pair[1].sum())
+        )
+        better = bool(result[1].sum() < self.cost.sum())
         if better:
-            self.path, self.cost = found
+            self.path, self.cost = result
         return better
 
     def smoothed(self, path: Floats) -> Floats:

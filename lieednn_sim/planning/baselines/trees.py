@@ -85,10 +85,10 @@ def connected(
         # Trees of equal size take turns.
         if len(grown) >= len(other):
             grown, other = other, grown
-        found = extension()
-        if found is None:
+        result = extension()
+        if result is None:
             continue
-        near, new = found
+        near, new = result
         node = grown.add(new, near)
         met = int(other.nearest(new[None])[0][0])
         goal = other.points[met]

@@ -158,8 +158,8 @@ class InverseDynamicsServo(FeedforwardServo):
         firsts, run = runs(np.hstack([qpos, velocity, acceleration]))
         inverse, forces = self._inverse, np.empty((len(firsts), velocity.shape[1]))
         position, rate, change = inverse.qpos, inverse.velocity, inverse.acceleration
-        for row, *wanted in zip(forces, qpos[firsts], velocity[firsts], acceleration[firsts], strict=True):
-            position[:], rate[:], change[:] = wanted
+        for row, *target in zip(forces, qpos[firsts], velocity[firsts], acceleration[firsts], strict=True):
+            position[:], rate[:], change[:] = target
             row[:] = inverse.force()
         return self._actuators.servo_controls(qpos, velocity, forces[run])
 

@@ -76,10 +76,10 @@ def arm_and_target(name: str, scene: str, seed: int, user_files: tuple[UserFile,
         InputError: the arm or scene is unknown, or they do not fit together.
         NoSolutionError: no target was found.
     """
-    made = _arm_and_target(name, scene, seed, tuple(user_files))
-    if isinstance(made, LieEDNNError):
-        raise made
-    return made
+    result = _arm_and_target(name, scene, seed, tuple(user_files))
+    if isinstance(result, LieEDNNError):
+        raise result
+    return result
 
 
 @lru_cache(maxsize=4)
@@ -120,21 +120,21 @@ def run_case(
             arm, target = arm_and_target(case.arm, case.scene, case.seed, user_files)
         except LieEDNNError as error:
             return failed_case(case, controllers, settings, f"problem: {error}")
-        begun = cpu_time()
+        start = cpu_time()
         try:
-            made = _plan(case, arm, target, settings)
+            plan = _plan(case, arm, target, settings)
         except LieEDNNError as error:
-            spent = cpu_time() - begun
+            spent = cpu_time() - start
             return failed_case(case, controllers, settings, f"plan: {error}", planning_s=spent)
         except Exception as error:
             error.add_note(f"while planning the case {case}")
             raise
-        planned = {"planning_s": cpu_time() - begun, **_stability(made.network)}
-        planned |= {"tube_mm": _tube_mm(arm, made), **_measured(motion_metrics(arm, made.motion))}
+        planned = {"planning_s": cpu_time() - start, **_stability(plan.network)}
+        planned |= {"tube_mm": _tube_mm(arm, plan), **_measured(motion_metrics(arm, plan.motion))}
         rows = []
         for name in controllers:
             try:
-                evaluation = evaluate(_simulate(arm, made, name, settings))
+                evaluation = evaluate(_simulate(arm, plan, name, settings))
             except LieEDNNError as error:
                 rows += failed_case(case, [name], settings, f"simulation: {error}", **planned)
             else:
@@ -164,9 +164,9 @@ def replay(case: Case, controller: str, settings: Settings, *, user_files: tuple
         return _simulate(arm, _plan(case, arm, target, settings), controller, settings)
 
 
-def _simulate(arm: Arm, made: Plan, controller: str, settings: Settings) -> Rollout:
+def _simulate(arm: Arm, result: Plan, controller: str, settings: Settings) -> Rollout:
     heavier = Disturbances(mass_scale=settings.mass_scale)
-    return simulate(arm, made, controller=controller, hold=settings.hold, disturbances=heavier)
+    return simulate(arm, result, controller=controller, hold=settings.hold, disturbances=heavier)
 
 
 def _stability(network: Any) -> dict[str, Any]:
@@ -178,10 +178,10 @@ def _stability(network: Any) -> dict[str, Any]:
     return {"stability": "global" if verdict.globally_stable else local, "stability_level": verdict.level}
 
 
-def _tube_mm(arm: Arm, made: Plan) -> float | None:
+def _tube_mm(arm: Arm, result: Plan) -> float | None:
     """Size of the plan's tube [mm]; None if it has none."""
     try:
-        return 1e3 * find_tube(arm, made).size
+        return 1e3 * find_tube(arm, result).size
     except LieEDNNError:
         return None
 

@@ -34,28 +34,28 @@ class Failure:
 
 def verdict(rows: Iterable[Row]) -> str:
     """The proven stability of the rows' networks, such as "global 9/10, local 1/10"; "-" without a network."""
-    found = [row.stability for row in motions(rows) if row.stability not in ("", "-")]
-    if not found:
+    results = [row.stability for row in motions(rows) if row.stability not in ("", "-")]
+    if not results:
         return "-"
-    if len(set(found)) == 1:
-        return found[0]
+    if len(set(results)) == 1:
+        return results[0]
     return ", ".join(
-        f"{name} {found.count(name)}/{len(found)}" for name in ("global", "local", "none") if name in found
+        f"{name} {results.count(name)}/{len(results)}" for name in ("global", "local", "none") if name in results
     )
 
 
 def seeds_by_planner(rows: Iterable[Row]) -> dict[str, int]:
     """Number of seeds of each planner."""
-    found: dict[str, set[int]] = {}
+    result: dict[str, set[int]] = {}
     for row in rows:
-        found.setdefault(row.planner, set()).add(row.seed)
-    return {planner: len(seeds) for planner, seeds in found.items()}
+        result.setdefault(row.planner, set()).add(row.seed)
+    return {planner: len(seeds) for planner, seeds in result.items()}
 
 
 def in_order(names: Iterable[str], known: Iterable[str]) -> list[str]:
     """Each name once, in the order of a registry, unknown ones last."""
-    found, first = set(names), list(known)
-    return [name for name in first if name in found] + sorted(found.difference(first))
+    result, first = set(names), list(known)
+    return [name for name in first if name in result] + sorted(result.difference(first))
 
 
 def controllers_of(rows: Iterable[Row]) -> list[str]:
@@ -70,13 +70,13 @@ def failures(rows: Iterable[Row]) -> list[Failure]:
     """
     failed = [row for row in rows if row.reason]
     once = [row for row in motions(failed) if not row.planned] + [row for row in failed if row.planned]
-    found: dict[str, list[Row]] = {}
+    result: dict[str, list[Row]] = {}
     for row in once:
-        found.setdefault(pattern_of(row.reason), []).append(row)
-    made = []
-    for pattern, members in found.items():
+        result.setdefault(pattern_of(row.reason), []).append(row)
+    created = []
+    for pattern, members in result.items():
         names = [row.planner for row in members]
         counts = sorted({name: names.count(name) for name in names}.items(), key=lambda item: (-item[1], item[0]))
         step, _, rest = pattern.partition(": ")
-        made.append(Failure(step, rest, members[0].reason.partition(": ")[2], tuple(counts)))
-    return sorted(made, key=lambda failure: (-failure.total, failure.step, failure.pattern))
+        created.append(Failure(step, rest, members[0].reason.partition(": ")[2], tuple(counts)))
+    return sorted(created, key=lambda failure: (-failure.total, failure.step, failure.pattern))

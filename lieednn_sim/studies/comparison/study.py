@@ -153,9 +153,9 @@ class Comparison(Study[Row]):
 
     def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
         """See `Study`."""
-        wanted = [(case, self._missing(table, case), self.common) for case in self.cases()]
+        target = [(case, self._missing(table, case), self.common) for case in self.cases()]
         return sorted(
-            (job for job in wanted if job[1]),
+            (job for job in target if job[1]),
             key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -PLANNERS[job[0].planner].cost),
         )
 

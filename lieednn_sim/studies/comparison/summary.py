@@ -36,18 +36,18 @@ def write_summary(path: str | os.PathLike[str], table: Table[Row], missing: Mapp
     lines = ["# Planners and controllers compared", "", method(table), ""]
     if missing:
         lines += ["## Not compared", "", *(f"- {name}: {reason}" for name, reason in sorted(missing.items())), ""]
-    made = []
+    result = []
     for group in grouped(rows, ("arm", "scene", "planner")):
         own = motions(group.rows)
         planned = f"{sum(row.planned for row in own)} of {len(own)}"
-        made.append([*map(escaped, group.key), planned, verdict(group.rows), *_medians(group, of_motion)])
+        result.append([*map(escaped, group.key), planned, verdict(group.rows), *_medians(group, of_motion)])
     followed = []
     for group in grouped(rows, ("arm", "scene", "planner", "controller")):
         low, high = group.interval
         cells = [*map(escaped, group.key), f"{group.successes} of {group.total}", f"{low:.0%} to {high:.0%}"]
         followed.append([*cells, *_medians(group, of_rollout)])
     heads = ["arm", "scene", "planner", "made", "stability", *(column.heading for column in of_motion)]
-    lines += ["## Motions", *markdown_table(heads, made)]
+    lines += ["## Motions", *markdown_table(heads, result)]
     heads = ["arm", "scene", "planner", "controller", "success", "95 %", *(column.heading for column in of_rollout)]
     lines += ["", "## Tracking", *markdown_table(heads, followed)]
     lines += ["", "## Failures", ""]

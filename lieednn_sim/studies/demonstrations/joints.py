@@ -121,11 +121,11 @@ def motion_to(model: JointMotion, demonstrations: JointDemonstrations, goal: Flo
     return model.toward(goal) if demonstrations.goals_kept else model
 
 
-def joint_errors(arm: Arm, found: Floats, shown: Floats, gap: tuple[float, float] = (0.0, 0.0)) -> JointErrors:
+def joint_errors(arm: Arm, result: Floats, shown: Floats, gap: tuple[float, float] = (0.0, 0.0)) -> JointErrors:
     """Compare joint positions ``(K, n)`` and ``(L, n)``; ``gap`` [m, rad] is the mechanism gap of the former."""
-    effector = [_effector(arm, q) for q in (found, shown)]
-    pairs = warp(found / arm.ranges, shown / arm.ranges).pairs
-    rms = np.sqrt(np.mean((found[pairs[:, 0]] - shown[pairs[:, 1]]) ** 2, axis=0))
+    effector = [_effector(arm, q) for q in (result, shown)]
+    pairs = warp(result / arm.ranges, shown / arm.ranges).pairs
+    rms = np.sqrt(np.mean((result[pairs[:, 0]] - shown[pairs[:, 1]]) ** 2, axis=0))
     return JointErrors(
         path_errors(effector[0].twists_from(effector[1]), effector[1].twists),
         tuple(rms.tolist()),
@@ -138,12 +138,12 @@ def joint_errors(arm: Arm, found: Floats, shown: Floats, gap: tuple[float, float
 def joints_table(study: JointStudy, arm: Arm) -> Table:
     """The table of a study for the terminal."""
     rows = table("reproduction", "path", "effector RMS mm", "deg", "Frechet mm", "joints %", "gap mm", "gap deg")
-    for path, found in (("mean", study.mean), ("training", study.training), ("left out", study.left_out)):
-        if found is None:
+    for path, result in (("mean", study.mean), ("training", study.training), ("left out", study.left_out)):
+        if result is None:
             continue
-        end = found.effector
-        cells = (f"{end.rms_mm:.2f}", f"{end.rms_deg:.2f}", f"{end.frechet_mm:.2f}", f"{found.worst_percent:.2g}")
-        rows.add_row(path, *cells, f"{found.gap_mm:.2g}", f"{found.gap_deg:.2g}")
+        end = result.effector
+        cells = (f"{end.rms_mm:.2f}", f"{end.rms_deg:.2f}", f"{end.frechet_mm:.2f}", f"{result.worst_percent:.2g}")
+        rows.add_row(path, *cells, f"{result.gap_mm:.2g}", f"{result.gap_deg:.2g}")
     joints = ", ".join(
         f"{name} {value:.2g} {arm.unit(j)}"
         for j, (name, value) in enumerate(zip(arm.joint_names, study.mean.joints_rms, strict=True))

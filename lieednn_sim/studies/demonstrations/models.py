@@ -109,7 +109,7 @@ def compare_models(
                 n_parameters=model.n_parameters,
                 fit_s=seconds,
                 mean=_errors(model, shown, shown.mean),
-                training=mean_of([_errors(model, shown, one) for one in shown.twists]),
+                training=mean_of([_errors(model, shown, twist) for twist in shown.twists]),
                 left_out=mean_of(without) if without else None,
                 attraction=attraction(model, shown, places),
             )
@@ -158,11 +158,11 @@ def models_table(rows: Sequence[ModelRow], *, turns: bool) -> Group:
     starts = table("models and starts elsewhere", "model", "parameters", "fit s", "arrived", "spurious attractors")
     for row in rows:
         name = row.model
-        for path, found in (("mean", row.mean), ("training", row.training), ("left out", row.left_out)):
-            if found is None:
+        for path, result in (("mean", row.mean), ("training", row.training), ("left out", row.left_out)):
+            if result is None:
                 continue
-            cells = [f"{found.rms_mm:.2f}", *([f"{found.rms_deg:.2f}"] if turns else [])]
-            cells += [f"{found.dtwd_mm:.0f}", f"{found.frechet_mm:.2f}", f"{found.goal_mm:.2g}"]
+            cells = [f"{result.rms_mm:.2f}", *([f"{result.rms_deg:.2f}"] if turns else [])]
+            cells += [f"{result.dtwd_mm:.0f}", f"{result.frechet_mm:.2f}", f"{result.goal_mm:.2g}"]
             errors.add_row(name, path, *cells)
             name = ""
         reached = row.attraction

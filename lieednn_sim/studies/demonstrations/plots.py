@@ -54,11 +54,11 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
         for name, model in models.items()
     }
     first = next(iter(models.values()))
-    fan = [displacement(reproduction(first, demonstrations, one[0], one[-1])) for one in demonstrations.twists]
+    fan = [displacement(reproduction(first, demonstrations, twist[0], twist[-1])) for twist in demonstrations.twists]
     groups: list[Group] = [
         ("demonstrations", list(demonstrations.displaced), _SHOWN),
         (f"{first.name}, from their starts", fan, _FAN),
-        *((name, [one], line) for (name, one), line in zip(paths.items(), _LINES, strict=False)),
+        *((name, [item], line) for (name, item), line in zip(paths.items(), _LINES, strict=False)),
     ]
     band, path_of_band = np.empty((0, 6, 6)), paths[first.name]
     if isinstance(first, ShapedMotion) and first.spread is not None:
@@ -168,8 +168,8 @@ def _draw_paths(
 ) -> None:
     """Draw groups of paths, each at the coordinates that ``shown`` gives, with one label a group."""
     for name, paths, line in groups:
-        for number, one in enumerate(paths):
-            axis.plot(*shown(one), **{"ms": 4, **line}, label=name if labelled and not number else None)
+        for number, item in enumerate(paths):
+            axis.plot(*shown(item), **{"ms": 4, **line}, label=name if labelled and not number else None)
 
 
 def _draw_field(

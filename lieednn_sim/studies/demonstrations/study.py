@@ -76,7 +76,7 @@ def scored(kind: str, name: str, row: ModelRow) -> ModelScore:
     """The row of a table for a model of a set."""
     parts = {"mean": row.mean, "training": row.training, "left_out": row.left_out}
     errors = {
-        f"{part}_{key}": getattr(found, key) for part, found in parts.items() if found is not None for key in _KEPT
+        f"{part}_{key}": getattr(result, key) for part, result in parts.items() if result is not None for key in _KEPT
     }
     there = asdict(row.attraction)
     return ModelScore(kind, name, row.model, n_parameters=row.n_parameters, fit_s=row.fit_s, **there, **errors)

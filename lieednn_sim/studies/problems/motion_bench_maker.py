@@ -68,8 +68,8 @@ class ProblemSets:
             names = ", ".join(sorted(path.name for path in models)) or "none"
             raise FileError(f"{self.folder} must hold one *_spherized.urdf, or else one *.urdf, got {names}")
         self.model = models[0]
-        found = sorted(self.folder.glob("*.srdf"))
-        self.semantics = found[0] if len(found) == 1 else None
+        result = sorted(self.folder.glob("*.srdf"))
+        self.semantics = result[0] if len(result) == 1 else None
         # By set, number and kind.
         self._files: dict[tuple[str, int, str], Path] = {}
         for path in self.folder.rglob("*.yaml"):
@@ -126,7 +126,7 @@ class ProblemSets:
             raise FileError(f"{where} has {', '.join(moved)} at other start positions than the first problem")
         if missing := goal.keys() - start.keys():
             raise FileError(f"{where} has no start position of {', '.join(sorted(missing))}")
-        ends = (self._rounded(np.array([one[joint] for joint in self.arm.joint_names])) for one in (start, goal))
+        ends = (self._rounded(np.array([item[joint] for joint in self.arm.joint_names])) for item in (start, goal))
         return PublishedProblem(self.arm.with_obstacles(shapes({"obstacles": entries}, Path(where)), name), *ends)
 
     def _rounded(self, q: Floats) -> Floats:
@@ -153,9 +153,9 @@ class ProblemSets:
             for old in [*spec.excludes, *spec.pairs]:
                 spec.delete(old)
             bodies = {body.name for body in spec.bodies}
-            for one, other in _never_colliding(self.semantics):
-                if {one, other} <= bodies:
-                    spec.add_exclude(bodyname1=one, bodyname2=other)
+            for first, second in _never_colliding(self.semantics):
+                if {first, second} <= bodies:
+                    spec.add_exclude(bodyname1=first, bodyname2=second)
         return replace(Arm.from_spec(spec, self.model, self.robot, report), clearance=0.0)
 
     @cached_property
@@ -210,7 +210,7 @@ def _start(request: Mapping[str, Any]) -> dict[str, float]:
 
 def _goal(request: Mapping[str, Any]) -> dict[str, float]:
     constraints = request["goal_constraints"][0]["joint_constraints"]
-    return {str(one["joint_name"]): float(as_floats("goal", one["position"], ())) for one in constraints}
+    return {str(each["joint_name"]): float(as_floats("goal", each["position"], ())) for each in constraints}
 
 
 def _obstacles(scene: Mapping[str, Any], root: str) -> Iterator[dict[str, Any]]:
@@ -244,4 +244,4 @@ def _never_colliding(semantics: Path) -> list[tuple[str, str]]:
     """Pairs of links whose collisions an SRDF disables."""
     with _malformed(semantics):
         root = ElementTree.parse(semantics).getroot()
-        return [(one.attrib["link1"], one.attrib["link2"]) for one in root.iterfind("disable_collisions")]
+        return [(item.attrib["link1"], item.attrib["link2"]) for item in root.iterfind("disable_collisions")]

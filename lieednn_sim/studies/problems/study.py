@@ -113,19 +113,19 @@ def solve(folder: str, name: str, number: int, planner: str, budget: float) -> l
                 arm.check_reachable(q, what)
         except InputError as error:
             return failed(folder, name, number, planner, budget, f"{SKIPPED}: {error}")
-        begun = cpu_time()
+        started = cpu_time()
         try:
             with time_limit(budget):
-                made = _planned(arm, start, goal, planner, budget)
+                result = _planned(arm, start, goal, planner, budget)
         except LieEDNNError as error:
             return failed(folder, name, number, planner, budget, f"plan: {error}")
-        made = replace(made, cpu_time=cpu_time() - begun)
-        return [Solution(name, number, planner, **measured(arm, made))]
+        result = replace(result, cpu_time=cpu_time() - started)
+        return [Solution(name, number, planner, **measured(arm, result))]
 
 
 def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float) -> Plan:
     """A plan, retimed to the arm's limits where toppra is installed."""
-    made = plan(
+    result = plan(
         arm,
         goal,
         planner=planner,
@@ -139,8 +139,8 @@ def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float)
         # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
         # its new samples. Then the motion stays as it is.
         with contextlib.suppress(PlanError):
-            made = replace(made, motion=retime(arm, made.motion))
-    return made
+            result = replace(result, motion=retime(arm, result.motion))
+    return result
 
 
 def failed(_folder: str, name: str, number: int, planner: str, _budget: float, reason: str) -> list[Solution]:
@@ -154,15 +154,15 @@ def _sets(folder: str) -> ProblemSets:
     return ProblemSets(folder)
 
 
-def measured(arm: Arm, made: Plan) -> dict[str, Any]:
+def measured(arm: Arm, result: Plan) -> dict[str, Any]:
     """The measured columns of a plan, and its guide."""
-    motion: Motion = made.motion
+    motion: Motion = result.motion
     tips = arm.link_poses(motion.q).as_matrix()[:, -1]
     turns = Rotation.from_matrix(tips[:, :3, :3])
     jerk = np.diff(motion.qd, n=2, axis=0) / motion.timestep**2
     return {
-        "guide": made.guide.planner if made.guide else "",
-        "solve_time": made.cpu_time,
+        "guide": result.guide.planner if result.guide else "",
+        "solve_time": result.cpu_time,
         "motion_time": float(motion.t[-1]),
         "cspace_path_length": float(np.linalg.norm(np.diff(motion.q, axis=0), axis=1).sum()),
         "eef_position_path_length": float(np.linalg.norm(np.diff(tips[:, :3, 3], axis=0), axis=1).sum()),
@@ -208,8 +208,8 @@ class PublishedProblems(Study[Solution]):
 
     def todo(self, table: Table[Solution]) -> list[tuple[str, str, int, str, float]]:
         """See `Study`."""
-        wanted = [(*key, name) for key in self.sets.selection(self.problems) for name in self.planners]
-        return [(str(self.sets.folder), *key, self.time_budget) for key in wanted if key not in table.rows]
+        target = [(*key, name) for key in self.sets.selection(self.problems) for name in self.planners]
+        return [(str(self.sets.folder), *key, self.time_budget) for key in target if key not in table.rows]
 
     @property
     def run(self) -> Callable[..., list[Solution]]:

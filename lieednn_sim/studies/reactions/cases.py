@@ -158,8 +158,8 @@ def run_reactions(
         except LieEDNNError as error:
             return failed_reactions(arm, scene, policy, seed, f"problem: {error}")
         try:
-            made = task.policy(policy)
-            nominal = _run(made, task.target)
+            result = task.policy(policy)
+            nominal = _run(result, task.target)
         except LieEDNNError as error:
             return failed_reactions(arm, scene, policy, seed, f"plan: {error}")
         path = UndisturbedPath(task.arm, nominal.rollout.q)
@@ -171,8 +171,8 @@ def run_reactions(
                 rows.append(_obstructed(task, policy, nominal, gone, begin))
                 continue
             try:
-                targets, changes, end = _disturbed(task, made, disturbance, begin, path)
-                following = _run(made, targets, changes)
+                targets, changes, end = _disturbed(task, result, disturbance, begin, path)
+                following = _run(result, targets, changes)
             except LieEDNNError as error:
                 rows.append(Reaction(arm, scene, policy, disturbance, seed, reason=f"simulation: {error}"))
                 continue
@@ -236,8 +236,8 @@ def _obstructed(task: Task, policy: str, nominal: Following, gone: Floats, begin
     except PlanError as error:
         return Reaction(task.arm.name, task.scene, policy, kind, task.seed, reason=f"problem: {error}")
     try:
-        made = replace(task, arm=walk.arm).policy(policy, obstructed=True)
-        following = _run(made, task.target, Disturbances(obstacles=(walk.obstacle,)))
+        result = replace(task, arm=walk.arm).policy(policy, obstructed=True)
+        following = _run(result, task.target, Disturbances(obstacles=(walk.obstacle,)))
     except LieEDNNError as error:
         return Reaction(task.arm.name, task.scene, policy, kind, task.seed, reason=f"simulation: {error}")
     return _row(task, policy, kind, following)

@@ -80,17 +80,17 @@ def pushing_force(deviation_under: Callable[[float], float]) -> float:
     force, most, low, high = 300.0, 2e4, (0.0, 0.0), (np.inf, np.inf)
     # Bracketing, then false position in the logarithms.
     for _ in range(12):
-        found = deviation_under(force)
-        if abs(found / PUSH_DEVIATION - 1.0) < 0.2 or (found < PUSH_DEVIATION and force >= most):
+        result = deviation_under(force)
+        if abs(result / PUSH_DEVIATION - 1.0) < 0.2 or (result < PUSH_DEVIATION and force >= most):
             break
-        if found < PUSH_DEVIATION:
-            low = force, found
+        if result < PUSH_DEVIATION:
+            low = force, result
         else:
-            high = force, found
+            high = force, result
         if not np.isfinite(high[0]):
-            force = min(force * float(np.clip(PUSH_DEVIATION / max(found, 1e-6), 1.2, 4.0)), most)
+            force = min(force * float(np.clip(PUSH_DEVIATION / max(result, 1e-6), 1.2, 4.0)), most)
         elif low[0] == 0.0:
-            force *= float(np.clip(PUSH_DEVIATION / found, 0.1, 0.8))
+            force *= float(np.clip(PUSH_DEVIATION / result, 0.1, 0.8))
         else:
             exponent = float(np.clip(np.log(PUSH_DEVIATION / low[1]) / np.log(high[1] / low[1]), 0.1, 0.9))
             force = low[0] * (high[0] / low[0]) ** exponent

@@ -110,9 +110,9 @@ def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
     Rows of a problem that could not be posed, such as a pole without a place in the arm's way, belong to none.
     """
     order = {name: index for index, name in enumerate((*DISTURBANCES, *COMPARED))}
-    found = grouped((row for row in rows if row.posed), ("scene", "disturbance", "policy"))
-    found.sort(key=lambda one: (one.key[0], order[one.key[1]], order[one.key[2]]))
-    return [ReactionGroup(one.key, one.rows) for one in found]
+    result = grouped((row for row in rows if row.posed), ("scene", "disturbance", "policy"))
+    result.sort(key=lambda item: (item.key[0], order[item.key[1]], order[item.key[2]]))
+    return [ReactionGroup(item.key, item.rows) for item in result]
 
 
 def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> None:

@@ -83,9 +83,9 @@ def view(
         LieEDNNError: viser is not installed.
     """
     rows = [table.rows.get((case.arm, case.scene, case.planner, controller, case.seed)) for case in cases]
-    found = tuple(row for row in rows if row is not None)
-    if len(found) < len(rows) or len({(row.arm, row.scene, row.seed) for row in found}) != 1:
+    result = tuple(row for row in rows if row is not None)
+    if len(result) < len(rows) or len({(row.arm, row.scene, row.seed) for row in result}) != 1:
         raise InputError("a view is of one problem that the table has, by one planner or more")
     settings = settings_of(table)
     rollouts = [replay(case, controller, settings, user_files=table.user_files) for case in cases]
-    return View(found, record(rollouts, [case.planner for case in cases], progress=progress))
+    return View(result, record(rollouts, [case.planner for case in cases], progress=progress))

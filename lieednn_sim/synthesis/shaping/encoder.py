@@ -133,8 +133,8 @@ class CurveEncoder:
         missing = states - target - basis.fitted[:, None, None] * offset
         code = basis.solution @ missing.reshape(len(basis.fitted), -1)
         # x' = u - (x - x_d) and x'' = u' - x'.
-        wanted = np.stack([(rate + offset).ravel(), (bend + rate).ravel()])
-        code += basis.starting @ (wanted - basis.start @ code)
+        desired = np.stack([(rate + offset).ravel(), (bend + rate).ravel()])
+        code += basis.starting @ (desired - basis.start @ code)
         self._require_range(code)
         return self.network.retarget(target).with_start(self._started(code))
 

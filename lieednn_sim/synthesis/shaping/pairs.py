@@ -81,9 +81,9 @@ def with_pairs(
     """
     n, count = len(parameters.alpha), PAIRS
     left = np.exp(-clock.t)[:, None, None] * np.eye(6 * n)
-    wanted = response - np.concatenate([left, np.eye(6 * n) - left], axis=2)[:, :, : response.shape[2]]
+    target = response - np.concatenate([left, np.eye(6 * n) - left], axis=2)[:, :, : response.shape[2]]
     # For each visible neuron and pair, D delta for a unit of each coordinate of the start and of the target.
-    codes = encoder(clock, count) @ wanted.reshape(len(wanted), -1)
+    codes = encoder(clock, count) @ target.reshape(len(target), -1)
     codes = codes.reshape(count, n, 6, -1).swapaxes(0, 1)
     largest = float(np.abs(codes @ inputs.T).max())
     strength = max(largest, 0.0 if others is None else float(np.abs(others).max())) / LARGEST_CODE
@@ -96,10 +96,10 @@ def with_pairs(
         np.concatenate([parameters.alpha, pairs.alpha], axis=1),
         np.concatenate([parameters.rotation, pairs.rotation], axis=1),
     )
-    made = assemble(joined, clock.rate, network.equilibrium().xi[:n], network.activation)
-    gain, *rest = np.split(shifts(made, codes).reshape(made.n_hidden * 6, -1), response.shape[2] // (6 * n), axis=1)
+    result = assemble(joined, clock.rate, network.equilibrium().xi[:n], network.activation)
+    gain, *rest = np.split(shifts(result, codes).reshape(result.n_hidden * 6, -1), response.shape[2] // (6 * n), axis=1)
     # The start is seen from the target, with which its reference moves: K (start - target) + (K + K_target) target.
-    return made.with_start(made.hidden_start, gain, start, gain + rest[0] if rest else None)
+    return result.with_start(result.hidden_start, gain, start, gain + rest[0] if rest else None)
 
 
 def shifts(network: LieEDNN, codes: Floats) -> Floats:

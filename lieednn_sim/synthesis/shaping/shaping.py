@@ -157,7 +157,7 @@ def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> 
     t = trajectory.t[-1] * np.linspace(0.0, 1.0, _PATH_SAMPLES) ** 3
     path = Curve.through(network.visible(trajectory(t)), curve.units)
     fractions = np.linspace(0.0, 1.0, _SAMPLES)
-    off, back = (_distances(one.at(fractions)[0], other, fractions) for one, other in ((path, curve), (curve, path)))
+    off, back = (_distances(item.at(fractions)[0], other, fractions) for item, other in ((path, curve), (curve, path)))
     return float(max(off.max(), back.max())), network
 
 

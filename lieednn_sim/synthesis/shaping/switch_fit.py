@@ -56,8 +56,8 @@ def fit_switches(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
         lead = half.start
         c[chosen, lead], a[chosen, lead] = slope, -slope * (1.0 - place)
         outputs = cascade.switched(a[chosen, lead], c[chosen, lead])
-        wanted = missing[..., half].reshape(len(missing), -1)
-        left, right = (np.concatenate([side, _RIPPLE**3 * (ripples @ side[looks])]) for side in (outputs, wanted))
+        target = missing[..., half].reshape(len(missing), -1)
+        left, right = (np.concatenate([side, _RIPPLE**3 * (ripples @ side[looks])]) for side in (outputs, target))
         ridge = np.sqrt(_RIDGE) * np.eye(len(chosen))
         readouts = np.linalg.lstsq(
             np.concatenate([left, ridge]), np.concatenate([right, np.zeros((len(chosen), 3 * n))]), rcond=None
