@@ -118,7 +118,7 @@ def test_what_cannot_be_simulated_is_named(case):
     with pytest.raises(InputError, match="data must be of the model"):
         ls.run_in(model, mujoco.MjData(other), found)
     with pytest.raises(
-        InputError, match=f"found is of another model: it has {model.nq} positions, and this model has 0"
+        InputError, match=f"plan is of another model: it has {model.nq} positions, and this model has 0"
     ):
         ls.run_in(other, mujoco.MjData(other), found)
     with pytest.raises(InputError, match="hold must be from 0"):
