@@ -222,9 +222,17 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def opened(chromium: Any) -> Callable[[str, int, int], Any]:
-    """A function that opens an address in a window of a width and a height, without the logs of other pages."""
+    """A function that opens an address in a window of a width and a height, without the logs of other pages.
+
+    Unless it is the address opened last: tests of a page go on with it, whatever their order.
+    """
+    last = None
 
     def opened(address: str, width: int, height: int) -> Any:
+        nonlocal last
+        if address == last:
+            return chromium
+        last = address
         chromium.get("about:blank")
         for log in ("browser", "performance"):
             chromium.get_log(log)

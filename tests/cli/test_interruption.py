@@ -101,14 +101,19 @@ sys.exit(main())
 
 
 def test_a_group_is_interrupted_while_its_workers_start(tmp_path, start):
-    """By the first worker, which imports the main module before it is prepared."""
+    """By the first worker, which imports the main module before it is prepared; a second signal would end all."""
     script = tmp_path / "script.py"
     script.write_text(
         """
 import os, signal, sys
 from lieednn_sim.cli import main
 if __name__ == "__mp_main__":
-    os.killpg(0, signal.SIGINT)
+    try:
+        os.mkdir(__file__ + ".sent")
+    except FileExistsError:
+        pass
+    else:
+        os.killpg(0, signal.SIGINT)
 if __name__ == "__main__":
     sys.exit(main())
 """

@@ -103,11 +103,16 @@ def test_two_arms_side_by_side_share_their_geometry(rollout):
 
 
 @pytest.fixture(scope="module")
-def browser(rollout, tmp_path_factory, opened):
-    """The page, opened from a file."""
+def address(rollout, tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "motion.html"
     render_page(rollout, path, title="by <hand>")
-    return opened(path.as_uri(), 400, 360)
+    return path.as_uri()
+
+
+@pytest.fixture
+def browser(address, opened):
+    """The page, opened from a file."""
+    return opened(address, 400, 360)
 
 
 @pytest.mark.browser

@@ -121,15 +121,20 @@ def test_problems_are_those_of_the_best_of_lieednn_and_others_in_turn(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def browser(table, figures_kept, tmp_path_factory, opened):
-    """The page with two views, open in the browser."""
+def address(table, figures_kept, tmp_path_factory):
+    """Of the page with two views."""
     path = tmp_path_factory.mktemp("page") / "page.html"
     with figures_kept():
         cases = [Case("telescopic_pr", "free", planner, 0) for planner in ("minimum-jerk", "se3-geodesic")]
         shown = view(table, cases, "position-servo")
         write_page(path, table, views=[shown, shown])
     assert path.stat().st_size < 3e6
-    return opened(path.as_uri(), 1280, 1000)
+    return path.as_uri()
+
+
+@pytest.fixture
+def browser(address, opened):
+    return opened(address, 1280, 1000)
 
 
 def column(driver, index):
