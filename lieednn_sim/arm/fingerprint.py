@@ -16,7 +16,6 @@ _COUNT = (
     *("body_", "jnt_", "dof_", "geom_", "site_", "actuator_", "eq_", "tendon_", "wrap_", "pair_", "exclude_"),
     *("mesh_", "hfield_", "key_", "qpos"),
 )
-_LOOK = ("_rgba", "_matid", "_group", "_user", "_pathadr", "texcoord", "texcoordadr", "texcoordnum")
 
 
 def arm_fingerprint(arm: SerialArm) -> str:
@@ -41,9 +40,10 @@ def model_fingerprint(model: mujoco.MjModel) -> str:
 
 def _arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
+    look = ("_rgba", "_matid", "_group", "_user", "_pathadr", "texcoord", "texcoordadr", "texcoordnum")
     for prefix, holder in (("", model), ("opt_", model.opt)):
         for name in dir(holder):
-            if prefix or (name.startswith(_COUNT) and not name.endswith(_LOOK)):
+            if prefix or (name.startswith(_COUNT) and not name.endswith(look)):
                 value = getattr(holder, name)
                 if isinstance(value, int | float | np.ndarray):
                     arrays[prefix + name] = _rounded(np.asarray(value))

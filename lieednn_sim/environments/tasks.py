@@ -29,13 +29,9 @@ __all__ = ["REFERENCES", "TASKS", "Reach", "Track", "make_task"]
 REST = 0.01
 #: Sources of the moving target of `Track`.
 REFERENCES = ("band-limited", "plan")
-# Fraction of the velocity limits, beyond `REST`, at which the reward for resting falls to a tenth.
-_REST_MARGIN_FRACTION = 0.5
 # Errors [m, rad] at which the near and the fine part of a reward fall to a tenth.
 _NEAR, _FINE = (0.05, 0.1), (0.005, 0.01)
 _ATTEMPTS = 10
-# Control steps that a preview may hold: their targets must fit into the memory of a learner.
-_LONGEST_PREVIEW = 10_000
 
 
 class Closeness:
@@ -85,7 +81,9 @@ class Reach(ArmTask):
 
     @cached_property
     def _closeness(self) -> Closeness:
-        return Closeness(self, (REST, _REST_MARGIN_FRACTION))
+        # Fraction of the velocity limits, beyond `REST`, at which the reward for resting falls to a tenth.
+        rest_margin_fraction = 0.5
+        return Closeness(self, (REST, rest_margin_fraction))
 
     def draw(self, rng: np.random.Generator, options: dict[str, Any]) -> Target:
         """See `ArmTask`."""
@@ -132,7 +130,9 @@ class Track(ArmTask):
         **options: Any,
     ) -> None:
         self.reference = as_choice("reference", reference, REFERENCES)
-        self.preview = as_count("preview", preview, most=_LONGEST_PREVIEW)
+        # Control steps that a preview may hold: their targets must fit into the memory of a learner.
+        longest_preview = 10_000
+        self.preview = as_count("preview", preview, most=longest_preview)
         super().__init__(arm, position_tolerance=position_tolerance, rotation_tolerance=rotation_tolerance, **options)
 
     def _more_bounds(self) -> Bounds:

@@ -31,7 +31,6 @@ from lieednn_sim.values import Floats
 
 Stepped = tuple[dict[str, Floats], Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_MOST_ENVIRONMENTS = 2**16
 
 
 def observation_space(bounds: Bounds) -> spaces.Dict:
@@ -72,7 +71,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         **options: Any,
     ) -> None:
         self.task = make_task(task, arm, scene=scene, **options)
-        self.num_envs = as_count("num_envs", num_envs, most=_MOST_ENVIRONMENTS)
+        most_environments = 2**16
+        self.num_envs = as_count("num_envs", num_envs, most=most_environments)
         if not isinstance(autoreset_mode, AutoresetMode):
             modes = [mode.value for mode in AutoresetMode]
             autoreset_mode = AutoresetMode(as_choice("autoreset_mode", autoreset_mode, modes))

@@ -15,7 +15,6 @@ from lieednn_sim.values import Floats
 _LEAST_EXPLAINED = 0.25
 # Controllers that use the feedback of the arm's servos.
 _SERVO_CONTROLLERS = ("position-servo", "inverse-dynamics")
-_DESIGN = "designed servos (servos='design', --servos design)"
 
 
 def error_causes(rollout: Rollout, translation: float, rotation: float) -> tuple[str, ...]:
@@ -62,9 +61,10 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     full = np.mean(np.abs(rollout.force) >= 0.999 * limits, axis=0)
     reasons: list[list[str]] = [[] for _ in error]
     helpful: list[list[str]] = [[] for _ in error]
+    design = "designed servos (servos='design', --servos design)"
     for j, off in enumerate(np.abs(error)):
         unit = "N" if arm.unit(j) == "m" else "N m"
-        stiffer = [_DESIGN] if arm.import_report is not None and arm.import_report.servos[j].kept else []
+        stiffer = [design] if arm.import_report is not None and arm.import_report.servos[j].kept else []
         if load[j] > limits[j]:
             reasons[j].append(f"its load is {load[j]:.3g} {unit}, its force limit {limits[j]:.3g}")
             helpful[j].append("another target")

@@ -18,7 +18,6 @@ from lieednn_sim.simulation import Rollout
 
 # Samples per second of runs, unless another rate is asked for.
 _RATE = 50.0
-_QUANTILES = (1, 10, 50, 90, 99)
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _FIRST = _FILE.format(chunk_index=0, file_index=0)
 # All files of a data set.
@@ -146,7 +145,8 @@ def _statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
     """Statistics over the frames, one number for each component."""
     columns = values.reshape(len(values), -1).astype(float)
     results = {"min": columns.min(0), "max": columns.max(0), "mean": columns.mean(0), "std": columns.std(0)}
-    results |= {f"q{q:02d}": np.percentile(columns, q, axis=0) for q in _QUANTILES}
+    quantiles = (1, 10, 50, 90, 99)
+    results |= {f"q{q:02d}": np.percentile(columns, q, axis=0) for q in quantiles}
     return {**{name: numbers.tolist() for name, numbers in results.items()}, "count": [len(values)]}
 
 

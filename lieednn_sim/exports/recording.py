@@ -21,8 +21,6 @@ from lieednn_sim.values import Floats
 
 # Seeds tried for each episode that is wanted, before the search is given up.
 _ATTEMPTS = 20
-# Episodes of a data set, which are held in memory: at 300 frames each, 3 GB.
-_MOST = 50_000
 
 
 def record(
@@ -67,7 +65,9 @@ def record(
         NoSolutionError: too few episodes succeed.
         LieEDNNError: pyarrow is not installed.
     """
-    count, first = as_count("episodes", episodes, most=_MOST), as_seed("seed", seed)
+    # Episodes of a data set, which are held in memory: at 300 frames each, 3 GB.
+    most = 50_000
+    count, first = as_count("episodes", episodes, most=most), as_seed("seed", seed)
     FORMATS.require("lerobot")
     dataset = importlib.import_module("lieednn_sim.exports.lerobot")
     task = make_task("reach", arm, scene=scene, scene_seed=scene_seed)

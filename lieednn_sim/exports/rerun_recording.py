@@ -16,10 +16,6 @@ from lieednn_sim.exports.formats import samples
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
 
-# MuJoCo shows geoms of these groups unless it is asked for others.
-_SHOWN_GROUPS = (0, 1, 2)
-_TARGET_RADIUS = 0.02  # [m]
-
 
 def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = None) -> None:
     """Write ``<name>.rrd`` for each rollout; see `formats.export`.
@@ -59,7 +55,8 @@ def _write(stream: rr.RecordingStream, rollout: Rollout, rows: slice) -> None:
     curve(["tracking_error"], np.linalg.norm(planned - rollout.link_position[rows, -1], axis=-1))
     curve(["contacts"], rollout.contacts[rows].astype(float))
     stream.log("planned_path", rr.LineStrips3D([planned]), static=True)
-    stream.log("target", rr.Points3D([arm.tip(rollout.target)], radii=_TARGET_RADIUS), static=True)
+    target_radius = 0.02  # [m]
+    stream.log("target", rr.Points3D([arm.tip(rollout.target)], radii=target_radius), static=True)
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     positions, quaternions = _poses(model, arm.qpos(rollout.q[rows]))
     # Mocap bodies are markers, or pull the arm: a rollout does not tell where they are.
@@ -90,7 +87,9 @@ def _log_geoms(stream: rr.RecordingStream, path: list[object], model: mujoco.MjM
     colours = np.round(255.0 * geom_colours(model)).astype(np.uint8)
     first = model.body_geomadr[body]
     geoms = np.arange(first, first + model.body_geomnum[body])
-    geoms = geoms[np.isin(model.geom_group[geoms], _SHOWN_GROUPS) & (colours[geoms, 3] > 0)]
+    # MuJoCo shows geoms of these groups unless it is asked for others.
+    shown_groups = (0, 1, 2)
+    geoms = geoms[np.isin(model.geom_group[geoms], shown_groups) & (colours[geoms, 3] > 0)]
     for number in np.unique(model.geom_type[geoms]):
         kind, alike = mujoco.mjtGeom(number), geoms[model.geom_type[geoms] == number]
         size, centre, quaternion = (values[alike] for values in (model.geom_size, model.geom_pos, model.geom_quat))

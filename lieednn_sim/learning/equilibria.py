@@ -21,12 +21,6 @@ _TOLERANCE = 1e-12
 # Residual that rounding may leave; a point with a larger one is not an equilibrium.
 _ACCEPTED = 1e-9
 _LONGEST_STEP = 1.0
-_PATIENT_STEPS = 50
-# Steps with the matrix of the previous epoch, which is almost right and already factored.
-_CHORD_STEPS = 4
-# Algorithm 1 only says "solve by RK45": we repeat runs of this length until the network rests.
-_HORIZON = 15.0
-_HORIZONS = 10
 # A tenth of the paper's tau, and far above the integrator's own error.
 _AT_REST = 1e-6
 # Steps of all horizons together; a hundred are usual for each.
@@ -111,6 +105,8 @@ class EquilibriumSolver:
             tolerance: tolerance on the length of x - (mu/gamma) (W phi(x) + b).
             steps: largest number of steps.
         """
+        # Steps with the matrix of the previous epoch, which is almost right and already factored.
+        chord_steps = 4
         for step in range(steps + 1):
             output = self._phi(x)
             residual = x - self.ratio * weight.dot(output) - self._drive
@@ -118,7 +114,7 @@ class EquilibriumSolver:
             length = math.sqrt(residual.dot(residual))
             if not length >= tolerance or step == steps:
                 break
-            factored = nearby if nearby is not None and step < _CHORD_STEPS else None
+            factored = nearby if nearby is not None and step < chord_steps else None
             if factored is None:
                 factored = SensitivityMatrix(weight, self._slope(x, output), self.ratio)
             if factored.singular:
@@ -130,7 +126,8 @@ class EquilibriumSolver:
 
     def first(self, weight: Floats) -> FlatEquilibrium:
         """The equilibrium found from zero by more Newton steps, or by running the network where these fail."""
-        result = self.newton(weight, np.zeros(len(weight)), steps=_PATIENT_STEPS)
+        patient_steps = 50
+        result = self.newton(weight, np.zeros(len(weight)), steps=patient_steps)
         return result if result.success else self.flow(weight, np.zeros(len(weight)))
 
     def settled(self, weight: Floats, x: Floats, *, tolerance: float = _TOLERANCE) -> FlatEquilibrium:
@@ -151,11 +148,14 @@ class EquilibriumSolver:
         A network that is far faster than its decay is given up after `_FLOW_STEPS` steps of the integrator.
         """
         field, speed, left = self._field(weight), np.inf, _FLOW_STEPS
-        for _ in range(_HORIZONS):
+        horizons = 10
+        # Algorithm 1 only says "solve by RK45": we repeat runs of this length until the network rests.
+        horizon = 15.0
+        for _ in range(horizons):
             speed = np.abs(field(0.0, x)).max()
             if speed < _AT_REST or left == 0:
                 break
-            run = RK45(field, 0.0, x, _HORIZON, rtol=1e-7, atol=1e-9)
+            run = RK45(field, 0.0, x, horizon, rtol=1e-7, atol=1e-9)
             while run.status == "running" and left > 0:
                 run.step()
                 left -= 1

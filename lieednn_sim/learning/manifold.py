@@ -20,8 +20,6 @@ Network = LieEDNN | GroupLieEDNN | HopfieldNetwork
 
 # Least |alpha| in W/alpha: a block without strength has no direction.
 _SMALLEST_ALPHA = 1e-9
-# Alternations of strength and element in the scaled projection onto a group without a closed form.
-_ALTERNATIONS = 3
 
 
 @frozen
@@ -109,7 +107,9 @@ class GroupWeights:
 
     def _alternate(self, blocks: Floats, alpha: Floats, start: NDArray[Any] | None) -> WeightPoint:
         """Alternate between the best element for the strengths and the best strengths for the element."""
-        for _ in range(_ALTERNATIONS):
+        # Alternations of strength and element in the scaled projection onto a group without a closed form.
+        alternations = 3
+        for _ in range(alternations):
             start = self._nearest(blocks, alpha, start)
             adjoints = self.group.adjoint(start)
             best = np.einsum("ijab,ijab->ij", blocks, adjoints) / np.einsum("ijab,ijab->ij", adjoints, adjoints)

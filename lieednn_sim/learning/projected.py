@@ -15,10 +15,6 @@ from lieednn_sim.learning.sensitivity import gauss_newton_direction, strength_gr
 from lieednn_sim.learning.training import Iterate, Training
 from lieednn_sim.values import Floats
 
-# Tolerance of the equilibrium relative to its distance from the target, so that its error does not affect E.
-_RELATIVE_TOLERANCE = 1e-6
-_LEAST_TOLERANCE = 1e-12
-
 
 class ProjectedTraining(Training[TrainingOptions]):
     """Steps of the weights as they are, projected onto the manifold every few epochs."""
@@ -84,7 +80,10 @@ class ProjectedTraining(Training[TrainingOptions]):
         if self.options.equilibrium == "rk45":
             return self.solver.flow(weight, x)
         delta = x - self.goal
-        tolerance = max(_RELATIVE_TOLERANCE * math.sqrt(delta.dot(delta)), _LEAST_TOLERANCE)
+        least_tolerance = 1e-12
+        # Tolerance of the equilibrium relative to its distance from the target, so that its error does not affect E.
+        relative_tolerance = 1e-6
+        tolerance = max(relative_tolerance * math.sqrt(delta.dot(delta)), least_tolerance)
         result = self.solver.newton(weight, x, nearby, tolerance=tolerance)
         if result.success or self.options.step_control == "tracked":
             # A tracked trial is repeated with a smaller step instead, which costs less and keeps the equilibrium.

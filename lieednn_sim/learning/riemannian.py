@@ -32,17 +32,11 @@ from lieednn_sim.learning.training import Iterate, Training
 from lieednn_sim.stability import Certificate, find_certificate, verify
 from lieednn_sim.values import Floats
 
-# Armijo's condition: the loss must fall by at least this fraction of what its slope predicts.
-_SUFFICIENT_DECREASE = 1e-4
 # Fraction of the largest jump at which a Gauss-Newton step aims, to leave room for second-order terms.
 _AIM = 0.4
-# The smoothed eigenvalue lies above the largest by at most log(3N) / sharpness.
-_SHARPNESS = 16.0
 # In one epoch the barrier asks for this fraction of the excess, and at most this much. Where the squared slope is below
 # the last number it asks for less, so that the weights come to rest at a minimum.
 _BARRIER_GAIN = 0.3
-_LARGEST_DROP = 0.1
-_LEAST_SQUARED_SLOPE = 0.3
 
 
 class RiemannianTraining(Training[RiemannianOptions]):
@@ -119,7 +113,9 @@ class RiemannianTraining(Training[RiemannianOptions]):
         delta = now.equilibrium.x - self.goal
         gradient = loss_gradient(differential(now.point, now.equilibrium.output), nearby, delta, self.ratio)
         trial = self._moved(now, -now.rate * gradient, now.log_scale, nearby)
-        return trial, _SUFFICIENT_DECREASE * now.rate * float(np.vdot(gradient, gradient))
+        # Armijo's condition: the loss must fall by at least this fraction of what its slope predicts.
+        sufficient_decrease = 1e-4
+        return trial, sufficient_decrease * now.rate * float(np.vdot(gradient, gradient))
 
     def _gauss_newton_step(self, now: Iterate, nearby: SensitivityMatrix) -> Iterate:
         """The trial with the shortest step towards the target, plus the certificate's neutral step."""
@@ -129,14 +125,18 @@ class RiemannianTraining(Training[RiemannianOptions]):
         equations = RowEquations(differential(now.point, now.equilibrium.output), self.options.damping)
         step = equations.shortest(nearby.matrix @ (-now.rate / self.ratio * aim))
         log_scale = now.log_scale
+        # The smoothed eigenvalue lies above the largest by at most log(3N) / sharpness.
+        sharpness = 16.0
+        largest_drop = 0.1
+        least_squared_slope = 0.3
         if self.options.certified:
-            value, in_point, in_log_scale = smoothed_eigenvalue(now.point, log_scale, self.ratio, _SHARPNESS)
+            value, in_point, in_log_scale = smoothed_eigenvalue(now.point, log_scale, self.ratio, sharpness)
             if value > self.options.barrier:
                 # Not scaled by the rate: the certificate takes precedence over the target.
                 neutral = equations.neutral(in_point)
                 slope = float(np.vdot(neutral, neutral) + in_log_scale @ in_log_scale)
-                drop = min(_BARRIER_GAIN * (value - self.options.barrier), _LARGEST_DROP)
-                length = drop / max(slope, _LEAST_SQUARED_SLOPE)
+                drop = min(_BARRIER_GAIN * (value - self.options.barrier), largest_drop)
+                length = drop / max(slope, least_squared_slope)
                 step, log_scale = step - length * neutral, log_scale - length * in_log_scale
         return self._moved(now, step, log_scale, nearby)
 

@@ -25,8 +25,6 @@ _DIRECTIONS = {
 }
 # Time that the plots show [s], and the least time between two samples.
 _SPAN, _STEP = 10.0, 0.1
-# Least value on a logarithmic scale [mm], [1].
-_LEAST = 1e-3
 _BLUE, _GREEN, _ORANGE, _GREY = "#1f77b4", "#2f9e44", "#e67700", "#868e96"
 # Largest force [N], and the distance of the mouse at which a dragged link feels the force of the slider [m].
 _STRONGEST, _STRETCH = 500.0, 0.3
@@ -165,7 +163,9 @@ class Plots:
             return
         network = (np.nan, np.nan) if progress is None else (progress.distance, progress.bound)
         values = (1e3 * snapshot.distance, *network, 1e3 * snapshot.tracking)
-        self._rows.append((tick.time, *(max(value, _LEAST) for value in values)))
+        # Least value on a logarithmic scale [mm], [1].
+        least = 1e-3
+        self._rows.append((tick.time, *(max(value, least) for value in values)))
         while tick.time - self._rows[0][0] > _SPAN:
             self._rows.popleft()
         if len(self._rows) > 1:

@@ -32,8 +32,6 @@ from lieednn_sim.values import Floats, frozen
 
 # Steps of the phase, and the number of them that define the time law: recorded times are noisy.
 _STEPS, _LAW_STEPS = 200, 40
-# Largest distance of a demonstration's end from the mean end, in the joints' ranges.
-_MAX_END_DISTANCE = 0.02
 # Length below which nothing moves [m].
 _LEAST_LENGTH = 1e-6
 # Default deviation, relative to the length of the mean.
@@ -103,7 +101,9 @@ class JointDemonstrations:
         ends = np.array([path[-1] for path in paths])
         goal = ends.mean(axis=0)
         k, joint = map(int, np.unravel_index(np.argmax(np.abs(ends - goal) / arm.ranges), ends.shape))
-        if not kept and np.abs(ends[k, joint] - goal[joint]) > _MAX_END_DISTANCE * arm.ranges[joint]:
+        # Largest distance of a demonstration's end from the mean end, in the joints' ranges.
+        max_end_distance = 0.02
+        if not kept and np.abs(ends[k, joint] - goal[joint]) > max_end_distance * arm.ranges[joint]:
             raise InputError(
                 f"demonstrations must end at one goal: {tables[k][0]} ends with joint {arm.joint_names[joint]!r} at "
                 f"{ends[k, joint]:.4g} {arm.unit(joint)}, their mean is {goal[joint]:.4g}; "

@@ -16,10 +16,6 @@ from lieednn_sim.values import Floats
 # Degree of the planners' splines, with continuous derivatives up to the fourth: smooth curvature, and continuous jerk
 # where the spline is one in time.
 SPLINE_DEGREE = 5
-# Fraction of the distance of start and target that is kept where these are closer than the margin.
-_KEPT_FRACTION = 0.8
-# Random configurations: enough for their largest sweep to come within a few percent of the largest of all.
-_N_CONFIGURATIONS = 64
 
 
 class ClearanceTest:
@@ -87,7 +83,9 @@ class Workspace:
         ends = (problem.start, problem.target)
         nearest = min(self.collisions.distances(q, 2.0 * margin).distance.min(initial=np.inf) for q in ends)
         # The clearance that motions are checked for is kept.
-        self.clear = ClearanceTest(problem.arm, min(margin, max(_KEPT_FRACTION * nearest, problem.arm.clearance)))
+        # Fraction of the distance of start and target that is kept where these are closer than the margin.
+        kept_fraction = 0.8
+        self.clear = ClearanceTest(problem.arm, min(margin, max(kept_fraction * nearest, problem.arm.clearance)))
 
 
 def clamped_knots(count: int) -> Floats:
@@ -105,7 +103,9 @@ def sweeps(arm: Arm) -> Floats:
     """Largest distance ``(n,)`` that a unit of each joint moves a link frame at random configurations [m/rad, m/m]."""
     low, high = arm.position_limits.T
     step = 1e-3 * arm.ranges
-    q = np.random.default_rng(0).uniform(low + step, high - step, (_N_CONFIGURATIONS, 1, arm.n_joints))
+    # Random configurations: enough for their largest sweep to come within a few percent of the largest of all.
+    n_configurations = 64
+    q = np.random.default_rng(0).uniform(low + step, high - step, (n_configurations, 1, arm.n_joints))
     ahead, behind = (np.asarray(arm.link_poses(q + side * np.diag(step)).translation) for side in (1.0, -1.0))
     moved = np.linalg.norm(ahead - behind, axis=-1).max(axis=(0, 2))
     return np.asarray(moved / (2.0 * step))

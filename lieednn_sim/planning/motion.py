@@ -17,8 +17,6 @@ from lieednn_sim.values import Floats, check_fields, frozen
 LIMIT_TOLERANCE = 1e-6
 # Every 16th sample of a motion is tested for contact first, then the others, so that most contacts are found early.
 _STRIDE = 16
-# A step between samples that exceeds what the velocities explain by more than this is a jump [rad, m].
-_JUMP = 0.02
 # 200 s at a simulation step of 2 ms; longer motions would take minutes to plan.
 _MAX_STEPS = 100_000
 
@@ -217,7 +215,9 @@ def _check_continuity(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     speed = np.maximum(np.abs(qd[1:]), np.abs(qd[:-1]))
     unexplained = step - 2.0 * (t[1] - t[0]) * speed
     k, joint = map(int, np.unravel_index(unexplained.argmax(), unexplained.shape))
-    if unexplained[k, joint] > _JUMP:
+    # A step between samples that exceeds what the velocities explain by more than this is a jump [rad, m].
+    jump = 0.02
+    if unexplained[k, joint] > jump:
         raise PlanError(
             f"joint {arm.joint_names[joint]!r} would jump by {step[k, joint]:.3g} {arm.unit(joint)} at "
             f"t = {t[k + 1]:.2f} s, where the nearest configuration changes abruptly"

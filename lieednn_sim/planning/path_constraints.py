@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 # How far a motion may be outside its region [m, rad], as `TaskSpaceRegion.distance` measures it.
 KEPT_DISTANCE, KEPT_ANGLE = 5e-4, np.deg2rad(0.1)
-# The same for its start and target, which lie in it up to the accuracy of inverse kinematics.
-_ENDS = 1e-4
 
 
 def _end_poses(arm: Arm, q: Floats) -> RigidTransform:
@@ -117,7 +115,9 @@ def end_outside(arm: Arm, region: TaskSpaceRegion | None, q: Floats) -> str | No
     if region is None:
         return None
     distance, angle = region.distance(arm.link_poses(q)[-1])
-    return None if max(distance, angle) <= _ENDS else _words(float(distance), float(angle))
+    # Start and target lie in it up to the accuracy of inverse kinematics [m, rad].
+    ends = 1e-4
+    return None if max(distance, angle) <= ends else _words(float(distance), float(angle))
 
 
 def _words(distance: float, angle: float) -> str:

@@ -21,8 +21,6 @@ from lieednn_sim.planning.retiming import retime
 from lieednn_sim.registry import PLANNERS, PlannerEntry, optional_module
 from lieednn_sim.validation import Seed, as_seed
 
-# Largest distance of a motion's ends from the start and target asked for, in joint coordinates [rad, m].
-_END_TOLERANCE = 1e-3
 _Solve = TypeVar("_Solve", bound=Callable[..., Plan | Motion])
 
 
@@ -73,9 +71,11 @@ def _checked(problem: PlanningProblem, solve: Callable[..., Plan | Motion], *opt
             "the planner's motion has {} joints and a time step of {:g} s, ".format(*given)
             + "the arm has {} joints and its model steps of {:g} s".format(*needed)
         )
+    # Largest distance of a motion's ends from the start and target asked for, in joint coordinates [rad, m].
+    end_tolerance = 1e-3
     for which, there, asked in (("begins", motion.q[0], problem.start), ("ends", motion.q[-1], problem.target)):
         missed = float(np.abs(there - asked).max())
-        if missed > _END_TOLERANCE:
+        if missed > end_tolerance:
             raise PlanError(f"the planner's motion {which} {missed:.2g} (rad or m) from where it was asked to")
     check_motion(problem.arm, motion)
     return result
@@ -84,7 +84,6 @@ def _checked(problem: PlanningProblem, solve: Callable[..., Plan | Motion], *opt
 #: Name of the default planner among obstacles: the LieEDNN planner with the most successes and the smoothest motions
 #: there, with or without OMPL.
 OBSTACLE_PLANNER = "lieednn-shaped"
-_REDUNDANT = 3  # hinges that move one link
 
 
 def default_planner(arm: Arm) -> tuple[str, str]:
@@ -96,7 +95,8 @@ def default_planner(arm: Arm) -> tuple[str, str]:
     if arm.scene != "free":
         return OBSTACLE_PLANNER, "the default among obstacles"
     hinges = ({i for f in joint.factors if f.kind == "hinge" for i in f.indices} for joint in arm.joints.joints)
-    if any(len(turning) >= _REDUNDANT for turning in hinges):
+    redundant = 3  # hinges that move one link
+    if any(len(turning) >= redundant for turning in hinges):
         return OBSTACLE_PLANNER, "the default where three or more hinges move a link"
     return "lieednn-certified", "the default without obstacles"
 

@@ -22,9 +22,6 @@ from lieednn_sim.values import Floats, check_fields, frozen, set_fields
 _Made = TypeVar("_Made")
 _Solve = TypeVar("_Solve", bound=Callable[..., Any])
 
-# Factor on the duration that a too fast motion needs, since that is estimated from samples.
-_TIME_RESERVE = 1.02
-
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
@@ -116,11 +113,13 @@ def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any)
         TooFastError: even ``problem.max_time_scale`` durations are not enough.
     """
     latest = problem.max_time_scale * problem.duration
+    # Factor on the duration that a too fast motion needs, since that is estimated from samples.
+    time_reserve = 1.02
     while True:
         try:
             return make(problem, *options)
         except TooFastError as error:
-            slower = _TIME_RESERVE * max(error.duration, problem.duration)
+            slower = time_reserve * max(error.duration, problem.duration)
             if slower > latest:
                 raise
             problem = replace(problem, duration=slower, max_time_scale=latest / slower)

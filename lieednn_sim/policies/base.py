@@ -18,9 +18,6 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
-# For joints without limits, a target faster than this has jumped [rad/s, m/s].
-_MAX_TARGET_SPEED = 10.0
-
 
 class Policy(ABC):
     """Base class of policies; a subclass defines `act`, and `begin` if it has a state of its own.
@@ -147,5 +144,7 @@ def has_jumped(arm: Arm, velocity: Floats) -> Floats:
 
     It has jumped if a joint is faster than its limit, or than 10 rad/s or m/s where there is no limit.
     """
-    limits = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, _MAX_TARGET_SPEED)
+    # For joints without limits, a target faster than this has jumped [rad/s, m/s].
+    max_target_speed = 10.0
+    limits = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, max_target_speed)
     return np.asarray((np.abs(velocity) > limits).any(axis=-1))

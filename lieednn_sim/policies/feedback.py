@@ -21,9 +21,6 @@ from lieednn_sim.policies.base import Policy
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, check_fields, set_fields
 
-# s_0: a policy that stopped would never arrive.
-_MIN_SPEED = 0.01
-
 
 @dataclass(frozen=True)
 class Feedback:
@@ -51,7 +48,9 @@ class Feedback:
 
     def response(self, behind: float) -> tuple[float, float]:
         """The policy's speed s and the pull k d [1/s] for an error e, a fraction of the joints' ranges; unchecked."""
-        waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), _MIN_SPEED)
+        # s_0: a policy that stopped would never arrive.
+        min_speed = 0.01
+        waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), min_speed)
         return waiting, self.rate * max(0.0, 1.0 - self.tolerance / max(behind, 1e-300))
 
 

@@ -9,9 +9,6 @@ from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.safety_filter import SafetyFilter
 from lieednn_sim.values import Floats
 
-# Rate at which the reference is pulled towards the unfiltered one [1/s].
-_TRACKING_GAIN = 8.0
-
 
 class FilteredPolicy(Policy):
     """Another policy behind a safety filter, which keeps position, velocity and acceleration limits and clearance.
@@ -57,7 +54,9 @@ class FilteredPolicy(Policy):
         """See `Policy`; unchecked."""
         q, qd = self.inner.step(measured, target)
         error = q - self.q - 0.5 * self.period * self.qd
-        step = self._filter.step(self.q, self.qd, qd + _TRACKING_GAIN * error)
+        # Rate at which the reference is pulled towards the unfiltered one [1/s].
+        tracking_gain = 8.0
+        step = self._filter.step(self.q, self.qd, qd + tracking_gain * error)
         self.blocking, self.braked = step.blocking, step.braked
         moved = self.q + 0.5 * self.period * (self.qd + step.velocity)
         # The inner policy takes the filtered reference for its own.

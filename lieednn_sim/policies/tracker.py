@@ -12,9 +12,6 @@ from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.values import Floats
 
-# Largest distance of a motion's beginning from where the arm is, as a fraction of a joint's range.
-_MAX_START_DISTANCE = 0.02
-
 
 class MotionTracker(Policy):
     """A policy that plays a motion from its beginning, and then holds its end.
@@ -46,7 +43,9 @@ class MotionTracker(Policy):
         """See `Policy`; unchecked."""
         away = np.abs(self._rows[0][0] - q)
         joint = int((away / self.arm.ranges).argmax())
-        if away[joint] > _MAX_START_DISTANCE * self.arm.ranges[joint]:
+        # Largest distance of a motion's beginning from where the arm is, as a fraction of a joint's range.
+        max_start_distance = 0.02
+        if away[joint] > max_start_distance * self.arm.ranges[joint]:
             raise InputError(
                 f"the motion begins {away[joint]:.3g} {self.arm.unit(joint)} from where joint "
                 f"{self.arm.joint_names[joint]!r} is; plan it from there"

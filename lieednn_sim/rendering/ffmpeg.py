@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError
 
-_CRF = 10  # constant rate factor of H.264, 0 to 51: nearly lossless
-
 
 @contextlib.contextmanager
 def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
@@ -38,7 +36,8 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
     width, height = size
     command = ["-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
     command += ["-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"]
-    command += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", str(_CRF), "-preset", "veryfast"]
+    crf = 10  # constant rate factor of H.264, 0 to 51: nearly lossless
+    command += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", str(crf), "-preset", "veryfast"]
     command += ["-movflags", "+faststart", str(path)]
     with tempfile.TemporaryFile() as words:
         streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": words}

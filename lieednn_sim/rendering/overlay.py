@@ -23,9 +23,6 @@ PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
 TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
 # Radii of the paths [m]; the travelled one is thicker, since it usually covers the planned one.
 PLANNED_RADIUS, TRACED_RADIUS = 0.008, 0.011
-# Length of a frame's axes at full size [m], and most segments of a path.
-_AXIS_LENGTH = 0.22
-_MAX_SEGMENTS = 150
 # Position and orientation of a geom before its ends are known.
 _NOWHERE, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 
@@ -52,9 +49,10 @@ class Overlay:
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
         """Add the geometry of sample ``k`` to a scene."""
         self.draw_paths(scene, k)
+        axis_length = 0.22  # at full size [m]
         for frame in self.planned_frames[k]:
             for axis, rgba in enumerate(_AXIS_COLOURS):
-                tip = frame[:3, 3] + self.scale * _AXIS_LENGTH * frame[:3, axis]
+                tip = frame[:3, 3] + self.scale * axis_length * frame[:3, axis]
                 _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, 0.007 * self.scale, frame[:3, 3], tip, rgba)
 
     def draw_paths(self, scene: mujoco.MjvScene, k: int) -> None:
@@ -66,7 +64,8 @@ class Overlay:
 def _polyline(scene: mujoco.MjvScene, points: Floats, radius: float, colour: tuple[float, ...]) -> None:
     if len(points) < 2:
         return
-    chosen = points[np.unique(np.linspace(0, len(points) - 1, _MAX_SEGMENTS + 1, dtype=int))]
+    max_segments = 150
+    chosen = points[np.unique(np.linspace(0, len(points) - 1, max_segments + 1, dtype=int))]
     rgba = np.array(colour, dtype=np.float32)
     for i in np.flatnonzero(np.linalg.norm(np.diff(chosen, axis=0), axis=1) > 1e-5):
         _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, chosen[i], chosen[i + 1], rgba)

@@ -21,8 +21,6 @@ from lieednn_sim.validation import as_path
 
 __all__ = ["render_page"]
 
-# viser's notice of slow rendering without a graphics card would cover the arm.
-_PLAYER_STYLE = "<style>.mantine-Notifications-root { display: none; }</style>"
 # viser's player fills the window below a caption, and on narrow screens is no higher than what it shows is wide.
 _STYLE = """<style>
 body { display: flex; flex-direction: column; background: #fff; color: #1c1f23; }
@@ -53,7 +51,9 @@ def player(recording: str, *, title: str = "Motion", style: str = "", header: st
         '{darkMode:matchMedia("(prefers-color-scheme: dark)").matches};</script>'
     )
     page = page.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
-    page = page.replace("</head>", f"{given}{_PLAYER_STYLE}{style}</head>", 1)
+    # viser's notice of slow rendering without a graphics card would cover the arm.
+    player_style = "<style>.mantine-Notifications-root { display: none; }</style>"
+    page = page.replace("</head>", f"{given}{player_style}{style}</head>", 1)
     return page.replace('<div id="root">', f'{header}<div id="root">', 1)
 
 

@@ -20,10 +20,6 @@ from lieednn_sim.values import Floats
 Shown: TypeAlias = Arm | mujoco.MjModel
 Run: TypeAlias = Rollout | ModelRun
 
-_LIGHTS = (((-0.33, 0.43, -0.84), 0.45, True), ((-0.45, -0.72, -0.54), 0.2, False))  # direction, diffuse, shadow
-# Colours of the target marker: its axes, and the ball around them.
-_AXES = ((0.87, 0.20, 0.20, 1.0), (0.20, 0.68, 0.28, 1.0), (0.18, 0.40, 0.88, 1.0))
-_GLASS = (0.08, 0.75, 0.70, 0.35)
 _PLANE, _NO_MARKER = int(mujoco.mjtGeom.mjGEOM_PLANE), -1
 _OVERVIEW = "overview"  # the camera of the package's own scenes
 _UNSEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}  # no effect on contacts and dynamics
@@ -184,7 +180,8 @@ def staged(arm: Shown, points: Floats) -> tuple[mujoco.MjModel, int]:
         spec.delete(light)
     spec.visual.map.shadowclip, spec.visual.map.shadowscale = 1.4, 0.6
     spec.visual.headlight.ambient = spec.visual.headlight.diffuse = [0.4] * 3
-    for direction, diffuse, shadow in _LIGHTS:
+    lights = (((-0.33, 0.43, -0.84), 0.45, True), ((-0.45, -0.72, -0.54), 0.2, False))  # direction, diffuse, shadow
+    for direction, diffuse, shadow in lights:
         light = spec.worldbody.add_light(pos=-4.0 * np.array(direction), dir=direction, castshadow=shadow)
         light.type, light.diffuse = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, [diffuse] * 3
     if not (model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any():
@@ -198,13 +195,16 @@ def staged(arm: Shown, points: Floats) -> tuple[mujoco.MjModel, int]:
             height=1536,
         )
     name = "target" if marked else unused("target", names)
+    # Colours of the target marker: the ball, and the axes in it.
+    glass = (0.08, 0.75, 0.70, 0.35)
+    axes = ((0.87, 0.20, 0.20, 1.0), (0.20, 0.68, 0.28, 1.0), (0.18, 0.40, 0.88, 1.0))
     if not marked:
         size = 0.06 * float(np.linalg.norm(np.ptp(points, axis=0)))
         # As large as the hand, which would hide it on arrival.
         radius = float(np.clip(1.1 * _hand(arm), 0.35 * size, 0.9 * size))
         marker = spec.worldbody.add_body(name=name, mocap=True)
-        marker.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], rgba=_GLASS, **_UNSEEN)
-        for axis, colour in zip(np.eye(3), _AXES, strict=True):
+        marker.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], rgba=glass, **_UNSEEN)
+        for axis, colour in zip(np.eye(3), axes, strict=True):
             ends = [0.0, 0.0, 0.0, *((radius + 0.65 * size) * axis)]
             kind = mujoco.mjtGeom.mjGEOM_CAPSULE
             marker.add_geom(type=kind, fromto=ends, size=[0.04 * size, 0.0, 0.0], rgba=colour, **_UNSEEN)

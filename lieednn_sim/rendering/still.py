@@ -23,8 +23,6 @@ __all__ = ["render_still"]
 
 # Opacity of the arm at each instant, from the first to the last.
 OPACITIES = (0.3, 0.36, 0.44, 0.55, 1.0)
-# Where no camera and no light sees what is put there [m].
-_AWAY = (0.0, 0.0, -1e4)
 
 
 def render_still(
@@ -69,9 +67,11 @@ def still(rollout: Rollout | ModelRun, *, camera: str | None, size: tuple[int, i
         overlay.draw_paths(scene, len(rollout.t) - 1)
 
     def draw_without_arm(scene: mujoco.MjvScene) -> None:
+        # Where no camera and no light sees what is put there [m].
+        away = (0.0, 0.0, -1e4)
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid < len(moving) and moving[geom.objid]:
-                geom.pos[:] = _AWAY
+                geom.pos[:] = away
         draw(scene)
 
     with Camera(

@@ -25,7 +25,6 @@ from lieednn_sim.values import Floats
 # How far the arm may be from where the plan begins [rad, m].
 _START_TOLERANCE = 0.01
 _LONGEST_HOLD = 1e4  # [s]
-_SEEN = 100  # steps between calls of ``progress``
 
 
 def run_in(
@@ -155,7 +154,8 @@ class _Running:
         if data.warning.number.any() or not np.isfinite(data.qvel).all():
             raise failure(data, "the given model", self.time)
         done = len(self._rows)
-        if self._progress is not None and (done % _SEEN == 0 or done == self._planned):
+        seen = 100  # steps between calls of ``progress``
+        if self._progress is not None and (done % seen == 0 or done == self._planned):
             self._progress(min(done, self._planned), self._planned)
 
     def _note(self, row: int, following: int) -> None:

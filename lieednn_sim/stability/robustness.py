@@ -25,9 +25,6 @@ Indices = NDArray[np.intp]
 #: Integrators with fixed time steps for which `Robustness.largest_step` proves a largest step.
 INTEGRATORS_WITH_PROOF = ("Euler", "RK4")
 
-# Weights of v against omega: with smaller ones, omega's coupling to v costs less in rate, and more in size.
-_TRANSLATION_WEIGHTS = (1.0, 0.25, 0.06, 0.015, 0.004, 1e-4)
-
 
 @frozen
 class Robustness:
@@ -164,7 +161,9 @@ def robustness(
     contraction = find_contraction(part, gamma=gamma, mu=mu, lyapunov_diagonal=certificate.lyapunov_diagonal)
     inner = matrix[np.ix_(reached, reached)]
     guarantees: list[Guarantee] = []
-    for weight_of_v in _TRANSLATION_WEIGHTS if twists else (1.0,):
+    # Weights of v against omega: with smaller ones, omega's coupling to v costs less in rate, and more in size.
+    translation_weights = (1.0, 0.25, 0.06, 0.015, 0.004, 1e-4)
+    for weight_of_v in translation_weights if twists else (1.0,):
 
         def whole(diagonal: Floats, factor: float = weight_of_v) -> Floats:
             log_scale = np.zeros(len(core))

@@ -23,15 +23,10 @@ from lieednn_sim.values import Floats
 RESIDUAL_TOLERANCE = 1e-9
 # Largest norm of W_R that is searched for, in units of gamma/mu.
 _LARGEST_NORM = 1e3
-# Starts of the fast search before the patient one takes over.
-_FAST_ATTEMPTS = 4
 # Most derivatives of entries of the symmetric matrices in a stack: 64 MB.
 _LARGEST_STACK = 2**23
 # Tried in turn: the less the quaternions move, the better the certificate survives, but the larger the translations.
 _POLISH_WEIGHTS = (0.05, 0.01, 0.001)
-
-# Some minutes of searching: where thousands of starts find nothing, more don't either.
-_MOST_ATTEMPTS = 10_000
 
 
 @dataclass(frozen=True)
@@ -52,7 +47,9 @@ class Options:
         as_activation(self.activation)
         for name in ("gamma", "mu", "max_translation"):
             as_positive(name, getattr(self, name))
-        as_count("max_attempts", self.max_attempts, most=_MOST_ATTEMPTS)
+        # Some minutes of searching: where thousands of starts find nothing, more don't either.
+        most_attempts = 10_000
+        as_count("max_attempts", self.max_attempts, most=most_attempts)
 
     @property
     def ratio(self) -> float:
@@ -156,10 +153,12 @@ def attempt_all(
             task.refuse()
     size = 3 * targets.shape[1]
     at_once = max(1, _LARGEST_STACK // (size**4 // 4))
+    # Starts of the fast search before the patient one takes over.
+    fast_attempts = 4
     with one_blas_thread():
         for attempt in range(options.max_attempts):
             left = [task for task in tasks if task.outcome is None]
-            if solved or attempt < _FAST_ATTEMPTS:
+            if solved or attempt < fast_attempts:
                 # All problems in a stack have the same number of equations.
                 stacks = [[task for task in left if len(task.columns) == columns] for columns in (1, 2)]
                 for stack in stacks:

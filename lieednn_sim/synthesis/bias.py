@@ -9,10 +9,6 @@ from lieednn_sim.registry import BIAS_RULES
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
-# Rotations drive translations through t poorly when all their coordinates are below this [rad] ...
-_SMALL_ROTATION = 0.6
-# ... and not at all when a single neuron turns by more than this [rad].
-_LEAST_TURN = 0.05
 # Where the strength must be raised: W u = c must leave room below the bound, u^T P c <= _AIM u^T P u, for a P that
 # weights helpful coordinates at most 1 / _HELP times as much as harmful ones.
 _AIM, _HELP = 0.85, 0.2
@@ -65,8 +61,11 @@ def equation_columns(xi: Floats) -> list[slice]:
     small, or when only one neuron turns, so that a row that must not turn, alpha_i0 R_i0 phi(omega_0) = 0, has no lever
     arm.
     """
-    turning = np.linalg.norm(xi[:, :3], axis=1) > _LEAST_TURN
-    if np.abs(xi[:, :3]).max() < _SMALL_ROTATION or np.count_nonzero(turning) < 2:
+    # Rotations drive translations through t poorly when all their coordinates are below the first of these [rad], and
+    # not at all when a single neuron turns by more than the second.
+    small_rotation, least_turn = 0.6, 0.05
+    turning = np.linalg.norm(xi[:, :3], axis=1) > least_turn
+    if np.abs(xi[:, :3]).max() < small_rotation or np.count_nonzero(turning) < 2:
         return [slice(0, 3), slice(3, 6)]
     return [slice(0, 3)]
 

@@ -24,8 +24,6 @@ Matrices = NDArray[Any]
 
 # How far, relative to 1 + its norm, a matrix may lie outside the algebra and still be read as rounding in it.
 _TOLERANCE = 1e-8
-# Besides the identity, this many random elements start the search for the nearest adjoint matrix.
-_RANDOM_STARTS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +174,10 @@ class MatrixLieGroup:
         array = as_floats("theta", theta, (self.dimension, self.dimension), batched=True)
         if self.projection is not None:
             return self.projection(array)
+        # Besides the identity, this many random elements start the search for the nearest adjoint matrix.
+        random_starts = 5
         if start is None:
-            everywhere = np.concatenate([np.eye(self.size)[None], self.random(0, (_RANDOM_STARTS,))])
+            everywhere = np.concatenate([np.eye(self.size)[None], self.random(0, (random_starts,))])
             return self._search(array, np.broadcast_to(everywhere, (*array.shape[:-2], *everywhere.shape)))
         near = self._matrices("start", start)
         if near.shape[:-2] != array.shape[:-2]:

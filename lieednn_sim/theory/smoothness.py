@@ -15,9 +15,6 @@ from lieednn_sim.stability.norms import as_weight, log_norms
 from lieednn_sim.validation import as_finite, as_floats, as_nonnegative, as_positive, as_ratio
 from lieednn_sim.values import Floats
 
-# Largest velocity: larger than elsewhere, since velocities only divide.
-_LARGEST_SLOPE = 1e300
-
 
 @dataclass(frozen=True)
 class SmoothnessBounds:
@@ -85,7 +82,9 @@ def curvature(xi_dot: ArrayLike, xi_ddot: ArrayLike) -> Floats:
         xi_dot: first derivatives, any shape.
         xi_ddot: second derivatives, the same shape.
     """
-    first = as_floats("xi_dot", xi_dot, (), batched=True, largest=_LARGEST_SLOPE)
+    # Largest velocity: larger than elsewhere, since velocities only divide.
+    largest_slope = 1e300
+    first = as_floats("xi_dot", xi_dot, (), batched=True, largest=largest_slope)
     second = as_floats("xi_ddot", xi_ddot, first.shape)
     # hypot keeps large velocities from overflowing where the curvature is merely small.
     steepness = np.hypot(1.0, first)

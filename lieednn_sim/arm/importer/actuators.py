@@ -21,8 +21,6 @@ from lieednn_sim.arm.importer.servos import (
 )
 from lieednn_sim.values import Floats
 
-_NATURAL_FREQUENCY = 20.0  # of a designed servo [Hz]
-_HALVINGS = 6  # of the timestep, at most
 # Least decay rate of the motions of tied stages [1/s], and the factors by which their servos are slowed down for it.
 _DECAY, _SLOWDOWNS = 10.0, 0.8 ** np.arange(13)
 
@@ -53,7 +51,8 @@ def design_servos(draft: Draft) -> None:
     independent coordinates and includes coupled stages and armature; f = 20 Hz. With the other coordinates free the
     inertia may nearly vanish, as for two axes in line, and a servo designed for that would be weak when both turn.
     """
-    omega, servos = 2.0 * np.pi * _NATURAL_FREQUENCY, []
+    natural_frequency = 20.0  # of a designed servo [Hz]
+    omega, servos = 2.0 * np.pi * natural_frequency, []
     inertia = largest_inertia(draft.bare, draft.configurations(draft.samples[:16]), draft.dofs)
     for dof, actuation, held in zip(draft.dofs, draft.actuations, inertia, strict=True):
         kp, kv = map(float, actuation.gains or (held * omega**2, 2.0 * held * omega))
@@ -74,7 +73,8 @@ def stabilise(draft: Draft) -> None:
     if unstable() and model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_EULER):
         model.opt.integrator = option.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         draft.notes.append("the servos would be unstable with the model's integrator; it is implicitfast now")
-    for _ in range(_HALVINGS):
+    halvings = 6  # of the timestep, at most
+    for _ in range(halvings):
         if not unstable():
             break
         model.opt.timestep /= 2.0

@@ -20,7 +20,6 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
 _SAG = 3e-4  # worth a remark [rad, m]: over a few joints, a millimetre at an arm's length
-_LOADED = 16  # configurations at which loads are computed
 _PATHS, _LOOKS = 256, 20  # straight paths, and configurations on each
 _SHOWN = 24  # pairs of bodies in a remark
 # Least singular value of a link's screws, of unit size, at which its pose still determines its joints. By the same
@@ -87,7 +86,8 @@ def look_at_home(draft: Draft) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     mujoco.mj_forward(model, data)
-    elsewhere = draft.place(model, stacked(draft.samples[:_LOADED]), model.qpos0)
+    loaded = 16  # configurations at which loads are computed
+    elsewhere = draft.place(model, stacked(draft.samples[:loaded]), model.qpos0)
     at_home, *others = resting_load(model, np.array([data.qpos, *elsewhere]))
     loads = np.abs(others)
     frictions = dry_friction(model, np.array([dof.rates for dof in draft.dofs]).T)

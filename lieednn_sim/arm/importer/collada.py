@@ -13,11 +13,6 @@ from lieednn_sim.errors import FileError
 from lieednn_sim.io import opened
 from lieednn_sim.values import Floats
 
-# Bytes of a file.
-_LARGEST = 2 * 10**8
-# The supported transforms of a node; others, such as skews, are refused.
-_PLACING = ("matrix", "translate", "rotate", "scale")
-
 
 def read_points(path: Path) -> Floats:
     """The points ``(n, 3)`` [m] of a file's scene; they suffice for MuJoCo, which collides meshes as convex hulls.
@@ -27,8 +22,10 @@ def read_points(path: Path) -> Floats:
     Raises:
         FileError: the file is not COLLADA, or has no points.
     """
+    # Bytes of a file.
+    largest = 2 * 10**8
     try:
-        with opened(path, _LARGEST) as stream:
+        with opened(path, largest) as stream:
             root = ElementTree.parse(stream).getroot()
         elements = {element.get("id"): element for element in root.iter() if element.get("id")}
         unit = next((float(unit.get("meter", "1")) for unit in _all(root, "unit")), 1.0)
@@ -45,9 +42,11 @@ def _placed(
 ) -> Iterator[Floats]:
     """The points of a node's geometries and of its children's."""
     inner = outer
+    # The supported transforms of a node; others, such as skews, are refused.
+    placing = ("matrix", "translate", "rotate", "scale")
     for child in node:
         kind = _tag(child)
-        if kind in _PLACING:
+        if kind in placing:
             inner = inner @ _transform(kind, np.array((child.text or "").split(), dtype=np.float64))
         elif kind in ("lookat", "skew"):
             raise ValueError(f"a node is placed by <{kind}>")

@@ -21,7 +21,6 @@ _EQ, _GEOM, _OBJ, _TRN = mujoco.mjtEq, mujoco.mjtGeom, mujoco.mjtObj, mujoco.mjt
 _EQUALITIES = tuple(map(int, (_EQ.mjEQ_CONNECT, _EQ.mjEQ_WELD, _EQ.mjEQ_JOINT)))
 # Fields that an element of a spec and its row of the compiled model share, by the prefix of the model's names.
 _JOINT = ("type", "pos", "axis", "range", "margin", "group", "solref_limit=solref", "solimp_limit=solimp")
-_JOINT_FORCES = ("actfrcrange", "actgravcomp")
 _GEOM_FIELDS = (
     *("type", "size", "pos", "quat", "contype", "conaffinity", "condim", "priority", "solmix", "solref", "solimp"),
     *("margin", "gap", "friction", "group"),
@@ -180,9 +179,10 @@ def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, data: mujoco.MjData,
     result.stiffness = [model.jnt_stiffness[joint], *model.jnt_stiffnesspoly[joint]]
     result.damping = [model.dof_damping[dof], *model.dof_dampingpoly[dof]]
     result.armature, result.frictionloss = float(model.dof_armature[dof]), float(model.dof_frictionloss[dof])
+    joint_forces = ("actfrcrange", "actgravcomp")
     if model.jnt_type[joint] in (_HINGE, _SLIDE):
         result.ref, result.springref = float(model.qpos0[address]), float(model.qpos_spring[address])
-        _copy(result, model, "jnt", joint, _JOINT_FORCES)
+        _copy(result, model, "jnt", joint, joint_forces)
         result.actfrclimited = _limited(model.jnt_actfrclimited[joint])
 
 

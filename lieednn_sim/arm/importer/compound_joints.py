@@ -12,7 +12,6 @@ from lieednn_sim.arm.importer.coupled_joints import Couplings
 from lieednn_sim.values import Floats
 
 _BALL, _SLIDE, _HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("BALL", "SLIDE", "HINGE"))
-_SINGULAR = 1e-3  # least relative singular value at which the screws of a compound joint count as independent
 
 
 def cut(
@@ -94,4 +93,5 @@ def _fits(units: Sequence[_Unit]) -> bool:
     if screws.shape[1] > 6 or sum(unit.turn for unit in units) >= np.pi:
         return False
     sizes = np.linalg.svd(screws / np.linalg.norm(screws, axis=0), compute_uv=False)
-    return bool(sizes[-1] > _SINGULAR * sizes[0])
+    singular = 1e-3  # least relative singular value at which the screws of a compound joint count as independent
+    return bool(sizes[-1] > singular * sizes[0])

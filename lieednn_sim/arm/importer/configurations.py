@@ -12,7 +12,6 @@ from lieednn_sim.values import Floats
 
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 MARGIN = 0.05  # fraction of its range that a keyframe keeps away from each limit
-_SAMPLES = 64  # random configurations for which servos are designed and checked
 
 
 def draw_configurations(draft: Draft) -> None:
@@ -22,7 +21,8 @@ def draw_configurations(draft: Draft) -> None:
     home, moved = _coordinates_inside(draft, draft.qpos)
     draft.notes += [f"{name}: moved off its limits in the keyframe 'home'" for name in moved]
     rng = np.random.default_rng(0)
-    draft.samples = [home, *(random_coordinates(draft, rng) for _ in range(_SAMPLES))]
+    samples = 64  # random configurations for which servos are designed and checked
+    draft.samples = [home, *(random_coordinates(draft, rng) for _ in range(samples))]
     place_home(draft, home)
 
 

@@ -18,7 +18,6 @@ AUTO, NONE = "auto", "none"
 FLOOR = "floor"
 # How far below the moving parts at home a floor lies at least [m].
 _ROOM = PLANNED_CLEARANCE + 0.01
-_COLOUR = (0.62, 0.62, 0.60, 1.0)
 
 
 def as_floor(value: float | str) -> float | str:
@@ -54,11 +53,12 @@ def add_floor(draft: Draft) -> None:
 def add_plane(spec: mujoco.MjSpec, name: str, height: float, bits: int) -> None:
     """Add a horizontal plane, in a body of its own so that messages name it."""
     body = spec.worldbody.add_body(name=name, pos=[0.0, 0.0, height])
+    colour = (0.62, 0.62, 0.60, 1.0)
     body.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0.0, 0.0, 0.05],
-        rgba=_COLOUR,
+        rgba=colour,
         group=2,
         contype=bits,
         conaffinity=bits,

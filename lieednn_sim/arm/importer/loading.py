@@ -21,8 +21,6 @@ _PACKAGE = "package://"
 _POINTER = b"version https://git-lfs.github.com/"
 # Bytes of a file with its includes, copies of repeated elements, and entries of height fields and textures.
 _LARGEST, _MOST_COPIES, _MOST_ENTRIES = 10**8, 10_000, 2 * 10**7
-_MOST_INCLUDES = 100
-_COPIED = ("replicate", "composite", "flexcomp")
 _SIZED = {"hfield": ("nrow", "ncol"), "texture": ("width", "height")}
 
 
@@ -179,7 +177,8 @@ def check_size(source: Path) -> None:
     MuJoCo would build all of it, so this is looked at before MuJoCo reads the file.
     """
     waiting, seen = [source], set[Path]()
-    while waiting and len(seen) < _MOST_INCLUDES:
+    most_includes = 100
+    while waiting and len(seen) < most_includes:
         path = waiting.pop()
         seen.add(path)
         try:
@@ -196,9 +195,10 @@ def check_size(source: Path) -> None:
 def _check_elements(root: ElementTree.Element, path: Path) -> None:
     """Walk the elements with the number of copies that those around them ask for."""
     waiting = [(root, 1.0)]
+    copied = ("replicate", "composite", "flexcomp")
     while waiting:
         element, copies = waiting.pop()
-        if element.tag in _COPIED:
+        if element.tag in copied:
             copies *= math.prod(map(_number, element.get("count", "1").split()))
             if copies > _MOST_COPIES:
                 raise FileError(f"{path}: <{element.tag}> asks for {copies:g} copies; at most {_MOST_COPIES} are made")

@@ -29,7 +29,6 @@ from lieednn_sim.validation import as_choice, as_floats, quoted
 from lieednn_sim.values import Floats
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_SAME = 1e-3  # controls this close to a position hold it [rad, m]
 _BALL, _SLIDE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
 _DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
@@ -142,7 +141,8 @@ def _holds_another(model: mujoco.MjModel, keyframe: int) -> bool:
     mujoco.mj_forward(model, data)
     offset, stiffness = model.actuator_biasprm[:, 0], -model.actuator_biasprm[:, 1]
     rest = model.actuator_gainprm[:, 0] * data.ctrl + offset - stiffness * data.actuator_length
-    return bool(np.any(np.abs(rest) > _SAME * stiffness, where=stiffness > 0.0))
+    same = 1e-3  # controls this close to a position hold it [rad, m]
+    return bool(np.any(np.abs(rest) > same * stiffness, where=stiffness > 0.0))
 
 
 def _set_joints(model: mujoco.MjModel, qpos: NDArray[np.float64], home: Mapping[str, float]) -> None:

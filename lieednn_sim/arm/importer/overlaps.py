@@ -26,7 +26,6 @@ _Distances = Mapping[_Pair, float]
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Planned motions keep 2 mm between geoms that may collide: parts that are closer by design could not move at all [m].
 _CLOSE = 0.0025
-_PARALLEL = 1e-6
 _FRACTIONS = np.linspace(0.02, 1.0, 50)  # of a range by which home is moved
 
 
@@ -135,7 +134,8 @@ class _Overlaps:
         if not between or any(self._model.jnt_type[joint] != _SLIDE for joint in between):
             return False
         axes = self._data.xaxis[between]
-        return bool(np.all(np.abs(axes @ axes[0]) > 1.0 - _PARALLEL))
+        parallel = 1e-6
+        return bool(np.all(np.abs(axes @ axes[0]) > 1.0 - parallel))
 
     def neighbours(self, pair: _Pair) -> bool:
         """Whether a single coordinate moves the bodies against each other."""

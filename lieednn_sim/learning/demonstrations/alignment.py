@@ -19,7 +19,6 @@ PHASES = ("length", "time")
 GOALS = ("aligned", "kept")
 # Metres that a radian counts for: 2 mm and 0.5 degrees weigh about the same.
 LEVER = 0.2
-_MOST_SAMPLES = 100_000
 
 
 @frozen
@@ -126,7 +125,8 @@ def align(
     as_choice("phase", phase, PHASES)
     kept = as_choice("goals", goals, GOALS) == "kept"
     lever = as_positive("lever", lever)
-    fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, _MOST_SAMPLES))
+    most_samples = 100_000
+    fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, most_samples))
     if not demonstrations or len({demonstration.dof for demonstration in demonstrations}) > 1:
         raise InputError("align needs at least one demonstration, and all must show the same")
     goal, twists, times = mean_goal(demonstrations), [], []

@@ -29,8 +29,6 @@ ALPHA = 25.0
 BETA = ALPHA / 4.0
 # Step of the integrator, in durations; the weights are fitted to exactly these steps.
 STEP = 1.0 / 200.0
-# Corrections of the weights: positions need one, since rotations are not quite linear in the weights.
-_CORRECTIONS = 4
 # Relative size below which singular values are not inverted: responses to neighbouring basis functions are similar.
 _LEAST_RESPONSE = 1e-6
 
@@ -66,7 +64,9 @@ class MovementPrimitive:
         target = displacement(at_times(demonstrations.twists, demonstrations.t / duration, grid))
         inverse = np.linalg.pinv(responses(forcing(n_basis, np.exp(-DECAY * grid)), STEP), rcond=_LEAST_RESPONSE)
         weights = np.zeros((n_basis, 6))
-        for _ in range(_CORRECTIONS if dof == 6 else 1):
+        # Corrections of the weights: positions need one, since rotations are not quite linear in the weights.
+        corrections = 4
+        for _ in range(corrections if dof == 6 else 1):
             model = cls(weights, duration, dof)
             missing = target - displacement(model.reproduce(demonstrations.twists[:, 0], duration * grid))
             if dof == 6:

@@ -18,10 +18,6 @@ from lieednn_sim.values import Floats, frozen
 
 # Number of instants at which paths are fitted and evaluated.
 _INSTANTS = 201
-# Value of a basis function at 1/(2B) from its centre, about half way to the next, before they are normalised.
-_OVERLAP = 0.7
-# Added to the squared singular values of the least squares.
-_RIDGE = 1e-12
 # Standard deviation added to every weight, in extents of the demonstrations: without it, a model of few demonstrations
 # could not be conditioned on another start.
 _ADDED_DEVIATION = 1e-2
@@ -55,7 +51,9 @@ class ProbabilisticPrimitive:
         phases = np.linspace(0.0, 1.0, _INSTANTS)
         basis = _basis(n_basis, phases)
         paths = displacement(at_times(demonstrations.twists, demonstrations.t / duration, phases))[..., shown] * scale
-        inverse = np.linalg.pinv(basis.T @ basis + _RIDGE * np.eye(n_basis)) @ basis.T
+        # Added to the squared singular values of the least squares.
+        ridge = 1e-12
+        inverse = np.linalg.pinv(basis.T @ basis + ridge * np.eye(n_basis)) @ basis.T
         weights = (inverse @ paths).swapaxes(1, 2).reshape(len(paths), -1)
         centred = weights - weights.mean(axis=0)
         added = (_ADDED_DEVIATION * demonstrations.extent) ** 2 * np.eye(len(centred.T))
@@ -81,5 +79,7 @@ class ProbabilisticPrimitive:
 def _basis(n_basis: int, phases: Floats) -> Floats:
     """Normalised Gaussians ``(K, B)`` at phases ``(K,)``."""
     squared = (phases[:, None] - np.linspace(0.0, 1.0, n_basis)) ** 2
-    psi = np.exp(4.0 * n_basis**2 * np.log(_OVERLAP) * squared)
+    # Value of a basis function at 1/(2B) from its centre, about half way to the next, before they are normalised.
+    overlap = 0.7
+    psi = np.exp(4.0 * n_basis**2 * np.log(overlap) * squared)
     return psi / psi.sum(axis=1, keepdims=True)

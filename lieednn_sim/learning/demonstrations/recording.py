@@ -20,10 +20,6 @@ _SHOWN = {2: "positions in a plane", 3: "positions", 7: "poses"}
 _NORMS = (0.9, 1.1)
 # Largest angle of a rotation vector [rad]: the chart is singular at a full turn.
 _LARGEST_TURN = 2.0 * np.pi - 0.2
-# Largest entry of a sample, in any unit.
-_LARGEST_SAMPLE = 1e9
-# Least length of a motion, with a lever of 1 m [m].
-_LEAST_LENGTH = 1e-9
 
 
 def as_dof(dof: int) -> int:
@@ -85,7 +81,9 @@ class Demonstration:
         """
         length, rate = as_positive("length", length), as_positive("rate", rate)
         as_choice("order of quaternions", quaternion, QUATERNIONS)
-        table = as_floats(source, samples, ("K", "D"), largest=_LARGEST_SAMPLE)
+        # Largest entry of a sample, in any unit.
+        largest_sample = 1e9
+        table = as_floats(source, samples, ("K", "D"), largest=largest_sample)
         count, columns = table.shape
         if columns not in _SHOWN:
             raise InputError(
@@ -106,7 +104,9 @@ class Demonstration:
                 raise InputError(f"quaternions of {source} must be units, got norm {norms[worst]:g} in row {worst}")
             rotation = Rotation.from_quat(table[:, 3:], scalar_first=quaternion == "wxyz").as_matrix()
         result = cls(times - times[0], position, rotation, 6 if columns == 7 else columns, source)
-        if result.steps(1.0).sum() < _LEAST_LENGTH:
+        # Least length of a motion, with a lever of 1 m [m].
+        least_length = 1e-9
+        if result.steps(1.0).sum() < least_length:
             raise InputError(f"{source} does not move")
         return result
 

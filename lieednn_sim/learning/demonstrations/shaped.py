@@ -32,8 +32,6 @@ DEVIATION = 2e-3
 # Network time, times rho, after which less than a millionth of the path is left; longest time step; and step in the
 # fraction that the clock has left, a tenth of the width of the steepest switch.
 _NETWORK_TIME, _LONGEST_STEP, _FRACTION_STEP = 16.0, 0.2, 1.0 / 600.0
-# Durations of the demonstrations after which a reproduction ends, when the network has long come to rest.
-_MAX_DURATIONS = 100.0
 # Corrections of a code until the motion is at its via point, and how near that must be, in standard deviations of the
 # motion: far from the demonstrations bumps are not linear in their codes.
 _CORRECTIONS, _NEAR = 50, 1e-4
@@ -278,7 +276,9 @@ class ShapedMotion:
 
     def _network_times(self, t: Floats) -> Floats:
         """Network times ``(K,)`` at times [s]."""
-        t, latest = as_times("t", t), _MAX_DURATIONS * self.t[-1]
+        # Durations of the demonstrations after which a reproduction ends, when the network has long come to rest.
+        max_durations = 100.0
+        t, latest = as_times("t", t), max_durations * self.t[-1]
         if t[0] < 0.0 or t[-1] > latest:
             raise InputError(f"t must be from 0 to {latest:g} s, got {t[0]:g} to {t[-1]:g} s")
         pace = self.tau[-1] / self.t[-1]

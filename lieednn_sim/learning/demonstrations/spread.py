@@ -16,9 +16,6 @@ from lieednn_sim.synthesis.shaping.cascade import clockwork
 from lieednn_sim.synthesis.shaping.pairs import PAIRS, bumps
 from lieednn_sim.values import Floats, frozen
 
-# Correlation length, in fractions of the clock's way, of the deviations that are allowed for beside those seen.
-_SMOOTHNESS = 0.2
-
 
 @frozen
 class CodeSpread:
@@ -55,7 +52,9 @@ class CodeSpread:
             activation: of the network.
         """
         places = np.arange(PAIRS) / PAIRS
-        smooth = np.exp(-0.5 * ((places[:, None] - places) / _SMOOTHNESS) ** 2)
+        # Correlation length, in fractions of the clock's way, of the deviations that are allowed for beside those seen.
+        smoothness = 0.2
+        smooth = np.exp(-0.5 * ((places[:, None] - places) / smoothness) ** 2)
         basis = bumps(clockwork(1.0, ACTIVATIONS[activation]), PAIRS)[:-1]
         size, axes = np.linalg.eigh(smooth / np.einsum("km,mn,kn->k", basis, smooth, basis).max())
         allowed = np.kron(axes * np.sqrt(np.maximum(size, 0.0)), np.diag(least))

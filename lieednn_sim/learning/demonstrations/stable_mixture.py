@@ -19,12 +19,8 @@ from lieednn_sim.learning.demonstrations.alignment import Demonstrations, shown_
 from lieednn_sim.learning.demonstrations.models import even_grid, run_field
 from lieednn_sim.values import Floats, frozen
 
-# epsilon, the least decay of V per duration.
-_EPSILON = 0.1
 # Rounds of expectation maximisation, and the least variance of a component [extent^2].
 _ROUNDS, _LEAST_VARIANCE = 60, 1e-4
-# Step of the integrator, in durations.
-_STEP = 1.0 / 100.0
 # Samples per demonstration and evaluations of the residual, by dof: ten times as many gain little.
 _SAMPLES = {2: 60, 3: 60, 6: 40}
 _EVALUATIONS = {2: 100, 3: 100, 6: 40}
@@ -85,7 +81,9 @@ class StableMixture:
         twists = np.zeros((start[..., 0].size, len(t), 6))
         first = start.reshape(-1, 6)[:, shown] / self.units
         times = t / self.duration
-        twists[..., shown] = run_field(self.velocity, first, even_grid(times[-1], _STEP), times) * self.units
+        # Step of the integrator, in durations.
+        step = 1.0 / 100.0
+        twists[..., shown] = run_field(self.velocity, first, even_grid(times[-1], step), times) * self.units
         return twists.reshape(*start.shape[:-1], len(t), 6)
 
     def velocity(self, x: Floats) -> Floats:
@@ -139,7 +137,9 @@ def _laws(gamma: Floats, x: Floats, rates: Floats) -> tuple[Floats, Floats]:
     def laws(unknown: Floats) -> tuple[Floats, Floats]:
         factor, damping, skew = unpack(unknown)
         metric = factor @ factor.T + 1e-3 * np.eye(d)
-        inside = skew - damping @ damping.swapaxes(1, 2) - _EPSILON * np.eye(d)
+        # epsilon, the least decay of V per duration.
+        epsilon = 0.1
+        inside = skew - damping @ damping.swapaxes(1, 2) - epsilon * np.eye(d)
         return np.asarray(np.linalg.solve(metric, inside), dtype=float), metric
 
     def residual(unknown: Floats) -> Floats:

@@ -16,9 +16,6 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, made_in_time
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 
-# Relative size below which singular values are not inverted: responses to neighbouring functions are similar.
-_LEAST_RESPONSE = 1e-6
-
 
 @dataclass(frozen=True)
 class DmpOptions(PlannerOptions):
@@ -60,7 +57,9 @@ def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
     # Fractions of the path, by the spring with its smooth start and by each weight.
     spring = ALPHA * BETA * (1.0 - phase)[:, None]
     fractions = responses(np.hstack([spring, forcing(options.basis_functions, phase)]), problem.timestep / t[-1])
-    weights = np.linalg.pinv(fractions[:, 1:], rcond=_LEAST_RESPONSE) @ (sigma - fractions[:, 0])
+    # Relative size below which singular values are not inverted: responses to neighbouring functions are similar.
+    least_response = 1e-6
+    weights = np.linalg.pinv(fractions[:, 1:], rcond=least_response) @ (sigma - fractions[:, 0])
     shown = reference_configuration(problem.arm) - problem.arm.keyframe("home")
     imitates = np.abs(shown) > options.least_fraction * problem.arm.ranges
     law = np.where(imitates, (fractions @ np.append(1.0, weights))[:, None], fractions[:, :1])

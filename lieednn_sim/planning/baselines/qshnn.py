@@ -39,8 +39,6 @@ from lieednn_sim.values import Floats
 # Distance to the target at which the path ends, a few times the error of learning; and the longest duration in the
 # network's own time, since its slowest mode may be far slower than its decay.
 _ARRIVAL_DISTANCE, _LONGEST_RUN = 1e-5, 1000.0
-# Samples of the path, between which waypoints are interpolated.
-_SAMPLES = 2000
 # Their Algorithm 1: rates, period, tolerance. A thousand epochs usually suffice; they allow 30 000.
 _ALGORITHM = TrainingOptions(
     projection="scaled", period=10, min_rate=0.001, max_rate=0.2, tolerance=1e-6, max_epochs=10_000
@@ -156,7 +154,9 @@ def path_of(problem: PlanningProblem, joints: JointQuaternions, network: Hopfiel
         raise PlanError(
             f"the learned network does not arrive: {left:.2g} from the target after {_LONGEST_RUN:g} of its time"
         )
-    fraction = np.linspace(0.0, 1.0, _SAMPLES)
+    # Samples of the path, between which waypoints are interpolated.
+    samples = 2000
+    fraction = np.linspace(0.0, 1.0, samples)
     times = np.interp(fraction, np.linspace(0.0, 1.0, len(trajectory.t)), trajectory.t)
     q = joints.positions(trajectory(times))
     q[0], q[-1] = problem.start, problem.target

@@ -32,8 +32,6 @@ from lieednn_sim.planning.retiming import retime
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
-# Nodes of the arc length; with these its inverse is accurate to about 1e-12.
-_NODES = 4097
 # A curve to be followed at the limits is first sampled as a motion of this many durations, and every 32nd sample tested
 # for contact, before its time law is computed.
 _SLOW_DURATIONS, _STRIDE = 4.0, 32
@@ -148,7 +146,9 @@ def smoothed(problem: PlanningProblem, corners: Floats, count: int, bend: float)
         return _resting(problem)
     control = _laid(scaled, lengths, count)
     curve = BSpline(clamped_knots(len(control)), control, SPLINE_DEGREE)
-    u = np.linspace(0.0, 1.0, _NODES)
+    # Nodes of the arc length; with these its inverse is accurate to about 1e-12.
+    nodes = 4097
+    u = np.linspace(0.0, 1.0, nodes)
     speed = _weighted(curve(u, nu=1), curve(u, nu=2), bend)
     length = cumulative_simpson(speed, x=u, initial=0.0)
     inverse = CubicHermiteSpline(length, u, 1.0 / speed)

@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     from rich.console import Group
 
 
-# Instants of a reproduction.
-_INSTANTS = 600
-
-
 @dataclass(frozen=True)
 class ModelRow:
     """One model of one set of demonstrations.
@@ -56,7 +52,9 @@ def reproduction(
     """Twists ``(K, 6)`` from a twist ``(6,)`` until the model's motion is over; to a ``goal`` if they are kept."""
     if isinstance(model, ShapedMotion) and demonstrations.goals_kept and goal is not None:
         model = model.toward(goal)
-    return model.reproduce(start, np.linspace(0.0, model.durations * demonstrations.duration, _INSTANTS))
+    # Instants of a reproduction.
+    instants = 600
+    return model.reproduce(start, np.linspace(0.0, model.durations * demonstrations.duration, instants))
 
 
 def compare_models(

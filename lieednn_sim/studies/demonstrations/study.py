@@ -60,10 +60,6 @@ class ModelScore(TableRow):
     left_out_goal_mm: float | None = _error("goal mm, left out")
 
 
-# What rows hold of `PathErrors`.
-_KEPT = ("rms_mm", "rms_deg", "dtwd_mm", "frechet_mm", "goal_mm")
-
-
 def score(kind: str, path: str, unit: str, starts: int) -> list[ModelScore]:
     """A row for each model of the demonstrations in a file."""
     demonstrations = align(load_demonstrations([Path(path)], unit=unit))
@@ -75,8 +71,10 @@ def score(kind: str, path: str, unit: str, starts: int) -> list[ModelScore]:
 def scored(kind: str, name: str, row: ModelRow) -> ModelScore:
     """The row of a table for a model of a set."""
     parts = {"mean": row.mean, "training": row.training, "left_out": row.left_out}
+    # What rows hold of `PathErrors`.
+    kept = ("rms_mm", "rms_deg", "dtwd_mm", "frechet_mm", "goal_mm")
     errors = {
-        f"{part}_{key}": getattr(result, key) for part, result in parts.items() if result is not None for key in _KEPT
+        f"{part}_{key}": getattr(result, key) for part, result in parts.items() if result is not None for key in kept
     }
     there = asdict(row.attraction)
     return ModelScore(kind, name, row.model, n_parameters=row.n_parameters, fit_s=row.fit_s, **there, **errors)

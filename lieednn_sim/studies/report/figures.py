@@ -45,8 +45,6 @@ _STYLE: Any = {
     "legend.frameon": False,
 }
 _SCENE_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-# Errors below this are rounding; logarithmic axes do not show them [mm].
-_FLOOR = 1e-6
 # Most marks in a line: more would merge, and take megabytes.
 _MARKS = 200
 
@@ -113,13 +111,15 @@ def _few_ticks(low: float, high: float) -> Locator:
 def _distribution(rows: Sequence[Row], column: Column, controller: str) -> Plot:
     planners, scenes = in_order((row.planner for row in rows), PLANNERS), _scenes(rows)
     look, thinned, logarithmic = marks(planners), False, _DRAWN[column.name]
+    # Errors below this are rounding; logarithmic axes do not show them [mm].
+    floor = 1e-6
     with matplotlib.rc_context(_STYLE | {"svg.hashsalt": column.name}):
         figure, axes = _panel(planners)
         for group in grouped(rows, ("planner", "scene")):
             planner, scene = group.key
             values = np.array(group.values(column.name))
             if logarithmic:
-                values = np.maximum(values, _FLOOR)
+                values = np.maximum(values, floor)
             if not len(values):
                 continue
             y, colour = planners.index(planner) + _offset(scenes, scene), look[planner].colour

@@ -25,12 +25,8 @@ CLOCK_START = 0.5
 # For rho = 1, hidden and visible neurons decay at one rate, and x - x_d ends as e^-t (A + B t), which overshoots beyond
 # t = -A/B. B is penalised with this weight: the last row of states has an error of `TAIL` B.
 TAIL = 0.05
-# g is sampled down to this value, a ten thousandth of its start.
-_LEAST_CLOCK = 1e-4
 # Most that g falls, and that time passes, within one piece of time: ripples between switches are short.
 _MAX_CLOCK_STEP, _MAX_TIME_STEP = 1.0 / 120.0, 0.25
-# Nodes of the Gauss rule on each piece.
-_NODES = 3
 
 
 @frozen
@@ -69,12 +65,16 @@ def clockwork(rate: float, activation: Activation = ACTIVATIONS[DEFAULT_ACTIVATI
 
     looks = np.linspace(0.0, span, 20_001)
     levels = falling(looks)
-    end = looks[np.argmax(levels < _LEAST_CLOCK)]
+    # g is sampled down to this value, a ten thousandth of its start.
+    least_clock = 1e-4
+    end = looks[np.argmax(levels < least_clock)]
     # Pieces that are even in the measure that bounds them.
     measure = np.append(0.0, np.cumsum(np.hypot(np.diff(levels) / _MAX_CLOCK_STEP, np.diff(looks) / _MAX_TIME_STEP)))
     total = np.interp(end, looks, measure)
     edges = np.interp(np.linspace(0.0, total, int(np.ceil(total)) + 1), measure, looks)
-    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    # Nodes of the Gauss rule on each piece.
+    nodes = 3
+    node, weight = np.polynomial.legendre.leggauss(nodes)
     width = np.diff(edges)
     fine = edges[:-1, None] + 0.5 * width[:, None] * (node + 1.0)
     masses = 0.5 * width[:, None] * weight

@@ -13,8 +13,6 @@ from lieednn_sim.values import Floats, frozen
 
 # Rows of a table: a curve of two metres is then resolved to a millimetre along, and to micrometres across.
 _ROWS = 2048
-# Newton steps to a foot point from its previous estimate.
-_NEWTON_STEPS = 3
 # Longest such step, in rows.
 _REACH = 64
 
@@ -70,7 +68,9 @@ class Curve:
 
     def feet(self, x: Floats, s: Floats) -> Floats:
         """Fractions ``(K,)`` of the length at the foot points of ``x`` ``(K, N, 6)`` near ``s``; nondecreasing."""
-        for _ in range(_NEWTON_STEPS):
+        # Newton steps to a foot point from its previous estimate.
+        newton_steps = 3
+        for _ in range(newton_steps):
             point, tangent = self.at(s)
             along = (tangent * self.units**2).reshape(len(x), -1)
             step = np.einsum("kp,kp->k", along, (x - point).reshape(len(x), -1)) / np.maximum(

@@ -41,8 +41,6 @@ _STEPS, _RATIO, _LEAST_CLOCK = 360, 0.75, 5e-10
 _STRIDE = 3
 # Ripples shorter than 2 pi times this fraction of the clock count more than deviations.
 _RIPPLE, _LEAST_RIPPLING = 0.02, 0.01
-# Weight of the squared codes D delta.
-_RIDGE = 1e-6
 # A turn of the tangent by one radian takes as much of the clock as this fraction of the length, smoothed over the
 # second; looked at on this many pieces.
 _CLOCK_PER_TURN, _SMOOTHING, _PIECES = 0.2, 0.02, 256
@@ -240,7 +238,9 @@ def _basis(activation: str) -> _Basis:
     tail = 2.0 * TAIL * _STRENGTH * ACTIVATIONS[activation].slope(a)
     used = int((g[looks] > _LEAST_RIPPLING).sum())
     ripples = np.pad(third_derivative(1.0 - g[looks[:used]]), ((0, 0), (0, len(looks) - used)))
-    rows = np.concatenate([bumps, _RIPPLE**3 * (ripples @ bumps), tail[None], _RIDGE**0.5 * _STRENGTH * np.eye(len(a))])
+    # Weight of the squared codes D delta.
+    ridge = 1e-6
+    rows = np.concatenate([bumps, _RIPPLE**3 * (ripples @ bumps), tail[None], ridge**0.5 * _STRENGTH * np.eye(len(a))])
     inverse = np.linalg.pinv(rows)
     count = len(looks)
     solution = inverse[:, :count] + inverse[:, count : count + len(ripples)] @ (_RIPPLE**3 * ripples)

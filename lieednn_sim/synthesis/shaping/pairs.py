@@ -23,8 +23,6 @@ from lieednn_sim.values import Floats
 PAIRS = 24
 # Largest entry of a code, at which the cubic term is a thousandth of the bump.
 LARGEST_CODE = 0.05
-# Weight of the squared codes, relative to the largest singular value of the bumps.
-_RIDGE = 1e-3
 
 
 def switches(count: int) -> tuple[Floats, Floats]:
@@ -54,7 +52,9 @@ def bumps(clock: Clockwork, count: int) -> Floats:
 def encoder(clock: Clockwork, count: int) -> Floats:
     """Codes D delta ``(M,)`` of a displacement at the clock's instants ``(K,)``, as one matrix ``(M, K)``."""
     left, size, right = np.linalg.svd(bumps(clock, count), full_matrices=False)
-    return np.asarray(right.T * (size / (size**2 + (_RIDGE * size[0]) ** 2)) @ left.T[:, :-1])
+    # Weight of the squared codes, relative to the largest singular value of the bumps.
+    ridge = 1e-3
+    return np.asarray(right.T * (size / (size**2 + (ridge * size[0]) ** 2)) @ left.T[:, :-1])
 
 
 def with_pairs(

@@ -25,10 +25,6 @@ from lieednn_sim.values import Floats, frozen
 
 # Samples at which deviations between the network's path and the curve are measured.
 _SAMPLES = 1000
-# States of the network's trajectory from which its path is tabulated.
-_PATH_SAMPLES = 4000
-# Network time, times rho, after which less than a micrometre of a path of a metre is left.
-_NETWORK_TIME = 16.0
 
 
 @dataclass(frozen=True)
@@ -152,9 +148,13 @@ def shape(
 def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> tuple[float, LieEDNN]:
     """Deviation, and the network, by integrating it."""
     network = assemble(parameters, options.rate, curve.points[-1], options.activation)
-    trajectory = network.trajectory(network.start(curve.points[0]), _NETWORK_TIME / options.rate, rtol=1e-7, atol=1e-9)
+    # Network time, times rho, after which less than a micrometre of a path of a metre is left.
+    network_time = 16.0
+    trajectory = network.trajectory(network.start(curve.points[0]), network_time / options.rate, rtol=1e-7, atol=1e-9)
     # Closer together at first, where it is fast.
-    t = trajectory.t[-1] * np.linspace(0.0, 1.0, _PATH_SAMPLES) ** 3
+    # States of the network's trajectory from which its path is tabulated.
+    path_samples = 4000
+    t = trajectory.t[-1] * np.linspace(0.0, 1.0, path_samples) ** 3
     path = Curve.through(network.visible(trajectory(t)), curve.units)
     fractions = np.linspace(0.0, 1.0, _SAMPLES)
     off, back = (_distances(item.at(fractions)[0], other, fractions) for item, other in ((path, curve), (curve, path)))

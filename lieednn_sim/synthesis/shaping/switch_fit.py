@@ -20,12 +20,6 @@ from lieednn_sim.values import Floats
 
 # Pieces over which curvature is computed, and the fraction of the length over which it is smoothed.
 _PIECES, _SMOOTHING = 512, 0.01
-# A turn of the tangent by one radian takes as much of the clock as this fraction of the length: it makes room for
-# switches in a sharp corner, where a motion is slow anyway.
-_CLOCK_PER_TURN = 0.03
-# Slope of a switch over the density of switches, and the least slope: without overlap the path would ripple.
-_OVERLAP = 1.0
-_LEAST_SLOPE = 1.0
 # Bound on slopes: the steepest switch spans a sixtieth of the path, twice the resolution of `cascade`.
 LARGEST_SLOPE = 60.0
 # The density of switches is the root of the curve's second derivative plus this much everywhere.
@@ -76,7 +70,10 @@ def _pace(curve: Curve) -> CubicSpline:
     """Fraction of the curve's length as a function of the fraction of the clock: slower where the curve turns."""
     s = np.linspace(0.0, 1.0, _PIECES + 1)
     points = (curve.at(s)[0] * curve.units).reshape(len(s), -1)
-    return CubicSpline(clock_along(points, _CLOCK_PER_TURN, _SMOOTHING), s)
+    # A turn of the tangent by one radian takes as much of the clock as this fraction of the length: it makes room for
+    # switches in a sharp corner, where a motion is slow anyway.
+    clock_per_turn = 0.03
+    return CubicSpline(clock_along(points, clock_per_turn, _SMOOTHING), s)
 
 
 def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple[Floats, Floats]:
@@ -88,4 +85,6 @@ def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple
     density += _LEAST_DENSITY * density.mean() + _LEAST_DENSITY
     mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
     edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, w)
-    return edges[1::2], np.clip(_OVERLAP / (edges[2::2] - edges[:-2:2]), _LEAST_SLOPE, LARGEST_SLOPE)
+    # Slope of a switch over the density of switches, and the least slope: without overlap the path would ripple.
+    overlap, least_slope = 1.0, 1.0
+    return edges[1::2], np.clip(overlap / (edges[2::2] - edges[:-2:2]), least_slope, LARGEST_SLOPE)
