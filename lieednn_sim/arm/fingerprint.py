@@ -24,8 +24,10 @@ def arm_fingerprint(arm: SerialArm) -> str:
     Neither colours nor file locations count. Another version of MuJoCo may give another fingerprint.
     """
     arrays = _arrays(arm.model)
-    for name in ("position_limits", "velocity_limits", "acceleration_limits", "force_limits", "site_ids"):
+    for name in ("position_limits", "velocity_limits", "acceleration_limits", "force_limits"):
         arrays[name] = _rounded(np.asarray(getattr(arm, name)))
+    frames = arm.frames
+    arrays["frames"] = _rounded(np.column_stack([frames.bodies, frames.positions, frames.rotations.reshape(-1, 9)]))
     # Few arms have them: the others keep the fingerprint that they had before jerk limits existed.
     if np.isfinite(arm.jerk_limits).any():
         arrays["jerk_limits"] = _rounded(arm.jerk_limits)

@@ -141,7 +141,7 @@ class _Search:
         self._arm, self._goal, self._path_constraint, self._start = arm, goal, path_constraint, start
         # Solutions are sought a little inside of a region, so that they are in it.
         self._regions = [r.within(2.0 * _TOLERANCE) for r in (goal, path_constraint) if isinstance(r, TaskSpaceRegion)]
-        self._data, self._site = mujoco.MjData(arm.model), int(arm.site_ids[-1])
+        self._data, self._tip = mujoco.MjData(arm.model), arm.frames[-1:]
 
     def solutions(
         self, seed: Seed, attempts: int, *, several: bool, progress: Callable[[int, int], None] | None = None
@@ -183,8 +183,7 @@ class _Search:
         arm, data = self._arm, self._data
         place, turn = self._move(q)
         mujoco.mj_comPos(arm.model, data)
-        linear, angular = np.zeros((2, 3, arm.model.nv))
-        mujoco.mj_jacSite(arm.model, data, linear, angular, self._site)
+        linear, angular = self._tip.jacobian(arm.model, data, 0)
         to_rates = arm.qvel(q, np.eye(arm.n_joints)).T
         linear, angular = linear @ to_rates, angular @ to_rates
         parts = [self._goal.slopes(turn, linear, angular)] if isinstance(self._goal, _Point) else []
@@ -195,7 +194,8 @@ class _Search:
         """Position ``(3,)`` and rotation ``(3, 3)`` of the end effector."""
         self._data.qpos[:] = self._arm.qpos(q)
         mujoco.mj_kinematics(self._arm.model, self._data)
-        return self._data.site_xpos[self._site], self._data.site_xmat[self._site].reshape(3, 3)
+        places, turns = self._tip.poses(self._data.xpos, self._data.xmat)
+        return places[0], turns[0]
 
     def _descend(self, q: Floats, near: Floats) -> Floats:
         """The joint coordinates of least error next to ``q``, and of those that are equally good, near others."""

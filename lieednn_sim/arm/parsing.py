@@ -25,6 +25,7 @@ from lieednn_sim.arm.checks import (
 )
 from lieednn_sim.arm.coordinates import Coordinates, Line, line_of, to_independent_leaders
 from lieednn_sim.arm.forces import force_ranges
+from lieednn_sim.arm.frames import BodyFrames, Frame, site_frame
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
@@ -38,11 +39,11 @@ class Chain:
     """Link frames and the joints between them.
 
     Attributes:
-        sites: N + 1 sites, ``base_frame`` first.
+        frames: N + 1 frames, that of the base first.
         groups: N tuples of joints, each from the base outwards.
     """
 
-    sites: tuple[int, ...]
+    frames: tuple[Frame, ...]
     groups: tuple[tuple[int, ...], ...]
 
 
@@ -66,15 +67,15 @@ def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
         "jerk_limits": read_numeric(model, arm, "jerk_limit", unlimited),
         "force_limits": read_force_limits(model, space),
         "length_scale": float(read_numeric(model, arm, "length_scale", np.ones(1))[0]),
-        "site_ids": np.array(chain.sites[1:], dtype=int),
+        "frames": BodyFrames.of(chain.frames[1:]),
     }
 
 
 def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
     """Follow the sites base_frame, link1_frame, link2_frame, ...; `InputError` when they do not form a chain."""
     sites = [_site(model, arm, "base_frame")]
-    while (result := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"link{len(sites)}_frame")) >= 0:
-        sites.append(result)
+    while (site := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"link{len(sites)}_frame")) >= 0:
+        sites.append(site)
     if len(sites) == 1:
         raise InputError(f"arm {arm!r} has no sites link1_frame, link2_frame, ... at its link frames")
     groups = []
@@ -84,7 +85,7 @@ def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
             if int(model.jnt_type[joint]) not in JOINT_KINDS:
                 raise InputError(f"{joint_label(model, arm, joint)} is free; an arm has hinge, slide and ball joints")
         groups.append(tuple(group))
-    return Chain(tuple(sites), tuple(groups))
+    return Chain(tuple(site_frame(model, site) for site in sites), tuple(groups))
 
 
 def read_coordinates(model: mujoco.MjModel, arm: str, chain: Chain, rest: Floats) -> Coordinates:
@@ -137,8 +138,12 @@ def read_joints(
     """Compound joints, and the fixed poses base, mounts and tips around them, at the model's reference position."""
     reference = coordinates.from_qpos(model.qpos0)
     data = kinematics_at(model, coordinates.to_qpos(reference))
+    places, turns = BodyFrames.of(chain.frames).poses(data.xpos, data.xmat)
+    world = scipy.spatial.transform.RigidTransform.from_components(
+        places, scipy.spatial.transform.Rotation.from_matrix(turns)
+    )
     joints, mounts, tips = [], [], []
-    for (parent, child), group in zip(itertools.pairwise(chain.sites), chain.groups, strict=True):
+    for (parent, child), group in zip(itertools.pairwise(world), chain.groups, strict=True):
         for joint in group:
             check_limited(model, arm, joint)
         # The joint frame sits on the last axis that turns and takes the axes of the first moving body.
@@ -147,8 +152,8 @@ def read_joints(
         anchor = data.xanchor[(turning or group)[-1]]
         frame = scipy.spatial.transform.RigidTransform.from_components(anchor, orientation)
         joints.append(CompoundJoint(tuple(_factor(model, data, joint, frame, coordinates) for joint in group)))
-        mounts.append((_site_pose(data, parent).inv() * frame).as_matrix())
-        tips.append((frame.inv() * _site_pose(data, child)).as_matrix())
+        mounts.append((parent.inv() * frame).as_matrix())
+        tips.append((frame.inv() * child).as_matrix())
     for i, (compound, group) in enumerate(zip(joints, chain.groups, strict=True), start=1):
         shared = any(np.isin(compound.indices, other.indices).any() for other in joints if other is not compound)
         if compound.screw is None or shared:
@@ -158,7 +163,7 @@ def read_joints(
             check_independent(compound, len(coordinates), f"link {i} of arm {arm!r}")
     return (
         CompoundJoints(tuple(joints), reference),
-        _site_pose(data, chain.sites[0]),
+        world[0],
         scipy.spatial.transform.RigidTransform.from_matrix(np.array(mounts)),
         scipy.spatial.transform.RigidTransform.from_matrix(np.array(tips)),
     )
@@ -253,11 +258,6 @@ def _site(model: mujoco.MjModel, arm: str, site: str) -> int:
     if result < 0:
         raise InputError(f"arm {arm!r} has no site {site!r}")
     return result
-
-
-def _site_pose(data: mujoco.MjData, site: int) -> RigidTransform:
-    rotation = scipy.spatial.transform.Rotation.from_matrix(data.site_xmat[site].reshape(3, 3))
-    return scipy.spatial.transform.RigidTransform.from_components(data.site_xpos[site], rotation)
 
 
 def _orientation(data: mujoco.MjData, body: int) -> Rotation:

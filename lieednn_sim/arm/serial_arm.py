@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.coordinates import Coordinates
+from lieednn_sim.arm.frames import BodyFrames
 from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.errors import InputError
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
 class SerialArm:
     """The coordinates, limits and kinematics of an arm, as a chain of links that compound joints move.
 
-    The frame of link i is the site ``link<i>_frame`` of the model. Link frame i is link frame i-1 times a fixed mount,
-    T_i(q) and a fixed tip; frame 0 is the site ``base_frame``. q in R^n holds one coordinate for a hinge or slide and
+    Link frame i is link frame i-1 times a fixed mount,
+    T_i(q) and a fixed tip; frame 0 is that of the base. q in R^n holds one coordinate for a hinge or slide and
     three, its rotation vector, for a ball joint; coupled stages of a telescope share one.
 
     Attributes:
@@ -47,7 +48,7 @@ class SerialArm:
         jerk_limits: ``(n,)`` [rad/s^3, m/s^3].
         force_limits: ``(n,)`` [N m, N].
         length_scale: metres per unit of v in the network's coordinates, since the activation takes pure numbers.
-        site_ids: ``(N,)`` ids of the link frames' sites.
+        frames: the N link frames, fixed to bodies of the model.
     """
 
     name: str
@@ -65,12 +66,12 @@ class SerialArm:
     jerk_limits: Floats
     force_limits: Floats
     length_scale: float
-    site_ids: NDArray[np.int_]
+    frames: BodyFrames
 
     @property
     def n_links(self) -> int:
         """Number N of links."""
-        return len(self.site_ids)
+        return len(self.frames)
 
     @property
     def n_joints(self) -> int:
@@ -240,7 +241,7 @@ class SerialArm:
         for twist, data.qpos[:] in zip(twists, self.qpos(flat), strict=True):
             mujoco.mj_kinematics(self.model, data)
             mujoco.mj_comPos(self.model, data)
-            mujoco.mj_jacSite(self.model, data, twist[3:], twist[:3], int(self.site_ids[last]))
+            twist[3:], twist[:3] = self.frames.jacobian(self.model, data, last)
         rates = self.qvel(flat[:, None], np.eye(self.n_joints))
         return (twists @ np.swapaxes(rates, -1, -2)).reshape(*q.shape[:-1], 6, self.n_joints)
 

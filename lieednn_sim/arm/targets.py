@@ -112,18 +112,17 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
 
 def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: Floats) -> Floats | None:
     """A configuration between low and high near ``q`` whose end effector is at a point, by damped steps; or None."""
-    site = int(arm.site_ids[-1])
     weights = (high - low) ** 2
-    slope = np.zeros((3, arm.model.nv))
+    tip = arm.frames[-1:]
     for _ in range(25):
         data.qpos[:] = arm.qpos(q)
         mujoco.mj_kinematics(arm.model, data)
-        away = point - data.site_xpos[site]
+        away = point - tip.poses(data.xpos, data.xmat)[0][0]
         # Any point near the drawn one will do.
         if np.linalg.norm(away) < 1e-3:
             return q
         mujoco.mj_comPos(arm.model, data)
-        mujoco.mj_jacSite(arm.model, data, slope, None, site)
+        slope, _ = tip.jacobian(arm.model, data, 0)
         # Joints that would be pushed into their limits are left out, so that the others make up for them.
         jacobian = slope @ arm.qvel(np.broadcast_to(q, (len(q), len(q))), np.eye(len(q))).T
         pushed = jacobian.T @ away

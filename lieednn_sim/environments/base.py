@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.environments.frames import SiteFrames, pose_error_twists
+from lieednn_sim.environments.frames import LinkFrames, pose_error_twists
 from lieednn_sim.environments.observations import Bounds, Observation, Observations, State, Target, common_bounds
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
@@ -194,7 +194,7 @@ class ArmTask(ABC):
         self.simulation, data = simulation, simulation.data
         # Views are kept, since asking MuJoCo for one takes as long as reading it.
         self._qpos, self._qvel, self._warm_start = data.qpos, data.qvel, data.qacc_warmstart
-        self._site_frames = SiteFrames(self.arm, simulation.model, data, self.frames)
+        self._link_frames = LinkFrames(self.arm, simulation.model, data, self.frames)
 
     def _more_bounds(self) -> Bounds:
         """Bounds of the task's additional observations."""
@@ -222,7 +222,7 @@ class ArmTask(ABC):
             command: commanded positions ``(..., n)``.
             qpos: MuJoCo's positions ``(..., nq)``.
             qvel: MuJoCo's velocities ``(..., nv)``.
-            frames: goal frames ``(..., F, 16)`` of the arm, see `SiteFrames`.
+            frames: goal frames ``(..., F, 16)`` of the arm, see `LinkFrames`.
             target: the arrays of `Target.after`, with leading axes.
         """
         q = self.arm.space.from_qpos(qpos)
@@ -313,7 +313,7 @@ class ArmTask(ABC):
         return ""
 
     def _look(self, steps: int, command: Floats) -> State:
-        frames, target = self._site_frames(), self._target.after(steps)
+        frames, target = self._link_frames(), self._target.after(steps)
         self._state = state = self.look(steps, command, self._qpos, self._qvel, frames, *target)
         return state
 

@@ -14,32 +14,36 @@ _LEFT, _RIGHT = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
 _TINY = 1e-100
 
 
-class SiteFrames:
+class LinkFrames:
     """Reads link frames from MuJoCo's data as rows ``(F, 16)``: position, rotation matrix by rows, quaternion."""
 
     def __init__(self, arm: Arm, model: mujoco.MjModel, data: mujoco.MjData, frames: slice) -> None:
-        self._model, self._data, self._sites = model, data, arm.site_ids[frames]
+        self._model, self._data, self._frames = model, data, arm.frames[frames]
         # Views are kept, since asking MuJoCo for one takes as long as reading it.
-        self._qpos, self._positions, self._rotations = data.qpos, data.site_xpos, data.site_xmat
+        self._qpos, self._positions, self._rotations = data.qpos, data.xpos, data.xmat
 
     def __call__(self) -> Floats:
         """Return the frames at the data's positions in a new array."""
         mujoco.mj_kinematics(self._model, self._data)
-        return _rows(self._positions.take(self._sites, axis=0), self._rotations.take(self._sites, axis=0))
+        return self._rows(self._positions, self._rotations)
 
     def at(self, qpos: Floats) -> Floats:
         """Frames ``(B, F, 16)`` at MuJoCo's positions ``(B, nq)``, to which the data is set one after the other."""
-        # All sites are copied, since a choice of a few takes longer.
+        # All bodies are copied, since a choice of a few takes longer.
         places, turns = (np.empty((len(qpos), *view.shape)) for view in (self._positions, self._rotations))
         for row, own_place, own_turn in zip(qpos, places, turns, strict=True):
             self._qpos[:] = row
             mujoco.mj_kinematics(self._model, self._data)
             own_place[:], own_turn[:] = self._positions, self._rotations
-        return _rows(places[:, self._sites], turns[:, self._sites])
+        return self._rows(places, turns)
+
+    def _rows(self, xpos: Floats, xmat: Floats) -> Floats:
+        places, turns = self._frames.poses(xpos, xmat)
+        return _rows(places, turns.reshape(*places.shape[:-1], 9))
 
 
 def goal_frames(arm: Arm, q: Floats, frames: slice) -> Floats:
-    """Frames ``(..., F, 16)`` in the format of `SiteFrames` at joint positions ``(..., n)``, without MuJoCo's data."""
+    """Frames ``(..., F, 16)`` in the format of `LinkFrames` at joint positions ``(..., n)``, without MuJoCo's data."""
     matrices = arm.link_poses(q).as_matrix()[..., frames, :, :]
     return _rows(matrices[..., :3, 3], matrices[..., :3, :3].reshape(*matrices.shape[:-2], 9))
 
@@ -52,7 +56,7 @@ def _rows(positions: Floats, rotations: Floats) -> Floats:
 
 
 def pose_error_twists(frames: Floats, goals: Floats) -> tuple[Floats, Floats, Floats]:
-    """Pose errors Log(T^-1 T_goal) as twists, for frames and goals in the format of `SiteFrames`.
+    """Pose errors Log(T^-1 T_goal) as twists, for frames and goals in the format of `LinkFrames`.
 
     The same as `lie.log`, in a tenth of the time for one frame. If the relative rotation has the unit quaternion
     (c, s n), c >= 0, its angle is a = 2 atan2(s, c). With w = a n and the relative translation p,

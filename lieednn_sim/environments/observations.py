@@ -51,7 +51,7 @@ class Target(NamedTuple):
     Attributes:
         position: joint target ``(n,)`` at a time of the episode [s].
         rows: after each number of control steps, from 0 to S: joint targets ``(S + 1, n)``, goal frames
-            ``(S + 1, F, 16)`` as rows of `SiteFrames`, and a task's additional observations ``(S + 1, k)``.
+            ``(S + 1, F, 16)`` as rows of `LinkFrames`, and a task's additional observations ``(S + 1, k)``.
     """
 
     position: Callable[[float], Floats]

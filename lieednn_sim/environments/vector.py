@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.environments.frames import SiteFrames
+from lieednn_sim.environments.frames import LinkFrames
 from lieednn_sim.environments.observations import Bounds, State, Target
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError
@@ -85,7 +85,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         workers = as_workers("threads", os.cpu_count() or 1 if threads is None else threads)
         self._rollouts, self._model = rollout.Rollout(nthread=workers), self.task.simulation.model
         self._data = [mujoco.MjData(self._model) for _ in range(workers)]
-        self._site_frames = SiteFrames(self.task.arm, self._model, self._data[0], self.task.frames)
+        self._link_frames = LinkFrames(self.task.arm, self._model, self._data[0], self.task.frames)
         self._home = self.task.arm.keyframe("home")
         self.task.simulation.reset(self._home)
         self._first = np.zeros(mujoco.mj_stateSize(self._model, _STATE))
@@ -201,6 +201,6 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         qpos, qvel = np.split(self._states[which, 1 : 1 + self._model.nq + self._model.nv], [self._model.nq], axis=1)
         rows = (self._targets[i].after(k) for i, k in zip(which.tolist(), steps.tolist(), strict=True))
         target = [np.array(values) for values in zip(*rows, strict=True)]
-        result = self.task.look(steps, command, qpos, qvel, self._site_frames.at(qpos), *target)
+        result = self.task.look(steps, command, qpos, qvel, self._link_frames.at(qpos), *target)
         for known, values in zip(self._seen, result, strict=True):
             known[which] = values

@@ -228,9 +228,8 @@ def mark(arm: Shown, data: mujoco.MjData, marker: int, target: Floats | None) ->
 
 def _hand(arm: Arm) -> float:
     """Upper bound on how far the last body extends beyond the last link's frame [m]."""
-    model, site = arm.model, int(arm.site_ids[-1])
-    mine = model.body_weldid[model.geom_bodyid] == model.body_weldid[model.site_bodyid[site]]
+    model, tip = arm.model, arm.frames[-1:]
+    mine = model.body_weldid[model.geom_bodyid] == model.body_weldid[tip.bodies[0]]
     data = kinematics_at(model, model.qpos0)
-    return float(
-        (np.linalg.norm(data.geom_xpos - data.site_xpos[site], axis=1) + model.geom_rbound)[mine].max(initial=0.0)
-    )
+    place = tip.poses(data.xpos, data.xmat)[0]
+    return float((np.linalg.norm(data.geom_xpos - place, axis=1) + model.geom_rbound)[mine].max(initial=0.0))

@@ -49,7 +49,7 @@ class Push:
     def body_id(self, arm: Arm, model: mujoco.MjModel) -> int:
         """The pushed body in a model of the arm; `InputError` lists the names."""
         if self.body in arm.link_names:
-            return int(model.site_bodyid[arm.site_ids[arm.link_names.index(self.body)]])
+            return int(arm.frames.bodies[arm.link_names.index(self.body)])
         result = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, self.body)
         if result <= 0:
             names = sorted(filter(None, (model.body(i).name for i in range(1, model.nbody))))

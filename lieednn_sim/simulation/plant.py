@@ -48,12 +48,12 @@ def make_plant(
 
 def _add_payload(spec: Any, arm: Arm, mass: float) -> None:
     """Add a ball at the end effector's frame, without collisions and gravity compensation."""
-    site = spec.site(arm.model.site(int(arm.site_ids[-1])).name)
+    tip = arm.frames[-1:]
     # The inertia is that of a ball of steel, 7850 kg/m^3.
     radius = (3.0 * mass / (4.0 * np.pi * 7850.0)) ** (1.0 / 3.0)
-    site.parent.add_body(
+    spec.body(arm.model.body(int(tip.bodies[0])).name).add_body(
         name=_PAYLOAD,
-        pos=site.pos,
+        pos=tip.positions[0],
         mass=mass,
         ipos=[0.0, 0.0, 0.0],
         inertia=[0.4 * mass * radius**2] * 3,

@@ -100,9 +100,8 @@ class Simulation:
     def link_poses(self, links: slice = slice(None)) -> RigidTransform:
         """Frames of the chosen links, by default all, at the present time, as poses of shape ``(N,)``."""
         mujoco.mj_kinematics(self.model, self.data)
-        sites = self.arm.site_ids[links]
-        matrices = self.data.site_xmat[sites].reshape(-1, 3, 3)
-        return transforms(rotations(matrices).as_matrix(), self.data.site_xpos[sites])
+        places, turns = self.arm.frames[links].poses(self.data.xpos, self.data.xmat)
+        return transforms(rotations(turns).as_matrix(), places)
 
     def move_obstacles(self) -> dict[str, Floats]:
         """Put moving obstacles where they are at the present time; returns positions ``(3,)`` by names of bodies."""

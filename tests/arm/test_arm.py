@@ -28,11 +28,12 @@ def test_link_poses_equal_mujocos_kinematics(arm):
     data = mujoco.MjData(arm.model)
     positions = random_positions(arm, 100)
     poses = arm.link_poses(positions).as_matrix()
+    sites = [arm.model.site(f"link{i + 1}_frame").id for i in range(arm.n_links)]
     for q, pose in zip(positions, poses, strict=True):
         data.qpos[:] = arm.qpos(q)
         mujoco.mj_kinematics(arm.model, data)
-        np.testing.assert_allclose(pose[:, :3, 3], data.site_xpos[arm.site_ids], atol=1e-9)
-        np.testing.assert_allclose(pose[:, :3, :3].reshape(-1, 9), data.site_xmat[arm.site_ids], atol=1e-9)
+        np.testing.assert_allclose(pose[:, :3, 3], data.site_xpos[sites], atol=1e-9)
+        np.testing.assert_allclose(pose[:, :3, :3].reshape(-1, 9), data.site_xmat[sites], atol=1e-9)
     np.testing.assert_allclose(arm.tip(positions), poses[:, -1, :3, 3], atol=1e-12)
     np.testing.assert_allclose(arm.tip(positions[0]), poses[0, -1, :3, 3], atol=1e-12)
     for k in range(1, arm.n_links):

@@ -82,7 +82,7 @@ def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
     road += ["--push", "end effector,0,-30,5.5,3.1,2", "--push", "forearm,1e-9,0,0,0.5,0.1", "--mass-scale", "1.1"]
     road += ["--reference-rate", "100", "--position-noise", "1e-6", "--velocity-noise", "1e-5", "--noise-seed", "4"]
     arm = Arm.load("telescopic_pr")
-    body = arm.model.body(arm.model.site_bodyid[arm.site_ids[1]]).name
+    body = arm.model.body(arm.frames.bodies[1]).name
     assert main([word.replace("forearm", body) for word in road]) == 0
     rollout = Rollout.load(directory / "rollout.npz", arm)
     told = rollout.disturbances

@@ -120,7 +120,7 @@ def test_in_a_browser_the_page_plays_to_its_end(rollout, browser):
     """The last body comes to where the simulation ends, and the arm is seen; nothing is asked of the network."""
     arm = rollout.arm
     data = kinematics_at(arm.model, arm.qpos(rollout.q[-1]))
-    body = int(arm.model.site_bodyid[arm.site_ids[-1]])
+    body = int(arm.frames.bodies[-1])
     place = browser.execute_async_script(
         "const [name, end, done] = arguments; const wait = setInterval(() => {"
         "const pose = window.__viserMutable?.nodePoseData[name]; if (!pose) return;"

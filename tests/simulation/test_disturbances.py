@@ -33,7 +33,7 @@ def test_servos_yield_to_a_payload_by_its_moment_over_their_stiffness(arm, trave
 
 def test_a_push_acts_while_it_lasts_and_recovery_is_measured(arm, travel):
     q = arm.keyframe("home")
-    hand = arm.model.body(arm.model.site_bodyid[arm.site_ids[-1]]).name
+    hand = arm.model.body(arm.frames.bodies[-1]).name
     first, second = Push("end effector", (0.0, 40.0, 0.0), 0.1, 1.0), Push(hand, (0.0, 0.0, 30.0), 1.6, 0.1)
     rollout = simulate(arm, travel(arm, q, q, 0.02), hold=2.5, disturbances=Disturbances(pushes=(second, first)))
     moved = np.abs(rollout.q - q).max(axis=1)
@@ -41,7 +41,7 @@ def test_a_push_acts_while_it_lasts_and_recovery_is_measured(arm, travel):
     assert rollout.t[began] == pytest.approx(0.102), "the force of the step that begins at 0.1 s moves the next state"
     # At rest under the force, the power of the servos' yield is the force's: sum(kp dq^2) = F . dx of a linear spring.
     k = np.searchsorted(rollout.t, 1.09)
-    centre = arm.model.body(hand).ipos - arm.model.site(int(arm.site_ids[-1])).pos
+    centre = arm.model.body(hand).ipos - arm.frames.positions[-1]
     frames = arm.link_poses(np.stack([rollout.q[k], q])).as_matrix()[:, -1]
     shift = np.subtract(*(frames @ [*centre, 1.0]))[:3]
     energy = (arm.model.actuator_gainprm[:, 0] * (rollout.q[k] - q) ** 2).sum()

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import geom_colours, mujoco
 from lieednn_sim.arm.forces import ON_JOINTS
+from lieednn_sim.arm.frames import Frame, body_frame, find_frame
 from lieednn_sim.arm.importer.coupled_joints import tendon_joints
 from lieednn_sim.arm.importer.holding import Grasp, add_supports, in_order
 from lieednn_sim.arm.importer.loading import unused
-from lieednn_sim.arm.importer.serial_chain import Frame, body_frame, find_frame
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice
 

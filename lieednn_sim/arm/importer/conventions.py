@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.frames import Frame
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import unused
-from lieednn_sim.arm.importer.serial_chain import Frame
 from lieednn_sim.arm.parsing import read_chain, read_coordinates, read_joints
 from lieednn_sim.lie import log
 

@@ -10,8 +10,8 @@ import numpy as np
 import scipy
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.frames import Frame
 from lieednn_sim.arm.importer.coupled_joints import Coupling, Couplings
-from lieednn_sim.arm.importer.serial_chain import Frame
 from lieednn_sim.arm.importer.servos import Actuation, Dof, Servo
 from lieednn_sim.values import Floats
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, colliding_geoms
+from lieednn_sim.arm.frames import find_frame
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.arm.importer.locking import pose
-from lieednn_sim.arm.importer.serial_chain import find_frame
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import quoted
 from lieednn_sim.values import Floats

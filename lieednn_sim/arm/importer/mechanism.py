@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import ancestry
+from lieednn_sim.arm.frames import Frame, body_frame, find_frame
 from lieednn_sim.arm.importer.compound_joints import cut
 from lieednn_sim.arm.importer.coupled_joints import Couplings, find_couplings
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import compile_spec
 from lieednn_sim.arm.importer.serial_chain import (
-    Frame,
-    body_frame,
-    find_frame,
     is_gripper,
     joint_groups,
     longest_chain,

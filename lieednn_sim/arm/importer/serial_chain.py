@@ -4,60 +4,21 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import ancestry, joints_of
+from lieednn_sim.arm.frames import Frame, body_frame, find_frame, listed
 from lieednn_sim.arm.importer.coupled_joints import driven_directly, driven_tendons, tendon_joints, tied_joints
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_choice, quoted
-from lieednn_sim.values import Floats
+from lieednn_sim.validation import as_choice
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _FINGER = re.compile(r"jaw|finger|fngr|claw|pincer", re.IGNORECASE)
 _GRIPPER = re.compile(_FINGER.pattern + r"|grip", re.IGNORECASE)  # a body of that name may be the one it is fixed to
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """A named frame fixed to a body: a site, or the body's own origin.
-
-    Attributes:
-        name: name of the body or site.
-        body: its id.
-        pos: ``(3,)`` in the body [m].
-        quat: ``(4,)`` in the body, scalar first.
-    """
-
-    name: str
-    body: int
-    pos: Floats
-    quat: Floats
-
-
-def find_frame(model: mujoco.MjModel, name: str) -> Frame:
-    """The frame of a body or, when no body has the name, of a site; `InputError` lists both."""
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    if body >= 0:
-        return body_frame(model, body)
-    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
-    if site < 0:
-        bodies = [model.body(i).name for i in range(model.nbody)]
-        sites = [model.site(i).name for i in range(model.nsite)]
-        raise InputError(
-            f"no body or site {quoted(name)}; bodies: {_listed(bodies)}; "
-            f"sites: {_listed(sites) if any(sites) else 'none'}"
-        )
-    return Frame(name, int(model.site_bodyid[site]), model.site_pos[site].copy(), model.site_quat[site].copy())
-
-
-def body_frame(model: mujoco.MjModel, body: int) -> Frame:
-    """The frame at a body's origin."""
-    return Frame(model.body(body).name, body, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
 
 def named_frames(model: mujoco.MjModel, links: Sequence[str], base: str | None) -> tuple[Frame, ...]:
@@ -118,7 +79,7 @@ def named_chain(model: mujoco.MjModel, joints: Sequence[str], base: str | None) 
     known = {model.joint(joint).name: joint for joint in range(model.njnt) if model.jnt_type[joint] != _FREE}
     chosen = [known[as_choice("joint of the arm", name, known)] for name in joints]
     if len(set(chosen)) < len(chosen):
-        raise InputError(f"joints must differ, got {_listed(joints)}")
+        raise InputError(f"joints must differ, got {listed(joints)}")
     tied, ties = set[int](), tied_joints(model)
     while more := {joint for pair in ties if tied.union(chosen).intersection(pair) for joint in pair} - {
         *tied,
@@ -180,7 +141,7 @@ def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
     if len(best) > 1:
         raise InputError(
             f"{len(best)} chains have {max(tips.values())} joints each, they end in "
-            f"{_listed([model.body(tip).name for tip in best])}; name the links of one of them, or its base"
+            f"{listed([model.body(tip).name for tip in best])}; name the links of one of them, or its base"
         )
     path = ancestry(model, best[0])
     first = next(body for body in (path if start is None else path[path.index(start.body) + 1 :]) if weight[body])
@@ -235,7 +196,3 @@ def _without_hand(
 
 def _chain_joints(model: mujoco.MjModel, body: int) -> list[int]:
     return [joint for joint in joints_of(model, body) if model.jnt_type[joint] != _FREE]
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(repr(name) for name in names if name)

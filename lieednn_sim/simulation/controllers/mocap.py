@@ -47,15 +47,17 @@ class MocapWelds(Controller):
 
     def add_bodies(self, spec: Any) -> None:
         """See `Controller`."""
-        for i, site in enumerate(self._arm.site_ids):
-            body = spec.worldbody.add_body(name=mocap_name(i), mocap=True)
-            body.add_site(name=f"{mocap_name(i)}_frame")
+        frames = self._arm.frames
+        for i, (body, pos, turn) in enumerate(zip(frames.bodies, frames.positions, frames.rotations, strict=True)):
+            name, quat = mocap_name(i), rotations(turn).as_quat(scalar_first=True)
+            spec.worldbody.add_body(name=name, mocap=True).add_site(name=f"{name}_frame")
+            spec.body(self._arm.model.body(int(body)).name).add_site(name=f"{name}_link", pos=pos, quat=quat)
             weld = spec.add_equality(
-                name=mocap_name(i),
+                name=name,
                 type=mujoco.mjtEq.mjEQ_WELD,
                 objtype=mujoco.mjtObj.mjOBJ_SITE,
-                name1=f"{mocap_name(i)}_frame",
-                name2=self._arm.model.site(int(site)).name,
+                name1=f"{name}_frame",
+                name2=f"{name}_link",
             )
             weld.solref[:2], weld.solimp[:] = self._solref, (0.9999, 0.9999, 0.001, 0.5, 2.0)
 
@@ -70,22 +72,24 @@ class MocapWelds(Controller):
 
     def mocap_poses(self, steps: range) -> Floats:
         """Link frames of the reference a lead ahead of some steps: positions and quaternions ``(m, N, 7)``."""
-        model, scratch, sites = self._arm.model, self._scratch, self._arm.site_ids
+        model, scratch = self._arm.model, self._scratch
         qpos = self._reference.ahead(steps, self._lead)
         firsts, run = runs(qpos)
         positions, matrices = io.BytesIO(), io.BytesIO()
         for scratch.qpos[:] in qpos[firsts]:
             mujoco.mj_kinematics(model, scratch)
-            positions.write(scratch.site_xpos)
-            matrices.write(scratch.site_xmat)
-        position = np.frombuffer(positions.getvalue()).reshape(-1, model.nsite, 3)[:, sites]
-        rotation = np.frombuffer(matrices.getvalue()).reshape(-1, model.nsite, 3, 3)[:, sites]
+            positions.write(scratch.xpos)
+            matrices.write(scratch.xmat)
+        position, rotation = self._arm.frames.poses(
+            np.frombuffer(positions.getvalue()).reshape(-1, model.nbody, 3),
+            np.frombuffer(matrices.getvalue()).reshape(-1, model.nbody, 9),
+        )
         return np.concatenate([position, rotations(rotation).as_quat(scalar_first=True)], axis=-1)[run]
 
     def inputs(self, steps: range, noise: Noise) -> Inputs:
         """See `Controller`."""
         poses = np.tile(self._rest, (len(steps), 1, 1))
-        # In parts, since frames of all sites are computed.
+        # In parts, since poses of all bodies are computed.
         for begin in range(0, len(steps), AHEAD):
             some = slice(begin, begin + AHEAD)
             poses[some, self._ids] = self.mocap_poses(steps[some])
