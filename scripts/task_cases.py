@@ -176,7 +176,7 @@ class Harvester(Task):
             while True:
                 done.data.mocap_pos[fruit] = np.array([0.98, y, z]) + rng.uniform(-1, 1, 3) * (0.04, 0.11, 0.15)
                 mujoco.mj_forward(done.model, done.data)
-                arm = ls.Arm.from_model(done.model, done.data, joints=self.joints, tip="tip")
+                arm = ls.Arm.of(done.model, done.data, self.joints, tip="tip")
                 aims = (self._aim(done, fruit, 0.01), self._aim(done, fruit, 0.11))
                 if all(Collisions(arm).clearance(aim) > 0.004 for aim in aims):
                     break

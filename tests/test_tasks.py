@@ -84,7 +84,7 @@ def test_lengths_and_masses_are_the_published_ones():
 def test_starts_and_goals_are_free(task):
     for case in range(tasks.CASES if not isinstance(task, task_cases.Harvester) else 1):
         done = task.start(case)
-        arm = ls.Arm.from_model(done.model, done.data, joints=task.joints, tip="tip")
+        arm = ls.Arm.of(done.model, done.data, task.joints, tip="tip")
         collisions, n = Collisions(arm), len(task.joints)
         start = arm.keyframe("home")
         goals = [task.goals[case]] if hasattr(task, "goals") else [task._aim(done, fruit, 0.01) for fruit in range(4)]

@@ -22,7 +22,7 @@ model, data = task.physics.model.ptr, task.physics.data.ptr
 
 joints = [f"jaco_arm/joint_{k}" for k in range(1, 7)]
 hand = "jaco_arm/jaco_hand/pinchsite"
-arm = ls.Arm.from_model(model, data, joints=joints, tip=hand)
+arm = ls.Arm.of(model, data, joints, tip=hand)
 print(arm)
 
 # %%

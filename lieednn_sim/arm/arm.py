@@ -5,28 +5,29 @@ from __future__ import annotations
 import copy
 import os
 import pickle
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Unpack
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, fixed_body
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, fixed_body, moved_by
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
-from lieednn_sim.arm.importer import ImportOptions, ImportReport, import_arm
-from lieednn_sim.arm.importer.compiled import name_in_spec, spec_of
-from lieednn_sim.arm.importer.floor import NONE
-from lieednn_sim.arm.importer.holding import Grasp, keep_from_last_link
+from lieednn_sim.arm.grasp import Grasp, find_grasp
+from lieednn_sim.arm.importer import ImportOptions, ImportReport
 from lieednn_sim.arm.models import find_model, label_of, open_model
 from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.parsing import read_arm
 from lieednn_sim.arm.scenes import add_obstacles
 from lieednn_sim.arm.serial_arm import SerialArm
+from lieednn_sim.arm.view import check_data, read_view, rigid_groups, standing
 from lieednn_sim.arm.visuals import discard_visuals, moves_alike
 from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.lie import rotations
 from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import Seed, as_choice, as_floats, as_path, as_seed, quoted
 from lieednn_sim.values import Floats
@@ -45,7 +46,10 @@ class Arm(SerialArm):
         clearance: distance that planned motions keep from contact, start and target included [m]; change it with
             `dataclasses.replace`.
         recipe: names of the methods that loaded it from files, and their arguments; empty for an arm from a spec, which
-            cannot be pickled.
+            cannot be pickled, and for a view.
+        qpos_home: of a view, ``(nq,)`` the positions of its model in the state that it was made of: its ``home``.
+        collision_model: of a view, `geometry`.
+        grasp: what it carries (`holding`).
     """
 
     scene: str = "free"
@@ -53,6 +57,9 @@ class Arm(SerialArm):
     import_report: ImportReport | None = None
     clearance: float = PLANNED_CLEARANCE
     recipe: tuple[tuple[str, tuple[Any, ...], ImportOptions], ...] = ()
+    qpos_home: Floats | None = None
+    collision_model: mujoco.MjModel | None = None
+    grasp: Grasp | None = None
 
     @classmethod
     def load(
@@ -116,34 +123,67 @@ class Arm(SerialArm):
         )
 
     @classmethod
-    def from_model(
+    def of(
         cls,
         model: mujoco.MjModel,
         data: mujoco.MjData,
+        joints: Sequence[str],
         *,
-        grasp: Grasp | None = None,
-        **options: Unpack[ImportOptions],
+        tip: str | None = None,
+        base: str | None = None,
+        limits: Mapping[str, Mapping[str, float]] | None = None,
+        clearance: float = PLANNED_CLEARANCE,
     ) -> Arm:
-        """Make an arm of some joints of a compiled model; everything else is its scene, as it stands in ``data``.
+        """Some joints of anybody's compiled model as an arm; everything else is where ``data`` has it.
 
-        The arm's model holds what `importer.compiled.spec_of` keeps, and is imported as a file would be. Its keyframe
-        ``home`` is near the state of ``data``, away from the limits of the joints. It cannot be pickled.
+        The arm's model is a copy of the given one, with mocap bodies and active equalities as in ``data``. Other
+        joints, free bodies and robots are in it: obstacles, or parts of the link that carries them. The keyframe
+        ``home`` is the state of ``data``. Obstacles are added to the model itself, before it is compiled.
 
         Args:
             model: a compiled model, which is not changed.
             data: its state: positions, mocap bodies, active equalities.
-            grasp: what the hand holds (`importer.holding.find_grasp`), which moves with it.
-            options: those of `importer.import_arm`, above all the names of the ``joints``; without ``floor``, no floor
-                is added.
+            joints: names of the joints, on one chain, in any order; those on it that equalities tie to them are the
+                arm's too.
+            tip: body or site of the end effector, by default the last body that the joints move.
+            base: body or site of the base frame, by default the parent of the first body that moves.
+            limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s].
+            clearance: distance that planned motions keep from contact, start and target included [m].
 
         Raises:
             InputError: the joints are not an arm's, or data is of another model, or not finite.
         """
-        options.setdefault("floor", NONE)
-        spec, report = import_arm(spec_of(model, data, grasp), **options)
-        if grasp is not None:
-            keep_from_last_link(spec, [name_in_spec(model, body) for body in grasp.bodies])
-        return cls.from_spec(spec, Path("a compiled model"), "arm", report)
+        check_data(model, data)
+        own, qpos = standing(model, data), data.qpos.copy()
+        fields = read_view(own, qpos, joints, tip, base, limits)
+        return cls(
+            name="arm",
+            source=Path("a compiled model"),
+            spec=None,
+            model=own,
+            clearance=float(as_floats("clearance", clearance, ())),
+            qpos_home=qpos,
+            collision_model=rigid_groups(own, fields["space"]),
+            **fields,
+        )
+
+    def holding(self, body: str, touching: Sequence[str] = ()) -> Arm:
+        """This view of a model with a free body that its end effector carries, from where that is in its ``home``.
+
+        The body moves with the end effector. What carries it may touch it. It keeps the clearance from all else, except
+        from what it stands on, that is, what it is nearer to than that now: this it may touch, but sink no deeper into.
+
+        Args:
+            body: name of a body with a free joint.
+            touching: names of bodies that it may touch as well, such as those it is put on.
+
+        Raises:
+            InputError: the arm is no view, or there is no such body.
+        """
+        if self.qpos_home is None:
+            raise InputError(f"arm {self.name!r} is no view of a compiled model, such as Arm.of makes")
+        grasp = find_grasp(self.model, self.qpos_home, self.frames[-1:], body, touching, self.clearance)
+        return replace(self, grasp=grasp, collision_model=rigid_groups(self.model, self.space, grasp.bodies))
 
     def with_scene(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
         """This arm with the obstacles of a scene; itself for the scene ``"free"``.
@@ -171,7 +211,7 @@ class Arm(SerialArm):
             arm = self.with_obstacles(load_obstacles(scene), label)
             check_home(arm, label)
             return replace(arm, recipe=recipe)
-        spec = self.spec.copy()
+        spec = self._extended()
         add_obstacles(spec, self, label, seed)
         return replace(self._of(spec), scene=label, scene_seed=seed, recipe=recipe)
 
@@ -185,7 +225,7 @@ class Arm(SerialArm):
         Raises:
             FileError: MuJoCo cannot compile them.
         """
-        spec = self.spec.copy()
+        spec = self._extended()
         add_own_obstacles(spec, self, obstacles, label)
         return replace(self._of(spec), scene=label)
 
@@ -199,7 +239,7 @@ class Arm(SerialArm):
         Raises:
             InputError: there is no such body, or a value is malformed.
         """
-        spec = self.spec.copy()
+        spec = self._extended()
         for name, place in places.items():
             fixed_body(self.model, name)
             body = spec.body(name)
@@ -208,6 +248,12 @@ class Arm(SerialArm):
                 # Sizes that a geom's type does not use are zero.
                 geom.size = geom.size + as_floats("grown", grown, ()) * (geom.size > 0.0)
         return replace(self._of(spec), scene=self.scene, scene_seed=self.scene_seed)
+
+    def _extended(self) -> mujoco.MjSpec:
+        """A copy of the spec, to be changed; `InputError` for a view, which has none."""
+        if self.spec is None:
+            raise InputError("this arm is a view of a compiled model; change its scene in the spec of that model")
+        return self.spec.copy()
 
     def _of(self, spec: mujoco.MjSpec) -> Arm:
         """This arm, compiled from an extended spec."""
@@ -222,6 +268,8 @@ class Arm(SerialArm):
         Raises:
             InputError: the arm was made from a spec.
         """
+        if self.qpos_home is not None:
+            return dict(vars(self))
         if not self.recipe:
             raise InputError(
                 f"arm {self.name!r} was made from a spec, which cannot be pickled: make the arm in each process"
@@ -230,13 +278,16 @@ class Arm(SerialArm):
         return {**state, "compiled": self._compiled}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        if state["qpos_home"] is not None:
+            vars(self).update(state)
+            return
         loaded = _loaded(pickle.dumps(state["recipe"]))
         if loaded._compiled != state.pop("compiled"):
             raise FileError(f"{state['source']}, or a file that it uses, has changed since the arm was loaded from it")
         vars(self).update(state, spec=loaded.spec)
 
     def __deepcopy__(self, _: dict[int, Any]) -> Arm:
-        return replace(self, spec=self.spec.copy(), model=copy.deepcopy(self.model))
+        return replace(self, spec=self.spec and self.spec.copy(), model=copy.deepcopy(self.model))
 
     def check_reachable(self, q: ArrayLike | str, what: str = "q") -> Floats:
         """Return ``q`` as `check_position` does, or raise `InputError` if contact is nearer than `clearance`."""
@@ -248,11 +299,11 @@ class Arm(SerialArm):
 
     def contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that touch each other at ``q`` ``(n,)``."""
-        return self._touching.bodies(self.space.to_qpos(as_floats("q", q, (self.n_joints,))))
+        return self._touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
 
     def near_contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that are closer than the arm's `clearance` to each other at ``q`` ``(n,)``."""
-        return self._nearly_touching.bodies(self.space.to_qpos(as_floats("q", q, (self.n_joints,))))
+        return self._nearly_touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
 
     def near_contacts_along(self, q: Floats) -> Iterator[list[tuple[str, str]]]:
         """`near_contacts` at each of the configurations ``(K, n)``, lazily; the conversion to qpos is done at once."""
@@ -264,7 +315,7 @@ class Arm(SerialArm):
 
         The arm itself is returned where its motion depends on them, or its model was changed after it was compiled.
         """
-        return self._bare if moves_alike(self._bare.model, self.model) else self
+        return self._bare if self.spec is not None and moves_alike(self._bare.model, self.model) else self
 
     @cached_property
     def _bare(self) -> Arm:
@@ -281,13 +332,59 @@ class Arm(SerialArm):
         """Fingerprint of this arm and its obstacles, see `fingerprint.arm_fingerprint`."""
         return arm_fingerprint(self)
 
+    @property
+    def geometry(self) -> mujoco.MjModel:
+        """The model for distances: in that of a view, what the arm does not move against each other is one body."""
+        return self.model if self.collision_model is None else self.collision_model
+
+    @property
+    def offsets(self) -> dict[tuple[int, int], float]:
+        """Offsets of pairs of geoms that are not the model's own, as of `contacts.ContactOffsets`."""
+        return {} if self.grasp is None else self.grasp.offsets
+
+    def contact_finder(self, margin: float = 0.0) -> ContactFinder:
+        """Finds geoms closer than a margin [m]; one for each thread."""
+        return ContactFinder(self.geometry, margin, self.offsets)
+
+    def moved_by(self, body: int) -> NDArray[np.bool_]:
+        """Which degrees of freedom ``(nv,)`` move a body, by its id; for what is carried, those of what carries it."""
+        carried = self.grasp is not None and body in self.grasp.bodies
+        return moved_by(self.model, self.grasp.carrier if self.grasp is not None and carried else body)
+
+    def keyframe(self, name: str) -> Floats:
+        """Joint coordinates ``(n,)`` of a keyframe; ``home`` of a view is the state that it was made of."""
+        if name == "home" and self.qpos_home is not None:
+            return self.coordinates(self.qpos_home)
+        return super().keyframe(name)
+
+    def qpos(self, q: ArrayLike) -> Floats:
+        """MuJoCo's generalised positions ``(..., nq)`` at joint coordinates ``(..., n)``, of what is carried too."""
+        positions, grasp = super().qpos(q), self.grasp
+        if grasp is not None:
+            held = self.link_poses(q).as_matrix()[..., -1, :, :] @ grasp.place.as_matrix()
+            positions[..., grasp.qpos : grasp.qpos + 3] = held[..., :3, 3]
+            positions[..., grasp.qpos + 3 : grasp.qpos + 7] = rotations(held[..., :3, :3]).as_quat(scalar_first=True)
+        return positions
+
+    def qvel(self, q: ArrayLike, qd: ArrayLike) -> Floats:
+        """MuJoCo's velocities ``(..., nv)`` at coordinates and rates ``(..., n)``, of what is carried too."""
+        velocities, grasp = super().qvel(q, qd), self.grasp
+        if grasp is not None:
+            tip = self.link_poses(q).as_matrix()[..., -1, :, :]
+            held = tip @ grasp.place.as_matrix()
+            omega, speed = np.split(np.matvec(self.jacobian(q), as_floats("qd", qd, (), batched=True)), 2, axis=-1)
+            # A free joint's velocity is linear in the world, angular in its body.
+            velocities[..., grasp.qvel : grasp.qvel + 3] = speed + np.cross(omega, (held - tip)[..., :3, 3])
+            velocities[..., grasp.qvel + 3 : grasp.qvel + 6] = np.vecmat(omega, held[..., :3, :3])
+        return velocities
+
     @cached_property
     def _touching(self) -> ContactFinder:
-        return ContactFinder(self.without_visuals.model)
+        return self.without_visuals.contact_finder()
 
     @cached_property
     def _nearly_touching(self) -> ContactFinder:
-        return ContactFinder(self.without_visuals.model, self.clearance)
+        return self.without_visuals.contact_finder(self.clearance)
 
 
 @lru_cache(maxsize=8)

@@ -7,6 +7,7 @@ import numpy as np
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.kinematics import CompoundJoint, least_singular_value
 from lieednn_sim.errors import InputError
+from lieednn_sim.values import Floats
 
 JOINT_KINDS = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
@@ -76,16 +77,16 @@ def check_limited(model: mujoco.MjModel, arm: str, joint: int) -> None:
         raise InputError(f"{joint_label(model, arm, joint)} has no position limits; give it a range")
 
 
-def check_turn(model: mujoco.MjModel, arm: str, joint: int) -> None:
-    """Raise `InputError` for a joint that turns too far to be encoded by a logarithm."""
+def check_turn(model: mujoco.MjModel, arm: str, joint: int, span: Floats) -> None:
+    """Raise `InputError` for a joint whose range ``span`` ``(2,)`` is too wide to be encoded by a logarithm."""
     label, kind = joint_label(model, arm, joint), joint_kind(model, joint)
     if kind == "slide":
         return
     reference = 0.0 if kind == "ball" else model.qpos0[model.jnt_qposadr[joint]]
-    span = np.abs(model.jnt_range[joint] - reference).max()
-    if span >= np.pi:
+    most = np.abs(span - reference).max()
+    if most >= np.pi:
         raise InputError(
-            f"{label} may turn by {span:.3g} rad from its reference; the logarithm needs less than pi where other "
+            f"{label} may turn by {most:.3g} rad from its reference; the logarithm needs less than pi where other "
             "joints move the same link"
         )
 

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.collision import Collisions, Pairs
-from lieednn_sim.arm.contacts import moved_by
 from lieednn_sim.arm.deviations import Group
 from lieednn_sim.values import Floats
 
@@ -61,7 +60,7 @@ class ClearanceBounds:
         self._into[joints[scalar]] = np.abs(arm.space.rates[scalar])
         self._balls = arm.space.balls
         self._ball_joints = joints[arm.space.ball_rate_addresses[:, 0]] if len(self._balls) else np.zeros(0, int)
-        self._moves = np.array([moved_by(model, body)[model.jnt_dofadr] for body in model.geom_bodyid])
+        self._moves = np.array([arm.moved_by(body)[model.jnt_dofadr] for body in model.geom_bodyid])
         self._hulls, self._round = _hulls(model)
         self._radius = np.linalg.norm(self._hulls, axis=-1).max(axis=1) + self._round
         self._first, self._second = self._collisions.pairs.T
@@ -95,8 +94,10 @@ class ClearanceBounds:
         if near is None:
             return most, most, (-1, -1)
         gaps, normals, pairs = near
-        if gaps[0] - self._margin <= _TOUCHING:
-            return 0.0, 0.0, (int(pairs[0, 0]), int(pairs[0, 1]))
+        margin = self._margin + self._collisions.offsets(pairs)
+        nearest = int((gaps - margin).argmin())
+        if gaps[nearest] - margin[nearest] <= _TOUCHING:
+            return 0.0, 0.0, (int(pairs[nearest, 0]), int(pairs[nearest, 1]))
         fixed, moving = pairs.T
         alone = self._moves[moving] & ~self._moves[fixed]
         places, come, deviated, levers = self._corners(q, moving, normals, alone, path, rest, spread)
@@ -106,9 +107,9 @@ class ClearanceBounds:
         constant, linear = constant + (also @ steps[:2].T).T, linear + also @ steps[2]
         free, slope = places - come, deviated + linear[..., None]
         # Each corner against the plane at the other geom, or all of them against the measured gap.
-        support = self._support(fixed, normals)[:, None] + self._margin
+        support = (self._support(fixed, normals) + margin)[:, None]
         each = _largest(free - support - constant[..., None], slope, square[:, None]).min(axis=-1)
-        gap = gaps - self._margin - come.max(axis=-1) - constant
+        gap = gaps - margin - come.max(axis=-1) - constant
         scales = np.maximum(each, _largest(gap, slope.max(axis=-1), square))
         worst = int(scales[1].argmin())
         result = np.minimum(scales.min(axis=1), most)

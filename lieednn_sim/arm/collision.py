@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.arm.contacts import move_bodies, moving_geoms
+from lieednn_sim.arm.contacts import ContactOffsets, move_bodies, moving_geoms
 from lieednn_sim.errors import InputError
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_count, as_floats
@@ -37,7 +37,7 @@ class Distances(NamedTuple):
     """Geom pairs closer than a cutoff, the nearest first.
 
     Attributes:
-        distance: ``(P,)`` signed, negative in penetration [m].
+        distance: ``(P,)`` signed, from where the geoms begin to push each other [m].
         jacobian: ``(P, n)`` derivatives in the joint coordinates [m/rad, m/m]; zero for geoms that just touch.
         pairs: ``(P, 2)`` geom ids.
     """
@@ -57,18 +57,20 @@ class Collisions:
         pairs: ``(P, 2)`` ids of the geoms that may collide, by MuJoCo's filter: contype and conaffinity, bodies
             welded together, parent and child, excludes, and the model's explicit pairs.
         own: ``(P,)`` which pairs are both parts of the arm; links may pass each other closely by design.
+        offsets: the distances at which geoms begin to push each other.
     """
 
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
-        self.pairs = _colliding_pairs(arm.model)
-        self._data = mujoco.MjData(arm.model)
+        self.offsets, self.pairs = ContactOffsets(arm.geometry, arm.offsets), _colliding_pairs(arm.geometry)
+        self._offset = self.offsets(self.pairs)
+        self._data = mujoco.MjData(arm.geometry)
         # The model as it was given, once obstacles have moved.
         self._scene: mujoco.MjModel | None = None
-        self.own = np.asarray(moving_geoms(arm.model)[self.pairs].all(axis=1))
+        self.own = np.asarray(moving_geoms(arm.geometry)[self.pairs].all(axis=1))
         used, index = np.unique(self.pairs, return_inverse=True)
         self._used, self._first, self._second = used, *index.reshape(-1, 2).T
-        model = arm.model
+        model = arm.geometry
         self._center, self._half = model.geom_aabb[used, :3].copy(), model.geom_aabb[used, 3:].copy()
         planes = model.geom_type[used] == mujoco.mjtGeom.mjGEOM_PLANE
         self._center[planes], self._half[planes] = (0.0, 0.0, -_PLANE_SIZE), _PLANE_SIZE
@@ -87,7 +89,7 @@ class Collisions:
         self._jacobians = np.zeros((len(self._bodies) + 1, 6, model.nv))
 
     def move(self, places: Mapping[str, ArrayLike]) -> None:
-        """Put obstacles where they are now, and all others back where the scene has them; the arm gets another model.
+        """Put obstacles where they are now, and all others back where the scene has them, in another `Arm.geometry`.
 
         Args:
             places: positions ``(3,)`` of bodies without joints, in the frames of their parents [m], by name.
@@ -98,10 +100,10 @@ class Collisions:
         if self._scene is None:
             if not places:
                 return
-            self._scene = self.arm.model
-            self.arm = replace(self.arm, model=copy.deepcopy(self._scene))
-        self.arm.model.body_pos[:] = self._scene.body_pos
-        move_bodies(self.arm.model, places)
+            self._scene = self.arm.geometry
+            self.arm = replace(self.arm, collision_model=copy.deepcopy(self._scene))
+        self.arm.geometry.body_pos[:] = self._scene.body_pos
+        move_bodies(self.arm.geometry, places)
 
     def distances(self, q: ArrayLike, cutoff: ArrayLike) -> Distances:
         """Distances and gradients of all pairs closer than ``cutoff`` [m], a scalar or ``(P,)``, at ``q`` ``(n,)``.
@@ -116,12 +118,16 @@ class Collisions:
         if not len(sorted_distance):
             return Distances(sorted_distance, np.zeros((0, self.arm.n_joints)), sorted_pairs)
         slopes = self._slopes(sorted_pairs, points, sorted_distance)
+        sorted_distance = sorted_distance - self.offsets(sorted_pairs)
         position = as_floats("q", q, (self.arm.n_joints,))
         rates = self.arm.qvel(np.broadcast_to(position, self._identity.shape), self._identity)
         return Distances(sorted_distance, slopes @ rates.T, sorted_pairs)
 
     def separations(self, q: ArrayLike, cutoff: ArrayLike) -> tuple[Floats, Floats, Pairs]:
-        """Distances ``(P,)``, witness points ``(P, 2, 3)`` and pairs ``(P, 2)``; arguments as of `distances`."""
+        """Distances ``(P,)``, witness points ``(P, 2, 3)`` and pairs ``(P, 2)``; arguments as of `distances`.
+
+        These distances are of the geoms themselves, without their offsets; in the order of those with them.
+        """
         self._move(q)
         limits = as_floats("cutoff", cutoff, (), batched=True)
         limits = np.broadcast_to(as_floats("cutoff", limits, self.pairs.shape[: limits.ndim]), len(self.pairs))
@@ -138,7 +144,11 @@ class Collisions:
             result.append(index)
         order = np.argsort(distance, kind="stable")
         chosen = np.array(result, dtype=int)[order]
-        return np.array(distance)[order], np.array(segments).reshape(-1, 2, 3)[order], self.pairs[chosen]
+        return (
+            np.array(distance)[order] + self._offset[chosen],
+            np.array(segments).reshape(-1, 2, 3)[order],
+            self.pairs[chosen],
+        )
 
     def clearance(self, q: ArrayLike) -> float:
         """The smallest signed distance at ``q`` ``(n,)`` [m]; negative in penetration, infinite without pairs."""
@@ -162,7 +172,9 @@ class Collisions:
             return np.inf
         least = self.clearance(configurations[0])
         bounds, (center, rotation) = self._lower_bounds(), self._frames()
-        model, data = self.arm.model, self._data
+        model, data = self.arm.geometry, self._data
+        # Penetration depths are not bounded by how far geoms move.
+        deep = -np.minimum(self._offset, 0.0)
         for qpos in self.arm.qpos(configurations[1:]):
             data.qpos[:] = qpos
             mujoco.mj_kinematics(model, data)
@@ -171,8 +183,7 @@ class Collisions:
             turned = np.sqrt(0.5 * np.square(rotation - before[1]).sum(axis=(1, 2)))
             moved = np.linalg.norm(center - before[0], axis=1) + self._radius * turned
             bounds -= moved[self._first] + moved[self._second]
-            # Penetration depths are not bounded by how far geoms move.
-            for index in np.flatnonzero(bounds < max(least, 0.0)).tolist():
+            for index in np.flatnonzero(bounds < np.maximum(max(least, 0.0), deep)).tolist():
                 # Measured a little further, so that it is skipped until the geoms have moved as much.
                 bounds[index] = value = self._measure(index, max(least, 0.0) + 0.1)
                 least = min(least, value)
@@ -188,8 +199,9 @@ class Collisions:
 
     def _measure(self, index: int, most: float) -> float:
         """Distance of a pair [m], or ``most`` where its geoms are further apart; the witness points are `_segment`."""
-        first, second = self.pairs[index].tolist()
-        return float(mujoco.mj_geomDistance(self.arm.model, self._data, first, second, most, self._segment))
+        (first, second), offset = self.pairs[index].tolist(), float(self._offset[index])
+        most += offset
+        return float(mujoco.mj_geomDistance(self.arm.geometry, self._data, first, second, most, self._segment)) - offset
 
     def names(self, pair: ArrayLike) -> tuple[str, str]:
         """Names of two geoms by id; an unnamed geom is called after its body."""
@@ -203,7 +215,7 @@ class Collisions:
 
     def _move(self, q: ArrayLike) -> None:
         self._data.qpos[:] = self.arm.qpos(as_floats("q", q, (self.arm.n_joints,)))
-        mujoco.mj_kinematics(self.arm.model, self._data)
+        mujoco.mj_kinematics(self.arm.geometry, self._data)
 
     def _frames(self) -> tuple[Floats, Floats]:
         """Centres ``(G, 3)`` and rotations ``(G, 3, 3)`` of the geoms' boxes."""
@@ -225,11 +237,11 @@ class Collisions:
         balls = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=1)) - self._radius
         # A sphere whose centre is inside the box says nothing about the depth.
         table = np.maximum(faces, np.where(balls > 0.0, balls, -np.inf))
-        return np.asarray(np.maximum(table[first, second], table[second, first]) - _SLACK)
+        return np.asarray(np.maximum(table[first, second], table[second, first]) - self._offset - _SLACK)
 
     def _slopes(self, pairs: Pairs, points: Floats, distance: Floats) -> Floats:
         """Derivatives ``(P, nv)``, in MuJoCo's velocities, of distances just found between points ``(P, 2, 3)``."""
-        model, data = self.arm.model, self._data
+        model, data = self.arm.geometry, self._data
         mujoco.mj_comPos(model, data)
         for body, jacobian in zip(self._bodies.tolist(), self._jacobians, strict=False):
             mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], body)

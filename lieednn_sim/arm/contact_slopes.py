@@ -24,7 +24,7 @@ class ContactSlopes(ContactFinder):
     """
 
     def __init__(self, arm: Arm, margin: float, *, own: bool) -> None:
-        super().__init__(arm.without_visuals.model, margin)
+        super().__init__(arm.without_visuals.geometry, margin, arm.offsets)
         self._arm, model = arm, self._model
         types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
         # Bits of their own for each direction of MuJoCo's filter, which has 31, so that a fixed geom meets the same
@@ -56,9 +56,10 @@ class ContactSlopes(ContactFinder):
             mujoco.mj_comPos(model, data)
             mujoco.mj_makeConstraint(model, data)
             contact = data.contact
-            used = (contact.exclude == 0) & (contact.dist < self._margin)
+            distance = contact.dist if self._offsets.none else contact.dist - self._offsets(contact.geom)
+            used = (contact.exclude == 0) & (distance < self._margin)
             counts[k] = used.sum()
-            distances.append(contact.dist[used])
+            distances.append(distance[used])
             rows.append(data.efc_J.reshape(-1, model.nv)[contact.efc_address[used]])
         index, near = np.repeat(np.arange(len(q)), counts), np.flatnonzero(counts)
         # MuJoCo's velocities for a unit rate of each joint, which depend on the position of ball joints alone.

@@ -18,6 +18,36 @@ from lieednn_sim.values import Floats
 PLANNED_CLEARANCE = 0.002
 
 
+class ContactOffsets:
+    """Distances at which geoms begin to push each other: the margins of a model, and what a view says of some pairs.
+
+    MuJoCo's margin of two geoms is the sum of theirs, or that of their explicit pair; in a gap beyond it there is a
+    contact without a force.
+
+    Args:
+        model: the compiled model.
+        given: offsets of pairs of geoms that are not the model's [m], by the ids of both.
+    """
+
+    def __init__(self, model: mujoco.MjModel, given: Mapping[tuple[int, int], float] | None = None) -> None:
+        self._margins = np.array(model.geom_margin)
+        pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), model.pair_margin.tolist(), strict=True)
+        self._special = {(min(a, b), max(a, b)): margin for a, b, margin in pairs}
+        self._special |= {(min(pair), max(pair)): offset for pair, offset in (given or {}).items()}
+        #: Whether all offsets are zero.
+        self.none = not self._margins.any() and not any(self._special.values())
+        #: The largest of all [m].
+        self.largest = max([*(2.0 * self._margins), *self._special.values(), 0.0])
+
+    def __call__(self, pairs: NDArray[np.int_]) -> Floats:
+        """Offsets ``(P,)`` of pairs of geoms ``(P, 2)`` [m]."""
+        offsets = self._margins[pairs].sum(axis=1)
+        if self._special:
+            for k, (a, b) in enumerate(pairs.tolist()):
+                offsets[k] = self._special.get((min(a, b), max(a, b)), offsets[k])
+        return np.asarray(offsets)
+
+
 class ContactFinder:
     """Finds geoms and bodies closer than a margin, about ten times faster than all distances (`Collisions`).
 
@@ -25,39 +55,47 @@ class ContactFinder:
 
     Args:
         model: the compiled model, which is not changed.
-        margin: distance [m] below which geoms count as touching.
-        mocap: where mocap bodies are; by default where the model has them.
+        margin: distance [m] beyond their offset (`ContactOffsets`) below which geoms count as touching.
+        offsets: as of `ContactOffsets`.
     """
 
-    def __init__(self, model: mujoco.MjModel, margin: float = 0.0, mocap: mujoco.MjData | None = None) -> None:
-        self._margin = margin
+    def __init__(
+        self, model: mujoco.MjModel, margin: float = 0.0, offsets: Mapping[tuple[int, int], float] | None = None
+    ) -> None:
+        self._margin, self._offsets = margin, ContactOffsets(model, offsets)
         self._model = copy.deepcopy(model)
         # Overridden rather than written into the geoms, whose bounding volumes were built for the old margins.
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
-        self._model.opt.o_margin = margin
+        self._model.opt.o_margin = margin + self._offsets.largest
         self._data = mujoco.MjData(self._model)
-        if mocap is not None:
-            self._data.mocap_pos[:], self._data.mocap_quat[:] = mocap.mocap_pos, mocap.mocap_quat
 
     def move(self, places: Mapping[str, ArrayLike]) -> None:
         """See `move_bodies`."""
         move_bodies(self._model, places)
 
     def geoms(self, qpos: Floats) -> tuple[Floats, NDArray[np.int_]]:
-        """Distances ``(C,)`` and ids ``(C, 2)`` of geoms closer than the margin at MuJoCo's positions ``(nq,)``."""
+        """Distances ``(C,)`` and ids ``(C, 2)`` of geoms closer than the margin at MuJoCo's positions ``(nq,)``.
+
+        Distances are from where the geoms begin to push each other.
+        """
         self._found(qpos)
         return self._near()
 
     def _near(self) -> tuple[Floats, NDArray[np.int_]]:
         """As `geoms`, where contacts have been found."""
         contact = self._data.contact
+        distance = contact.dist if self._offsets.none else contact.dist - self._offsets(contact.geom)
         # MuJoCo may also report pairs that are not nearer than the margin.
-        near = contact.dist < self._margin
-        return contact.dist[near], contact.geom[near]
+        near = distance < self._margin
+        return distance[near], contact.geom[near]
 
     def any(self, qpos: Floats) -> bool:
         """Whether some geoms are closer than the margin at MuJoCo's positions ``(nq,)``."""
-        return self._found(qpos) > 0 and bool(self._data.contact.dist.min() < self._margin)
+        if not self._found(qpos):
+            return False
+        if self._offsets.none:
+            return bool(self._data.contact.dist.min() < self._margin)
+        return len(self._near()[0]) > 0
 
     def _found(self, qpos: Floats) -> int:
         """The number of contacts, which are then in ``_data``."""

@@ -55,6 +55,16 @@ class Coordinates:
         """Return n."""
         return len(self.names)
 
+    @property
+    def addresses(self) -> NDArray[np.int_]:
+        """Addresses in qpos of all joints that the coordinates move."""
+        return np.union1d(np.flatnonzero(self.coupling.any(axis=1)), self.ball_addresses)
+
+    @property
+    def rate_addresses(self) -> NDArray[np.int_]:
+        """Their addresses in qvel."""
+        return np.union1d(np.flatnonzero(self.rates.any(axis=1)), self.ball_rate_addresses)
+
     def to_qpos(self, q: Floats) -> Floats:
         """``(..., n)`` to ``(..., nq)``."""
         qpos = q @ self.coupling.T + self.offset

@@ -36,23 +36,26 @@ class BodyFrames:
     """N frames fixed to bodies of a model.
 
     Attributes:
+        names: of the bodies or sites.
         bodies: ``(N,)`` ids.
         positions: ``(N, 3)`` in the bodies [m].
         rotations: ``(N, 3, 3)`` in the bodies.
     """
 
+    names: tuple[str, ...]
     bodies: NDArray[np.int_]
     positions: Floats
     rotations: Floats
 
     @classmethod
     def of(cls, frames: Sequence[Frame]) -> BodyFrames:
-        """The frames without their names."""
+        """The frames together."""
         matrices = np.empty((len(frames), 9))
         for frame, matrix in zip(frames, matrices, strict=True):
             mujoco.mju_quat2Mat(matrix, frame.quat)
         bodies = np.array([frame.body for frame in frames], dtype=int)
-        return cls(bodies, np.array([frame.pos for frame in frames]), matrices.reshape(-1, 3, 3))
+        names, positions = tuple(frame.name for frame in frames), np.array([frame.pos for frame in frames])
+        return cls(names, bodies, positions, matrices.reshape(-1, 3, 3))
 
     def __len__(self) -> int:
         """Return N."""
@@ -60,7 +63,7 @@ class BodyFrames:
 
     def __getitem__(self, some: slice) -> BodyFrames:
         """Return a range of the frames."""
-        return BodyFrames(self.bodies[some], self.positions[some], self.rotations[some])
+        return BodyFrames(self.names[some], self.bodies[some], self.positions[some], self.rotations[some])
 
     def poses(self, xpos: Floats, xmat: Floats) -> tuple[Floats, Floats]:
         """Positions ``(..., N, 3)`` and rotations ``(..., N, 3, 3)`` in the world.
@@ -83,10 +86,14 @@ class BodyFrames:
 
 
 def find_frame(model: mujoco.MjModel, name: str) -> Frame:
-    """The frame of a body or, when no body has the name, of a site; `InputError` lists both."""
+    """The frame of a body or, when no body has the name, of a site; `InputError` lists both.
+
+    A body without a name is called after its id, as in ``body 7``.
+    """
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    if body >= 0:
-        return body_frame(model, body)
+    unnamed = next((k for k in range(model.nbody) if name == f"body {k}" and not model.body(k).name), -1)
+    if max(body, unnamed) >= 0:
+        return body_frame(model, max(body, unnamed))
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     if site < 0:
         bodies = [model.body(i).name for i in range(model.nbody)]
@@ -100,7 +107,7 @@ def find_frame(model: mujoco.MjModel, name: str) -> Frame:
 
 def body_frame(model: mujoco.MjModel, body: int) -> Frame:
     """The frame at a body's origin."""
-    return Frame(model.body(body).name, body, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    return Frame(model.body(body).name or f"body {body}", body, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
 
 def site_frame(model: mujoco.MjModel, site: int) -> Frame:

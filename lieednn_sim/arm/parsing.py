@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -47,13 +48,39 @@ class Chain:
     groups: tuple[tuple[int, ...], ...]
 
 
-def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
-    """The fields of an `Arm` that its model determines; `InputError` when the model is not an arm."""
+def read_arm(
+    model: mujoco.MjModel,
+    arm: str,
+    chain: Chain | None = None,
+    *,
+    rest: Floats | None = None,
+    lines: Mapping[int, Line] | None = None,
+    ranges: Mapping[int, Floats] | None = None,
+) -> dict[str, Any]:
+    """The fields of an `Arm` that its model determines.
+
+    Args:
+        model: the compiled model.
+        arm: the arm's name, for messages.
+        chain: frames and joints; by default those of the sites base_frame, link1_frame, ...
+        rest: ``(nq,)`` where the other joints stay; by default at the keyframe ``home``.
+        lines: the couplings of the chain's joints; by default those of the model's equalities.
+        ranges: the range ``(2,)`` of each joint of the chain; by default the model's.
+
+    Raises:
+        InputError: the model is not an arm.
+    """
     check_numbers(model)
     check_integrator(model, arm)
-    chain = read_chain(model, arm)
-    space = read_coordinates(model, arm, chain, _rest(model))
-    joints, base, mounts, tips = read_joints(model, arm, chain, space)
+    chain = read_chain(model, arm) if chain is None else chain
+    group = [joint for group in chain.groups for joint in group]
+    if ranges is None:
+        for joint in group:
+            check_limited(model, arm, joint)
+        ranges = {joint: model.jnt_range[joint] for joint in group}
+    lines = _leaders(model, arm, group) if lines is None else lines
+    space = read_coordinates(model, chain, _rest(model) if rest is None else rest, lines)
+    joints, base, mounts, tips = read_joints(model, arm, chain, space, ranges)
     unlimited = np.full(len(space), np.inf)
     return {
         "space": space,
@@ -61,7 +88,7 @@ def read_arm(model: mujoco.MjModel, arm: str) -> dict[str, Any]:
         "base": base,
         "mounts": mounts,
         "tips": tips,
-        "position_limits": read_position_limits(model, chain, space),
+        "position_limits": read_position_limits(model, chain, space, ranges),
         "velocity_limits": read_numeric(model, arm, "velocity_limit", unlimited),
         "acceleration_limits": read_numeric(model, arm, "acceleration_limit", unlimited),
         "jerk_limits": read_numeric(model, arm, "jerk_limit", unlimited),
@@ -88,14 +115,9 @@ def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
     return Chain(tuple(site_frame(model, site) for site in sites), tuple(groups))
 
 
-def read_coordinates(model: mujoco.MjModel, arm: str, chain: Chain, rest: Floats) -> Coordinates:
-    """Coordinates of the chain's joints in qpos order; joints elsewhere stay at ``rest`` ``(nq,)``.
-
-    Raises:
-        InputError: joints are coupled other than linearly, or in a circle.
-    """
+def read_coordinates(model: mujoco.MjModel, chain: Chain, rest: Floats, leaders: Mapping[int, Line]) -> Coordinates:
+    """Coordinates of the chain's joints in qpos order; joints elsewhere stay at ``rest`` ``(nq,)``."""
     joints = sorted(joint for group in chain.groups for joint in group)
-    leaders = _leaders(model, arm, joints)
     names: list[str] = []
     units: list[str] = []
     index: dict[int, NDArray[np.int_]] = {}
@@ -133,7 +155,7 @@ def read_coordinates(model: mujoco.MjModel, arm: str, chain: Chain, rest: Floats
 
 
 def read_joints(
-    model: mujoco.MjModel, arm: str, chain: Chain, coordinates: Coordinates
+    model: mujoco.MjModel, arm: str, chain: Chain, coordinates: Coordinates, ranges: Mapping[int, Floats]
 ) -> tuple[CompoundJoints, RigidTransform, RigidTransform, RigidTransform]:
     """Compound joints, and the fixed poses base, mounts and tips around them, at the model's reference position."""
     reference = coordinates.from_qpos(model.qpos0)
@@ -144,8 +166,6 @@ def read_joints(
     )
     joints, mounts, tips = [], [], []
     for (parent, child), group in zip(itertools.pairwise(world), chain.groups, strict=True):
-        for joint in group:
-            check_limited(model, arm, joint)
         # The joint frame sits on the last axis that turns and takes the axes of the first moving body.
         turning = [joint for joint in group if joint_kind(model, joint) != "slide"]
         orientation = _orientation(data, model.jnt_bodyid[group[0]])
@@ -158,7 +178,7 @@ def read_joints(
         shared = any(np.isin(compound.indices, other.indices).any() for other in joints if other is not compound)
         if compound.screw is None or shared:
             for joint in group:
-                check_turn(model, arm, joint)
+                check_turn(model, arm, joint, ranges[joint])
         if not shared:
             check_independent(compound, len(coordinates), f"link {i} of arm {arm!r}")
     return (
@@ -169,11 +189,13 @@ def read_joints(
     )
 
 
-def read_position_limits(model: mujoco.MjModel, chain: Chain, coordinates: Coordinates) -> Floats:
+def read_position_limits(
+    model: mujoco.MjModel, chain: Chain, coordinates: Coordinates, ranges: Mapping[int, Floats]
+) -> Floats:
     """Limits ``(n, 2)``: the strictest of the joints that a coordinate moves; for a ball joint, its largest angle."""
     limits = np.tile([-np.inf, np.inf], (len(coordinates), 1))
     for joint in (joint for group in chain.groups for joint in group):
-        low, high = model.jnt_range[joint]
+        low, high = ranges[joint]
         if joint_kind(model, joint) == "ball":
             row = int(np.flatnonzero(coordinates.ball_addresses[:, 0] == model.jnt_qposadr[joint])[0])
             limits[coordinates.balls[row]] = [-high, high]

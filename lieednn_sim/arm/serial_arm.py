@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,8 +35,8 @@ class SerialArm:
     Attributes:
         name: name of the model.
         source: the file it was read from.
-        spec: the spec that `model` was compiled from; copy it to add bodies.
-        model: the compiled spec.
+        spec: the spec that `model` was compiled from; copy it to add bodies. A view of a compiled model has none.
+        model: the compiled model.
         space: the joint coordinates, and their conversion to MuJoCo's.
         joints: the compound joints.
         base: the world pose of frame 0.
@@ -53,7 +53,7 @@ class SerialArm:
 
     name: str
     source: Path
-    spec: mujoco.MjSpec
+    spec: Any
     model: mujoco.MjModel
     space: Coordinates
     joints: CompoundJoints
@@ -238,11 +238,11 @@ class SerialArm:
         q = as_floats("q", q, (self.n_joints,), batched=True)
         flat, data = q.reshape(-1, self.n_joints), mujoco.MjData(self.model)
         twists = np.empty((len(flat), 6, self.model.nv))
-        for twist, data.qpos[:] in zip(twists, self.qpos(flat), strict=True):
+        for twist, data.qpos[:] in zip(twists, self.space.to_qpos(flat), strict=True):
             mujoco.mj_kinematics(self.model, data)
             mujoco.mj_comPos(self.model, data)
             twist[3:], twist[:3] = self.frames.jacobian(self.model, data, last)
-        rates = self.qvel(flat[:, None], np.eye(self.n_joints))
+        rates = self.space.to_qvel(flat[:, None], np.eye(self.n_joints))
         return (twists @ np.swapaxes(rates, -1, -2)).reshape(*q.shape[:-1], 6, self.n_joints)
 
     def encode(self, q: ArrayLike) -> Floats:

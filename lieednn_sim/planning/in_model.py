@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, TaskSpaceRegion
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moved_by
-from lieednn_sim.arm.importer.compiled import shared_addresses
-from lieednn_sim.arm.importer.holding import Grasp, find_grasp
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
-from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.errors import InputError
 from lieednn_sim.planning.goals import Goal, single_goals
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.planners import OBSTACLE_PLANNER, plan
 from lieednn_sim.planning.problem import Plan
-from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive
+from lieednn_sim.validation import Seed, as_choice, as_positive
 from lieednn_sim.values import Floats, frozen
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -101,24 +99,25 @@ def plan_in(
         InputError: a value is malformed; the joints are no arm; or start or goal is beyond a limit or too near contact.
         PlanError, NotCertifiedError: there is no such motion, as of `plan`.
     """
-    distance = float(as_floats("clearance", clearance, ()))
-    grasp = None if holding is None else find_grasp(model, data, holding, tip, touching, distance)
-    arm = Arm.from_model(model, data, grasp=grasp, joints=joints, tip=tip, limits=limits)
-    arm = replace(arm, clearance=distance)
-    theirs, ours, their_rates, our_rates = shared_addresses(model, arm.model)
-    now = arm.qpos(np.zeros(arm.n_joints))
+    arm = Arm.of(model, data, joints, tip=tip, limits=limits, clearance=clearance)
+    if holding is not None:
+        arm = arm.holding(holding, touching)
+    given = [
+        k
+        for joint in joints
+        for k, name in enumerate(arm.joint_names)
+        if re.fullmatch(f"{re.escape(joint)}(_[xyz])?", name)
+    ]
 
     def named(item: Any) -> Any:
         """A keyframe of the model, in the order of the given joints; other goals as they are."""
         if not isinstance(item, str):
             return item
         key = as_choice("keyframe", item, [model.key(k).name for k in range(model.nkey)])
-        now[ours] = model.key(key).qpos[theirs]
-        return arm.coordinates(now)[_given(arm, joints)]
+        return arm.coordinates(model.key(key).qpos)[given]
 
-    goals = _in_order_of_arm(arm, joints, [*map(named, goal)] if isinstance(goal, list | tuple) else named(goal))
-    now[ours] = data.qpos[theirs]
-    start = arm.coordinates(now)
+    goals = _in_order_of_arm(arm, given, [*map(named, goal)] if isinstance(goal, list | tuple) else named(goal))
+    start = arm.keyframe("home")
     # Where a move ended at a limit, rounding may have left it just outside.
     inside = np.clip(start, *arm.position_limits.T)
     start = np.where(np.abs(start - inside) <= LIMIT_TOLERANCE, inside, start)
@@ -137,50 +136,16 @@ def plan_in(
         path_constraint=path_constraint,
     )
     motion = result.motion
-    qpos, qvel = np.tile(data.qpos, (len(motion.t), 1)), np.zeros((len(motion.t), model.nv))
-    qpos[:, theirs] = arm.qpos(motion.q)[:, ours]
-    qvel[:, their_rates] = arm.qvel(motion.q, motion.qd)[:, our_rates]
-    if grasp is not None:
-        _carry(model, data, grasp, qpos, qvel, motion.timestep)
-    _check_contacts(model, data, qpos, their_rates, grasp)
-    return ModelPlan(motion.t, qpos, qvel, result, arm)
+    return ModelPlan(motion.t, arm.qpos(motion.q), arm.qvel(motion.q, motion.qd), result, arm)
 
 
-def _given(arm: Arm, joints: Sequence[str]) -> list[int]:
-    """The arm's coordinates in the order of the given joints."""
-    names = arm.joint_names
-    return [k for joint in joints for k, name in enumerate(names) if name in (joint, *(f"{joint}_{a}" for a in "xyz"))]
-
-
-def _in_order_of_arm(arm: Arm, joints: Sequence[str], goal: Goal) -> Goal:
-    """Goals in the order of the given joints, in that of the arm's coordinates; poses and regions as they are."""
-    given = _given(arm, joints)
+def _in_order_of_arm(arm: Arm, given: Sequence[int], goal: Goal) -> Goal:
+    """Goals in the given order of the coordinates, in the arm's own; poses and regions as they are."""
     ordered = [
         item[np.argsort(given)] if isinstance(item, np.ndarray) else item
         for item in single_goals(arm, goal, f"the goal of {', '.join(arm.joint_names[k] for k in given)}")
     ]
     return ordered if len(ordered) > 1 else ordered[0]
-
-
-def _carry(
-    model: mujoco.MjModel, data: mujoco.MjData, grasp: Grasp, qpos: Floats, qvel: Floats, timestep: float
-) -> None:
-    """Set positions ``(K, nq)`` and velocities ``(K, nv)`` of a held body from those of the body that carries it."""
-    joint = model.body_jntadr[grasp.body]
-    place, rate = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    moved = mujoco.MjData(model)
-    moved.mocap_pos[:], moved.mocap_quat[:] = data.mocap_pos, data.mocap_quat
-    inside, turn = grasp.place.translation, grasp.place.rotation.as_quat(scalar_first=True)
-    for row in qpos:
-        moved.qpos[:] = row
-        mujoco.mj_kinematics(model, moved)
-        row[place : place + 3] = moved.xpos[grasp.carrier] + moved.xmat[grasp.carrier].reshape(3, 3) @ inside
-        mujoco.mju_mulQuat(moved.qpos[place + 3 : place + 7], moved.xquat[grasp.carrier], turn)
-        row[place + 3 : place + 7] = moved.qpos[place + 3 : place + 7]
-    step = np.zeros(model.nv)
-    for k in range(1, len(qpos) - 1):
-        mujoco.mj_differentiatePos(model, step, 2.0 * timestep, qpos[k - 1], qpos[k + 1])
-        qvel[k, rate : rate + 6] = step[rate : rate + 6]
 
 
 def _check_hand(model: mujoco.MjModel, arm: Arm, start: Floats) -> None:
@@ -192,37 +157,4 @@ def _check_hand(model: mujoco.MjModel, arm: Arm, start: Floats) -> None:
             raise InputError(
                 f"start is out of reach: {pair[0]!r} would touch {pair[1]!r} there; if the hand holds it, say so by "
                 f"holding={body!r}"
-            )
-
-
-def _check_contacts(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    qpos: Floats,
-    moving: NDArray[np.int_],
-    grasp: Grasp | None = None,
-) -> None:
-    """Look for contacts of the arm with other trees of bodies in the given model itself, apart from those at the start.
-
-    A held body counts as the arm's; the geoms that it may touch are left out.
-
-    Raises:
-        PlanError: there are any, so that the arm's model is not like the given one.
-    """
-    arm = {body for body in range(model.nbody) if moved_by(model, body)[moving].any()}
-    arm |= set() if grasp is None else set(grasp.bodies)
-    allowed = set() if grasp is None else {frozenset(pair) for pair in grasp.supports}
-    finder = ContactFinder(model, mocap=data)
-
-    def touching(positions: Floats) -> set[tuple[int, int]]:
-        near = [pair for pair in finder.geoms(positions)[1].tolist() if frozenset(pair) not in allowed]
-        pairs = (tuple(map(int, model.geom_bodyid[geoms])) for geoms in near)
-        return {(a, b) for a, b in pairs if (a in arm) != (b in arm) and model.body_rootid[a] != model.body_rootid[b]}
-
-    before = touching(data.qpos)
-    for positions in qpos:
-        if result := touching(positions) - before:
-            first, second = (model.body(body).name or f"body {body}" for body in min(result))
-            raise PlanError(
-                f"in the given model {first!r} would touch {second!r}, which the arm's own model does not show"
             )

@@ -6,7 +6,6 @@ import numpy as np
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.lie import continued
 from lieednn_sim.planning.motion import Motion, check_joints
 from lieednn_sim.planning.problem import PlanningProblem
@@ -34,7 +33,7 @@ class ClearanceTest:
     def __init__(self, arm: Arm, margin: float) -> None:
         self._arm, self._margin = arm, margin
         # Visual geoms, which touch nothing, would take most of the time.
-        self._finder = ContactFinder(arm.without_visuals.model, margin)
+        self._finder = arm.without_visuals.contact_finder(margin)
         self.tests = 0
 
     def __call__(self, q: Floats) -> bool:
@@ -44,7 +43,7 @@ class ClearanceTest:
     def first_blocked(self, q: Floats) -> int | None:
         """Index of the first of the positions ``(K, n)`` at which something is closer than the margin, or None."""
         # Converted at once and unchecked: checking each configuration would cost as much as its collision pass.
-        for index, position in enumerate(self._arm.space.to_qpos(q)):
+        for index, position in enumerate(self._arm.qpos(q)):
             self.tests += 1
             if self._finder.any(position):
                 return index

@@ -13,7 +13,6 @@ from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE
 from lieednn_sim.arm.forces import actuator_moments
-from lieednn_sim.arm.importer.compiled import shared_addresses
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning.in_model import plan_in
@@ -128,7 +127,7 @@ def plan_sequence(
         **{"max_time_scale": max_time_scale, "time_budget": time_budget, "options": options, "fastest": fastest},
         "seed": as_seed("seed", seed),
     }
-    arm = Arm.from_model(model, data, joints=joints, tip=tip, limits=limits)
+    arm = Arm.of(model, data, joints, tip=tip, limits=limits)
     planned = _Planned(model, data, arm)
     # Refused before the work.
     gripping = {k: Gripping(model, step, planned.dofs) for k, step in enumerate(steps) if isinstance(step, Actuate)}
@@ -154,7 +153,7 @@ class _Planned:
         self._model, self._state = copy.deepcopy(model), mujoco.MjData(model)
         mujoco.mj_copyData(self._state, model, data)
         self._state.qvel[:] = 0.0
-        self._places, _, self.dofs, _ = shared_addresses(model, arm.model)
+        self._places, self.dofs = arm.space.addresses, arm.space.rate_addresses
         self._heavy = _heavier(self._model, self._state, self.dofs)
         self.qpos, self.qvel = [data.qpos[None].copy()], [np.zeros((1, model.nv))]
         self.last = 0

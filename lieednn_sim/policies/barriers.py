@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions, Distances
-from lieednn_sim.arm.contacts import moved_by
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.values import Floats
@@ -64,7 +63,7 @@ class ApproachBounds:
         model = arm.model
         self._geoms, index = np.unique(pairs, return_inverse=True)
         self._first, self._second = index.reshape(-1, 2).T
-        self._moves = np.array([moved_by(model, int(model.geom_bodyid[geom])) for geom in self._geoms])
+        self._moves = np.array([arm.moved_by(int(model.geom_bodyid[geom])) for geom in self._geoms])
         self._turns = model.jnt_type[model.dof_jntid] != mujoco.mjtJoint.mjJNT_SLIDE
         self._radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, 0.0)[self._geoms]
         self._identity = np.eye(arm.n_joints)

@@ -36,8 +36,9 @@ class Surroundings:
 
     def __init__(self, arm: Arm, margin: float) -> None:
         self._arm, self._margin, self._kept = arm, margin, margin
-        self._model = arm.without_visuals.model
-        self._all = ContactFinder(self._model, arm.clearance)
+        bare = arm.without_visuals
+        self._model = bare.geometry
+        self._all = bare.contact_finder(arm.clearance)
         # Sees nothing but pairs of the arm and a moving obstacle.
         self._near: ContactFinder | None = None
         self.places: dict[str, Floats] = {}
@@ -59,7 +60,7 @@ class Surroundings:
             only_moving: look at moving obstacles alone.
         """
         finders = [each for each in (None if only_moving else self._all, self._near) if each is not None]
-        for index, qpos in enumerate(self._arm.space.to_qpos(q)):
+        for index, qpos in enumerate(self._arm.qpos(q)):
             for finder in finders:
                 distance, result = finder.geoms(qpos)
                 result = result if finder is self._all else self._near_pairs(distance, result, self._kept)[1]
@@ -75,7 +76,7 @@ class Surroundings:
         Until this is called again, something is in the way only below four fifths of that distance.
         """
         if self._near is not None:
-            distance, _ = self._near_pairs(*self._near.geoms(self._arm.space.to_qpos(q)), self._margin)
+            distance, _ = self._near_pairs(*self._near.geoms(self._arm.qpos(q)), self._margin)
             self._kept = min(self._margin, 0.8 * max(float(distance.min(initial=np.inf)), 0.0))
 
     def _near_pairs(self, distance: Floats, pairs: NDArray[np.int_], margin: float) -> tuple[Floats, NDArray[np.int_]]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.importer.compiled import named_frame
+from lieednn_sim.arm.frames import find_frame
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.simulation import ModelRun, Rollout
 from lieednn_sim.values import Floats
@@ -85,7 +85,7 @@ def _occupied_in(run: ModelRun) -> Floats:
     """Points around the geoms of the bodies in question, at some instants; what moves by a millimetre counts."""
     model, data = run.model, mujoco.MjData(run.model)
     target = np.zeros(model.ngeom, dtype=bool)
-    body = named_frame(model, run.tip).body
+    body = find_frame(model, run.tip).body
     while body > 0:
         target |= model.geom_bodyid == body
         body = int(model.body_parentid[body])

@@ -212,4 +212,4 @@ def tangent_basis(arm: Arm) -> Floats:
     into forces along the coordinates; for ball joints, along the axes of the moving body.
     """
     rates = np.eye(arm.n_joints)
-    return arm.qvel(np.zeros_like(rates), rates).T
+    return arm.space.to_qvel(np.zeros_like(rates), rates).T

@@ -9,7 +9,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.importer.compiled import check_data, shared_addresses
+from lieednn_sim.arm.view import check_data
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning.in_model import ModelPlan
 from lieednn_sim.planning.sequence import PlanSequence, SequencePart
@@ -183,9 +183,7 @@ class _Drive:
     """
 
     def __init__(self, model: mujoco.MjModel, arm: Arm, data: mujoco.MjData, feedforward: bool) -> None:
-        _, _, self.dofs, ours = shared_addresses(model, arm.model)
-        self._model, self._basis = model, np.zeros((model.nv, arm.n_joints))
-        self._basis[self.dofs] = tangent_basis(arm)[ours]
+        self._model, self._basis, self.dofs = model, tangent_basis(arm), arm.space.rate_addresses
         self._rates = np.linalg.pinv(self._basis)
         self._actuators = actuators = ModelActuators(model, self._basis)
         transmission = actuators.transmission

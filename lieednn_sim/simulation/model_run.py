@@ -12,7 +12,7 @@ import numpy as np
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.importer.compiled import named_frame, shared_addresses
+from lieednn_sim.arm.frames import find_frame
 from lieednn_sim.lie import transforms
 from lieednn_sim.values import Floats, frozen
 
@@ -66,16 +66,7 @@ class ModelRun:
         for body in np.flatnonzero(model.body_mocapid >= 0):
             mocap = model.body_mocapid[body]
             model.body_pos[body], model.body_quat[body] = data.mocap_pos[mocap], data.mocap_quat[mocap]
-        theirs, ours, _, _ = shared_addresses(model, arm.model)
-
-        def coordinates(qpos: Floats) -> Floats:
-            inside = np.tile(arm.qpos(np.zeros(arm.n_joints)), (len(qpos), 1))
-            inside[:, ours] = qpos[:, theirs]
-            return arm.coordinates(inside)
-
-        error = coordinates(log["qpos"]) - coordinates(planned)
-        assert arm.import_report is not None
-        tip = arm.import_report.links[-1]
+        error = arm.coordinates(log["qpos"]) - arm.coordinates(planned)
         return cls(
             model,
             t,
@@ -84,7 +75,7 @@ class ModelRun:
             joint_names=arm.joint_names,
             tracking_error=error,
             motion_end=motion_end,
-            tip=tip,
+            tip=arm.frames.names[-1],
             steps=steps,
         )
 
@@ -121,7 +112,7 @@ class ModelRun:
         Raises:
             InputError: there is no such body or site.
         """
-        frame, data = named_frame(self.model, name), mujoco.MjData(self.model)
+        frame, data = find_frame(self.model, name), mujoco.MjData(self.model)
         positions, turns = np.empty((len(self.t), 3)), np.empty((len(self.t), 3, 3))
         turn, own = np.empty(9), np.empty(9)
         mujoco.mju_quat2Mat(own, frame.quat)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.planning import PlanningProblem, RrtConnectOptions, joint_space
+from lieednn_sim.planning import PlanningProblem, RrtConnectOptions
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.joint_space import ClearanceTest, Workspace, joint_scale
@@ -31,7 +31,7 @@ def test_the_margin_is_what_both_ends_keep_themselves(gantry, at_start, at_targe
 def test_what_pairs_lack_is_counted_once_each(gantry, monkeypatch):
     """With a margin of 5 cm; two pairs are near at two points each, of which the deeper ones lack 6 and 4 cm."""
     found = np.array([-0.01, 0.02, 0.03, 0.01, 0.06]), np.array([[0, 1], [0, 1], [1, 2], [1, 2], [2, 3]])
-    monkeypatch.setattr(joint_space, "ContactFinder", lambda *_: SimpleNamespace(geoms=lambda _: found))
+    monkeypatch.setattr(Arm, "contact_finder", lambda *_: SimpleNamespace(geoms=lambda _: found))
     clear = ClearanceTest(gantry, 0.05)
     np.testing.assert_allclose(clear.lack(np.zeros((2, 4))), 0.06 + 0.04)
     assert clear.tests == 2

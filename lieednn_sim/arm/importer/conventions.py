@@ -8,7 +8,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.frames import Frame
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.loading import unused
-from lieednn_sim.arm.parsing import read_chain, read_coordinates, read_joints
+from lieednn_sim.arm.parsing import read_arm, read_chain
 from lieednn_sim.lie import log
 
 _SITE = mujoco.mjtObj.mjOBJ_SITE
@@ -159,8 +159,8 @@ def set_length_unit(draft: Draft) -> None:
         return
     model, configurations = draft.bare, draft.configurations([*draft.samples, *draft.extremes])
     chain = read_chain(model, "imported")
-    space = read_coordinates(model, "imported", chain, model.qpos0)
-    joints, *_ = read_joints(model, "imported", chain, space)
+    fields = read_arm(model, "imported", chain, rest=model.qpos0)
+    space, joints = fields["space"], fields["joints"]
     largest = float(np.abs(log(joints.poses(space.from_qpos(configurations)))[..., 3:]).max())
     if largest > 1.0:
         unit = float(f"{largest:.2g}")

@@ -156,7 +156,11 @@ def _set_joints(model: mujoco.MjModel, qpos: NDArray[np.float64], home: Mapping[
 
 
 def joint_ranges(
-    model: mujoco.MjModel, groups: Sequence[Sequence[int]], couplings: Couplings, notes: list[str]
+    model: mujoco.MjModel,
+    groups: Sequence[Sequence[int]],
+    couplings: Couplings,
+    notes: list[str],
+    around: Floats | None = None,
 ) -> dict[int, Floats]:
     """The range ``(2,)`` [rad, m] of each joint; new and narrowed ranges are added to ``notes``.
 
@@ -169,12 +173,13 @@ def joint_ranges(
         groups: for each link, the joints that move it.
         couplings: joints that follow others.
         notes: remarks for the report.
+        around: positions ``(nq,)`` about which hinges without a range may make a turn in each direction.
 
     Raises:
         InputError: a slide has no range, or nothing is left of a range.
     """
     joints = [joint for group in groups for joint in group]
-    spans = {joint: _span(model, joint, notes, alone=len(group) == 1) for group in groups for joint in group}
+    spans = {joint: _span(model, joint, notes, around, alone=len(group) == 1) for group in groups for joint in group}
     for lead in dict.fromkeys(couplings.leader(joint) for joint in joints):
         members = [joint for joint in joints if couplings.leader(joint) == lead]
         if members == [lead] and np.isfinite(spans[lead]).all():
@@ -200,7 +205,7 @@ def joint_ranges(
     return spans
 
 
-def _span(model: mujoco.MjModel, joint: int, notes: list[str], *, alone: bool) -> Floats:
+def _span(model: mujoco.MjModel, joint: int, notes: list[str], around: Floats | None, *, alone: bool) -> Floats:
     name, kind = model.joint(joint).name, int(model.jnt_type[joint])
     given = model.jnt_range[joint].copy() if model.jnt_limited[joint] else np.array([-np.inf, np.inf])
     if kind == _SLIDE:
@@ -210,6 +215,8 @@ def _span(model: mujoco.MjModel, joint: int, notes: list[str], *, alone: bool) -
         span = np.array([0.0, min(widest, _WIDEST)])
     elif alone and model.jnt_limited[joint]:
         return given
+    elif alone and around is not None:
+        return around[model.jnt_qposadr[joint]] + 2.0 * np.pi * np.array([-1.0, 1.0])
     else:
         reference = float(model.qpos0[model.jnt_qposadr[joint]])
         most = _WIDEST if model.jnt_limited[joint] else _DEFAULT

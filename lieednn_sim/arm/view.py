@@ -1,0 +1,151 @@
+"""Some joints of a compiled model, read as an arm; everything else in the model is its surroundings."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.checks import ancestry, check_numbers
+from lieednn_sim.arm.coordinates import Coordinates
+from lieednn_sim.arm.forces import resting_load
+from lieednn_sim.arm.frames import Frame, body_frame, find_frame
+from lieednn_sim.arm.importer.compound_joints import cut
+from lieednn_sim.arm.importer.coupled_joints import find_couplings
+from lieednn_sim.arm.importer.limits import RATE_LIMITS, check_rates
+from lieednn_sim.arm.importer.mechanism import joint_ranges
+from lieednn_sim.arm.importer.serial_chain import named_chain
+from lieednn_sim.arm.parsing import Chain, read_arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.lie import log
+from lieednn_sim.validation import as_choice
+from lieednn_sim.values import Floats
+
+
+def check_data(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Raise `InputError` for data of another model, or with positions that are not finite."""
+    if len(data.qpos) != model.nq or data.xpos.shape[0] != model.nbody or len(data.ctrl) != model.nu:
+        raise InputError("data must be of the model: make it by mujoco.MjData(model)")
+    if not all(np.isfinite(values).all() for values in (data.qpos, data.mocap_pos, data.mocap_quat)):
+        raise InputError("data holds positions that are NaN or infinite")
+
+
+def standing(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjModel:
+    """A copy of a model in which mocap bodies are where a state has them, and equalities are on that are on there."""
+    own = copy.deepcopy(model)
+    for body in np.flatnonzero(model.body_mocapid >= 0):
+        mocap = model.body_mocapid[body]
+        own.body_pos[body], own.body_quat[body] = data.mocap_pos[mocap], data.mocap_quat[mocap]
+    own.eq_active0[:] = data.eq_active
+    return own
+
+
+def read_view(
+    own: mujoco.MjModel,
+    qpos: Floats,
+    joints: Sequence[str],
+    tip: str | None,
+    base: str | None,
+    limits: Mapping[str, Mapping[str, float]] | None,
+) -> dict[str, Any]:
+    """The fields of an `Arm` that some joints of a model determine; the others stay at ``qpos`` ``(nq,)``.
+
+    Raises:
+        InputError: the joints are not an arm's, or a name is unknown.
+    """
+    if not joints:
+        raise InputError("joints must name at least one joint")
+    check_rates(limits)
+    check_numbers(own)
+    notes: list[str] = []
+    inner, joints_of_chain = named_chain(own, joints, base)
+    couplings = find_couplings(own, joints_of_chain)
+    whole = joint_ranges(own, [[joint] for joint in joints_of_chain], couplings, [], qpos)
+    groups = cut(own, kinematics_at(own, qpos), joints_of_chain, whole, couplings)
+    last = body_frame(own, int(own.jnt_bodyid[groups[-1][-1]]))
+    ends = [body_frame(own, int(own.jnt_bodyid[group[-1]])) for group in groups[:-1]]
+    chain = Chain((inner, *ends, last if tip is None else _tip(own, tip, last)), groups)
+    ranges = joint_ranges(own, groups, couplings, notes, qpos)
+    fields = read_arm(own, "arm", chain, rest=qpos, lines=couplings.lines, ranges=ranges)
+    space: Coordinates = fields["space"]
+    for what in RATE_LIMITS:
+        fields[f"{what}_limits"] = fields[f"{what}_limits"].copy()
+    fields["acceleration_limits"] = _acceleration_limits(own, fields)
+    for coordinate, given in (limits or {}).items():
+        index = space.names.index(as_choice("coordinate", coordinate, space.names))
+        for what, value in given.items():
+            fields[f"{what}_limits"][index] = value
+    if fields["length_scale"] == 1.0:
+        fields["length_scale"] = _length_scale(fields)
+    return fields
+
+
+def _tip(model: mujoco.MjModel, name: str, last: Frame) -> Frame:
+    """The frame of the end effector by its name, on the last link or beyond it."""
+    tip = find_frame(model, name)
+    if last.body not in ancestry(model, tip.body):
+        raise InputError(f"the tip {name!r} is not carried by the last link, {last.name!r}")
+    return tip
+
+
+def _samples(fields: Mapping[str, Any], count: int) -> Floats:
+    """Random configurations ``(count, nq)`` within the limits."""
+    low, high = fields["position_limits"].T
+    shrink = 0.57 if len(fields["space"].balls) else 1.0  # half of a ball joint's box is inside of its largest angle
+    q = np.random.default_rng(0).uniform(shrink * low, shrink * high, (count, len(low)))
+    return np.asarray(fields["space"].to_qpos(q))
+
+
+def _acceleration_limits(model: mujoco.MjModel, fields: Mapping[str, Any]) -> Floats:
+    """Half of what the actuators' spare forces give ``(n,)``: (F - |load|) / (2 I), as of `importer.limits`."""
+    space: Coordinates = fields["space"]
+    given, force = fields["acceleration_limits"], fields["force_limits"]
+    if np.isfinite(given).all() or not np.isfinite(force).any():
+        return np.array(given)
+    configurations = _samples(fields, 16)
+    rates = space.rates.copy()
+    rates[space.ball_rate_addresses, space.balls] = 1.0
+    load = np.abs(resting_load(model, configurations) @ rates).max(axis=0)
+    data, inertia, column = mujoco.MjData(model), np.zeros(len(space)), np.zeros(model.nv)
+    for data.qpos[:] in configurations:
+        mujoco.mj_fwdPosition(model, data)
+        for k, rate in enumerate(rates.T):
+            mujoco.mj_mulM(model, data, column, rate)
+            inertia[k] = max(inertia[k], rate @ column)
+    spare = np.where(np.isfinite(force) & (force > load), 0.5 * (force - load) / inertia, np.inf)
+    return np.where(np.isfinite(given), given, spare)
+
+
+def _length_scale(fields: Mapping[str, Any]) -> float:
+    """The furthest that a link moves [m], to two digits, if that is more than a metre; else 1."""
+    space: Coordinates = fields["space"]
+    q = space.from_qpos(_samples(fields, 64))
+    largest = float(np.abs(log(fields["joints"].poses(q))[..., 3:]).max())
+    return float(f"{largest:.2g}") if largest > 1.0 else 1.0
+
+
+def rigid_groups(model: mujoco.MjModel, space: Coordinates, carried: Sequence[int] = ()) -> mujoco.MjModel:
+    """A copy of a model for distances, in which what the arm does not move against each other is welded together.
+
+    MuJoCo's collision filter leaves out geoms of bodies that are welded together, and counts those welded to the world
+    as fixed. It knows them by ``body_weldid`` alone, which kinematics do not use.
+
+    Args:
+        model: the model.
+        space: the arm's coordinates.
+        carried: ids of a body with a free joint that is carried, and of those that hang from it.
+    """
+    moving = np.zeros(model.nv, dtype=bool)
+    moving[space.rate_addresses] = True
+    result = copy.deepcopy(model)
+    weld = result.body_weldid
+    # Parents come before their children.
+    for body in range(1, model.nbody):
+        first, parent = int(model.body_dofadr[body]), int(model.body_parentid[body])
+        if not moving[first : first + int(model.body_dofnum[body])].any():
+            weld[body] = weld[parent]
+    weld[list(carried)] = carried[0] if len(carried) else 0
+    return result
