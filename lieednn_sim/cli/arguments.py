@@ -178,9 +178,7 @@ class Simulating:
     reference_rate: float | None = None
     hold: float = 1.0
     push: tuple[Force, ...] = ()
-    disturbances: Annotated[
-        Disturbances, "payload", "mass_scale", "position_noise", "velocity_noise", "seed as noise_seed"
-    ] = field(default_factory=Disturbances)
+    disturbances: Annotated[Disturbances, "*", "seed as noise_seed"] = field(default_factory=Disturbances)
 
     def all_disturbances(self, arm: Arm) -> Disturbances:
         """The disturbances, with the pushes; checks the other options too."""
