@@ -86,7 +86,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
             reasons[j].append(f"its servo is slow: it still moves, and halves its error in {np.log(2) / pace[j]:.2g} s")
             helpful[j] += ["a longer hold (hold=, --hold)", *stiffer]
         if unknown := rollout.disturbances.unknown_loads:
-            reasons[j].append(f"the controller knows nothing of: {', '.join(unknown)}")
+            reasons[j].append(f"the controller knows nothing of {' and '.join(unknown)}")
     return reasons, helpful
 
 
