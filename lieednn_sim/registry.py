@@ -100,7 +100,8 @@ class PlannerEntry(Entry):
     """A planner: a function of a `PlanningProblem`, and of its options if there are any.
 
     It returns a plan, or a motion if there is no network, or raises. The motion is sampled at the model's time step and
-    passes `motion.check_motion`.
+    passes `motion.check_motion`; its velocities are the derivatives of its positions, and its accelerations are
+    continuous.
 
     Attributes:
         cost: CPU time of a case of a comparison [s], planning and both default controllers, in the mean over the
@@ -117,8 +118,24 @@ class PlannerEntry(Entry):
 
 
 @dataclass(frozen=True)
+class PolicyEntry(Entry):
+    """A policy: a function of a `PolicyTask`, and of its options if there are any, which makes a `Policy`.
+
+    A reset lets it begin anew to the bit, and it can be copied and pickled at any time. Its message is "moves", or "has
+    ended" at the end of a motion; anything else says what keeps it from moving on.
+
+    Attributes:
+        arrives: whether it comes to rest at a target that rests, where nothing is in its way.
+    """
+
+    arrives: bool = True
+
+
+@dataclass(frozen=True)
 class FormatEntry(Entry):
     """A format of another tool: a function of sources by name, a folder, and options, which writes files into it.
+
+    That of rollouts takes the option ``rate`` [Hz], see `exports.formats.samples`; None is for its default.
 
     Attributes:
         of_comparison: whether it holds the table of a comparison; otherwise it holds rollouts.
@@ -336,32 +353,34 @@ PLANNERS: Registry[PlannerEntry] = Registry(
     group="lieednn_sim.planners",
 )
 
-#: All policies by name: functions of a `PolicyTask`, and of options if there are any.
-POLICIES: Registry[Entry] = Registry(
+#: All policies by name.
+POLICIES: Registry[PolicyEntry] = Registry(
     "policy",
     {
-        "lieednn-shaped": Entry(
+        "lieednn-shaped": PolicyEntry(
             "policies.networks:shaped", "a certified network shaped for the path of a guide", "ShapedOptions"
         ),
-        "lieednn-certified": Entry(
+        "lieednn-certified": PolicyEntry(
             "policies.networks:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
         ),
-        "lieednn-replanning": Entry(
+        "lieednn-replanning": PolicyEntry(
             "policies.replanning:replanning",
             "a certified network that takes new targets and new paths, among obstacles that move",
             "ReplanningOptions",
         ),
-        "linear-attractor": Entry("policies.networks:linear", "the network without weights: straight in se(3)"),
-        "dmp": Entry("policies.primitive:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"),
-        "fabric": Entry("policies.fabric:fabric", "an attractor, and obstacles that repel", "FabricOptions"),
-        "mppi": Entry(
+        "linear-attractor": PolicyEntry("policies.networks:linear", "the network without weights: straight in se(3)"),
+        "dmp": PolicyEntry(
+            "policies.primitive:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"
+        ),
+        "fabric": PolicyEntry("policies.fabric:fabric", "an attractor, and obstacles that repel", "FabricOptions"),
+        "mppi": PolicyEntry(
             "policies.path_integral:path_integral",
             "model-predictive path integral control, with a model of its own",
             "PathIntegralOptions",
         ),
-        "tracker": Entry("policies.tracker:tracker", "a planned motion, whatever the arm does"),
+        "tracker": PolicyEntry("policies.tracker:tracker", "a planned motion, whatever the arm does"),
     },
-    make=Entry,
+    make=PolicyEntry,
     wanted="a function of a PolicyTask",
     group="lieednn_sim.policies",
 )
@@ -420,16 +439,29 @@ SCENES: Registry[Entry] = Registry(
 FORMATS: Registry[FormatEntry] = Registry(
     "format",
     {
-        "csv": FormatEntry("exports.csv_table:write", "a table of time, joints and end effector"),
-        "ros2": FormatEntry("exports.ros2:write", "a JointTrajectory as YAML, and a bag in MCAP", library="rosbags"),
+        "csv": FormatEntry(
+            "exports.csv_table:write",
+            "a table of time, joints and end effector, for a spreadsheet, MATLAB, R or pandas",
+        ),
+        "ros2": FormatEntry(
+            "exports.ros2:write",
+            "a JointTrajectory as YAML, and a bag in MCAP, for a robot's controller or a replay in ROS 2",
+            library="rosbags",
+        ),
         "plannerarena": FormatEntry(
-            "exports.planner_arena:write", "OMPL's benchmark logs of a comparison", of_comparison=True
+            "exports.planner_arena:write",
+            "OMPL's benchmark logs of a comparison, for tools such as Planner Arena",
+            of_comparison=True,
         ),
         "lerobot": FormatEntry(
-            "exports.lerobot:write", "a data set of LeRobot with one episode for each run", library="pyarrow"
+            "exports.lerobot:write",
+            "a data set of one episode for each run, to train policies by imitation with LeRobot",
+            library="pyarrow",
         ),
         "rerun": FormatEntry(
-            "exports.rerun_recording:write", "a recording of the moving arm and of curves over time", library="rerun"
+            "exports.rerun_recording:write",
+            "a recording of the moving arm and of curves over time, for Rerun's viewer",
+            library="rerun",
         ),
     },
 )

@@ -165,6 +165,9 @@ def cascade() -> Callable[..., LieEDNN]:
     return make
 
 
+# A job in the background of a shell inherits that Ctrl-C is ignored, and the commands would respect it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 settings.register_profile("lieednn", max_examples=30, deadline=None, derandomize=True, print_blob=True)
 # For `pytest tests/test_fuzz.py --hypothesis-profile=fuzz`: new examples every time, until something is found.
 settings.register_profile("fuzz", deadline=None, max_examples=1_000_000, print_blob=True)

@@ -40,6 +40,8 @@ def test_names_are_looked_up_with_those_that_there_are():
 
 
 def test_what_is_not_installed_is_named_with_its_extra_and_what_else_there_is(monkeypatch):
+    monkeypatch.setattr(registry.importlib.util, "find_spec", lambda name: name)
+    assert PLANNERS.missing() == {}
     monkeypatch.setattr(registry.importlib.util, "find_spec", lambda _: None)
     assert PLANNERS.missing()["bit-star"] == FORMATS["rerun"].install.replace("rerun", "rivals")
     PLANNERS.require("stomp")

@@ -39,7 +39,8 @@ def packages(tmp_path_factory):
         sdist = dist / build.build_sdist(str(dist))
         wheel = direct / build.build_wheel(str(direct))
     with tarfile.open(sdist) as archive:
-        archive.extractall(unpacked, filter="data")
+        archive.extraction_filter = getattr(tarfile, "data_filter", None)  # Debian's Python 3.11.2 has none
+        archive.extractall(unpacked)
     with contextlib.chdir(next(unpacked.iterdir())):
         return sdist, dist / build.build_wheel(str(dist)), wheel
 

@@ -130,8 +130,8 @@ class Planning(Goal):
     """A motion to plan.
 
     Attributes:
-        planner: one of these (default: lieednn-certified; lieednn-shaped among obstacles, with --path-constraint, or
-            where three hinges move a link): a name of `PLANNERS`
+        planner: a name of `PLANNERS` (default: lieednn-certified; lieednn-shaped among obstacles, with
+            --path-constraint, or where three hinges move a link).
         option: an option of the planner; --planner NAME --help lists them.
         path_constraint: line or orientation: let the end effector go on a straight line, or keep its orientation, on
             the way.
@@ -178,9 +178,7 @@ class Simulating:
     reference_rate: float | None = None
     hold: float = 1.0
     push: tuple[Force, ...] = ()
-    disturbances: Annotated[
-        Disturbances, "payload", "mass_scale", "position_noise", "velocity_noise", "seed as noise_seed"
-    ] = field(default_factory=Disturbances)
+    disturbances: Annotated[Disturbances, "*", "seed as noise_seed"] = field(default_factory=Disturbances)
 
     def all_disturbances(self, arm: Arm) -> Disturbances:
         """The disturbances, with the pushes; checks the other options too."""

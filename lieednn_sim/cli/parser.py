@@ -116,7 +116,7 @@ def _add(parser: argparse.ArgumentParser, group: Any, taken: Iterable[Parameter]
 
 def _add_option(group: Any, taken: Parameter) -> None:
     kind = KINDS[taken.kind]
-    text = _filled(taken.help)
+    text = taken.help
     how: dict[str, Any] = {"dest": taken.option, "metavar": kind.metavar, "type": kind.read}
     if taken.positional:
         name, how["metavar"] = how.pop("dest"), taken.option.upper()
@@ -130,7 +130,8 @@ def _add_option(group: Any, taken: Parameter) -> None:
         name = f"--{taken.option}"
         how |= {"required": taken.required, "action": kind.action} | ({"nargs": "+"} if kind.words else {})
         text += "; may be repeated" if kind.action == "append" else ""
-    group.add_argument(name, help=text if "default" in text.lower() else text + _default(taken), **how)
+    text = text if "default" in text.lower() else text + _default(taken)
+    group.add_argument(name, help=_filled(text), **how)
 
 
 def _default(taken: Parameter) -> str:
@@ -145,18 +146,19 @@ def _default(taken: Parameter) -> str:
 def _filled(text: str) -> str:
     """The text with the names that there are in place of "a name of PLANNERS", or of another registry.
 
-    At the end of the text, planners say what they do.
+    At the end of the text, or before its default, each has a line and says what it is.
     """
 
     def listed(reference: re.Match[str]) -> str:
         result = getattr(registry, reference[1], None)
         if result is None:
             return reference[0]
-        if result is registry.PLANNERS and reference.end() == len(text):
-            return "".join(f"\n{name}: {entry.help}" for name, entry in result.entries.items())
-        return ", ".join(result.entries)
+        if reference[2] is None:
+            return ", ".join(result.entries)
+        lines = (f"\n{name}: {entry.help}" for name, entry in result.entries.items())
+        return f"one of these{reference[2]}:{''.join(lines)}"
 
-    return re.sub(r"\ba name of (?:[a-z]\w*\.)*([A-Z_]+)", listed, text).replace("%", "%%")
+    return re.sub(r"\ba name of (?:[a-z]\w*\.)*([A-Z_]+)(?:( \([^)]*\)|)$)?", listed, text).replace("%", "%%")
 
 
 def _arguments(taken: Iterable[Parameter], given: Mapping[str, Any]) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def parameters(source: Definition) -> list[Parameter]:
     for base in source.node.bases if isinstance(source.node, ast.ClassDef) else ():
         if isinstance(base, ast.Name) and (parent := find(source.module, base.id)) is not None:
             result |= {each.name: each for each in parameters(parent)}
-    texts = {name: each.help for name, each in result.items()} | _texts(source.docstring)
+    texts = {name: each.help for name, each in result.items()} | descriptions(source.docstring)
     for entry in _entries(source.node):
         if (own := _parameter(source.module, entry, texts)) is not None:
             result[own.name] = own
@@ -153,11 +153,11 @@ def _parameter(module: str, entry: _Entry, texts: dict[str, str]) -> Parameter |
 
 
 def _chosen(source: Definition, names: list[str]) -> Iterator[Parameter]:
-    """The parameters of these names, some of them under another one, as in ``seed as noise_seed``; by default all."""
+    """The parameters of these names, or all for ``*`` or none; ``seed as noise_seed`` gives one another name."""
     known = {each.name: each for each in parameters(source) if not each.positional}
-    for entry in names or known:
-        name, _, other = entry.partition(" as ")
-        yield replace(known[name], option=(other or name).replace("_", "-"))
+    others = {name: other or name for name, _, other in (entry.partition(" as ") for entry in names or ["*"])}
+    for name in known if "*" in others else others:
+        yield replace(known[name], option=others.get(name, name).replace("_", "-"))
 
 
 @functools.cache
@@ -177,7 +177,7 @@ def _value(module: str, node: ast.expr) -> Any:
         return None
 
 
-def _texts(docstring: str) -> dict[str, str]:
+def descriptions(docstring: str) -> dict[str, str]:
     """What the docstring says of each argument or attribute, in one line and without marks of code."""
     section = re.search(r"^(?:Args|Attributes):\n(.*?)(?=^\S|\Z)", docstring, re.MULTILINE | re.DOTALL)
     entries = re.findall(r"^    (\w+): (.*(?:\n {5,}.*)*)", section[1] if section else "", re.MULTILINE)

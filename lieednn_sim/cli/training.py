@@ -36,7 +36,7 @@ class Learning:
     """How a network is learned; stored in the task.
 
     Attributes:
-        algorithm: learning algorithm: a name of `ALGORITHMS`.
+        algorithm: learning algorithm, a name of `ALGORITHMS`.
         candidates: largest number of seeds to try until the motion of a network is within the arm's limits.
         period: number of epochs between two projections onto scaled adjoints (default: that of the algorithm).
         epochs: largest number of epochs (default: 25000).

@@ -54,7 +54,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm)
     (kp, _), friction = servo_gains(model, basis), dry_friction(model, basis)
     load = np.abs(resting_load(model, arm.qpos(rollout.q[-1:]))[0] @ basis)
-    pace, limits, changes = _pace(rollout), arm.force_limits, rollout.disturbances
+    pace, limits = _pace(rollout), arm.force_limits
     slow = np.abs(rollout.qd[-1]) > _LEAST_EXPLAINED * pace * np.abs(error)
     # A slow servo leaves more than this part of an error at the end of the hold.
     slow &= (np.exp(-pace * rollout.hold) > 0.05) & (rollout.controller in _SERVO_CONTROLLERS)
@@ -85,8 +85,8 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
         if slow[j]:
             reasons[j].append(f"its servo is slow: it still moves, and halves its error in {np.log(2) / pace[j]:.2g} s")
             helpful[j] += ["a longer hold (hold=, --hold)", *stiffer]
-        if changes.payload or changes.mass_scale != 1.0 or changes.pushes:
-            reasons[j].append("the controller knows nothing of payload, changed masses and pushes")
+        if unknown := rollout.disturbances.unknown_loads:
+            reasons[j].append(f"the controller knows nothing of {' and '.join(unknown)}")
     return reasons, helpful
 
 

@@ -256,15 +256,8 @@ def _seconds(time: float | None) -> str:
 
 def _conditions(evaluation: Evaluation) -> str:
     """Disturbances unknown to the controller, and the rate of its reference; empty if there is nothing to report."""
-    changes, rate = evaluation.disturbances, evaluation.reference_rate
-    words = {
-        "reference held at {:g} Hz": rate,
-        "masses times {:g}": changes.mass_scale if changes.mass_scale != 1.0 else None,
-        "payload {:g} kg": changes.payload,
-        "position noise {:g}": changes.position_noise,
-        "velocity noise {:g}": changes.velocity_noise,
-    }
-    said = [text.format(value) for text, value in words.items() if value]
+    rate = evaluation.reference_rate
+    said = [*([f"reference held at {rate:g} Hz"] if rate else []), *evaluation.disturbances.conditions]
     return f"conditions: {', '.join(said)}" if said else ""
 
 

@@ -17,6 +17,10 @@ from lieednn_sim.simulation.moving_obstacles import MovingObstacle
 from lieednn_sim.validation import as_floats, as_nonnegative, as_positive, as_seed, quoted
 from lieednn_sim.values import Floats, check_fields, set_fields
 
+# What is said of a value of `Disturbances` that is not the default: of the arm itself, and of its sensors.
+_OF_ARM = {"mass_scale": "masses times {:g}", "payload": "payload {:g} kg"}
+_OF_SENSORS = {"position_noise": "position noise {:g}", "velocity_noise": "velocity noise {:g}"}
+
 
 @dataclass(frozen=True)
 class Push:
@@ -89,6 +93,16 @@ class Disturbances:
         check_fields(self, as_nonnegative, "payload", "position_noise", "velocity_noise")
         check_fields(self, as_seed, "seed")
 
+    @property
+    def conditions(self) -> list[str]:
+        """How the arm and its sensors differ from what the controller knows, in words; empty if they do not."""
+        return _said(self, _OF_ARM | _OF_SENSORS)
+
+    @property
+    def unknown_loads(self) -> list[str]:
+        """What loads the arm without the controller's knowledge, in words: it can hold a joint off its target."""
+        return [*_said(self, _OF_ARM), *(["pushes"] if self.pushes else [])]
+
     def to_json(self) -> dict[str, Any]:
         """The values in types that JSON has."""
         return dataclasses.asdict(self)
@@ -102,6 +116,11 @@ class Disturbances:
             return cls(**{**value, "pushes": pushes, "obstacles": obstacles})
         except (KeyError, TypeError) as error:
             raise InputError(f"these are no disturbances: {type(error).__name__}: {error}") from None
+
+
+def _said(disturbances: Disturbances, words: Mapping[str, str]) -> list[str]:
+    given = {name: getattr(disturbances, name) for name in words}
+    return [words[name].format(value) for name, value in given.items() if value != getattr(Disturbances, name)]
 
 
 class Pushes:

@@ -22,7 +22,7 @@ def make_plant(
 
     Args:
         arm: the arm; neither its model nor its spec is changed.
-        disturbances: only payload and mass scale are used; gravity compensation stays that of the arm without them.
+        disturbances: what changes the arm itself is used; gravity compensation stays that of the arm without them.
         add_bodies: called with a copy of the arm's spec, to add bodies after the arm's.
     """
     changes = Disturbances() if disturbances is None else disturbances

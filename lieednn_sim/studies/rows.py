@@ -19,6 +19,8 @@ class Column:
         meaning: explanation in one line.
         of_motion: whether it belongs to the plan, so that it is the same for every controller.
         timed: whether it is a time that was measured, which differs between runs.
+        shown: its place in the page's table, from the left, after those of the same place that stand before it; 0
+            where it is only in the files of the table.
     """
 
     name: str
@@ -26,11 +28,12 @@ class Column:
     meaning: str
     of_motion: bool = False
     timed: bool = False
+    shown: int = 0
 
 
-def column(heading: str, meaning: str, *, of_motion: bool = False, timed: bool = False) -> Any:
+def column(heading: str, meaning: str, *, of_motion: bool = False, timed: bool = False, shown: int = 0) -> Any:
     """A field of a row for a measured number, or None; arguments as in `Column`."""
-    about = {"heading": heading, "meaning": meaning, "of_motion": of_motion, "timed": timed}
+    about = {"heading": heading, "meaning": meaning, "of_motion": of_motion, "timed": timed, "shown": shown}
     return field(default=None, metadata=about)
 
 

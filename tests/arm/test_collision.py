@@ -73,6 +73,15 @@ def test_the_least_along_a_path_sees_what_turns_on_the_spot(before, tmp_path):
     assert collisions.least_clearance(turn[:10]) == pytest.approx(0.25)
 
 
+def test_the_least_along_a_path_is_right_where_depths_jump(tmp_path):
+    """By MuJoCo's measure that of a capsule in a box grows by more than the capsule moves."""
+    capsule = '<joint type="slide" axis="1 0 0" range="-1 1"/><geom type="capsule" size="0.05 0.3"/><site name="tool"/>'
+    body = f'<geom type="box" size="0.3 0.1 0.05"/><body euler="0 45 0">{capsule}</body>'
+    (tmp_path / "capsule.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    collisions, path = Collisions(Arm.load(tmp_path / "capsule.xml", floor="none")), np.linspace(0.0, 0.5, 101)[:, None]
+    assert collisions.least_clearance(path) == pytest.approx(min(map(collisions.clearance, path)), abs=2e-6)
+
+
 @pytest.mark.parametrize("scene", ARMS)
 @given(seed=SEEDS, cutoff=st.sampled_from([0.02, 0.1]))
 @settings(max_examples=5)

@@ -165,12 +165,13 @@ def test_the_arm_of_a_mobile_robot_is_found_cut_and_reduced():
 
 
 def test_stages_on_a_tendon_share_its_length_by_its_coefficients():
-    arm, report = arm_of(BY_TENDON)
+    arm, report = arm_of(BY_TENDON.replace('"stage1" type="slide"', '"stage1" type="slide" ref="0.02"'))
     (coupling,) = report.couplings
     assert (coupling.follower, coupling.leader, coupling.ratio) == ("stage2", "stage1", 0.5)
     assert coupling.source == "tendon 'extend'"
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.qpos(arm.keyframe("home"))
+    assert data.qpos[3] == pytest.approx(0.5 * (data.qpos[2] - 0.02)), "both are at their references together"
     data.ctrl[:] = arm.keyframe("home") + np.array([0.0, 0.0, 0.1, 0.0])
     mujoco.mj_step(arm.model, data, 1000)
     moved = data.qpos - arm.qpos(arm.keyframe("home"))

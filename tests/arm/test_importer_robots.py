@@ -127,9 +127,11 @@ def test_home_is_moved_off_parts_that_collide_there_and_the_world_stays_an_obsta
     assert any("touch at home" in note for note in report.notes)
 
 
-def test_what_overlaps_in_every_posture_is_ignored_geom_by_geom():
+@pytest.mark.parametrize("priority", ["0", "1"])
+def test_what_overlaps_in_every_posture_is_ignored_geom_by_geom(priority):
     """The shoulder's ball sits in the column's whatever the arm does; the hand comes down on the column's shelf."""
-    arm, report = arm_of(COLUMN)
+    xml = COLUMN.replace('name="hand"', f'name="hand" priority="{priority}"')
+    arm, report = arm_of(xml)
     always = "contacts ignored between 'arm' and 'column' (150 mm deep): they overlap in every configuration"
     assert always in report.notes
     assert (
@@ -139,7 +141,7 @@ def test_what_overlaps_in_every_posture_is_ignored_geom_by_geom():
     assert ("arm", "column") in arm.contacts([0.0, 1.1])
     # What becomes an explicit pair touches as it did before.
     touching = []
-    for model in (arm.model, mujoco.MjSpec.from_string(COLUMN).compile()):
+    for model in (arm.model, mujoco.MjSpec.from_string(xml).compile()):
         data = mujoco.MjData(model)
         data.qpos[:] = 0.0, 1.1
         mujoco.mj_forward(model, data)
@@ -164,6 +166,7 @@ def test_a_crane_is_encoded_in_units_of_its_size_and_can_be_certified():
     assert 0.9 < np.abs(arm.encode(q)[..., 3:]).max() < 1.1
     np.testing.assert_allclose(arm.decode(arm.encode(q)).q, q, atol=1e-9)
     assert f"unit of length in the network's coordinates: {arm.length_scale:g} m, the furthest" in str(report)
+    assert "ties of s3, s4 made stiff, with solref 0.01 s" in str(report)  # two time steps
     certified = [
         synthesize(arm.encode(x), bias="sign-matched", bias_magnitude=0.5, seed=0).network is not None for x in q[:10]
     ]

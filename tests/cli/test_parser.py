@@ -160,11 +160,14 @@ def test_the_help_lists_what_there_is(capsys):
     assert list(registry.ARMS) == arm_names()
     for command in ("demo", "plan"):
         text = help_of(command)
-        assert all(f"{name}: {entry.help}" in text for name, entry in registry.PLANNERS.entries.items())
+        assert text.index("one of these (default: lieednn-certified;") < text.index("minimum-jerk: straight")
         assert all(name in text for name in (*registry.ARMS, *registry.SCENES))
-    assert all(name in help_of("simulate") for name in registry.CONTROLLERS)
+    for command, listed in (
+        *(("plan", registry.PLANNERS), ("simulate", registry.CONTROLLERS), ("view", registry.POLICIES)),
+        *(("export", registry.FORMATS), ("train", registry.ALGORITHMS)),
+    ):
+        assert all(f"{name}: {entry.help}" in help_of(command) for name, entry in listed.entries.items())
     assert all(name in help_of("compare") for name in registry.PLANNERS.entries)
-    assert all(name in help_of("view") for name in registry.POLICIES)
     assert "--duration X duration of the motion [s] (default: 4)" in help_of("plan")
     assert "--size WxH (width, height) in pixels (default: 1280x720)" in help_of("render")
     assert "--time-budget X largest CPU time for planning [s]; inf for no limit (default: 60)" in help_of("plan")

@@ -59,6 +59,7 @@ def test_the_fastest_run_is_kept_and_simulated(tmp_path, planner):
     """A certified network draws its motion by itself in a duration that was asked for, but not in the least one."""
     pytest.importorskip("toppra")
     directory, words = str(tmp_path), ["--target", "extended", "--planner", planner, "--fastest"]
+    assert main(["plan", *words, "--duration", "0.5", "--output", directory]) == 0  # which is too short
     assert main(["plan", *words, "--output", directory]) == 0
     task, arm = RunDirectory(directory).load_task()
     motion = RunDirectory(directory).load_motion(task)

@@ -58,7 +58,7 @@ def moved(controller="position-servo", disturbances=None, **changes):
             {"compensation": 0.7, "kp": 105, "kv": 110, "lift": 'damping="100"'},
             ["'lift' ends ", "its servo is slow", "in 1.4 s", "a longer hold"],
         ),
-        ({"disturbances": Disturbances(payload=2.0)}, ["'lift' ends 9.81 mm", "knows nothing of payload"]),
+        ({"disturbances": Disturbances(payload=2.0)}, ["'lift' ends 9.81 mm", "knows nothing of payload 2 kg"]),
     ],
 )
 def test_what_holds_a_joint_off_is_told_with_what_it_is_worth(changes, expected):

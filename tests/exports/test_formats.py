@@ -34,6 +34,20 @@ def test_csv_holds_every_number_with_its_name_and_unit(rollout, tmp_path):
     np.testing.assert_array_equal(read["end_effector_qw_1"], rollout.link_quaternion[::5, -1, 0])
 
 
+@pytest.mark.parametrize(
+    "name", [name for name, entry in FORMATS.items() if not entry.of_comparison and not entry.install]
+)
+def test_every_format_of_rollouts_writes_fewer_bytes_at_a_lower_rate(rollout, tmp_path, name):
+    every, fewer = (
+        sum(path.stat().st_size for path in export(rollout, tmp_path / f"{rate:g}", format=name, rate=rate))
+        for rate in (100.0, 10.0)
+    )
+    assert 0 < fewer < every
+    with pytest.raises(InputError, match="rate must divide the simulation's 100 Hz"):
+        export(rollout, tmp_path / "30", format=name, rate=30.0)
+    assert not (tmp_path / "30").exists()
+
+
 def test_files_of_others_are_never_replaced(rollout, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "motion.csv").write_text("mine")
@@ -50,7 +64,6 @@ def test_files_of_others_are_never_replaced(rollout, tmp_path):
     ("source", "options", "message"),
     [
         ("rollout", {"format": "xml"}, "format"),
-        ("rollout", {"rate": 30.0}, "rate must divide the simulation's 100 Hz"),
         ("nowhere", {}, "is made from a rollout"),
         ({}, {}, "nothing to export"),
         ({"../out": "rollout"}, {}, "without folders"),

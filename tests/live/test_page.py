@@ -161,6 +161,7 @@ def test_the_button_pushes_and_the_menu_changes_the_policy(page, browser):
     press(browser, "//*[@role='option'][normalize-space()='fabric']")
     wait(lambda: page.session.tick.policy == "fabric")
     wait(lambda: "none" in text(browser))  # no proof
+    wait(lambda: not page._scene._planned.visible)  # nor a known way
 
 
 @pytest.mark.browser

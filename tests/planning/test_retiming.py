@@ -109,6 +109,8 @@ def test_what_has_no_fastest_motion_is_refused(gantry, monkeypatch):
     arm, motion = straight(gantry, acceleration=[10.0, 20.0, np.inf, 80.0])
     with pytest.raises(InputError, match=r"joint 'z' has no limit of acceleration, .*name one: Arm.load"):
         retime(arm, motion)
+    # What does not move needs none.
+    assert retime(straight(gantry, acceleration=[np.inf, 20.0, 40.0, 80.0])[0], motion).t[-1] < 0.6
     rest = dataclasses.replace(motion, q=np.tile(motion.q[0], (len(motion.t), 1)), qd=np.zeros_like(motion.qd))
     with pytest.raises(InputError, match="the motion goes nowhere"):
         retime(gantry, rest)

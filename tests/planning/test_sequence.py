@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import lieednn_sim as ls
+from lieednn_sim.arm.importer.holding import find_grasp
 from lieednn_sim.arm.models import models_directory
 from lieednn_sim.errors import InputError, PlanError, SimulationError
 
@@ -168,6 +169,11 @@ def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(grasp
     ):
         with pytest.raises(ls.LieEDNNError, match=message):
             ls.plan_in(model, state, JOINTS, goal, holding=holding, **how)
+    # It may also stand on what is fixed beside the arm's own base.
+    own = cell()[0]
+    own.body_rootid[own.body("table").id] = own.body("column").id
+    supports = find_grasp(own, state, "box", "grasp", [], 0.002).supports
+    assert supports.keys() == {(own.geom("box").id, own.geom("table").id)}
 
 
 @pytest.mark.parametrize(

@@ -43,8 +43,8 @@ class World:
         self.accepted += free
         return free
 
-    def path(self, seed: int, start: np.ndarray = START, target: np.ndarray = TARGET) -> np.ndarray | None:
-        world = {"bounds": self.bounds, "longest_edge": self.reach, "clear": self.clear}
+    def path(self, seed: int, start: np.ndarray = START, target: np.ndarray = TARGET, **more) -> np.ndarray | None:
+        world = {"bounds": self.bounds, "longest_edge": self.reach, "clear": self.clear, **more}
         return connected(start, target, **world, over=lambda: len(self.tested) >= self.most, seed=seed)
 
 
@@ -72,6 +72,12 @@ def test_the_straight_way_is_tried_first():
     world = World(2.0)
     np.testing.assert_array_equal(world.path(0), [START, TARGET])
     assert len(world.tested) == 1
+
+
+def test_no_edge_goes_where_a_projection_leads_far_away():
+    rng = np.random.default_rng(0)
+    corners = World(2.0).path(0, onto=lambda point: point if rng.random() < 0.5 else 1.0 - point)
+    assert np.linalg.norm(np.diff(corners, axis=0), axis=1).max() < 2.0 * World.reach
 
 
 @pytest.mark.parametrize("closed", ["start", "target"])

@@ -156,14 +156,18 @@ def test_what_is_in_the_way_by_hand(beside):
 
 
 @pytest.mark.parametrize(("step", "blocked"), [(-0.1, True), (0.0, False), (0.1, False)])
-def test_an_obstacle_is_expected_to_go_on(beside, step, blocked):
+def test_an_obstacle_is_expected_to_go_on(beside, step, blocked, monkeypatch):
     """Five periods of 0.02 s at 1 m/s towards the path, 0.3 s before it is there, or away from it."""
+    searched = []
+    monkeypatch.setattr(replanning, "search_path", lambda _, places, *__: searched.append(places.copy()) or Future())
     policy = ReplanningPolicy(beside, 50.0, feedback=None)
     policy.reset(np.zeros(4))
     for k in range(6):
         policy.see({"obstacle_pole": np.array([1.4 - step * (1.0 - k / 5.0), 0.8, 0.0])})
         policy.step(None, ACROSS)
     assert policy.channels()[3] == blocked
+    # The path that is searched for avoids it where it is.
+    assert [places["obstacle_pole"][0] for places in searched] == [1.4] * blocked
 
 
 def test_searches_have_seeds_of_their_own_and_their_paths_are_looked_at_again(beside, monkeypatch):

@@ -17,7 +17,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.rendering import scene_setup, viser_scene
 from lieednn_sim.rendering.page import render_page
-from lieednn_sim.rendering.recording import record
+from lieednn_sim.rendering.recording import _Copy, record
 from lieednn_sim.rendering.viser_scene import Viewpoint
 
 
@@ -100,6 +100,15 @@ def test_two_arms_side_by_side_share_their_geometry(rollout):
     one, two = record([rollout]), record([rollout, rollout], ["one", "other"])
     assert len(two.content) < 1.35 * len(one.content)
     assert 1.0 <= one.ratio <= two.ratio == pytest.approx(16 / 9)
+
+
+def test_the_planned_path_is_left_out_only_where_it_has_been_travelled(rollout):
+    model, marker = scene_setup.staged(rollout.arm, scene_setup.occupied(rollout))
+    with viser_scene.quiet_server() as server:
+        copy = _Copy(server.scene, viser_scene.Shapes(model), marker, rollout, "/0", np.zeros(3), 1.0)
+        copy.show(0.1)
+        ends = rollout.link_position[[rollout.t.searchsorted(0.1), -1], -1]
+        np.testing.assert_allclose([copy._planned.points[0, 0], copy._planned.points[-1, -1]], ends, atol=1e-4)
 
 
 @pytest.fixture(scope="module")

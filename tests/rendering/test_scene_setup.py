@@ -36,6 +36,9 @@ def test_what_is_added_neither_moves_nor_touches(arm):
     assert len(added) == 4
     assert not (model.geom_contype | model.geom_conaffinity)[added].any()
     assert model.body_mass.sum() == arm.model.body_mass.sum()
+    # Lines are as thick around an arm of two metres as around one of 1.3 m, and thinner around smaller ones.
+    sizes = [scene_setup.scale(arm, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, size]])) for size in (0.65, 1.3, 2.0)]
+    assert sizes == [0.5, 1.0, 1.0]
     native = Arm.load("telescopic_pr")
     same, _ = scene_setup.staged(native, scene_setup.reached(native))
     assert (same.ngeom, same.nbody, same.nlight) == (native.model.ngeom, native.model.nbody, native.model.nlight)

@@ -31,6 +31,14 @@ def test_servos_yield_to_a_payload_by_its_moment_over_their_stiffness(arm, trave
     np.testing.assert_allclose(rollout.q[-1] - q, moment / arm.model.actuator_gainprm[:, 0], rtol=1e-3, atol=1e-8)
 
 
+def test_every_disturbance_has_its_words():
+    given = [entry.name for entry in dataclasses.fields(Disturbances) if isinstance(entry.default, float)]
+    assert len(Disturbances(**dict.fromkeys(given, 1.5)).conditions) == len(given)
+    assert Disturbances().conditions == Disturbances().unknown_loads == []
+    pushed = Disturbances(pushes=(Push("link 1", (0.0, 0.0, 1.0), 0.1, 1.0),), payload=0.5, velocity_noise=0.1)
+    assert pushed.unknown_loads == ["payload 0.5 kg", "pushes"]
+
+
 def test_a_push_acts_while_it_lasts_and_recovery_is_measured(arm, travel):
     q = arm.keyframe("home")
     hand = arm.model.body(arm.frames.bodies[-1]).name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 
 from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
 
@@ -58,51 +59,60 @@ class Row(TableRow):
         "planning [s]",
         "CPU time of the planner, stopped at its time budget; the one column that differs between runs",
         timed=True,
+        shown=12,
     )
     motion_s: float | None = _of_motion("motion [s]", "time at which the plan comes to rest")
     gap_mm: float | None = _of_motion(
-        "gap [mm]", "largest distance of a planned pose from the nearest that its joint can take"
+        "gap [mm]", "largest distance of a planned pose from the nearest that its joint can take", shown=11
     )
-    gap_deg: float | None = _of_motion("gap [deg]", "the same as an angle")
+    gap_deg: float | None = _of_motion("gap [deg]", "the same as an angle", shown=11)
     gap_end_mm: float | None = _of_motion("gap at end [mm]", "mechanism gap of the last planned poses")
     gap_end_deg: float | None = _of_motion("gap at end [deg]", "the same as an angle")
     path_ranges: float | None = _of_motion(
-        "joint path [ranges]", "planned length in joint space, each joint in units of its range"
+        "joint path [ranges]", "planned length in joint space, each joint in units of its range", shown=5
     )
     jerk_joints: float | None = _of_motion(
         "joint jerk [ranges/s³]", "RMS jerk of the planned joints, in units of their ranges"
     )
-    jerk_effector: float | None = _of_motion("effector jerk [m/s³]", "RMS jerk of the planned end-effector path")
+    jerk_effector: float | None = _of_motion(
+        "effector jerk [m/s³]", "RMS jerk of the planned end-effector path", shown=8
+    )
     curvature: float | None = _of_motion(
-        "curvature [1/m]", "RMS curvature along the planned end-effector path, where its speed is above 5 % of the peak"
+        "curvature [1/m]",
+        "RMS curvature along the planned end-effector path, where its speed is above 5 % of the peak",
+        shown=9,
     )
     tube_mm: float | None = _of_motion(
-        "tube [mm]", "largest deviation of all links at once that is proved to end at the target without contact"
+        "tube [mm]",
+        "largest deviation of all links at once that is proved to end at the target without contact",
+        shown=4,
     )
     settling_s: float | None = column(
-        "settled [s]", "time from which every link stays at its target; none when it does not"
+        "settled [s]", "time from which every link stays at its target; none when it does not", shown=7
     )
     final_effector_mm: float | None = column(
         "final effector [mm]", "distance of the end effector from its target at the end"
     )
     final_effector_deg: float | None = column("[deg]", "the same as an angle")
     final_worst_mm: float | None = column(
-        "final worst link [mm]", "distance of the worst link from its target at the end"
+        "final worst link [mm]", "distance of the worst link from its target at the end", shown=1
     )
-    final_worst_deg: float | None = column("[deg]", "the same as an angle")
+    final_worst_deg: float | None = column("[deg]", "the same as an angle", shown=1)
     tracking_rms_mm: float | None = column(
-        "tracking RMS [mm]", "simulated against planned frames, RMS in time, worst link"
+        "tracking RMS [mm]", "simulated against planned frames, RMS in time, worst link", shown=2
     )
-    tracking_rms_deg: float | None = column("[deg]", "the same as an angle")
-    tracking_max_mm: float | None = column("tracking max [mm]", "the largest such distance")
+    tracking_rms_deg: float | None = column("[deg]", "the same as an angle", shown=2)
+    tracking_max_mm: float | None = column("tracking max [mm]", "the largest such distance", shown=2)
     tracking_max_deg: float | None = column("[deg]", "the same as an angle")
-    path_m: float | None = column("effector path [m]", "length of the end effector's simulated path")
-    velocity_fraction: float | None = column("velocity / limit", "largest joint velocity in units of its limit")
+    path_m: float | None = column("effector path [m]", "length of the end effector's simulated path", shown=6)
+    velocity_fraction: float | None = column(
+        "velocity / limit", "largest joint velocity in units of its limit", shown=10
+    )
     force_fraction: float | None = column(
-        "force / limit", "largest actuator force or torque in units of its limit in the weaker direction"
+        "force / limit", "largest actuator force or torque in units of its limit in the weaker direction", shown=10
     )
     clearance_mm: float | None = column(
-        "clearance [mm]", "least clearance along the simulated motion; below 0: penetration"
+        "clearance [mm]", "least clearance along the simulated motion; below 0: penetration", shown=3
     )
     position_violations: int | None = column("position violations", "simulated samples with a joint outside its range")
     position_excess: float | None = column("worst", "how far outside, in units of the range")
@@ -133,3 +143,5 @@ class Row(TableRow):
 
 COLUMNS = columns_of(Row)
 BY_NAME = {entry.name: entry for entry in COLUMNS}
+# Those of the page's table, in their order there.
+SHOWN = sorted((entry for entry in COLUMNS if entry.shown), key=attrgetter("shown"))

@@ -13,7 +13,7 @@ from lieednn_sim import io
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.rendering.page import player
-from lieednn_sim.studies.comparison.rows import BY_NAME, Row
+from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Row
 from lieednn_sim.studies.comparison.statistics import controllers_of, failures, in_order, seeds_by_planner, verdict
 from lieednn_sim.studies.comparison.summary import method, shown
 from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
@@ -23,27 +23,6 @@ from lieednn_sim.studies.report.views import View
 from lieednn_sim.studies.rows import Column
 from lieednn_sim.studies.statistics import Group, grouped
 from lieednn_sim.studies.table import Table
-
-# Columns of the page's table; all others are in the CSV file.
-_SHOWN = (
-    "final_worst_mm",
-    "final_worst_deg",
-    "tracking_rms_mm",
-    "tracking_rms_deg",
-    "tracking_max_mm",
-    "clearance_mm",
-    "tube_mm",
-    "path_ranges",
-    "path_m",
-    "settling_s",
-    "jerk_effector",
-    "curvature",
-    "velocity_fraction",
-    "force_fraction",
-    "gap_mm",
-    "gap_deg",
-    "planning_s",
-)
 
 
 def write_page(
@@ -137,7 +116,7 @@ def _violations(group: Group[Row]) -> int:
 def _columns() -> list[Column]:
     """The columns of the page's table, with full headings for angles, which follow their distances."""
     columns: list[Column] = []
-    for column in (BY_NAME[name] for name in _SHOWN):
+    for column in SHOWN:
         own = column.heading != "[deg]"
         columns.append(column if own else replace(column, heading=columns[-1].heading.replace("[mm]", "[deg]")))
     return columns

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from lieednn_sim.studies import Comparison, Settings, write_summary
-from lieednn_sim.studies.comparison.rows import BY_NAME, COLUMNS, Row
+from lieednn_sim.studies.comparison.rows import BY_NAME, COLUMNS, SHOWN, Row
 from lieednn_sim.studies.comparison.statistics import controllers_of, verdict
 from lieednn_sim.studies.comparison.summary import method
 from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
 from lieednn_sim.studies.reactions.study import Reactions
 from lieednn_sim.studies.report import figures, page, write_page
-from lieednn_sim.studies.report.page import _SHOWN
 
 # In this order in the registry, and so in what is shown.
 FIRST, SECOND, THIRD = "minimum-jerk", "se3-geodesic", "rrt-connect"
@@ -71,14 +70,14 @@ def test_the_page_has_each_median_in_its_column(table, tmp_path):
     medians = ((2, 4.0, 5.0, 9.0, 1), (3, 7.0, 3.0, 8.0, 0), (3, 99.0, 1e-9, 7.0, 0), (2, 0.5, 40.0, 3.0, 0))
     for line, (successes, planning, tracking, clearance, violations) in zip(lines, medians, strict=True):
         values = [float(value) for value in re.findall(r'data-value="([^"]*)"', line)]
-        expected = {name: getattr(row(FIRST, 0), name) for name in _SHOWN}
+        expected = {column.name: getattr(row(FIRST, 0), column.name) for column in SHOWN}
         expected |= {"planning_s": planning, "tracking_rms_mm": tracking, "clearance_mm": clearance}
         assert values == pytest.approx([successes / 3, *expected.values(), violations])
         low, high = {2: (21, 94), 3: (44, 100)}[successes]
         assert f"{successes}/3" in line
         assert f"{low}\N{EN DASH}{high} %" in line
     titles = [html.unescape(title) for title in re.findall(r'title="([^"]*)"', body[: body.index("</thead>")])]
-    assert titles[1 : len(_SHOWN) + 1] == [BY_NAME[name].meaning for name in _SHOWN]
+    assert titles[1 : len(SHOWN) + 1] == [column.meaning for column in SHOWN]
 
 
 def test_reactions_stand_below_their_heads(table, tmp_path, monkeypatch):
