@@ -20,7 +20,7 @@ from lieednn_sim.values import frozen
 IDENTITIES = {
     *("Chain", "Coordinates", "Factor", "CompoundJoint", "CompoundJoints", "MovingPoses", "MatrixLieGroup"),
     *("PlanningProblem", "PolicyTask", "NetworkPath", "SerialArm", "Arm", "Frame", "Dof", "Joint"),
-    *("Transition", "Deviations"),
+    *("Transition", "Deviations", "BodyFrames"),
 }
 
 

@@ -29,7 +29,7 @@ from lieednn_sim.arm.visuals import discard_visuals, moves_alike
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import rotations
 from lieednn_sim.registry import SCENES
-from lieednn_sim.validation import Seed, as_choice, as_floats, as_path, as_seed, quoted
+from lieednn_sim.validation import Seed, as_choice, as_count, as_floats, as_path, as_seed, quoted
 from lieednn_sim.values import Floats
 
 
@@ -348,6 +348,7 @@ class Arm(SerialArm):
 
     def moved_by(self, body: int) -> NDArray[np.bool_]:
         """Which degrees of freedom ``(nv,)`` move a body, by its id; for what is carried, those of what carries it."""
+        body = as_count("body", body, 0, self.model.nbody - 1)
         carried = self.grasp is not None and body in self.grasp.bodies
         return moved_by(self.model, self.grasp.carrier if self.grasp is not None and carried else body)
 

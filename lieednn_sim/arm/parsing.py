@@ -72,6 +72,7 @@ def read_arm(
     """
     check_numbers(model)
     check_integrator(model, arm)
+    viewed = chain is not None
     chain = read_chain(model, arm) if chain is None else chain
     group = [joint for group in chain.groups for joint in group]
     if ranges is None:
@@ -89,11 +90,11 @@ def read_arm(
         "mounts": mounts,
         "tips": tips,
         "position_limits": read_position_limits(model, chain, space, ranges),
-        "velocity_limits": read_numeric(model, arm, "velocity_limit", unlimited),
-        "acceleration_limits": read_numeric(model, arm, "acceleration_limit", unlimited),
-        "jerk_limits": read_numeric(model, arm, "jerk_limit", unlimited),
+        "velocity_limits": read_numeric(model, arm, "velocity_limit", unlimited, viewed),
+        "acceleration_limits": read_numeric(model, arm, "acceleration_limit", unlimited, viewed),
+        "jerk_limits": read_numeric(model, arm, "jerk_limit", unlimited, viewed),
         "force_limits": read_force_limits(model, space),
-        "length_scale": float(read_numeric(model, arm, "length_scale", np.ones(1))[0]),
+        "length_scale": float(read_numeric(model, arm, "length_scale", np.ones(1), viewed)[0]),
         "frames": BodyFrames.of(chain.frames[1:]),
     }
 
@@ -215,10 +216,15 @@ def read_force_limits(model: mujoco.MjModel, coordinates: Coordinates) -> Floats
     return np.minimum(-low, high)
 
 
-def read_numeric(model: mujoco.MjModel, arm: str, field: str, default: Floats) -> Floats:
-    """A custom numeric of the model with as many values as ``default``, all of them positive."""
+def read_numeric(model: mujoco.MjModel, arm: str, field: str, default: Floats, viewed: bool) -> Floats:
+    """A custom numeric of the model with as many values as ``default``, all of them positive.
+
+    In a model of which the arm is a view, one with another number of values is for another arm, and left out.
+    """
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, field)
-    values = default if index < 0 else np.array(model.numeric(index).data)
+    values = default.copy() if index < 0 else np.array(model.numeric(index).data)
+    if viewed and len(values) != len(default):
+        return default.copy()
     if len(values) != len(default):
         raise InputError(f"numeric {field!r} of arm {arm!r} has {len(values)} values, expected {len(default)}")
     if not (values > 0.0).all():

@@ -15,7 +15,7 @@ from lieednn_sim.arm.forces import resting_load
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame
 from lieednn_sim.arm.importer.compound_joints import cut
 from lieednn_sim.arm.importer.coupled_joints import find_couplings
-from lieednn_sim.arm.importer.limits import RATE_LIMITS, check_rates
+from lieednn_sim.arm.importer.limits import check_rates
 from lieednn_sim.arm.importer.mechanism import joint_ranges
 from lieednn_sim.arm.importer.serial_chain import named_chain
 from lieednn_sim.arm.parsing import Chain, read_arm
@@ -71,8 +71,6 @@ def read_view(
     ranges = joint_ranges(own, groups, couplings, notes, qpos)
     fields = read_arm(own, "arm", chain, rest=qpos, lines=couplings.lines, ranges=ranges)
     space: Coordinates = fields["space"]
-    for what in RATE_LIMITS:
-        fields[f"{what}_limits"] = fields[f"{what}_limits"].copy()
     fields["acceleration_limits"] = _acceleration_limits(own, fields)
     for coordinate, given in (limits or {}).items():
         index = space.names.index(as_choice("coordinate", coordinate, space.names))

@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import lieednn_sim as ls
-from lieednn_sim.arm.importer.holding import find_grasp
 from lieednn_sim.arm.models import models_directory
 from lieednn_sim.errors import InputError, PlanError, SimulationError
 
@@ -172,8 +171,9 @@ def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(grasp
     # It may also stand on what is fixed beside the arm's own base.
     own = cell()[0]
     own.body_rootid[own.body("table").id] = own.body("column").id
-    supports = find_grasp(own, state, "box", "grasp", [], 0.002).supports
-    assert supports.keys() == {(own.geom("box").id, own.geom("table").id)}
+    held = ls.Arm.of(own, state, JOINTS, tip="grasp").holding("box")
+    stood_on = {pair for pair, offset in held.offsets.items() if np.isfinite(offset)}
+    assert stood_on == {(own.geom("box").id, own.geom("table").id)}
 
 
 @pytest.mark.parametrize(
