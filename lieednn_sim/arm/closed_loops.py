@@ -137,9 +137,9 @@ class ClosedLoops:
         if large.any():
             tied = {joint for joint, column in zip(joints, large.T, strict=True) if column.any()}
             raise InputError(
-                f"{names(self._model, tied)} cannot move independently: {self._residuals.owners(large.any(axis=1))} "
-                f"ties them; leave {np.linalg.matrix_rank(left, 1e-6)} of them out of the independent joints, or "
-                "deactivate it"
+                f"joints {names(self._model, tied)} cannot move independently, because of "
+                f"{self._residuals.owners(large.any(axis=1))}; leave {np.linalg.matrix_rank(left, 1e-6)} of them out "
+                "of the independent joints, or deactivate the equality"
             )
 
     def _newton(self, qpos: Floats, moved: float) -> Floats | None:
@@ -202,7 +202,8 @@ class ClosedLoops:
             yield near
         if not on_path:
             yield last
-        yield self._reference
+        if last is not self._reference:
+            yield self._reference
 
     def _solution_near(self, row: Floats) -> _Solution | None:
         """The solution on a grid point of the independent joints near ``row``; None where it is not reached."""
@@ -238,10 +239,11 @@ class ClosedLoops:
             loose = [
                 j for j in self._joints if np.abs(free[:, np.isin(self.dofs, dof_addresses(model, [j]))]).max() > 1e-6
             ]
+            chosen = _determining(model, loose, free, self.dofs)
+            more = f"add {len(chosen)} of these to them, for example {names(model, chosen)}, or " if chosen else ""
             raise InputError(
-                f"{names(model, loose)} are moved by the arm's loops but not determined by its independent joints; "
-                f"add {len(free)} of these to them{_for_example(model, loose, free, self.dofs)}, "
-                "or hold them by an equality"
+                f"joints {names(model, loose)} are moved by the arm's loops but not determined by its independent "
+                f"joints; {more}hold them by another equality"
             )
         if len(free):
             raise NoSolutionError(
@@ -254,12 +256,12 @@ class ClosedLoops:
         dependent = np.setdiff1d(np.arange(self._model.nq), self._residuals.given)
         start[dependent] = furthest.qpos[dependent]
         residual, _ = self._residuals.settle(start)
-        gap = "the loops close, but not on the branch of the state"
+        gap = "the loops close, but a dead centre is on the way from the state, or there"
         if np.abs(residual).max(initial=0.0) > CLOSED:
-            gap = f"{self._residuals.gap(residual)} whatever {names(self._model, self._joints)} do"
+            gap = f"{self._residuals.gap(residual)}, whatever {names(self._model, self._joints)} do"
         return NoSolutionError(
-            f"no solution for row {number}, where {self._drivers_at(row)}: {gap}; coming from the state the last "
-            f"solution is where {self._drivers_at(furthest.qpos)}, so keep the independent joints on that side"
+            f"no solution for row {number}, where {self._drivers_at(row)}: {gap}; on the way there the last solution "
+            f"is where {self._drivers_at(furthest.qpos)}, so keep the independent joints on that side"
         )
 
     def _drivers_at(self, qpos: Floats) -> str:
@@ -268,7 +270,7 @@ class ClosedLoops:
         return ", ".join(f"{name} = {' '.join(f'{x:.4g}' for x in value)}" for name, value in values)
 
 
-def _for_example(model: mujoco.MjModel, loose: Sequence[int], free: Floats, dofs: Indices) -> str:
+def _determining(model: mujoco.MjModel, loose: Sequence[int], free: Floats, dofs: Indices) -> list[int]:
     """Hinges and slides that determine the free directions ``(F, D)``, those that move most first."""
     kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     columns = {j: free[:, dofs == model.jnt_dofadr[j]][:, 0] for j in loose if model.jnt_type[j] in kinds}
@@ -280,4 +282,4 @@ def _for_example(model: mujoco.MjModel, loose: Sequence[int], free: Floats, dofs
         chosen.append(best)
         unit = columns[best] / np.linalg.norm(columns[best])
         columns = {j: column - (column @ unit) * unit for j, column in columns.items()}
-    return f", for example {names(model, chosen)}" if chosen else ""
+    return chosen
