@@ -65,10 +65,6 @@ def check(model, data, dependents, rows, accuracy=1e-10):
     return rows
 
 
-def crane(jacobian="dense"):
-    return make(*CRANE, "slew luff extend", jacobian)
-
-
 def stroke(luff):
     """The law of cosines: both lugs seen from the boom's hinge, and the angle between them."""
     a, b = np.hypot(1.5, 0.1), np.hypot(0.3, 1.2)
@@ -78,7 +74,7 @@ def stroke(luff):
 
 @pytest.mark.parametrize("jacobian", ["dense", "sparse"])
 def test_the_cylinder_of_a_crane_takes_three_iterations(monkeypatch, jacobian):
-    model, data, dependents = crane(jacobian)
+    model, data, dependents = make(*CRANE, "slew luff extend", jacobian)
     assert [model.joint(j).name for j in dependents.joints] == ["swivel", "stroke"]
     assert (dependents.linear, dependents.coupling) == (False, None)
     luff, calls, real = np.linspace(-0.3, 1.2, 200), [], mujoco.mj_makeConstraint
@@ -94,12 +90,12 @@ def test_the_cylinder_of_a_crane_takes_three_iterations(monkeypatch, jacobian):
 
 
 def test_a_jump_is_a_path_and_does_not_depend_on_earlier_calls():
-    model, _, dependents = crane()
+    model, _, dependents = make(*CRANE, "slew luff extend")
     luff = np.random.default_rng(0).uniform(-0.9, 1.6, 200)
     once = dependents.to_qpos(rows_at(model, luff=luff, slew=8 * luff, extend=0))
     assert column(model, once, "stroke") == pytest.approx(stroke(luff), abs=1e-10)
     assert dependents.to_qpos(once[-1]) == pytest.approx(once[-1], abs=1e-10)
-    assert np.array_equal(crane()[2].to_qpos(once[-1]), dependents.to_qpos(once[-1]))
+    assert np.array_equal(make(*CRANE, "slew luff extend")[2].to_qpos(once[-1]), dependents.to_qpos(once[-1]))
 
 
 def test_a_four_bar_stays_on_its_branch_through_a_turn():
@@ -111,6 +107,18 @@ def test_a_four_bar_stays_on_its_branch_through_a_turn():
     by_hand = np.arctan2(z, x) - np.arccos((d**2 + 0.7**2 - 0.9**2) / (2 * d * 0.7))
     assert np.exp(1j * column(model, solved, "rocker")) == pytest.approx(np.exp(1j * by_hand), abs=1e-10)
     assert dependents.to_qpos(rows_at(model, crank=angle[-1])) == pytest.approx(solved[-1:], abs=1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_a_jump_ends_where_a_fine_path_does(seed):
+    rng = np.random.default_rng(seed)
+    try:
+        dependents = make(*four_bar(*rng.uniform(0.2, 1.2, 3)), "crank", crank=0.3, coupler=1, rocker=2)[2]
+        path = dependents.to_qpos(np.linspace([0.3, 0, 0], [0.3 + rng.uniform(-2, 2), 0, 0], 300))
+    except NoSolutionError:
+        return
+    assert dependents.to_qpos(path[-1]) == pytest.approx(path[-1], abs=1e-8)
 
 
 def test_what_is_too_short_or_at_a_dead_centre_is_said():
@@ -140,9 +148,9 @@ def test_the_hand_of_a_palletiser_stays_level():
 
 
 def test_the_stage_of_a_scissor_lift_rises_by_pythagoras():
-    model, data, dependents = make(*SCISSOR, "push", a=0.5, cross=-1, push=0.87, z=0.48, roll=0.87)
+    model, *more = make(*SCISSOR, "push", a=0.5, cross=-1, push=0.87, z=0.48, roll=0.87)
     push = np.linspace(0.97, 0.2, 30)
-    solved = check(model, data, dependents, rows_at(model, push=push))
+    solved = check(model, *more, rows_at(model, push=push))
     assert column(model, solved, "z") == pytest.approx(np.sqrt(1 - push**2), abs=1e-9)
 
 
@@ -161,6 +169,15 @@ def test_followers_in_closed_form_and_polynomials_backwards():
     assert 0.2 + solved[:, 1] + 2 * solved[:, 1] ** 3 == pytest.approx(x, abs=1e-10)
 
 
+def test_lengths_of_tendons_tie_joints():
+    bodies = body("b1", slide("x"), body("b2", slide("y") + slide("z")))
+    rope = '<fixed name="rope"><joint joint="x" coef="1"/><joint joint="y" coef="-2"/></fixed>'
+    reel = f'</equality><tendon>{rope}<fixed name="reel"><joint joint="z" coef="1"/></fixed></tendon><equality>'
+    ties = '<tendon tendon1="rope" polycoef=".1 0 0 0 0"/><tendon tendon1="reel" tendon2="rope" polycoef="0 2 0 0 0"/>'
+    model, data, dependents = make(bodies, reel + ties, "x")
+    assert check(model, data, dependents, rows_at(model, x=0.4)) == pytest.approx(np.array([[0.4, 0.15, 0.2]]))
+
+
 def test_a_drum_leads_two_stages_backwards():
     stages = body("s1", slide("out1"), body("s2", slide("out2", more='range="-1 .4"'), body("s3", slide("out3"))))
     ties = tied("out1", "drum", ".01 .05 0 0 0") + tied("out2", "drum", "0 .1 0 0 0")
@@ -173,8 +190,8 @@ def test_a_drum_leads_two_stages_backwards():
     solved = check(model, data, dependents, rows, 1e-14)
     assert solved[:, [0, 6, 7]] == pytest.approx(np.array([[0, 0, 0], [1, 0.1, -0.1]]), abs=1e-14)
     assert dependents.linear
-    q = np.array([0.0, 0.0, 0.0, 0.06])
-    assert (dependents.coupling @ q + dependents.offset)[[0, 5, 6, 7]] == pytest.approx(solved[1, [0, 5, 6, 7]])
+    line = dependents.coupling @ [0.0, 0.0, 0.0, 0.06] + dependents.offset
+    assert line[[0, 5, 6, 7]] == pytest.approx(solved[1, [0, 5, 6, 7]])
     assert np.array_equal(dependents.basis(solved)[1], dependents.rates)
     assert dependents.follower_limits()[-1] == pytest.approx([-0.04, 0.16])
     assert np.isinf(dependents.follower_limits()[:3]).all()
@@ -203,7 +220,7 @@ def test_what_cannot_be_independent_is_said():
         with pytest.raises(InputError, match=words):
             make(body("a", slide("x")) + body("b", '<freejoint name="f"/>'), '<joint joint1="x"/>', joints)
     with pytest.raises(InputError, match="got shape"):
-        crane()[2].to_qpos(np.zeros(3))
+        make(*CRANE, "slew luff extend")[2].to_qpos(np.zeros(3))
 
 
 @given(seed=st.integers(0, 2**32 - 1))
