@@ -1,0 +1,285 @@
+"""Positions and velocities of the joints of closed loops, by Newton's method on MuJoCo's own equality constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.equalities import (
+    EXACT,
+    Indices,
+    Residuals,
+    dof_addresses,
+    names,
+    position_addresses,
+    turns,
+)
+from lieednn_sim.errors import InputError, NoSolutionError
+from lieednn_sim.values import Floats
+
+# The largest residual [m, rad] that is accepted, where rounding allows no less.
+CLOSED = 1e-10
+# Singular values below this part of the largest count as zero: the loop is at a dead centre, or not determined.
+SINGULAR = 1e-5
+# The most that a joint turns in one step along the way to a configuration [rad], and the least part of the way.
+LARGEST_TURN, LEAST_STEP = 0.5, 1e-3
+# Grid of the configurations from which others are reached [rad; part of the model's extent], and how many are kept.
+GRID_TURN, GRID_SLIDE, GRID_SIZE = 0.25, 0.05, 4096
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """A configuration ``(nq,)`` that closes the loops, and the Jacobian ``(E, nv)`` of their residual there."""
+
+    qpos: Floats
+    jacobian: Floats
+
+
+class ClosedLoops:
+    """The joints that equality constraints of closed loops move when others are given.
+
+    A solution is followed from the model's state along a straight line in the given joints, so that the loops stay on
+    the branch of the state. It does not depend on earlier calls. It uses one `mujoco.MjData`: one thread at a time.
+
+    Args:
+        model: the compiled model, which is not changed.
+        data: the state; copied.
+        equalities: the loops' equalities.
+        joints: the dependent joints of the loops, of any kind.
+        drivers: dofs of the independent joints that move them.
+        follow: sets the joints of ``(nq,)`` that follow the independent ones in closed form, in place.
+
+    Raises:
+        NoSolutionError: the loops cannot be closed near the state, or it is a dead centre.
+        InputError: the dependent joints are not determined.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        equalities: Sequence[int],
+        joints: Sequence[int],
+        drivers: Indices,
+        follow: Callable[[Floats], object],
+    ) -> None:
+        self._model, self._joints, self._drivers, self._follow = model, tuple(joints), drivers, follow
+        self._residuals = Residuals(model, data, equalities, joints)
+        self.dofs = self._residuals.dofs
+        self._grid = np.where(turns(model, drivers), GRID_TURN, GRID_SLIDE * model.stat.extent)
+        self._near: dict[tuple[int, ...], _Solution | None] = {}
+        start = data.qpos.copy()
+        follow(start)
+        residual, start = self._residuals.settle(start)
+        # Equalities without dependent joints tie independent ones, which `check_independent` says.
+        if joints and np.abs(residual).max(initial=0.0) > CLOSED:
+            raise NoSolutionError(
+                f"in the given state {self._residuals.gap(residual)}, and no position of {names(model, joints)} near "
+                "it closes the gap; put a state into data.qpos in which the parts meet, or check the anchors"
+            )
+        self._reference = _Solution(start, self._residuals.at(start)[1])
+        self._check_determined()
+
+    def solve(self, rows: Floats) -> None:
+        """Set the dependent joints of the rows ``(S, nq)``, in place; all other joints are given.
+
+        Raises:
+            NoSolutionError: a row has no solution, or none that is reached from the state.
+        """
+        last = self._reference
+        for number, row in enumerate(rows):
+            furthest, most = last, -1.0
+            for start in self._starts(last, row):
+                solution, reached = self._track(start, row)
+                if reached == 1.0:
+                    break
+                if reached > most:
+                    furthest, most = solution, reached
+            else:
+                raise self._failure(number, row, furthest)
+            last = solution
+            row[:] = solution.qpos
+
+    def slopes(self, qpos: Floats, known: Floats) -> Floats:
+        """Velocities ``(D, m)`` of the dependent dofs at the closed configuration ``(nq,)``: -J_d^+ J_i V.
+
+        Args:
+            qpos: the configuration.
+            known: V ``(nv, m)``, the velocities of the other dofs for each independent rate.
+
+        Raises:
+            NoSolutionError: the configuration is a dead centre.
+        """
+        jacobian, given = self._residuals.at(qpos)[1], self._residuals.known
+        right = -jacobian[:, given] @ known[given]
+        result, _, _, singular = np.linalg.lstsq(jacobian[:, self.dofs], right, rcond=None)
+        if len(singular) and singular[-1] <= SINGULAR * singular[0]:
+            raise NoSolutionError(
+                f"joints {names(self._model, self._joints)} are at a dead centre (singular) where "
+                f"{self._drivers_at(qpos)}: their velocities are not determined; keep away from there"
+            )
+        return np.asarray(result, dtype=float)
+
+    def check_independent(self, known: Floats, joints: Sequence[int]) -> None:
+        """Raise `InputError` where the loops leave the independent joints less freedom than they have, at the state.
+
+        Args:
+            known: V ``(nv, m)`` as in `slopes`.
+            joints: the joint of each independent rate.
+        """
+        jacobian = self._residuals.at(self._reference.qpos)[1]
+        given = jacobian[:, self._residuals.known] @ known[self._residuals.known]
+        left = given + jacobian[:, self.dofs] @ self._residuals.least_squares(jacobian, given)
+        large = np.abs(left) > 1e-6 * max(1.0, np.abs(given).max(initial=0.0))
+        if large.any():
+            tied = {joint for joint, column in zip(joints, large.T, strict=True) if column.any()}
+            raise InputError(
+                f"joints {names(self._model, tied)} cannot move independently, because of "
+                f"{self._residuals.owners(large.any(axis=1))}; leave {np.linalg.matrix_rank(left, 1e-6)} of them out "
+                "of the independent joints, or deactivate the equality"
+            )
+
+    def _newton(self, qpos: Floats, moved: float) -> Floats | None:
+        """Close the loops in place after a motion of size ``moved``; the Jacobian there, or None if it went too far.
+
+        Corrections that shrink by 4, the first one against the motion, leave Newton's method no way to another branch.
+        """
+        while True:
+            residual, jacobian = self._residuals.at(qpos)
+            error = np.abs(residual).max(initial=0.0)
+            if error < EXACT:
+                return jacobian
+            step = self._residuals.least_squares(jacobian, residual)
+            size = float(np.linalg.norm(step))
+            if size > 0.25 * moved or size == 0.0:
+                return jacobian if error < CLOSED else None
+            self._residuals.move(qpos, step)
+            moved = size
+
+    def _track(self, solution: _Solution, target: Floats) -> tuple[_Solution, float]:
+        """Follow a solution towards the given joints of ``target``; the last solution, and its part of the way."""
+        known, involved, turning = self._residuals.known, self._residuals.involved, self._residuals.turning
+        change = self._residuals.difference(solution.qpos, target)
+        change[self.dofs] = 0.0
+        turn = np.abs(change[turning]).max(initial=0.0)
+        longest = min(1.0, LARGEST_TURN / turn) if turn else 1.0
+        reached, size = 0.0, longest
+        while reached < 1.0:
+            final = size >= 1.0 - reached
+            motion = change * min(size, 1.0 - reached)
+            rates = solution.jacobian[:, known] @ motion[known]
+            motion[self.dofs] = self._residuals.least_squares(solution.jacobian, rates)
+            jacobian = None
+            if np.abs(motion[turning]).max(initial=0.0) <= 1.001 * LARGEST_TURN:
+                qpos = solution.qpos.copy()
+                mujoco.mj_integratePos(self._model, qpos, motion, 1.0)
+                if final:
+                    qpos[self._residuals.given] = target[self._residuals.given]
+                else:
+                    self._follow(qpos)
+                jacobian = self._newton(qpos, float(np.linalg.norm(motion[involved])))
+            if jacobian is not None:
+                solution = _Solution(qpos, jacobian)
+                reached = 1.0 if final else reached + size
+                size = min(2.0 * size, longest)
+            elif size <= LEAST_STEP:
+                break
+            else:
+                size *= 0.5
+        return solution, reached
+
+    def _starts(self, last: _Solution, row: Floats) -> Iterator[_Solution]:
+        """Solutions from which to go to ``row``: on a path the last one; after a jump, one near by, found before."""
+        steps = self._residuals.difference(last.qpos, row)[self._drivers] / self._grid
+        on_path = bool(np.abs(steps).max(initial=0.0) <= 1.0)
+        if on_path:
+            yield last
+        near = self._solution_near(row)
+        if near is not None:
+            yield near
+        if not on_path:
+            yield last
+        if last is not self._reference:
+            yield self._reference
+
+    def _solution_near(self, row: Floats) -> _Solution | None:
+        """The solution on a grid point of the independent joints near ``row``; None where it is not reached."""
+        steps = np.rint(self._residuals.difference(self._reference.qpos, row)[self._drivers] / self._grid)
+        key = tuple(map(int, steps))
+        if key not in self._near:
+            motion = np.zeros(self._model.nv)
+            motion[self._drivers] = steps * self._grid
+            target = self._reference.qpos.copy()
+            mujoco.mj_integratePos(self._model, target, motion, 1.0)
+            self._follow(target)
+            if len(self._near) >= GRID_SIZE:
+                self._near.clear()
+            solution, reached = self._track(self._reference, target)
+            self._near[key] = solution if reached == 1.0 else None
+        return self._near[key]
+
+    def _check_determined(self) -> None:
+        """Raise `InputError` where dependent joints can move alone, `NoSolutionError` where they are singular."""
+        model, start = self._model, self._reference.qpos
+        _, singular, directions = np.linalg.svd(self._reference.jacobian[:, self.dofs])
+        free = directions[np.count_nonzero(singular > SINGULAR * singular.max(initial=0.0)) :]
+        # At a dead centre, Newton's method comes back from a small motion along such a direction; a free joint stays.
+        small, moving = 1e-2, []
+        for direction in free:
+            qpos = start.copy()
+            self._residuals.move(qpos, small * direction)
+            if self._newton(qpos, small) is not None:
+                moved = self._residuals.difference(start, qpos)[self.dofs]
+                if np.linalg.norm(moved) > 0.5 * small:
+                    moving.append(direction)
+        if moving:
+            loose = [
+                j for j in self._joints if np.abs(free[:, np.isin(self.dofs, dof_addresses(model, [j]))]).max() > 1e-6
+            ]
+            chosen = _determining(model, loose, free, self.dofs)
+            more = f"add {len(chosen)} of these to them, for example {names(model, chosen)}, or " if chosen else ""
+            raise InputError(
+                f"joints {names(model, loose)} are moved by the arm's loops but not determined by its independent "
+                f"joints; {more}hold them by another equality"
+            )
+        if len(free):
+            raise NoSolutionError(
+                f"the given state is a dead centre (singular) of the loops of {names(model, self._joints)}, where "
+                "these can move in two ways; put a state into data.qpos that is away from it"
+            )
+
+    def _failure(self, number: int, row: Floats, furthest: _Solution) -> NoSolutionError:
+        start = row.copy()
+        dependent = np.setdiff1d(np.arange(self._model.nq), self._residuals.given)
+        start[dependent] = furthest.qpos[dependent]
+        residual, _ = self._residuals.settle(start)
+        gap = "the loops close, but a dead centre is on the way from the state, or there"
+        if np.abs(residual).max(initial=0.0) > CLOSED:
+            gap = f"{self._residuals.gap(residual)}, whatever {names(self._model, self._joints)} do"
+        return NoSolutionError(
+            f"no solution for row {number}, where {self._drivers_at(row)}: {gap}; on the way there the last solution "
+            f"is where {self._drivers_at(furthest.qpos)}, so keep the independent joints on that side"
+        )
+
+    def _drivers_at(self, qpos: Floats) -> str:
+        joints = dict.fromkeys(map(int, self._model.dof_jntid[self._drivers]))
+        values = ((names(self._model, [j]), qpos[position_addresses(self._model, [j])]) for j in joints)
+        return ", ".join(f"{name} = {' '.join(f'{x:.4g}' for x in value)}" for name, value in values)
+
+
+def _determining(model: mujoco.MjModel, loose: Sequence[int], free: Floats, dofs: Indices) -> list[int]:
+    """Hinges and slides that determine the free directions ``(F, D)``, those that move most first."""
+    kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    columns = {j: free[:, dofs == model.jnt_dofadr[j]][:, 0] for j in loose if model.jnt_type[j] in kinds}
+    chosen: list[int] = []
+    for _ in free:
+        best = max(columns, key=lambda j: float(np.linalg.norm(columns[j])), default=None)
+        if best is None or np.linalg.norm(columns[best]) < 1e-6:
+            break
+        chosen.append(best)
+        unit = columns[best] / np.linalg.norm(columns[best])
+        columns = {j: column - (column @ unit) * unit for j, column in columns.items()}
+    return chosen

@@ -1,0 +1,255 @@
+"""Joints of any MuJoCo model that the independent joints of an arm move through its active equality constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import JOINT_KINDS
+from lieednn_sim.arm.closed_loops import ClosedLoops
+from lieednn_sim.arm.equalities import dof_addresses, equality_name, involved_joints, names, position_addresses
+from lieednn_sim.errors import InputError
+from lieednn_sim.values import Floats
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A hinge or slide at y = c_0 + c_1 (x - x0) + c_2 (x - x0)^2 + ..., x the position of its leader [rad, m].
+
+    Attributes:
+        joint: its id.
+        leader: the leader's id; None of a joint that an equality fixes at c_0.
+        coefficients: c_0, c_1, ..., the last one not zero unless it is c_0.
+        x0: [rad, m].
+    """
+
+    joint: int
+    leader: int | None
+    coefficients: tuple[float, ...]
+    x0: float
+
+
+class Dependents:
+    """The dependent joints of a compiled model, in a given state, and where they are.
+
+    Joints tied to one other joint by an equality are a closed form of it: linear and polynomial followers, chains of
+    them, and leaders that follow the independent joint that they lead by a straight line. The others, in closed
+    loops by connect, weld and tendon equalities, are solved by Newton's method from the state. Loops between joints
+    that the arm does not move relative to each other, such as a gripper's, are left alone.
+
+    Args:
+        model: the compiled model, which is not changed.
+        data: its state: which equalities are active, where mocap bodies are, and on which branch the loops are.
+        independent: ids of the arm's independent hinge, slide and ball joints.
+
+    Attributes:
+        independent: their ids, in the model's order.
+        dofs: ``(m,)`` addresses in qvel of the independent rates, three for a ball.
+        joints: ids of the dependent joints, in the model's order, free ones and those that equalities fix included.
+        linear: whether all dependent joints are affine functions of the independent ones.
+        coupling: ``(nq, m)``, if linear: qpos = coupling q + offset, but for the quaternions of balls (rows of 0).
+        offset: ``(nq,)``, if linear; the position in the state of the joints that are not the arm's.
+        rates: ``(nv, m)``, if linear: the same for velocities, with the identity for balls, too.
+
+    Raises:
+        InputError: a joint is not independent, or the dependent ones are not determined.
+        NoSolutionError: the state is not near a solution, or at a dead centre.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, independent: Sequence[int]) -> None:
+        self._model = model
+        self.independent = tuple(sorted(int(joint) for joint in independent))
+        _check_joints(model, self.independent)
+        self.dofs = dof_addresses(model, self.independent)
+        active = np.flatnonzero(data.eq_active * _equalities_enabled(model))
+        self._followers, roots, remaining = _in_closed_form(model, [int(e) for e in active], self.independent)
+        equalities, looped = _loops_of(model, remaining, roots)
+        self.joints = tuple(sorted({follower.joint for follower in self._followers} | looped))
+        self._loops: ClosedLoops | None = None
+        qpos = np.array(data.qpos)
+        if equalities:
+            moving = {roots[joint] for e in equalities for joint in involved_joints(model, e) & roots.keys()} - {None}
+            drivers = dof_addresses(model, [joint for joint in moving if joint is not None])
+            self._loops = ClosedLoops(model, data, equalities, sorted(looped), drivers, self._follow)
+            self._follow(qpos)
+            self._loops.check_independent(self._closed_form_basis(qpos[None])[0], model.dof_jntid[self.dofs])
+        self.linear = not equalities and all(len(follower.coefficients) <= 2 for follower in self._followers)
+        self.coupling: Floats | None = None
+        self.offset: Floats | None = None
+        self.rates: Floats | None = None
+        if self.linear:
+            self.coupling, self.offset, self.rates = self._affine(qpos)
+
+    def to_qpos(self, qpos: Floats) -> Floats:
+        """Rows with the independent joints set to rows with the dependent joints solved; others stay as they are.
+
+        Args:
+            qpos: ``(..., nq)``; where there are loops, rows along a path take the least time.
+
+        Raises:
+            InputError: the shape is wrong.
+            NoSolutionError: the loops cannot be closed there, or not on the branch of the state.
+        """
+        result = self._checked(qpos).copy()
+        self._follow(result)
+        if self._loops is not None:
+            self._loops.solve(result.reshape(-1, self._model.nq))
+        return result
+
+    def basis(self, qpos: Floats) -> Floats:
+        """B ``(..., nv, m)`` with qvel = B qd for the independent rates qd, at rows ``(..., nq)`` of `to_qpos`.
+
+        The dependent rates are -J_d^+ J_i qd with the Jacobian J of the equalities, and zero those of other joints.
+
+        Raises:
+            InputError: the shape is wrong.
+            NoSolutionError: a row is at a dead centre of a loop.
+        """
+        rows = self._checked(qpos)
+        if self.rates is not None:
+            return np.broadcast_to(self.rates, (*rows.shape[:-1], *self.rates.shape)).copy()
+        result = self._closed_form_basis(rows)
+        if self._loops is not None:
+            flat = result.reshape(-1, *result.shape[-2:])
+            for position, rates in zip(rows.reshape(-1, self._model.nq), flat, strict=True):
+                rates[self._loops.dofs] = self._loops.slopes(position, rates)
+        return result
+
+    def follower_limits(self) -> Floats:
+        """Intervals ``(m, 2)`` of the independent coordinates in which linear followers keep within their ranges.
+
+        Infinite where there are none; the ranges of the independent joints themselves, of polynomial followers and of
+        joints in loops are not considered.
+
+        Raises:
+            InputError: a follower's range leaves no position.
+        """
+        limits = np.tile([-np.inf, np.inf], (len(self.dofs), 1))
+        lines: dict[int, tuple[int, float, float]] = {j: (j, 1.0, 0.0) for j in self.independent}
+        for follower in self._followers:
+            joint, leader = follower.joint, follower.leader
+            if leader not in lines or len(follower.coefficients) != 2:
+                continue
+            constant, slope = follower.coefficients
+            root, ratio, shift = lines[leader]
+            ratio, shift = slope * ratio, constant + slope * (shift - follower.x0)
+            lines[joint] = root, ratio, shift
+            if self._model.jnt_limited[joint]:
+                low, high = np.sort((self._model.jnt_range[joint] - shift) / ratio)
+                k = int(np.searchsorted(self.dofs, self._model.jnt_dofadr[root]))
+                limits[k] = max(limits[k, 0], low), min(limits[k, 1], high)
+        empty = np.flatnonzero(limits[:, 0] > limits[:, 1])
+        if len(empty):
+            joint = int(self._model.dof_jntid[self.dofs[empty[0]]])
+            raise InputError(
+                f"the ranges of the joints that follow {names(self._model, [joint])} exclude each other; widen them"
+            )
+        return limits
+
+    def _checked(self, qpos: Floats) -> Floats:
+        rows = np.asarray(qpos, dtype=float)
+        if rows.shape[-1:] != (self._model.nq,) or not np.isfinite(rows).all():
+            raise InputError(f"positions must be finite rows of {self._model.nq} numbers (nq), got shape {rows.shape}")
+        return rows
+
+    def _follow(self, qpos: Floats) -> None:
+        """Set the joints in closed form, in place; ``qpos`` is ``(..., nq)``."""
+        address = self._model.jnt_qposadr
+        for follower in self._followers:
+            x = 0.0 if follower.leader is None else qpos[..., address[follower.leader]] - follower.x0
+            qpos[..., address[follower.joint]] = np.polynomial.polynomial.polyval(x, follower.coefficients)
+
+    def _closed_form_basis(self, qpos: Floats) -> Floats:
+        """`basis` without the loops; ``qpos`` is ``(..., nq)``."""
+        model = self._model
+        result = np.zeros((*qpos.shape[:-1], model.nv, len(self.dofs)))
+        result[..., self.dofs, np.arange(len(self.dofs))] = 1.0
+        for follower in self._followers:
+            if follower.leader is not None:
+                x = qpos[..., model.jnt_qposadr[follower.leader]] - follower.x0
+                slopes = np.polynomial.polynomial.polyder(follower.coefficients)
+                slope = np.asarray(np.polynomial.polynomial.polyval(x, slopes))
+                rates = result[..., model.jnt_dofadr[follower.leader], :]
+                result[..., model.jnt_dofadr[follower.joint], :] = slope[..., None] * rates
+        return result
+
+    def _affine(self, state: Floats) -> tuple[Floats, Floats, Floats]:
+        model, rates = self._model, self._closed_form_basis(state)
+        offset, coupling = state.copy(), np.zeros((model.nq, len(self.dofs)))
+        offset[position_addresses(model, self.independent)] = 0.0
+        self._follow(offset)
+        scalars = [j for j in range(model.njnt) if len(dof_addresses(model, [j])) == 1]
+        coupling[model.jnt_qposadr[scalars]] = rates[model.jnt_dofadr[scalars]]
+        return coupling, offset, rates
+
+
+def _check_joints(model: mujoco.MjModel, joints: Sequence[int]) -> None:
+    if not joints or len(set(joints)) < len(joints) or not all(0 <= joint < model.njnt for joint in joints):
+        raise InputError(f"independent joints must be different ids from 0 to {model.njnt - 1}, got {list(joints)}")
+    free = [joint for joint in joints if int(model.jnt_type[joint]) not in JOINT_KINDS]
+    if free:
+        raise InputError(f"{names(model, free)} is free; independent joints are hinges, slides and balls")
+
+
+def _equalities_enabled(model: mujoco.MjModel) -> bool:
+    off = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    return not model.opt.disableflags & off
+
+
+def _follower_of(model: mujoco.MjModel, equality: int) -> Follower:
+    """MuJoCo's y - y0 = a0 + a1 (x - x0) + ..., y the first joint and x the second, y0 and x0 their references."""
+    joint, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+    y0 = float(model.qpos0[model.jnt_qposadr[joint]])
+    constant, *slopes = map(float, model.eq_data[equality, :5])
+    while slopes and slopes[-1] == 0.0:
+        slopes.pop()
+    if leader < 0 or not slopes:
+        return Follower(joint, None, (y0 + constant,), 0.0)
+    return Follower(joint, leader, (y0 + constant, *slopes), float(model.qpos0[model.jnt_qposadr[leader]]))
+
+
+def _in_closed_form(
+    model: mujoco.MjModel, equalities: Sequence[int], independent: Sequence[int]
+) -> tuple[list[Follower], dict[int, int | None], list[int]]:
+    """Followers, each after its leader; the independent joint that each joint follows, or None; other equalities."""
+    roots: dict[int, int | None] = {joint: joint for joint in independent}
+    followers, remaining, tied = [], list(equalities), int(mujoco.mjtEq.mjEQ_JOINT)
+    while True:
+        before = len(remaining)
+        for equality in [e for e in remaining if model.eq_type[e] == tied]:
+            follower = _follower_of(model, equality)
+            joint, leader, coefficients = follower.joint, follower.leader, follower.coefficients
+            if joint in roots and leader is not None and leader not in roots and len(coefficients) == 2:
+                constant, slope = coefficients
+                follower = Follower(leader, joint, (follower.x0, 1.0 / slope), constant)
+            elif joint in independent and leader is None:
+                raise InputError(
+                    f"{names(model, [joint])} is fixed by {equality_name(model, equality)}; leave it out of the "
+                    "independent joints, or deactivate the equality"
+                )
+            elif joint in roots or (leader is not None and leader not in roots):
+                continue
+            roots[follower.joint] = None if follower.leader is None else roots[follower.leader]
+            followers.append(follower)
+            remaining.remove(equality)
+        if len(remaining) == before:
+            return followers, roots, remaining
+
+
+def _loops_of(
+    model: mujoco.MjModel, equalities: Sequence[int], roots: dict[int, int | None]
+) -> tuple[list[int], set[int]]:
+    """The equalities that involve joints the arm moves, directly or through other joints, and these other joints."""
+    involved = {equality: involved_joints(model, equality) for equality in equalities}
+    reached = {joint for joint, root in roots.items() if root is not None}
+    moved = set(reached)
+    chosen: set[int] = set()
+    while True:
+        more = {e for e, joints in involved.items() if e not in chosen and joints & moved}
+        if not more:
+            return sorted(chosen), moved - roots.keys()
+        chosen |= more
+        moved |= {joint for e in more for joint in involved[e] if joint not in roots}

@@ -1,0 +1,186 @@
+"""Equality constraints of a MuJoCo model: their residuals, the joints that they involve, and names for messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import ancestry, joints_of
+from lieednn_sim.values import Floats
+
+Indices = NDArray[np.int_]
+
+# A residual below this [m, rad] is rounding.
+EXACT = 1e-12
+
+
+class Residuals:
+    """How far a set of equalities is from being met, and which dependent joints can change that.
+
+    Args:
+        model: the compiled model, which is not changed.
+        data: where its mocap bodies are; copied.
+        equalities: ids of the equalities.
+        joints: ids of the dependent joints.
+
+    Attributes:
+        dofs: ``(D,)`` addresses in qvel of the dependent joints.
+        known: addresses of the other dofs on which the residual depends.
+        involved: both.
+        turning: those of both that are angles.
+        given: addresses in qpos of all joints but the dependent ones.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, equalities: Sequence[int], joints: Sequence[int]
+    ) -> None:
+        self._model, self._data = model, mujoco.MjData(model)
+        self._data.mocap_pos[:], self._data.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+        self._data.eq_active[:] = np.isin(np.arange(model.neq), equalities)
+        self._sparse = bool(mujoco.mj_isSparse(model))
+        self.dofs = dof_addresses(model, joints)
+        self.given = np.setdiff1d(np.arange(model.nq), position_addresses(model, joints))
+        involved = set(joints).union(*(involved_joints(model, equality) for equality in equalities))
+        self.involved = dof_addresses(model, involved)
+        self.known = np.setdiff1d(self.involved, self.dofs)
+        self.turning = self.involved[turns(model, self.involved)]
+
+    def at(self, qpos: Floats) -> tuple[Floats, Floats]:
+        """Residual ``(E,)`` [m, rad] of the loops' equalities and its Jacobian ``(E, nv)``."""
+        model, data = self._model, self._data
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        if model.ntendon:
+            mujoco.mj_tendon(model, data)
+        mujoco.mj_makeConstraint(model, data)
+        count = data.ne
+        if not self._sparse:
+            return data.efc_pos[:count].copy(), data.efc_J.reshape(-1, model.nv)[:count].copy()
+        jacobian = np.zeros((count, model.nv))
+        if count:
+            row = data.efc_J_rownnz[:count], data.efc_J_rowadr[:count]
+            mujoco.mju_sparse2dense(jacobian, data.efc_J.ravel(), *row, data.efc_J_colind.ravel())
+        return data.efc_pos[:count].copy(), jacobian
+
+    def least_squares(self, jacobian: Floats, residual: Floats) -> Floats:
+        """The change ``(D, ...)`` of the dependent dofs that undoes a residual; redundant rows do no harm."""
+        return np.asarray(np.linalg.lstsq(jacobian[:, self.dofs], -residual, rcond=1e-10)[0], dtype=float)
+
+    def move(self, qpos: Floats, step: Floats) -> None:
+        """Move the dependent dofs of ``(nq,)`` by a step ``(D,)``, in place."""
+        motion = np.zeros(self._model.nv)
+        motion[self.dofs] = step
+        mujoco.mj_integratePos(self._model, qpos, motion, 1.0)
+
+    def difference(self, start: Floats, end: Floats) -> Floats:
+        """The motion ``(nv,)`` from one ``(nq,)`` to another."""
+        change = np.empty(self._model.nv)
+        mujoco.mj_differentiatePos(self._model, change, 1.0, start, end)
+        return change
+
+    def settle(self, qpos: Floats) -> tuple[Floats, Floats]:
+        """The least residual near a configuration, by damped least squares (Levenberg-Marquardt), and where it is."""
+        damping = 1e-6
+        residual, jacobian = self.at(qpos)
+        for _ in range(100):
+            if np.abs(residual).max(initial=0.0) < EXACT or damping > 1e6:
+                break
+            columns = jacobian[:, self.dofs]
+            normal = columns.T @ columns + damping * np.eye(len(self.dofs))
+            trial = qpos.copy()
+            self.move(trial, np.asarray(np.linalg.solve(normal, -columns.T @ residual), dtype=float))
+            trial_residual, trial_jacobian = self.at(trial)
+            if np.linalg.norm(trial_residual) < np.linalg.norm(residual):
+                qpos, residual, jacobian, damping = trial, trial_residual, trial_jacobian, max(0.1 * damping, 1e-12)
+            else:
+                damping *= 10.0
+        return residual, qpos
+
+    def gap(self, residual: Floats) -> str:
+        """Which equality a residual ``(E,)`` leaves open the most, and by how much."""
+        worst = np.abs(residual) == np.abs(residual).max()
+        return f"{self.owners(worst)} stays open by {np.abs(residual).max():.3g} (m or rad)"
+
+    def owners(self, rows: NDArray[np.bool_]) -> str:
+        """The equalities of some rows ``(E,)`` of the residual."""
+        ids = self._data.efc_id[np.flatnonzero(rows)]
+        return ", ".join(dict.fromkeys(equality_name(self._model, int(equality)) for equality in ids))
+
+
+def involved_joints(model: mujoco.MjModel, equality: int) -> set[int]:
+    """The joints on whose positions an equality's residual depends; none for kinds without joints, as of flexes."""
+    kind, ids = model.eq_type[equality], (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
+    if kind == int(mujoco.mjtEq.mjEQ_JOINT):
+        return {joint for joint in ids if joint >= 0}
+    if kind == int(mujoco.mjtEq.mjEQ_TENDON):
+        return set().union(*(_tendon_joints(model, tendon) for tendon in ids if tendon >= 0))
+    if kind in (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)):
+        sites = model.eq_objtype[equality] == int(mujoco.mjtObj.mjOBJ_SITE)
+        return _between(model, [int(model.site_bodyid[i]) if sites else i for i in ids])
+    return set()
+
+
+def equality_name(model: mujoco.MjModel, equality: int) -> str:
+    """What an equality is called in messages."""
+    kind = mujoco.mjtEq(int(model.eq_type[equality])).name.removeprefix("mjEQ_").lower()
+    name = model.equality(equality).name
+    if name:
+        return f"equality {name!r} ({kind})"
+    sites = model.eq_objtype[equality] == int(mujoco.mjtObj.mjOBJ_SITE)
+    item = {"joint": model.joint, "tendon": model.tendon}.get(kind, model.site if sites else model.body)
+    ids = [int(i) for i in (model.eq_obj1id[equality], model.eq_obj2id[equality]) if i >= 0]
+    ends = [item(i).name or f"number {i}" for i in ids]
+    return f"the {kind} equality of {' and '.join(map(repr, ends))}"
+
+
+def names(model: mujoco.MjModel, joints: Iterable[int]) -> str:
+    """Joints in messages."""
+    return ", ".join(repr(model.joint(j).name) if model.joint(j).name else f"joint number {j}" for j in sorted(joints))
+
+
+def dof_addresses(model: mujoco.MjModel, joints: Iterable[int]) -> Indices:
+    """Addresses in qvel of all dofs of joints, in the model's order."""
+    return np.flatnonzero(np.isin(model.dof_jntid, list(joints)))
+
+
+def position_addresses(model: mujoco.MjModel, joints: Iterable[int]) -> Indices:
+    """Addresses in qpos of all numbers of joints, in the model's order."""
+    ends = np.append(model.jnt_qposadr[1:], model.nq)
+    return np.concatenate([np.arange(0), *(np.arange(model.jnt_qposadr[j], ends[j]) for j in sorted(joints))])
+
+
+def turns(model: mujoco.MjModel, dofs: Indices) -> NDArray[np.bool_]:
+    """Which dofs are angles; the first three of a free joint are lengths."""
+    joints = model.dof_jntid[dofs]
+    kinds, first = model.jnt_type[joints], dofs - model.jnt_dofadr[joints]
+    free = kinds == int(mujoco.mjtJoint.mjJNT_FREE)
+    return (kinds != int(mujoco.mjtJoint.mjJNT_SLIDE)) & ~(free & (first < 3))
+
+
+def _between(model: mujoco.MjModel, bodies: Iterable[int]) -> set[int]:
+    """Joints that move some of the bodies but not all of them: what moves all changes no distance between them."""
+    above: list[set[int]] = [
+        {joint for part in ancestry(model, body) for joint in joints_of(model, part)} for body in bodies
+    ]
+    shared = above[0].intersection(*above[1:]) if above else set()
+    return set().union(*above) - shared
+
+
+def _tendon_joints(model: mujoco.MjModel, tendon: int) -> set[int]:
+    """Joints that change the length of a fixed or spatial tendon."""
+    start = int(model.tendon_adr[tendon])
+    bodies, joints = [], set()
+    for kind, item in zip(
+        model.wrap_type[start : start + model.tendon_num[tendon]], model.wrap_objid[start:], strict=False
+    ):
+        if kind == int(mujoco.mjtWrap.mjWRAP_JOINT):
+            joints.add(int(item))
+        elif kind == int(mujoco.mjtWrap.mjWRAP_SITE):
+            bodies.append(int(model.site_bodyid[item]))
+        elif kind in (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER)):
+            bodies.append(int(model.geom_bodyid[item]))
+    return joints | _between(model, bodies)
