@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from lieednn_sim.planning import Move as Move
     from lieednn_sim.planning import Plan as Plan
     from lieednn_sim.planning import plan as plan
-    from lieednn_sim.planning import plan_in as plan_in
     from lieednn_sim.planning import plan_sequence as plan_sequence
     from lieednn_sim.planning import register_planner as register_planner
     from lieednn_sim.policies import Feedback as Feedback
@@ -54,7 +53,6 @@ if TYPE_CHECKING:
     from lieednn_sim.simulation import Push as Push
     from lieednn_sim.simulation import Rollout as Rollout
     from lieednn_sim.simulation import follow as follow
-    from lieednn_sim.simulation import run_in as run_in
     from lieednn_sim.simulation import simulate as simulate
     from lieednn_sim.simulation import simulate_many as simulate_many
     from lieednn_sim.studies import compare as compare
@@ -71,12 +69,12 @@ _NAMES = {
     "learning": ("train",),
     "live": ("view",),
     "network": ("LieEDNN",),
-    "planning": ("Actuate", "Move", "Plan", "plan", "plan_in", "plan_sequence", "register_planner"),
+    "planning": ("Actuate", "Move", "Plan", "plan", "plan_sequence", "register_planner"),
     "policies": ("Feedback", "NetworkPolicy", "Policy", "control_loop", "make_policy"),
     "rendering.page": ("render_page",),
     "rendering.still": ("render_still",),
     "rendering.video": ("render_video",),
-    "simulation": ("Channel", "Disturbances", "Push", "Rollout", "follow", "run_in", "simulate", "simulate_many"),
+    "simulation": ("Channel", "Disturbances", "Push", "Rollout", "follow", "simulate", "simulate_many"),
     "studies": ("compare",),
     "synthesis": ("CurveEncoder", "shape", "synthesize"),
 }

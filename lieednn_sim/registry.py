@@ -400,6 +400,10 @@ CONTROLLERS: Registry[Entry] = Registry(
             "simulation.controllers.base:ComputedTorque",
             "feedback from the measured state through the model, instead of servos",
         ),
+        "feedback-linearisation": Entry(
+            "simulation.controllers.linearisation:FeedbackLinearisation",
+            "computed torques through whatever actuators a model has; the default for views",
+        ),
         "mocap": Entry(
             "simulation.controllers.mocap:MocapWelds",
             "leads the link frames by bodies that are welded to them; no actuators, hence no noise",

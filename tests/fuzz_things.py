@@ -120,14 +120,10 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Motion": lambda: thing("Plan").motion,
     "Tube": lambda: planning.find_tube(thing("Arm"), ls.plan(thing("Arm"), home(), planner="linear-attractor")),
     "SafetyFilter": lambda: policies.SafetyFilter(thing("Arm"), 0.01),
-    "ModelPlan": lambda: ls.plan_in(
-        thing("MjModel"), thing("MjData"), ["turn"], [0.1], planner="minimum-jerk", duration=0.5, max_time_scale=20.0
-    ),
     "Move": lambda: ls.Move([0.1], planner="minimum-jerk", duration=0.5, max_time_scale=20.0),
     "PlanSequence": lambda: ls.plan_sequence(
-        thing("MjModel"), thing("MjData"), ["turn"], [thing("Move"), ls.Actuate({}, 0.1)]
+        arm.Arm.of(thing("MjModel"), thing("MjData"), ["turn"]), [thing("Move"), ls.Actuate({}, 0.1)]
     ),
-    "ModelRun": lambda: ls.run_in(thing("MjModel"), thing("MjData"), thing("ModelPlan"), hold=0.0),
     "Rollout": lambda: ls.simulate(thing("Arm"), thing("Plan"), hold=0.0),
     "Rollouts": lambda: ls.simulate_many(thing("Arm"), [thing("Plan")] * 2, hold=0.0, threads=1),
     "Channel": lambda: ls.Channel("centre of mass", "m", lambda data: data.subtree_com[0]),

@@ -46,15 +46,15 @@ FRONT_DOOR = {
         lambda other: ls.solve_ik(other, [1.0, 0.0, 1.0]),
         lambda other: simulation.Simulation(other),
     ],
-    "motion must be a Plan or a Motion, got {}; see plan": [
+    "motion must be a Plan, a Motion or a PlanSequence, got {}; see plan": [
         lambda other: ls.simulate(Arm.load("telescopic_pr"), other)
     ],
     "motions[0] must be a Plan or a Motion, got {}; see plan": [
         lambda other: simulation.simulate_many(Arm.load("telescopic_pr"), [other])
     ],
-    "rollout must be a Rollout, got {}; see simulate": [lambda other: ls.evaluate(other)],
-    "rollout must be a Rollout or a ModelRun, got {}; see simulate": [
-        lambda other: ls.render_video(other, "video.mp4")
+    "rollout must be a Rollout, got {}; see simulate": [
+        lambda other: ls.evaluate(other),
+        lambda other: ls.render_video(other, "video.mp4"),
     ],
     "path must be a string or a path, got {}": [
         lambda other: ls.LieEDNN.load(None if other is None else [other]),

@@ -6,7 +6,7 @@ import copy
 import os
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Unpack
@@ -24,7 +24,7 @@ from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_fi
 from lieednn_sim.arm.parsing import read_arm
 from lieednn_sim.arm.scenes import add_obstacles
 from lieednn_sim.arm.serial_arm import SerialArm
-from lieednn_sim.arm.view import check_data, read_view, rigid_groups, standing
+from lieednn_sim.arm.view import check_data, name_of, read_view, rigid_groups, standing, state_of
 from lieednn_sim.arm.visuals import discard_visuals, moves_alike
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import rotations
@@ -48,6 +48,8 @@ class Arm(SerialArm):
         recipe: names of the methods that loaded it from files, and their arguments; empty for an arm from a spec, which
             cannot be pickled, and for a view.
         qpos_home: of a view, ``(nq,)`` the positions of its model in the state that it was made of: its ``home``.
+        state: of a view, the whole of that state (`view.state_of`), in which simulations begin.
+        named: of a view, the arguments joints, tip, base and limits of `of`.
         collision_model: of a view, `geometry`.
         grasp: what it carries (`holding`).
     """
@@ -58,6 +60,8 @@ class Arm(SerialArm):
     clearance: float = PLANNED_CLEARANCE
     recipe: tuple[tuple[str, tuple[Any, ...], ImportOptions], ...] = ()
     qpos_home: Floats | None = None
+    state: Floats | None = None
+    named: Mapping[str, Any] = field(default_factory=dict)
     collision_model: mujoco.MjModel | None = None
     grasp: Grasp | None = None
 
@@ -142,9 +146,10 @@ class Arm(SerialArm):
 
         Args:
             model: a compiled model, which is not changed.
-            data: its state: positions, mocap bodies, active equalities.
+            data: its state. Planning needs positions, mocap bodies and active equalities; a simulation begins with
+                controls, activations and all else as well.
             joints: names of the joints, on one chain, in any order; those on it that equalities tie to them are the
-                arm's too.
+                arm's too. The coordinates are in the order of the chain, that of `joint_names`.
             tip: body or site of the end effector, by default the last body that the joints move.
             base: body or site of the base frame, by default the parent of the first body that moves.
             limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s].
@@ -155,17 +160,34 @@ class Arm(SerialArm):
         """
         check_data(model, data)
         own, qpos = standing(model, data), data.qpos.copy()
-        fields = read_view(own, qpos, joints, tip, base, limits)
+        named: dict[str, Any] = {"joints": tuple(joints), "tip": tip, "base": base, "limits": limits}
+        fields = read_view(own, qpos, **named)
         return cls(
-            name="arm",
+            name=name_of(model),
             source=Path("a compiled model"),
             spec=None,
             model=own,
             clearance=float(as_floats("clearance", clearance, ())),
             qpos_home=qpos,
+            state=state_of(own, data),
+            named=named,
             collision_model=rigid_groups(own, fields["space"]),
             **fields,
         )
+
+    def at(self, data: mujoco.MjData) -> Arm:
+        """This view in another state of its model, with nothing in its hand; raises as `of`."""
+        self._require_view()
+        return Arm.of(self.model, data, clearance=self.clearance, **self.named)
+
+    def data(self) -> mujoco.MjData:
+        """New data of the model in the state that a view was made of, or at ``home``."""
+        data = mujoco.MjData(self.model)
+        if self.state is None:
+            data.qpos[:] = self.qpos(self.keyframe("home"))
+        else:
+            mujoco.mj_setState(self.model, data, self.state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        return data
 
     def holding(self, body: str, touching: Sequence[str] = ()) -> Arm:
         """This view of a model with a free body that its end effector carries, from where that is in its ``home``.
@@ -180,9 +202,7 @@ class Arm(SerialArm):
         Raises:
             InputError: the arm is no view, or there is no such body.
         """
-        if self.qpos_home is None:
-            raise InputError(f"arm {self.name!r} is no view of a compiled model, such as Arm.of makes")
-        grasp = find_grasp(self.model, self.qpos_home, self.frames[-1:], body, touching, self.clearance)
+        grasp = find_grasp(self.model, self._require_view(), self.frames[-1:], body, touching, self.clearance)
         return replace(self, grasp=grasp, collision_model=rigid_groups(self.model, self.space, grasp.bodies))
 
     def with_scene(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
@@ -294,8 +314,26 @@ class Arm(SerialArm):
         position = self.check_position(q, what)
         touching = self.near_contacts(position)
         if touching:
-            raise InputError(f"{what} is out of reach: {touching[0][0]!r} would touch {touching[0][1]!r} there")
+            loose = self._free_bodies()
+            first, second = next((pair for pair in touching if loose.intersection(pair)), touching[0])
+            hint = "".join(
+                f"; if the hand holds it, plan with arm.holding({body!r})"
+                for body in sorted(loose.intersection((first, second)))[:1]
+            )
+            raise InputError(f"{what} is out of reach: {first!r} would touch {second!r} there{hint}")
         return position
+
+    def _require_view(self) -> Floats:
+        """A view's `qpos_home`; raises `InputError` if the arm is no view."""
+        if self.qpos_home is None:
+            raise InputError(f"arm {self.name!r} is no view of a compiled model, such as Arm.of makes")
+        return self.qpos_home
+
+    def _free_bodies(self) -> set[str]:
+        """Names of the bodies in a view's model that are free and not carried."""
+        model, carried = self.model, () if self.grasp is None else self.grasp.bodies
+        free = model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)] if self.state is not None else ()
+        return {model.body(body).name for body in free if body not in carried}
 
     def contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
         """Names of the bodies that touch each other at ``q`` ``(n,)``."""

@@ -153,6 +153,9 @@ class Collisions:
     def clearance(self, q: ArrayLike) -> float:
         """The smallest signed distance at ``q`` ``(n,)`` [m]; negative in penetration, infinite without pairs."""
         self._move(q)
+        return self._least()
+
+    def _least(self) -> float:
         bounds = self._lower_bounds()
         best = np.inf
         for index in np.argsort(bounds, kind="stable").tolist():
@@ -162,21 +165,25 @@ class Collisions:
         return best
 
     def least_clearance(self, q: ArrayLike) -> float:
-        """The smallest `clearance` at configurations ``(K, n)`` [m]; fastest when consecutive configurations are close.
+        """The smallest `clearance` at configurations ``(K, n)`` [m]; fastest where consecutive ones are close."""
+        return self.least_clearance_at(self.arm.qpos(as_floats("q", q, ("K", self.arm.n_joints))))
+
+    def least_clearance_at(self, qpos: ArrayLike) -> float:
+        """The same at positions ``(K, nq)`` of everything in the model.
 
         A pair is measured again only where it may have come closer than the least so far: no point of a geom moves
         further than its bounding sphere's centre plus what the rotation moves it about that centre.
         """
-        configurations = as_floats("q", q, ("K", self.arm.n_joints))
-        if not len(configurations):
+        rows = as_floats("qpos", qpos, ("K", self.arm.model.nq))
+        if not len(rows):
             return np.inf
-        least = self.clearance(configurations[0])
+        self._move_to(rows[0])
+        least = self._least()
         bounds, (center, rotation) = self._lower_bounds(), self._frames()
         model, data = self.arm.geometry, self._data
         # Penetration depths are not bounded by how far geoms move.
         deep = -np.minimum(self._offset, 0.0)
-        for qpos in self.arm.qpos(configurations[1:]):
-            data.qpos[:] = qpos
+        for data.qpos[:] in rows[1:]:
             mujoco.mj_kinematics(model, data)
             before, (center, rotation) = (center, rotation), self._frames()
             # The 2-norm of a difference of rotations is its Frobenius norm over sqrt(2).
@@ -214,7 +221,10 @@ class Collisions:
         return model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
 
     def _move(self, q: ArrayLike) -> None:
-        self._data.qpos[:] = self.arm.qpos(as_floats("q", q, (self.arm.n_joints,)))
+        self._move_to(self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))))
+
+    def _move_to(self, qpos: Floats) -> None:
+        self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self.arm.geometry, self._data)
 
     def _frames(self) -> tuple[Floats, Floats]:

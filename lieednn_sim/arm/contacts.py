@@ -141,7 +141,8 @@ def moved_by(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
 def fixed_body(model: mujoco.MjModel, name: str) -> int:
     """The id of a body that no joint moves and that carries no joint; `InputError` lists the names of such bodies."""
     result = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
-    jointed = model.body_weldid != 0
+    weld = model.body_weldid
+    jointed = (weld != 0) & (model.body_mocapid[weld] < 0)
     # Children come after their parents.
     for body in range(model.nbody - 1, 0, -1):
         jointed[model.body_parentid[body]] |= jointed[body]

@@ -33,6 +33,12 @@ def check_data(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         raise InputError("data holds positions that are NaN or infinite")
 
 
+def name_of(model: mujoco.MjModel) -> str:
+    """The model's own name, or ``arm`` if nobody gave it one."""
+    name = model.names[: model.names.index(b"\0")].decode("utf-8", "replace")
+    return "arm" if name in ("", "MuJoCo Model") else name
+
+
 def standing(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjModel:
     """A copy of a model in which mocap bodies are where a state has them, and equalities are on that are on there."""
     own = copy.deepcopy(model)
@@ -41,6 +47,15 @@ def standing(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjModel:
         own.body_pos[body], own.body_quat[body] = data.mocap_pos[mocap], data.mocap_quat[mocap]
     own.eq_active0[:] = data.eq_active
     return own
+
+
+def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
+    """The whole state of ``data``, controls and applied forces included, at time 0, as ``mjSTATE_INTEGRATION``."""
+    kind = mujoco.mjtState.mjSTATE_INTEGRATION
+    state = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, data, state, kind)
+    state[0] = 0.0  # the time is its first entry
+    return state
 
 
 def read_view(
@@ -140,6 +155,8 @@ def rigid_groups(model: mujoco.MjModel, space: Coordinates, carried: Sequence[in
     moving[space.rate_addresses] = True
     result = copy.deepcopy(model)
     weld = result.body_weldid
+    # Mocap bodies stand still, and can be moved as other bodies without joints are.
+    result.body_mocapid[:] = -1
     # Parents come before their children.
     for body in range(1, model.nbody):
         first, parent = int(model.body_dofadr[body]), int(model.body_parentid[body])

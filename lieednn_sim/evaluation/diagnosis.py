@@ -6,9 +6,8 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import dry_friction, resting_load, servo_gains
+from lieednn_sim.arm.forces import dry_friction, resting_load, servo_gains, tangent_basis
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.simulation.disturbances import tangent_basis
 from lieednn_sim.values import Floats
 
 # Least fraction of a joint's error that a cause must explain to be reported.
@@ -31,7 +30,7 @@ def error_causes(rollout: Rollout, translation: float, rotation: float) -> tuple
         rotation: the same as an angle [rad].
     """
     arm, target, error = rollout.arm, rollout.target, rollout.q[-1] - rollout.target
-    if rollout.controller not in (*_SERVO_CONTROLLERS, "computed-torque"):
+    if rollout.controller not in (*_SERVO_CONTROLLERS, "computed-torque", "feedback-linearisation"):
         return ()
     alone = arm.link_poses(target).inv() * arm.link_poses(target + np.diag(error))
     distance = np.linalg.norm(alone.translation, axis=-1).max(axis=1)
@@ -53,7 +52,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     """For each coordinate, the causes of its error ``(n,)`` by the model, and their remedies."""
     arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm)
     (kp, _), friction = servo_gains(model, basis), dry_friction(model, basis)
-    load = np.abs(resting_load(model, arm.qpos(rollout.q[-1:]))[0] @ basis)
+    load = np.abs(resting_load(model, rollout.qpos[-1:])[0] @ basis)
     pace, limits = _pace(rollout), arm.force_limits
     slow = np.abs(rollout.qd[-1]) > _LEAST_EXPLAINED * pace * np.abs(error)
     # A slow servo leaves more than this part of an error at the end of the hold.
@@ -97,7 +96,7 @@ def _pace(rollout: Rollout) -> Floats:
     """
     model, basis = rollout.arm.model, tangent_basis(rollout.arm)
     data = mujoco.MjData(model)
-    data.qpos[:] = rollout.arm.qpos(rollout.q[-1])
+    data.qpos[:] = rollout.qpos[-1]
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)

@@ -90,10 +90,12 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
 def least_clearance(rollout: Rollout) -> float:
     """Least clearance along the simulated motion [m]; negative in penetration, infinite where nothing can collide.
 
+    In a view, everything is where the simulation had it; a free body between fingers is touched.
+
     It is measured at every fifth sample (10 ms at the arms' step), and at all samples with a contact.
     """
     chosen = np.union1d(np.arange(0, len(rollout.t), 5), np.flatnonzero(rollout.contacts))
-    return Collisions(rollout.arm).least_clearance(rollout.q[chosen])
+    return Collisions(rollout.arm).least_clearance_at(rollout.qpos[chosen])
 
 
 def violations(rollout: Rollout) -> dict[str, Any]:

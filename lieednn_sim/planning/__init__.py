@@ -11,7 +11,6 @@ from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, RrtStarOp
 from lieednn_sim.planning.baselines.stomp import StompOptions
 from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.guides import GuideOptions
-from lieednn_sim.planning.in_model import ModelPlan, plan_in
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_planners import (
@@ -36,7 +35,6 @@ __all__ = [
     "CertifiedOptions",
     "DmpOptions",
     "GuideOptions",
-    "ModelPlan",
     "Motion",
     "Move",
     "OptimisationOptions",
@@ -56,7 +54,6 @@ __all__ = [
     "find_tube",
     "joint_motion",
     "plan",
-    "plan_in",
     "plan_sequence",
     "reference_network",
     "register_planner",

@@ -38,6 +38,13 @@ def single_goals(arm: Arm, target: Goal, what: str = "target") -> list[Single]:
     return result
 
 
+def resolved(arm: Arm, target: Goal) -> Any:
+    """A goal or a set of goals with joint positions in place of the names of keyframes."""
+    if isinstance(target, list | tuple):
+        return [resolved(arm, item) for item in target]
+    return arm.keyframe(target) if isinstance(target, str) else target
+
+
 def _single(arm: Arm, target: Goal, what: str, *, outermost: bool = True) -> Iterator[Single]:
     if isinstance(target, str):
         arm.keyframe(target)
@@ -55,7 +62,9 @@ def _single(arm: Arm, target: Goal, what: str, *, outermost: bool = True) -> Ite
     elif outermost and isinstance(target, np.ndarray) and target.ndim == 2:
         yield from as_floats(what, target, ("m", arm.n_joints))
     elif not (isinstance(target, list | tuple) and len(target) == 0):
-        yield as_floats(what, target, (arm.n_joints,))
+        # Who names the joints of a view may have another order in mind.
+        named = what if arm.state is None else f"{what} of {', '.join(arm.joint_names)}"
+        yield as_floats(named, target, (arm.n_joints,))
 
 
 def candidates(

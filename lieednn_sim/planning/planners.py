@@ -13,7 +13,7 @@ from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning.goals import Goal, candidates
-from lieednn_sim.planning.motion import Motion, check_motion
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
@@ -92,7 +92,7 @@ def default_planner(arm: Arm) -> tuple[str, str]:
     Where three or more hinges move one link, the arm often cannot follow a network's own path, since the configuration
     nearest to it changes abruptly. There, and among obstacles, the default planner follows a guide's motion.
     """
-    if arm.scene != "free":
+    if arm.scene != "free" or arm.state is not None:
         return OBSTACLE_PLANNER, "the default among obstacles"
     hinges = ({i for f in joint.factors if f.kind == "hinge" for i in f.indices} for joint in arm.joints.joints)
     redundant = 3  # hinges that move one link
@@ -126,7 +126,7 @@ def plan(
             plan's target is the one that is reached soonest (`motion.least_duration`) among those to which the planner
             finds a motion.
         planner: a name of `PLANNERS`; by default the `default_planner`, or ``lieednn-shaped`` where a region is kept.
-        start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name.
+        start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name; ``home`` of a view is its state.
         duration: duration of the motion [s], rounded to a whole number of the model's time steps.
         max_time_scale: largest duration, as a multiple of `duration`, that the motion may take if the arm's limits
             require it; with 1, a motion that is too fast is refused with a sufficient duration. Learned networks always
@@ -161,6 +161,9 @@ def plan(
         optional_module("toppra")  # before the work
     begin, number = cpu_time(), as_seed("seed", seed)
     q = arm.configuration(start, "start")
+    # Where a move ended at a limit, rounding may have left it just outside.
+    inside = np.clip(q, *arm.position_limits.T)
+    q = np.where(np.abs(q - inside) <= LIMIT_TOLERANCE, inside, q)
     # The rest of a bad problem is refused before goals are searched for, which is within the budget.
     first = PlanningProblem(arm, q, q, duration, number, time_budget, max_time_scale, progress, path_constraint)
     refusal: LieEDNNError = NoSolutionError("there is no goal")
@@ -173,5 +176,6 @@ def plan(
             except (PlanError, NotCertifiedError) as error:
                 refusal = error
             else:
-                return replace(result, motion=motion, target=goal, planner=planner, cpu_time=cpu_time() - begin)
+                spent = cpu_time() - begin
+                return replace(result, motion=motion, target=goal, planner=planner, cpu_time=spent, arm=arm)
     raise refusal

@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import wraps
+from functools import cached_property, wraps
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
+from lieednn_sim.arm.forces import dry_friction, resting_load, tangent_basis
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, as_time_budget
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planning.motion import Motion, count_steps
 from lieednn_sim.planning.path_constraints import end_outside
 from lieednn_sim.validation import as_positive, as_seed
-from lieednn_sim.values import Floats, check_fields, frozen, set_fields
+from lieednn_sim.values import Floats, check_fields, frozen, read_only, set_fields
 
 _Made = TypeVar("_Made")
 _Solve = TypeVar("_Solve", bound=Callable[..., Any])
@@ -60,6 +61,7 @@ class PlanningProblem:
         for name in ("start", "target"):
             if off := end_outside(self.arm, self.path_constraint, getattr(self, name)):
                 raise InputError(f"at the {name} the end effector is outside the region to keep: by {off}")
+            _check_held(self.arm, getattr(self, name), name)
         check_fields(self, as_positive, "duration", "max_time_scale")
         if self.max_time_scale < 1.0:
             raise InputError(f"max_time_scale must be at least 1, the duration itself, got {self.max_time_scale:g}")
@@ -78,6 +80,22 @@ class PlanningProblem:
         return self.timestep * np.arange(count, dtype=np.float64)
 
 
+def _check_held(arm: Arm, q: Floats, what: str) -> None:
+    """Raise `InputError` if the motors of a view are too weak for its weight at rest; dry friction may help them."""
+    if arm.state is None:
+        return
+    basis = tangent_basis(arm)
+    load = np.abs(resting_load(arm.model, arm.qpos(q)[None])[0] @ basis)
+    short = load - dry_friction(arm.model, basis) - arm.force_limits
+    j = int(short.argmax())
+    if short[j] > 0.0:
+        unit = "N" if arm.unit(j) == "m" else "N m"
+        raise InputError(
+            f"joint {arm.joint_names[j]!r} cannot be held at the {what}: its load is {load[j]:.4g} {unit}, "
+            f"its force limit {arm.force_limits[j]:.4g} {unit}"
+        )
+
+
 @frozen
 class Plan:
     """A planned motion, the network that made it if there is one, and how it was planned.
@@ -93,6 +111,7 @@ class Plan:
         planner: name of the planner.
         cpu_time: CPU time that planning took [s].
         guide: the plan that the motion follows, with its planner's name; None if it follows none.
+        arm: the arm that it was planned for.
     """
 
     motion: Motion
@@ -102,6 +121,27 @@ class Plan:
     planner: str = ""
     cpu_time: float = math.nan
     guide: Plan | None = None
+    arm: Arm | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def t(self) -> Floats:
+        """``(K,)`` times from 0 [s]."""
+        return self.motion.t
+
+    @cached_property
+    def qpos(self) -> Floats:
+        """``(K, nq)`` positions in the order of the arm's model; in that of a view, what is not the arm's stays."""
+        return read_only(self._of_arm().qpos(self.motion.q))
+
+    @cached_property
+    def qvel(self) -> Floats:
+        """``(K, nv)`` velocities in that order; zero where they are not the arm's."""
+        return read_only(self._of_arm().qvel(self.motion.q, self.motion.qd))
+
+    def _of_arm(self) -> Arm:
+        if self.arm is None:
+            raise InputError("only a plan of `plan` knows its arm; take arm.qpos(plan.motion.q)")
+        return self.arm
 
 
 def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any) -> _Made:

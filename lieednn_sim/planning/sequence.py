@@ -1,9 +1,10 @@
-"""Plans in a row in a compiled model: an arm moves, a gripper closes, the arm carries what it holds, and so on."""
+"""Plans in a row in somebody's model: an arm moves, a gripper closes, the arm carries what it holds, and so on."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,12 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE
 from lieednn_sim.arm.forces import actuator_moments
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
-from lieednn_sim.planning.in_model import plan_in
+from lieednn_sim.planning.goals import resolved
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.planners import OBSTACLE_PLANNER
+from lieednn_sim.planning.planners import OBSTACLE_PLANNER, plan
 from lieednn_sim.planning.problem import Plan
 from lieednn_sim.planning.steps import Actuate, Gripping, Move
 from lieednn_sim.validation import Seed, as_seed
@@ -54,7 +54,7 @@ class SequencePart:
 
 @frozen
 class PlanSequence:
-    """Steps in a row of an arm in a compiled model, from `plan_sequence`; `run_in` simulates them.
+    """Steps in a row of a view of a model, from `plan_sequence`; `simulate` takes them.
 
     Attributes:
         t: ``(K,)`` times from 0, at the model's steps [s].
@@ -84,14 +84,9 @@ class PlanSequence:
 
 
 def plan_sequence(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    joints: Sequence[str],
+    arm: Arm,
     steps: Sequence[Move | Actuate],
     *,
-    tip: str | None = None,
-    limits: Mapping[str, Mapping[str, float]] | None = None,
-    clearance: float = PLANNED_CLEARANCE,
     planner: str = OBSTACLE_PLANNER,
     duration: float = 4.0,
     max_time_scale: float = 3.0,
@@ -100,20 +95,16 @@ def plan_sequence(
     options: PlannerOptions | None = None,
     fastest: bool = False,
 ) -> PlanSequence:
-    """Plan steps in a row in a compiled model, each from where the one before ended, at rest.
+    """Plan steps in a row of a view of a model, each from where the one before ended, at rest.
 
-    Moves are planned by `plan_in`, each with its own proof. Where the fingers and the objects are after controls have
+    Moves are planned by `plan`, each with its own proof. Where the fingers and the objects are after controls have
     changed is found by simulating the model with the arm held still; so a held object is carried as the fingers grasped
-    it, and stands afterwards where it came to rest. Neither model nor data is changed.
+    it, and stands afterwards where it came to rest.
 
     Args:
-        model: a compiled model.
-        data: its state, from which the first step starts, at rest.
-        joints: names of the arm's joints, as of `plan_in`.
+        arm: a view (`Arm.of`), from whose state the first step starts, at rest.
         steps: the steps.
-        tip, limits: as of `plan_in`.
-        clearance, planner, duration, max_time_scale, time_budget, options, fastest: as of `plan_in`, for each move that
-            has no other.
+        planner, duration, max_time_scale, time_budget, options, fastest: as of `plan`, for each move that has no other.
         seed: seed of all moves.
 
     Raises:
@@ -123,19 +114,17 @@ def plan_sequence(
     if not steps or not all(isinstance(step, Move | Actuate) for step in steps):
         raise InputError("steps must be a list of Move and Actuate, with at least one")
     common = {
-        **{"tip": tip, "limits": limits, "clearance": clearance, "planner": planner, "duration": duration},
-        **{"max_time_scale": max_time_scale, "time_budget": time_budget, "options": options, "fastest": fastest},
-        "seed": as_seed("seed", seed),
+        **{"planner": planner, "duration": duration, "max_time_scale": max_time_scale, "time_budget": time_budget},
+        **{"options": options, "fastest": fastest, "seed": as_seed("seed", seed)},
     }
-    arm = Arm.of(model, data, joints, tip=tip, limits=limits)
-    planned = _Planned(model, data, arm)
+    planned = _Planned(arm)
     # Refused before the work.
-    gripping = {k: Gripping(model, step, planned.dofs) for k, step in enumerate(steps) if isinstance(step, Actuate)}
+    gripping = {k: Gripping(arm, arm.model, step) for k, step in enumerate(steps) if isinstance(step, Actuate)}
     parts = []
     for k, step in enumerate(steps):
         first = planned.last
         try:
-            plan = None if isinstance(step, Actuate) else planned.move(joints, step, common)
+            plan = None if isinstance(step, Actuate) else planned.move(step, common)
             if k in gripping:
                 planned.grip(gripping[k])
         except LieEDNNError as error:
@@ -143,43 +132,47 @@ def plan_sequence(
             raise
         parts.append(SequencePart(step, first, planned.last, plan))
     qpos, qvel = np.vstack(planned.qpos), np.vstack(planned.qvel)
-    return PlanSequence(model.opt.timestep * np.arange(len(qpos), dtype=float), qpos, qvel, tuple(parts), arm)
+    return PlanSequence(arm.timestep * np.arange(len(qpos), dtype=float), qpos, qvel, tuple(parts), arm)
 
 
 class _Planned:
     """The rows of a sequence so far, and the state in which it ends."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, arm: Arm) -> None:
-        self._model, self._state = copy.deepcopy(model), mujoco.MjData(model)
-        mujoco.mj_copyData(self._state, model, data)
+    def __init__(self, arm: Arm) -> None:
+        self._arm, self._state = arm, arm.data()
         self._state.qvel[:] = 0.0
-        self._places, self.dofs = arm.space.addresses, arm.space.rate_addresses
-        self._heavy = _heavier(self._model, self._state, self.dofs)
-        self.qpos, self.qvel = [data.qpos[None].copy()], [np.zeros((1, model.nv))]
+        self._places, self._dofs = arm.space.addresses, arm.space.rate_addresses
+        self._heavy = _heavier(arm.model, self._state, self._dofs)
+        self.qpos, self.qvel = [self._state.qpos[None].copy()], [np.zeros((1, arm.model.nv))]
         self.last = 0
 
-    def move(self, joints: Sequence[str], step: Move, common: Mapping[str, Any]) -> Plan:
+    def move(self, step: Move, common: Mapping[str, Any]) -> Plan:
         """Plan a move, and add its rows."""
-        result = plan_in(self._model, self._state, joints, step.goal, **step.arguments(common))
-        rows = result.rows(self._model.opt.timestep)[1:]
-        self._add(result.qpos[rows], result.qvel[rows])
-        return result.plan
+        arm = self._arm.at(self._state)
+        if step.clearance is not None:
+            arm = replace(arm, clearance=step.clearance)
+        if step.holding is not None:
+            arm = arm.holding(step.holding, step.touching)
+        # A keyframe ``home`` is the state in which the sequence begins, not this one.
+        result = plan(arm, resolved(self._arm, step.goal), **step.arguments(common))
+        self._add(result.qpos[1:], result.qvel[1:])
+        return result
 
     def grip(self, gripping: Gripping) -> None:
         """Simulate a step of controls with the arm at rest, and add its rows."""
         state, qpos, qvel = self._state, [], []
         rest = state.qpos[self._places]
         gripping.begin(state)
-        applied = state.qfrc_applied[self.dofs]
+        applied = state.qfrc_applied[self._dofs]
         with QuietWarnings():
             mujoco.mj_forward(self._heavy, state)
             while True:
                 # Against gravity; of the last step, in which the arm was in the same place.
-                state.qfrc_applied[self.dofs] = (state.qfrc_bias - state.qfrc_passive)[self.dofs]
+                state.qfrc_applied[self._dofs] = (state.qfrc_bias - state.qfrc_passive)[self._dofs]
                 mujoco.mj_step(self._heavy, state)
                 if state.warning.number.any() or not np.isfinite(state.qvel).all():
                     raise PlanError("the simulation of the gripper diverged")
-                state.qpos[self._places], state.qvel[self.dofs] = rest, 0.0
+                state.qpos[self._places], state.qvel[self._dofs] = rest, 0.0
                 qpos.append(state.qpos.copy())
                 qvel.append(state.qvel.copy())
                 try:
@@ -187,7 +180,7 @@ class _Planned:
                         break
                 except LookupError as error:
                     raise PlanError(f"its event does not come: {error.args[0]}") from None
-        state.qfrc_applied[self.dofs] = applied
+        state.qfrc_applied[self._dofs] = applied
         self._add(np.array(qpos), np.array(qvel))
 
     def _add(self, qpos: Floats, qvel: Floats) -> None:

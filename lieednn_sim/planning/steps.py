@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import TaskSpaceRegion
+from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.arm.forces import actuator_moments
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.options import PlannerOptions
@@ -24,15 +24,17 @@ _SLOW, _QUIET = 2e-3, 0.1
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Move:
-    """A motion of the arm to a goal, planned by `plan_in`.
+    """A motion of the arm to a goal, planned by `plan`.
 
     Attributes:
-        goal: any goal of `plan_in`: joint positions, a pose of the tip, the name of a keyframe of the model.
+        goal: any goal of `plan`: joint positions, a pose of the tip, the name of a keyframe of the model; ``home`` is
+            where the sequence begins.
         name: what the move is called, by default the goal if that is a name.
         holding: name of the free body that the tip carries, from where it then is.
         touching: names of bodies that the held one may touch, besides what it stands on at the beginning.
-        planner, duration, max_time_scale, seed, time_budget, clearance, options, fastest: as of `plan_in`; None for
-            those of the sequence.
+        planner, duration, max_time_scale, seed, time_budget, options, fastest: as of `plan`; None for those of the
+            sequence.
+        clearance: distance that it keeps from contact [m]; None for the arm's.
         path_constraint: region in which the tip stays on the way; none if it may go anywhere.
     """
 
@@ -55,8 +57,9 @@ class Move:
         set_fields(self, name=label, touching=tuple(self.touching))
 
     def arguments(self, common: Mapping[str, Any]) -> dict[str, Any]:
-        """The arguments of `plan_in` besides model, data, joints and goal: those of the sequence, where not its own."""
-        own = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in ("goal", "name")}
+        """The arguments of `plan` besides arm and goal: those of the sequence, where not its own."""
+        names = (*common, "path_constraint")
+        own = {name: getattr(self, name) for name in names}
         return {**common, **{name: value for name, value in own.items() if value is not None}}
 
 
@@ -94,22 +97,22 @@ class Gripping:
     """A step of controls in a model: sets them, and knows when the step is over.
 
     Args:
-        model: the model.
+        arm: the arm, which the actuators must not move.
+        model: its model, or a simulated one like it.
         step: the step.
-        arm: ``(m,)`` the dofs of the arm, which the actuators must not move.
 
     Raises:
         InputError: there is no such actuator or body, it moves the arm, or a control is out of its range.
     """
 
-    def __init__(self, model: mujoco.MjModel, step: Actuate, arm: NDArray[np.int_]) -> None:
-        self.step, self._model = step, model
+    def __init__(self, arm: Arm, model: mujoco.MjModel, step: Actuate) -> None:
+        self.step, self._model, dofs = step, model, arm.space.rate_addresses
         names = [model.actuator(k).name for k in range(model.nu)]
         moments = actuator_moments(model)
         self._controls = {names.index(as_choice("actuator", name, names)): v for name, v in step.controls.items()}
         for k, value in self._controls.items():
             low, high = model.actuator_ctrlrange[k]
-            if moments[k, arm].any():
+            if moments[k, dofs].any():
                 raise InputError(f"actuator {names[k]!r} moves the arm, which follows its plan; leave it out")
             if model.actuator_ctrllimited[k] and not low <= value <= high:
                 raise InputError(f"the control of {names[k]!r} must be from {low:g} to {high:g}, got {value:g}")

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.rendering import scene_setup
-from lieednn_sim.simulation import ModelRun, Rollout
+from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats, frozen
 
 # Red, green and blue for x, y and z.
@@ -42,9 +42,9 @@ class Overlay:
     scale: float = 1.0
 
     @classmethod
-    def of(cls, rollout: Rollout | ModelRun, scale: float) -> Overlay:
+    def of(cls, rollout: Rollout, scale: float) -> Overlay:
         """The overlay of a rollout: its reference's link frames, and the simulated end effector."""
-        return cls(scene_setup.planned_frames(rollout), scene_setup.travelled(rollout), scale)
+        return cls(scene_setup.planned_frames(rollout), rollout.link_position[:, -1], scale)
 
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
         """Add the geometry of sample ``k`` to a scene."""

@@ -15,7 +15,7 @@ from lieednn_sim.rendering import scene_setup
 from lieednn_sim.rendering.overlay import KEY
 from lieednn_sim.rendering.recording import record
 from lieednn_sim.rendering.video import check_camera
-from lieednn_sim.simulation import ModelRun, Rollout
+from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path
 
@@ -58,7 +58,7 @@ def player(recording: str, *, title: str = "Motion", style: str = "", header: st
 
 
 def render_page(
-    rollout: Rollout | ModelRun,
+    rollout: Rollout,
     path: str | os.PathLike[str],
     *,
     camera: str | None = None,
@@ -71,7 +71,7 @@ def render_page(
     as a file, asks for nothing from the network, and follows the reader's choice of light or dark.
 
     Args:
-        rollout: the rollout, or a run in a given model.
+        rollout: the rollout.
         path: ``.html`` file.
         camera: the view it begins with, as for `render_video`.
         title: the planner's name, for the caption.
@@ -83,18 +83,16 @@ def render_page(
     """
     if as_path("path", path).suffix != ".html":
         raise InputError(f"a page's name must end in .html, got {Path(path).name!r}")
-    what = scene_setup.shown(rollout)
-    check_camera(what, camera)
+    check_camera(rollout.arm, camera)
     recording = record([rollout], camera=camera, progress=progress)
-    controller = [] if isinstance(rollout, ModelRun) else [rollout.controller]
-    texts = [f"<b>{escape(scene_setup.place(what))}</b>"]
-    texts += [escape(word) for word in (title, *controller, _duration(rollout)) if word]
+    texts = [f"<b>{escape(scene_setup.place(rollout.arm))}</b>"]
+    texts += [escape(word) for word in (title, rollout.controller, _duration(rollout)) if word]
     for (red, green, blue, _), word in KEY:
         colour = f"rgb({255 * red:.0f} {255 * green:.0f} {255 * blue:.0f})"
         texts.append(f'<i style="background:{colour}"></i>{word} path')
     page = player(
         base64.b64encode(recording.content).decode("ascii"),
-        title=f"{title or 'Motion'} on {scene_setup.place(what)}",
+        title=f"{title or 'Motion'} on {scene_setup.place(rollout.arm)}",
         style=_STYLE.replace("RATIO", f"{recording.ratio:.3f}"),
         header="<header>" + "".join(f"<span>{text}</span>" for text in texts) + "</header>",
     )
@@ -102,7 +100,7 @@ def render_page(
         stream.write(page)
 
 
-def _duration(rollout: Rollout | ModelRun) -> str:
+def _duration(rollout: Rollout) -> str:
     held = rollout.hold
     return f"{rollout.motion_end:.2f} s" + (f", then {held:.2f} s at rest" if held > 0.005 else "")
 

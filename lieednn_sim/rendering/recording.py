@@ -13,7 +13,7 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.errors import InputError
 from lieednn_sim.rendering import scene_setup, viser_scene
 from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
-from lieednn_sim.simulation import ModelRun, Rollout
+from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
 
 _RATE = 25  # poses per second
@@ -35,7 +35,7 @@ class Recording:
 
 
 def record(
-    rollouts: Sequence[Rollout | ModelRun],
+    rollouts: Sequence[Rollout],
     labels: Sequence[str] = (),
     *,
     camera: str | None = None,
@@ -47,7 +47,7 @@ def record(
     target, the planned path, and the path that the end effector has travelled so far.
 
     Args:
-        rollouts: one or more rollouts of the same arm in the same scene, or one run in a given model.
+        rollouts: one or more rollouts of the same arm in the same scene.
         labels: a text above each arm; none by default.
         camera: name of a camera of the scene, as for `render_video`.
         progress: called with (done, total) after every instant.
@@ -56,15 +56,15 @@ def record(
         InputError: the rollouts are of several arms or scenes, or the labels are not as many.
         LieEDNNError: viser is not installed.
     """
-    if not rollouts or len({_identity(rollout) for rollout in rollouts}) > 1:
+    if not rollouts or len({rollout.arm.fingerprint for rollout in rollouts}) > 1:
         raise InputError("rollouts side by side must be of one arm in one scene, and there must be one at least")
     if labels and len(labels) != len(rollouts):
         raise InputError(f"labels must be one for each of {len(rollouts)} rollouts, got {len(labels)}")
-    arm = scene_setup.shown(rollouts[0])
+    arm = rollouts[0].arm
     points = np.vstack([scene_setup.occupied(rollout) for rollout in rollouts])
     model, marker = scene_setup.staged(arm, points)
     shapes = viser_scene.Shapes(model)
-    home = kinematics_at(model, scene_setup.as_qpos(arm, scene_setup.positions(rollouts[0])[0]))
+    home = kinematics_at(model, rollouts[0].qpos[0])
     view = viser_scene.viewpoint(model, home, scene_setup.camera(arm, camera, points), points)
     offsets, ratio = np.zeros((1, 3)), float(np.clip(_MARGIN * view.ratio(points), 1.0, _WIDE))
     held = np.vstack([points, *map(_corners, (points, shapes.extent))])
@@ -109,19 +109,15 @@ class _Copy:
         scene: Any,
         shapes: viser_scene.Shapes,
         marker: int,
-        rollout: Rollout | ModelRun,
+        rollout: Rollout,
         name: str,
         offset: Floats,
         scale: float,
     ) -> None:
         self._rollout, self._nodes = rollout, viser_scene.ModelNodes(scene, shapes, name, offset=offset)
-        self._shown, self._positions, self._way = (
-            scene_setup.shown(rollout),
-            scene_setup.positions(rollout),
-            scene_setup.travelled(rollout),
-        )
+        self._way = rollout.link_position[:, -1]
         self._data = mujoco.MjData(shapes.model)
-        scene_setup.mark(self._shown, self._data, marker, scene_setup.target(rollout))
+        scene_setup.mark(rollout.arm, self._data, marker, rollout.target)
         self._samples = np.unique(np.linspace(0, len(rollout.t) - 1, 101, dtype=int))
         self._plan = scene_setup.planned_frames(rollout)[self._samples, -1, :3, 3]
         off = np.linalg.norm(self._plan - self._way[self._samples], axis=1)
@@ -138,7 +134,7 @@ class _Copy:
         """Move to a time [s] after the beginning, or to the end."""
         rollout = self._rollout
         k = min(round(time / rollout.timestep), len(rollout.t) - 1)
-        self._data.qpos[:] = scene_setup.as_qpos(self._shown, self._positions[k])
+        self._data.qpos[:] = rollout.qpos[k]
         mujoco.mj_kinematics(self._nodes.model, self._data)
         self._nodes.show(self._data)
         tip = self._way[k]
@@ -148,11 +144,6 @@ class _Copy:
             # What the travelled path covers is left out: at the same depth the two lines would flicker.
             covered = self._followed & (self._samples <= k)
             self._planned.points = viser_scene.segments(self._plan)[~(covered[:-1] & covered[1:])]
-
-
-def _identity(rollout: Rollout | ModelRun) -> str | int:
-    """What rollouts of one arm in one scene have in common."""
-    return id(rollout.model) if isinstance(rollout, ModelRun) else rollout.arm.fingerprint
 
 
 def _corners(points: Floats) -> Floats:

@@ -1,169 +1,128 @@
-"""Staging of an arm or a given model for rendering: light, sky, target marker and camera, where they are missing."""
+"""Staging of an arm for rendering: light, sky, target marker and camera, where they are missing."""
 
 from __future__ import annotations
 
 import copy
 from itertools import product
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.frames import find_frame
 from lieednn_sim.arm.importer.loading import unused
-from lieednn_sim.simulation import ModelRun, Rollout
+from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
-
-# What is rendered, and what has happened to it.
-Shown: TypeAlias = Arm | mujoco.MjModel
-Run: TypeAlias = Rollout | ModelRun
 
 _PLANE, _NO_MARKER = int(mujoco.mjtGeom.mjGEOM_PLANE), -1
 _OVERVIEW = "overview"  # the camera of the package's own scenes
 _UNSEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}  # no effect on contacts and dynamics
 
 
-def reached(arm: Shown) -> Floats:
-    """Points ``(P, 3)`` that the link frames reach, at home and at random configurations with a fixed seed.
-
-    Of a given model, they are around all geoms at its reference position.
-    """
-    if not isinstance(arm, Arm):
-        return _corners(arm, kinematics_at(arm, arm.qpos0), np.ones(arm.ngeom, dtype=bool)).reshape(-1, 3)
+def reached(arm: Arm) -> Floats:
+    """Points ``(P, 3)`` that the link frames reach, at home and at random configurations with a fixed seed."""
     low, high = arm.position_limits.T
     configurations = np.random.default_rng(0).uniform(low, high, (64, arm.n_joints))
     places = arm.link_poses(np.vstack([arm.keyframe("home"), arm.within_angles(configurations)])).translation
     return np.vstack([arm.base.translation, np.asarray(places).reshape(-1, 3)])
 
 
-def shown(run: Run) -> Shown:
-    """What a run is of: an arm in its scene, or a given model."""
-    return run.model if isinstance(run, ModelRun) else run.arm
+def planned_frames(run: Rollout) -> Floats:
+    """Planned link frames ``(K, N, 4, 4)``, the last of which is the end effector's; of a view only that one."""
+    links = slice(None) if run.arm.state is None else slice(-1, None)
+    return run.arm.link_poses(run.q_ref).as_matrix()[:, links]
 
 
-def positions(run: Run) -> Floats:
-    """Positions ``(K, ...)`` as `video.Camera` takes them: joint coordinates of an arm, or a given model's qpos."""
-    return run.qpos if isinstance(run, ModelRun) else run.q
+def occupied(run: Rollout) -> Floats:
+    """Points ``(P, 3)`` that a picture must contain: the base, the target, and all that the links pass.
 
-
-def as_qpos(what: Shown, position: Floats) -> Floats:
-    """Positions for `video.Camera` as MuJoCo's ``(..., nq)``."""
-    return what.qpos(position) if isinstance(what, Arm) else position
-
-
-def target(run: Run) -> Floats | None:
-    """Joint target ``(n,)`` for the marker; a given model has none."""
-    return None if isinstance(run, ModelRun) else run.target
-
-
-def travelled(run: Run) -> Floats:
-    """Where the end effector was, ``(K, 3)``."""
-    return run.poses(run.tip).translation if isinstance(run, ModelRun) else run.link_position[:, -1]
-
-
-def planned_frames(run: Run) -> Floats:
-    """Planned link frames ``(K, N, 4, 4)``, the last of which is the end effector's; in a given model only that one."""
-    if isinstance(run, ModelRun):
-        return run.poses(run.tip, planned=True).as_matrix()[:, None]
-    return run.arm.link_poses(run.q_ref).as_matrix()
-
-
-def occupied(run: Run) -> Floats:
-    """Points ``(P, 3)`` that a view must contain: the base, the target, and all that the links pass.
-
-    In a given model, which may hold more than an arm, it is what moves, and the bodies that carry the end effector.
+    In the model of a view, which may hold more than an arm, it is what moves, and the bodies that carry the end
+    effector.
     """
-    if isinstance(run, ModelRun):
+    if run.arm.state is not None:
         return _occupied_in(run)
     ends = [run.arm.base.translation, run.arm.link_poses(run.target).translation[-1]]
     return np.vstack([*ends, run.link_position.reshape(-1, 3)])
 
 
-def _occupied_in(run: ModelRun) -> Floats:
+def _occupied_in(run: Rollout) -> Floats:
     """Points around the geoms of the bodies in question, at some instants; what moves by a millimetre counts."""
-    model, data = run.model, mujoco.MjData(run.model)
+    model, data = run.arm.model, mujoco.MjData(run.arm.model)
     target = np.zeros(model.ngeom, dtype=bool)
-    body = find_frame(model, run.tip).body
+    body = int(run.arm.frames.bodies[-1])
     while body > 0:
         target |= model.geom_bodyid == body
         body = int(model.body_parentid[body])
     results = []
     for data.qpos[:] in run.qpos[np.linspace(0, len(run.t) - 1, 25, dtype=int)]:
         mujoco.mj_kinematics(model, data)
-        results.append(_corners(model, data, np.ones(model.ngeom, dtype=bool)))
+        results.append(_corners(model, data))
     target |= np.ptp(results, axis=0).max(axis=(1, 2)) > 1e-3
     return np.array(results)[:, target & (model.geom_type != _PLANE)].reshape(-1, 3)
 
 
-def _corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray[np.bool_]) -> Floats:
+def _corners(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
     """Corners ``(G, 8, 3)`` of the boxes around geoms; those of planes are the planes' origins."""
-    centre, half = model.geom_aabb[geoms, None, :3], model.geom_aabb[geoms, None, 3:].copy()
-    half[model.geom_type[geoms] == _PLANE] = 0.0
+    centre, half = model.geom_aabb[:, None, :3], model.geom_aabb[:, None, 3:].copy()
+    half[model.geom_type == _PLANE] = 0.0
     inside = centre + half * np.array(list(product((-1.0, 1.0), repeat=3)))
-    turns = data.geom_xmat[geoms].reshape(-1, 3, 3)
-    return np.asarray(data.geom_xpos[geoms, None] + inside @ turns.transpose(0, 2, 1))
+    turns = data.geom_xmat.reshape(-1, 3, 3)
+    return np.asarray(data.geom_xpos[:, None] + inside @ turns.transpose(0, 2, 1))
 
 
-def place(what: Shown) -> str:
-    """Name of the arm, and of its scene if there are obstacles, or of the model, for captions."""
-    if not isinstance(what, Arm):
-        return what.names[: what.names.index(b"\0")].decode("utf-8", "replace")
-    return what.name if what.scene == "free" else f"{what.name}, {what.scene}"
+def place(arm: Arm) -> str:
+    """Name of the arm, and of its scene if there are obstacles, for captions."""
+    return arm.name if arm.scene == "free" else f"{arm.name}, {arm.scene}"
 
 
-def caption(run: Run, time: float) -> list[str]:
-    """What a run is of, and what the arm is doing at a time [s]."""
-    doing = run.step_at(time) if isinstance(run, ModelRun) else run.controller
-    return [word for word in (place(shown(run)), doing) if word]
+def caption(run: Rollout, time: float) -> list[str]:
+    """What a run is of, and the step of a sequence at a time [s], or the controller."""
+    return [place(run.arm), run.step_at(time) or run.controller]
 
 
-def cameras(what: Shown) -> list[str]:
+def cameras(arm: Arm) -> list[str]:
     """Names of the cameras of the scene."""
-    model = model_of(what)
-    return [model.camera(i).name for i in range(model.ncam)]
+    return [arm.model.camera(i).name for i in range(arm.model.ncam)]
 
 
-def camera(what: Shown, name: str | None, points: Floats) -> mujoco.MjvCamera:
+def camera(arm: Arm, name: str | None, points: Floats) -> mujoco.MjvCamera:
     """A camera of the scene by its name; by default ``overview`` if there is one, else one that frames the points."""
-    name = name or (_OVERVIEW if _OVERVIEW in cameras(what) else None)
+    name = name or (_OVERVIEW if _OVERVIEW in cameras(arm) else None)
     if name is None:
-        return framing(what, points)
+        return framing(arm, points)
     fixed = mujoco.MjvCamera()
-    fixed.type, fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model_of(what).camera(name).id
+    fixed.type, fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, arm.model.camera(name).id
     return fixed
 
 
-def scale(what: Shown, points: Floats) -> float:
+def scale(arm: Arm, points: Floats) -> float:
     """Scale of lengths and widths that are drawn around an arm: 1 in the package's scenes and from 1.3 m on."""
-    return 1.0 if _OVERVIEW in cameras(what) else min(1.0, float(np.linalg.norm(np.ptp(points, axis=0))) / 1.3)
+    return 1.0 if _OVERVIEW in cameras(arm) else min(1.0, float(np.linalg.norm(np.ptp(points, axis=0))) / 1.3)
 
 
-def framing(what: Shown, points: Floats) -> mujoco.MjvCamera:
-    """A camera that frames the points ``(P, 3)`` of an arm, with room for a hand beyond them, or of a given model."""
+def framing(arm: Arm, points: Floats) -> mujoco.MjvCamera:
+    """A camera that frames the points ``(P, 3)`` of an arm, with room for a hand beyond them unless it is a view."""
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = 1.15 * float(np.linalg.norm(points - centre, axis=1).max())
-    radius += _hand(what) if isinstance(what, Arm) else 0.0
+    radius += _hand(arm) if arm.state is None else 0.0
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = centre
-    camera.distance = radius / np.sin(0.5 * np.deg2rad(model_of(what).vis.global_.fovy))
+    camera.distance = radius / np.sin(0.5 * np.deg2rad(arm.model.vis.global_.fovy))
     camera.azimuth, camera.elevation = 125.0, -20.0
     return camera
 
 
-def staged(arm: Shown, points: Floats) -> tuple[mujoco.MjModel, int]:
+def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     """A copy of the arm's model, completed for rendering, and the mocap id of its target marker.
 
-    A given model gets no marker, and a brighter headlight if it has no other lights.
+    That of a view gets no marker, and a brighter headlight if it has no other lights.
 
     Args:
-        arm: the arm, or a given model; joints and their order are the same in the copy.
+        arm: the arm; joints and their order are the same in the copy.
         points: ``(P, 3)`` points that determine the size of the marker.
     """
-    model = model_of(arm)
-    if not isinstance(arm, Arm):
+    model = arm.model
+    if arm.spec is None:
         result = copy.deepcopy(model)
         if not result.nlight:
             result.vis.headlight.ambient[:] = result.vis.headlight.diffuse[:] = 0.45
@@ -212,14 +171,9 @@ def staged(arm: Shown, points: Floats) -> tuple[mujoco.MjModel, int]:
     return result, int(result.body_mocapid[result.body(name).id])
 
 
-def model_of(what: Shown) -> mujoco.MjModel:
-    """The model of an arm in its scene, or the given one."""
-    return what.model if isinstance(what, Arm) else what
-
-
-def mark(arm: Shown, data: mujoco.MjData, marker: int, target: Floats | None) -> None:
+def mark(arm: Arm, data: mujoco.MjData, marker: int, target: Floats | None) -> None:
     """Put the marker, by its mocap id, at a joint target ``(n,)``, or without one into the base, which hides it."""
-    if not isinstance(arm, Arm):
+    if marker == _NO_MARKER:
         return
     pose = arm.base if target is None else arm.link_poses(target)[-1]
     data.mocap_pos[marker] = pose.translation

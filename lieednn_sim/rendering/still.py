@@ -14,7 +14,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.rendering import scene_setup
 from lieednn_sim.rendering.overlay import Overlay
 from lieednn_sim.rendering.video import Camera, Image
-from lieednn_sim.simulation import ModelRun, Rollout
+from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path
 from lieednn_sim.values import Floats
@@ -26,7 +26,7 @@ OPACITIES = (0.3, 0.36, 0.44, 0.55, 1.0)
 
 
 def render_still(
-    rollout: Rollout | ModelRun,
+    rollout: Rollout,
     path: str | os.PathLike[str],
     *,
     camera: str | None = None,
@@ -38,7 +38,7 @@ def render_still(
     The instants divide the end effector's path into equal lengths; the earlier the instant, the fainter the arm.
 
     Args:
-        rollout: the rollout, or a run in a given model.
+        rollout: the rollout.
         path: ``.png`` file.
         camera: as in `Camera`.
         size: (width, height) in pixels.
@@ -55,11 +55,10 @@ def render_still(
         Picture.fromarray(image).save(temporary, format="PNG")
 
 
-def still(rollout: Rollout | ModelRun, *, camera: str | None, size: tuple[int, int], preset: str) -> Image:
+def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset: str) -> Image:
     """The picture ``(height, width, 3)`` of `render_still`."""
-    points, what, rows = scene_setup.occupied(rollout), scene_setup.shown(rollout), scene_setup.positions(rollout)
-    overlay = Overlay.of(rollout, scene_setup.scale(what, points))
-    model = scene_setup.model_of(what)
+    points, model = scene_setup.occupied(rollout), rollout.arm.model
+    overlay = Overlay.of(rollout, scene_setup.scale(rollout.arm, points))
     moving = (model.body_weldid[model.geom_bodyid] != 0) & (model.body_mocapid[model.geom_bodyid] < 0)
     chosen = instants(overlay.traced_tip, len(OPACITIES))
 
@@ -74,14 +73,12 @@ def still(rollout: Rollout | ModelRun, *, camera: str | None, size: tuple[int, i
                 geom.pos[:] = away
         draw(scene)
 
-    with Camera(
-        what, camera=camera, size=size, preset=preset, target=scene_setup.target(rollout), points=points
-    ) as view:
-        empty = view.picture(rows[0], draw_without_arm)
+    with Camera(rollout.arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points) as view:
+        empty = view.picture_at(rollout.qpos[0], draw_without_arm)
         # In the order of time. Where a picture is the empty one, the arm is not, nor its shadow.
         result = empty.astype(float)
         for k, opacity in zip(chosen, OPACITIES, strict=True):
-            picture = view.picture(rows[k], draw)
+            picture = view.picture_at(rollout.qpos[k], draw)
             there = (picture != empty).any(axis=-1)
             result[there] += opacity * (picture[there] - result[there])
     return np.rint(result).astype(np.uint8)

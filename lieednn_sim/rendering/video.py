@@ -20,7 +20,7 @@ from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.io import atomic_path
 from lieednn_sim.rendering import ffmpeg, opengl, scene_setup
 from lieednn_sim.rendering.overlay import Overlay, write_caption
-from lieednn_sim.simulation import ModelRun, Rollout
+from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_path, as_positive, quoted
 
@@ -44,10 +44,10 @@ PRESETS = {"draft": Preset(shadows=False, samples=0), "nice": Preset(shadows=Tru
 
 
 def check_view(
-    what: scene_setup.Shown, *, camera: str | None = None, size: tuple[int, int] = (1280, 720), preset: str = "nice"
+    arm: Arm, *, camera: str | None = None, size: tuple[int, int] = (1280, 720), preset: str = "nice"
 ) -> None:
     """Raise `InputError` for an unknown camera or preset, or a size that cannot be rendered."""
-    check_camera(what, camera)
+    check_camera(arm, camera)
     as_choice("preset", preset, PRESETS)
     if np.shape(size) != (2,):
         raise InputError(f"size must be (width, height), got {quoted(size)}")
@@ -56,10 +56,10 @@ def check_view(
         raise InputError(f"size must be even and at most {_MAX_WIDTH}x{_MAX_HEIGHT}, got {width}x{height}")
 
 
-def check_camera(what: scene_setup.Shown, camera: str | None) -> None:
+def check_camera(arm: Arm, camera: str | None) -> None:
     """Raise `InputError` for a camera that the scene does not have."""
     if camera is not None:
-        as_choice("camera", camera, scene_setup.cameras(what))
+        as_choice("camera", camera, scene_setup.cameras(arm))
 
 
 def check_rate(fps: float, path: str | os.PathLike[str]) -> float:
@@ -76,12 +76,12 @@ class Camera:
     """Renders an arm from a named camera; use as a context manager, which frees the OpenGL context.
 
     Args:
-        arm: the arm, or a given model, which is rendered as it is; neither is changed.
+        arm: the arm; the model of a view is rendered as it is.
         camera: name of a camera of its scene; by default ``overview`` if there is one, else a view of ``points``.
         size: (width, height) in pixels, both even, at most 3840x2160.
         preset: a name of `PRESETS`.
-        target: joint target ``(n,)`` for the marker, the scene's own or an added one (`scene_setup.staged`); a given
-            model has no marker.
+        target: joint target ``(n,)`` for the marker, the scene's own or an added one (`scene_setup.staged`); a view has
+            no marker.
         points: points ``(P, 3)`` that the view must contain; by default those of `scene_setup.reached`.
 
     Raises:
@@ -91,7 +91,7 @@ class Camera:
 
     def __init__(
         self,
-        arm: scene_setup.Shown,
+        arm: Arm,
         *,
         camera: str | None = None,
         size: tuple[int, int] = (1280, 720),
@@ -121,12 +121,12 @@ class Camera:
         self._renderer.close()
 
     def picture(self, q: ArrayLike, draw: Callable[[mujoco.MjvScene], None] | None = None) -> Image:
-        """Image ``(height, width, 3)`` of the arm at ``q`` ``(n,)``; ``draw`` may add to the scene.
+        """Image ``(height, width, 3)`` of the arm at ``q`` ``(n,)``; ``draw`` may add to the scene."""
+        return self.picture_at(self._arm.qpos(as_floats("q", q, (self._arm.n_joints,))), draw)
 
-        Of a given model, ``q`` is MuJoCo's ``(nq,)``.
-        """
-        size = self._arm.n_joints if isinstance(self._arm, Arm) else self._model.nq
-        self._data.qpos[:] = scene_setup.as_qpos(self._arm, as_floats("q", q, (size,)))
+    def picture_at(self, qpos: ArrayLike, draw: Callable[[mujoco.MjvScene], None] | None = None) -> Image:
+        """The same at positions ``(nq,)`` of everything in the model."""
+        self._data.qpos[:] = as_floats("qpos", qpos, (self._model.nq,))
         mujoco.mj_forward(self._model, self._data)
         # Twice, because MuJoCo puts the headlight where the camera was at the previous update.
         for _ in range(2):
@@ -140,14 +140,14 @@ class Camera:
 
     def mark(self, target: ArrayLike | None) -> None:
         """Put the marker at a joint target ``(n,)``; without a target, hide an added marker in the base."""
-        if not isinstance(self._arm, Arm) or (target is None and self._model.nbody == self._arm.model.nbody):
+        if target is None and self._model.nbody == self._arm.model.nbody:
             return
         goal = None if target is None else as_floats("target", target, (self._arm.n_joints,))
         scene_setup.mark(self._arm, self._data, self._marker, goal)
 
 
 def render_video(
-    rollout: Rollout | ModelRun,
+    rollout: Rollout,
     path: str | os.PathLike[str],
     *,
     camera: str | None = None,
@@ -161,11 +161,11 @@ def render_video(
 
     Frame k shows the time k / fps.
 
-    A caption in a corner has the time, the names of arm, scene and controller, and a colour legend. Of a run of
-    `run_in`, the given model is shown as it is, and the caption names the step of a sequence.
+    A caption in a corner has the time, the names of arm, scene and controller, and a colour legend. The model of
+    a view is shown as it is, with all that moves in it, and the caption names the step of a sequence.
 
     Args:
-        rollout: the rollout, whose target the marker shows, or a run in a given model.
+        rollout: the rollout, whose target the marker shows.
         path: ``.mp4`` or ``.gif``; it appears only when the video is complete.
         camera: name of a camera of the scene, as in `Camera` (default: overview, if there is one, else a view of all).
         size: (width, height) in pixels.
@@ -177,7 +177,6 @@ def render_video(
     Returns:
         The number of frames.
     """
-    shown = scene_setup.shown(rollout)
     if as_path("path", path).suffix not in (".mp4", ".gif"):
         raise InputError(f"a video's name must end in .mp4 or .gif, got {Path(path).name!r}")
     rate = check_rate(fps, path)
@@ -185,9 +184,9 @@ def render_video(
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
     points = scene_setup.occupied(rollout)
-    overlay = Overlay.of(rollout, scene_setup.scale(shown, points))
-    names, rows, end = [title] if title else [], scene_setup.positions(rollout), rollout.t[-1]
-    view = Camera(shown, camera=camera, size=size, preset=preset, target=scene_setup.target(rollout), points=points)
+    overlay = Overlay.of(rollout, scene_setup.scale(rollout.arm, points))
+    names, end = [title] if title else [], rollout.t[-1]
+    view = Camera(rollout.arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points)
     with view, atomic_path(path) as temporary:
         # A picture is captioned and encoded while the next one is rendered.
         with _writer(temporary, size, rate) as append, ThreadPoolExecutor(1) as encoder:
@@ -199,7 +198,7 @@ def render_video(
 
             written: Future[None] | None = None
             for done, k in enumerate(samples, start=1):
-                picture = view.picture(rows[k], functools.partial(overlay.draw, k=int(k)))
+                picture = view.picture_at(rollout.qpos[k], functools.partial(overlay.draw, k=int(k)))
                 if written is not None:
                     written.result()
                 written = encoder.submit(write, picture, rollout.t[k])

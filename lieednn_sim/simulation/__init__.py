@@ -1,7 +1,7 @@
 """Simulation in MuJoCo: an arm tracks a planned motion, or follows a policy, under chosen disturbances.
 
-`simulate` tracks a motion with a controller, `simulate_many` does that for many motions at once, `follow` runs a
-policy, and `run_in` plays a plan in a model that somebody else made. Each returns the log of what happened.
+`simulate` tracks a motion or a sequence with a controller, `simulate_many` does that for many motions at once, and
+`follow` runs a policy. Each returns the log of what happened.
 """
 
 from lieednn_sim.registry import CONTROLLERS
@@ -9,10 +9,8 @@ from lieednn_sim.simulation.controllers import register_controller
 from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.following import Following, follow
-from lieednn_sim.simulation.in_model import run_in
 from lieednn_sim.simulation.log import Channel, Log
 from lieednn_sim.simulation.many import Rollouts, simulate_many
-from lieednn_sim.simulation.model_run import ModelRun
 from lieednn_sim.simulation.moving_obstacles import MovingObstacle
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
@@ -26,7 +24,6 @@ __all__ = [
     "Disturbances",
     "Following",
     "Log",
-    "ModelRun",
     "MovingObstacle",
     "Push",
     "Rollout",
@@ -34,7 +31,6 @@ __all__ = [
     "Simulation",
     "follow",
     "register_controller",
-    "run_in",
     "simulate",
     "simulate_many",
 ]

@@ -7,14 +7,16 @@ l = moment x, v = moment qvel, where x holds angles, displacements and rotation 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import actuator_moments, on_fixed_tendon
+from lieednn_sim.arm.forces import actuator_moments, on_fixed_tendon, tangent_basis
 from lieednn_sim.errors import InputError
-from lieednn_sim.simulation.disturbances import Noise, tangent_basis
+from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.values import Floats
 
 
@@ -22,20 +24,23 @@ class ModelActuators:
     """The actuators that move an arm in a model, and the controls for wanted states and forces.
 
     Args:
-        model: the arm's own model, or another one that holds the arm.
-        basis: ``(nv, n)`` velocities of the model's dofs at unit rates of the arm's coordinates (`tangent_basis`).
+        arm: the arm.
 
     Attributes:
-        driving: ``(nu,)`` whether actuators move the arm's joints. The others keep their controls of the keyframe
-            ``home``, or zero.
+        driving: ``(nu,)`` whether actuators move the arm's joints. The others keep their controls of a view's state, of
+            the keyframe ``home``, or zero.
         servos: ``(nu,)`` which of the driving ones are position servos; the others exert forces alone.
         transmission: ``(nu, n)`` lengths' rates at unit rates of the coordinates; zero for those that do not drive.
+        allocation: ``(nu, nv)`` forces of least norm with the effect of generalised forces on the arm.
+        gain: ``(nu,)`` g of those that drive.
+        bias: ``(3, nu)`` their b0, b1 and b2.
 
     Raises:
         InputError: an actuator that moves the arm is not affine, without memory and on joints or fixed tendons.
     """
 
-    def __init__(self, model: mujoco.MjModel, basis: Floats) -> None:
+    def __init__(self, arm: Arm) -> None:
+        model, basis = arm.model, tangent_basis(arm)
         moments = actuator_moments(model)
         self.driving = _moving(moments, basis)
         self._moment = np.where(self.driving[:, None], moments, 0.0)
@@ -43,11 +48,14 @@ class ModelActuators:
         _check(model, self.driving)
         # Forces f of least norm with basis^T moment^T f = basis^T tau: components of tau that do no work on the arm,
         # such as forces on other joints and between coupled stages, are left out.
-        self._allocation = np.linalg.pinv(transmission.T) @ basis.T
-        self._gain = np.where(self.driving, model.actuator_gainprm[:, 0], 1.0)
-        self._bias = np.where(self.driving, model.actuator_biasprm[:, :3].T, 0.0)
-        self.servos = self.driving & (self._bias[1] / self._gain < 0.0)
-        self._idle = np.where(self.driving, 0.0, _home_controls(model))
+        self.allocation = np.linalg.pinv(transmission.T) @ basis.T
+        self.gain = np.where(self.driving, model.actuator_gainprm[:, 0], 1.0)
+        self.bias = np.where(self.driving, model.actuator_biasprm[:, :3].T, 0.0)
+        self.servos = self.driving & (self.bias[1] / self.gain < 0.0)
+        view = arm.state is not None
+        self._idle = np.where(self.driving, 0.0, arm.data().ctrl if view else _home_controls(model))
+        # In a model with more than an arm, somebody else may change the others' controls.
+        self._written: Any = self.driving if view else True
         # The positions at which all lengths are zero: those of quaternions are their references.
         self._model, self._zero = model, model.qpos0.copy()
         self._zero[model.jnt_qposadr[np.isin(model.jnt_type, _SCALAR)]] = 0.0
@@ -76,7 +84,7 @@ class ModelActuators:
 
     def forces(self, generalised: Floats) -> Floats:
         """Actuator forces ``(..., nu)`` with the effect of generalised forces ``(..., nv)`` on the arm's joints."""
-        return np.matvec(self._allocation, generalised)
+        return np.matvec(self.allocation, generalised)
 
     def servo_controls(self, qpos: Floats, qvel: Floats, generalised: Floats | None = None) -> Floats:
         """Controls ``(..., nu)`` for which servos exert given forces at given states: (f - b0 - b1 l - b2 v) / g.
@@ -87,9 +95,9 @@ class ModelActuators:
 
     def affine_controls(self, qpos: Floats, qvel: Floats, forces: Floats | float) -> Floats:
         """Controls ``(..., nu)`` for which the actuators exert given forces ``(..., nu)`` at given states."""
-        constant, stiffness, damping = self._bias
+        constant, stiffness, damping = self.bias
         drive = forces - (constant + stiffness * self.lengths(qpos) + damping * self.velocities(qvel))
-        return drive / self._gain + self._idle
+        return drive / self.gain + self._idle
 
     def measurement_error(self, noise: Noise) -> Floats:
         """Change ``(..., nu)`` of the controls with the effect of measurement errors on the servos' feedback.
@@ -99,11 +107,15 @@ class ModelActuators:
         and e_l is an error of that.
         """
         length, velocity = self.velocities(noise.position), self.velocities(noise.velocity)
-        return (self._bias[1] * length + self._bias[2] * velocity) / self._gain
+        return (self.bias[1] * length + self.bias[2] * velocity) / self.gain
 
     def direct_controls(self, generalised: Floats, out: Floats | None = None) -> Floats:
         """Controls ``(nu,)`` of direct-drive actuators (`make_direct`) for generalised forces ``(nv,)``."""
-        return np.add(np.matvec(self._allocation, generalised), self._idle, out)
+        return np.add(np.matvec(self.allocation, generalised), self._idle, out, where=self._written)
+
+    def write(self, controls: Floats, out: Floats) -> None:
+        """Write controls ``(nu,)``, in a view only those of the driving actuators."""
+        np.copyto(out, controls, where=self._written)
 
     def free_controls(self, model: mujoco.MjModel) -> None:
         """Remove the control ranges of the driving actuators in a model; their force ranges stay.
@@ -128,7 +140,7 @@ class Actuators(ModelActuators):
     """
 
     def __init__(self, arm: Arm) -> None:
-        super().__init__(arm.model, tangent_basis(arm))
+        super().__init__(arm)
         if np.linalg.matrix_rank(self.transmission) < arm.n_joints:
             bare = [repr(arm.joint_names[k]) for k in range(arm.n_joints) if not self.transmission[:, k].any()]
             why = (

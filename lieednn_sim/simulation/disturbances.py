@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.moving_obstacles import MovingObstacle
 from lieednn_sim.validation import as_floats, as_nonnegative, as_positive, as_seed, quoted
@@ -221,14 +222,3 @@ class Sensors:
         while True:
             # Two arrays of rows: unpacking rows that are pairs would take five times as long as everything else.
             yield from map(Noise, *np.moveaxis(self._errors(rng, 256), 1, 0))
-
-
-def tangent_basis(arm: Arm) -> Floats:
-    """Generalised velocities ``(nv, n)`` at unit rates of the coordinates, every ball joint at its reference.
-
-    Its columns span the velocities that the arm's joints can have at any position. Rows of joints outside the arm are
-    zero, and those of coupled stages are multiples of their leaders'. Its transpose turns generalised forces ``(nv,)``
-    into forces along the coordinates; for ball joints, along the axes of the moving body.
-    """
-    rates = np.eye(arm.n_joints)
-    return arm.space.to_qvel(np.zeros_like(rates), rates).T

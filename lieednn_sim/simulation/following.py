@@ -19,7 +19,7 @@ from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.reference import Reference, interpolator
 from lieednn_sim.simulation.rollout import Rollout
-from lieednn_sim.simulation.tracking import make_controlled
+from lieednn_sim.simulation.tracking import default_controller, make_controlled
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
@@ -70,7 +70,7 @@ def follow(
     duration: float,
     *,
     start: ArrayLike | str = "home",
-    controller: str = "inverse-dynamics",
+    controller: str | None = None,
     disturbances: Disturbances | None = None,
     log: Sequence[ChannelSource] = (),
 ) -> Following:
@@ -87,7 +87,7 @@ def follow(
             simulation step, the last of which stays.
         duration: [s], at least a control period.
         start: joint coordinates ``(n,)`` at rest, or a keyframe's name.
-        controller: a name of `CONTROLLERS`.
+        controller: a name of `CONTROLLERS`; by default ``inverse-dynamics``, or ``feedback-linearisation`` for a view.
         disturbances: disturbances unknown to policy and controller.
         log: further quantities to log, as for `simulate`.
 
@@ -97,7 +97,8 @@ def follow(
     """
     arm, total = policy.arm, count_steps(duration, policy.arm.timestep)
     changes = Disturbances() if disturbances is None else disturbances
-    loop = ClosedLoop(policy, controller, changes, rows=total + 1)
+    name = ("inverse-dynamics" if arm.state is None else default_controller(arm)) if controller is None else controller
+    loop = ClosedLoop(policy, name, changes, rows=total + 1)
     period, simulation = loop.period, loop.simulation
     if period > total:
         raise InputError(
@@ -124,7 +125,7 @@ def follow(
         loop.reference.qd,
         target=targets[-1],
         motion_end=end,
-        controller=controller,
+        controller=name,
         disturbances=changes,
     )
     return Following(rollout, np.array(targets), np.array(states), period, np.array(spent))

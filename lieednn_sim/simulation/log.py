@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import rotations
-from lieednn_sim.simulation.disturbances import tangent_basis
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.validation import as_floats, quoted
@@ -112,6 +113,7 @@ class Log:
         self._before = [(self._log[name][0].write, view) for name, view in before.items()]
         self._after = [(self._log[name][0].write, view) for name, view in after.items()]
         self._contacts: list[tuple[int, int, float]] = []
+        self._groups = _groups_of(arm)
         for source in sources:
             if not isinstance(source, ChannelSource):
                 raise InputError(f"a quantity to log must be a Channel, got {quoted(source)}")
@@ -133,8 +135,10 @@ class Log:
         self._simulation.advance_once()
         for write, view in self._after:
             write(view)
-        if touching := self._data.ncon:
-            self._contacts.append((self._rows, touching, self._largest_contact()))
+        if self._data.ncon:
+            touching, largest = self._touching()
+            if touching:
+                self._contacts.append((self._rows, touching, largest))
         for source, samples in self._sources:
             samples.append(source.sample(self._data))
         self._rows += 1
@@ -183,6 +187,7 @@ class Log:
             link_quaternion=rotations(turns).as_quat(scalar_first=True),
             contacts=contacts,
             contact_force=contact_force,
+            qpos=log["qpos"],
             channels=channels,
             channel_units=units,
             **conditions,
@@ -201,9 +206,24 @@ class Log:
             values |= zip(source.channel_units, source.channel_values(np.array(samples)), strict=True)
         return values, units
 
-    def _largest_contact(self) -> float:
+    def _touching(self) -> tuple[int, float]:
+        """Number of contacts that count, and the largest normal force among them [N]."""
+        contacts: Any = range(self._data.ncon)
+        if self._groups is not None:
+            first, second = self._groups[self._data.contact.geom].T
+            contacts = np.flatnonzero((first != second) & ((first > 0) | (second > 0))).tolist()
         wrench, largest = np.zeros(6), 0.0
-        for i in range(self._data.ncon):
+        for i in contacts:
             mujoco.mj_contactForce(self._simulation.model, self._data, i, wrench)
             largest = max(largest, float(wrench[0]))
-        return largest
+        return len(contacts), largest
+
+
+def _groups_of(arm: Arm) -> NDArray[np.int_] | None:
+    """The group of each geom of a view ``(ngeom,)`` that the arm moves in one piece; zero for what it does not move."""
+    if arm.state is None:
+        return None
+    model, mine, carried = arm.geometry, arm.space.rate_addresses, () if arm.grasp is None else arm.grasp.bodies
+    groups = np.array([model.body_weldid[k] * arm.moved_by(k)[mine].any() for k in range(model.nbody)])
+    groups[list(carried)] = groups[arm.grasp.carrier] if arm.grasp is not None else 0
+    return np.asarray(groups[model.geom_bodyid])

@@ -7,9 +7,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.contacts import moved_by
+from lieednn_sim.errors import InputError
+from lieednn_sim.lie import rotations
 from lieednn_sim.simulation.disturbances import Disturbances
 
 _PAYLOAD = "unknown_payload"
@@ -24,9 +28,18 @@ def make_plant(
         arm: the arm; neither its model nor its spec is changed.
         disturbances: what changes the arm itself is used; gravity compensation stays that of the arm without them.
         add_bodies: called with a copy of the arm's spec, to add bodies after the arm's.
+
+    Raises:
+        InputError: bodies are to be added to a view, which has no spec.
     """
     changes = Disturbances() if disturbances is None else disturbances
-    if add_bodies is None and changes.payload == 0.0:
+    view = arm.spec is None
+    if view and add_bodies is not None:
+        raise InputError(
+            "this controller adds bodies to the spec of an arm, and a view of a compiled model has none; "
+            "take another controller"
+        )
+    if view or (add_bodies is None and changes.payload == 0.0):
         plant = copy.deepcopy(arm.model)
     else:
         spec: Any = arm.spec.copy()
@@ -38,24 +51,56 @@ def make_plant(
         # The compiler derives servo damping from the inertia, which would include the payload.
         plant.actuator_gainprm[:], plant.actuator_biasprm[:] = arm.model.actuator_gainprm, arm.model.actuator_biasprm
     if changes.mass_scale != 1.0:
-        known = np.array([plant.body(i).name != _PAYLOAD for i in range(plant.nbody)])
+        known = _of_arm(arm) if view else np.array([plant.body(i).name != _PAYLOAD for i in range(plant.nbody)])
         plant.body_mass[known] *= changes.mass_scale
         plant.body_inertia[known] *= changes.mass_scale
         plant.body_gravcomp[known] /= changes.mass_scale
+    if view and changes.payload > 0.0:
+        _load(plant, arm, changes.payload)
+    if changes.mass_scale != 1.0 or (view and changes.payload > 0.0):
         mujoco.mj_setConst(plant, mujoco.MjData(plant))
     return plant
+
+
+def _of_arm(arm: Arm) -> NDArray[np.bool_]:
+    """Which bodies ``(nbody,)`` of its model the arm moves."""
+    mine = arm.space.rate_addresses
+    return np.array([moved_by(arm.model, body)[mine].any() for body in range(arm.model.nbody)])
+
+
+def _load(plant: mujoco.MjModel, arm: Arm, mass: float) -> None:
+    """Add a ball at the end effector's frame to the mass and inertia of its body, whose compensation stays as it is."""
+    tip = arm.frames[-1:]
+    body, turn = int(tip.bodies[0]), np.empty(9)
+    mujoco.mju_quat2Mat(turn, plant.body_iquat[body])
+    rotation, before = turn.reshape(3, 3), float(plant.body_mass[body])
+    whole = before + mass
+    centre = (before * plant.body_ipos[body] + mass * tip.positions[0]) / whole
+    inertia = rotation @ np.diag(plant.body_inertia[body]) @ rotation.T + _ball_inertia(mass) * np.eye(3)
+    for part, place in ((before, plant.body_ipos[body]), (mass, tip.positions[0])):
+        off = place - centre
+        inertia += part * (off @ off * np.eye(3) - np.outer(off, off))
+    moments, axes = np.linalg.eigh(inertia)
+    axes *= np.sign(np.linalg.det(axes))
+    plant.body_mass[body], plant.body_ipos[body], plant.body_inertia[body] = whole, centre, moments
+    plant.body_iquat[body] = rotations(axes).as_quat(scalar_first=True)
+    plant.body_gravcomp[body] *= before / whole
+
+
+def _ball_inertia(mass: float) -> float:
+    """Moment of inertia [kg m^2] of a ball of steel, 7850 kg/m^3."""
+    radius = (3.0 * mass / (4.0 * np.pi * 7850.0)) ** (1.0 / 3.0)
+    return float(0.4 * mass * radius**2)
 
 
 def _add_payload(spec: Any, arm: Arm, mass: float) -> None:
     """Add a ball at the end effector's frame, without collisions and gravity compensation."""
     tip = arm.frames[-1:]
-    # The inertia is that of a ball of steel, 7850 kg/m^3.
-    radius = (3.0 * mass / (4.0 * np.pi * 7850.0)) ** (1.0 / 3.0)
     spec.body(arm.model.body(int(tip.bodies[0])).name).add_body(
         name=_PAYLOAD,
         pos=tip.positions[0],
         mass=mass,
         ipos=[0.0, 0.0, 0.0],
-        inertia=[0.4 * mass * radius**2] * 3,
+        inertia=[_ball_inertia(mass)] * 3,
         explicitinertial=True,
     )

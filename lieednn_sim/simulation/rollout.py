@@ -13,7 +13,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.frames import BodyFrames, find_frame
 from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.lie import transforms
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.simulation.disturbances import Disturbances
@@ -24,6 +26,7 @@ _PER_COORDINATE = ("q", "qd", "q_ref", "qd_ref", "force", "constraint_force")
 _ARRAYS = (
     "t",
     *_PER_COORDINATE,
+    "qpos",
     "ctrl",
     "link_position",
     "link_quaternion",
@@ -52,12 +55,15 @@ class Rollout:
         constraint_force: ``(K, n)`` the same for contacts, joint limits and welds.
         link_position: ``(K, N, 3)`` simulated link frames, world [m].
         link_quaternion: ``(K, N, 4)`` the same, (w, x, y, z).
-        contacts: ``(K,)`` number of contacts.
+        contacts: ``(K,)`` number of contacts; of a view, those of what the arm moves or carries with anything that it
+            does not move along, fingers around a free body included.
         contact_force: ``(K,)`` largest normal force among the contacts [N]; zero by default.
         channels: ``(K, ...)`` further logs of controllers and disturbances by name, such as of `MocapWelds` and
             `Pushes`.
         channel_units: units of the channels, by name.
         motion_end: time at which the reference comes to rest [s].
+        qpos: ``(K, nq)`` positions in the order of the arm's model; by default those of q.
+        steps: when each step of a sequence began [s], and its name; none for a single motion.
         controller: a name of `CONTROLLERS`.
         reference_rate: rate at which the controller saw samples of the reference [Hz], None for every step.
         disturbances: disturbances unknown to the controller.
@@ -89,6 +95,8 @@ class Rollout:
     disturbances: Disturbances = field(default_factory=Disturbances)
     motion: Motion | None = None
     target: Floats = field(default_factory=lambda: np.zeros(0))
+    qpos: Floats = field(default_factory=lambda: np.zeros(0))
+    steps: tuple[tuple[float, str], ...] = ()
 
     def __post_init__(self) -> None:
         k = len(as_times("t", self.t))
@@ -96,10 +104,13 @@ class Rollout:
         check_fields(self, as_floats, *_PER_COORDINATE, shape=(k, n))
         if np.size(self.contact_force) == 0:
             set_fields(self, contact_force=np.zeros(k))
+        if np.size(self.qpos) == 0:
+            set_fields(self, qpos=self.arm.qpos(self.q))
         if np.size(self.target) == 0:
             set_fields(self, target=self.q_ref[-1])
         check_fields(self, as_floats, "t", "contacts", "contact_force", shape=(k,))
         check_fields(self, as_floats, "ctrl", shape=(k, "nu"))
+        check_fields(self, as_floats, "qpos", shape=(k, self.arm.model.nq))
         check_fields(self, as_floats, "link_position", shape=(k, links, 3))
         check_fields(self, as_floats, "link_quaternion", shape=(k, links, 4))
         check_fields(self, as_floats, "target", shape=(n,))
@@ -132,6 +143,24 @@ class Rollout:
         """Time simulated after the motion [s]."""
         return float(self.t[-1] - self.motion_end)
 
+    @property
+    def tracking_error(self) -> Floats:
+        """``(K, n)`` how far the coordinates are from their reference [rad, m]."""
+        return np.asarray(self.q - self.q_ref)
+
+    def step_at(self, time: float) -> str:
+        """Name of the step of a sequence that was being done at a time [s]; empty for a single motion."""
+        return next((name for begin, name in reversed(self.steps) if begin <= time + 1e-9), "")
+
+    def poses(self, name: str) -> RigidTransform:
+        """Poses of shape ``(K,)`` of any body or site of the arm's model in the world; `InputError` lists the names."""
+        model, frame = self.arm.model, BodyFrames.of([find_frame(self.arm.model, name)])
+        data, places, turns = mujoco.MjData(model), np.empty((len(self.t), 3)), np.empty((len(self.t), 3, 3))
+        for k, data.qpos[:] in enumerate(self.qpos):
+            mujoco.mj_kinematics(model, data)
+            places[k], turns[k] = (part[0] for part in frame.poses(data.xpos, data.xmat))
+        return transforms(turns, places)
+
     def link_poses(self) -> RigidTransform:
         """Simulated link frames as poses of shape ``(K, N)``."""
         rotation = Rotation.from_quat(self.link_quaternion, scalar_first=True)
@@ -148,6 +177,7 @@ class Rollout:
             "reference_rate": self.reference_rate,
             "disturbances": self.disturbances.to_json(),
             "channel_units": dict(self.channel_units),
+            "steps": [list(step) for step in self.steps],
             "mujoco": mujoco.__version__,
         }
         arrays = {name: getattr(self, name) for name in _ARRAYS}
@@ -160,7 +190,7 @@ class Rollout:
 
         Args:
             path: path of the file.
-            arm: the simulated arm, in the same scene.
+            arm: the simulated arm, in the same scene; a view of the same joints, with mocap bodies in the same places.
             motion: the plan that was followed, which the file does not hold.
 
         Raises:
@@ -187,6 +217,7 @@ class Rollout:
                 disturbances=Disturbances.from_json(meta["disturbances"]),
                 channels=channels,
                 channel_units=units,
+                steps=tuple((float(begin), str(name)) for begin, name in meta["steps"]),
                 **values,
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:

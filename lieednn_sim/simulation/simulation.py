@@ -60,7 +60,7 @@ class Simulation:
         self._sensors = Sensors(arm, self.disturbances)
         self.steps = 0
         self.noise: Noise
-        self.reset(arm.coordinates(arm.model.qpos0))
+        self.reset(arm.coordinates(arm.model.qpos0 if arm.qpos_home is None else arm.qpos_home))
 
     def __getstate__(self) -> object:
         # A copy's views would be of other data.
@@ -107,18 +107,27 @@ class Simulation:
         """Put moving obstacles where they are at the present time; returns positions ``(3,)`` by names of bodies."""
         places = {obstacle.body: obstacle.at(self.time) for obstacle, _ in self._moving}
         for obstacle, body in self._moving:
+            if (mocap := self.model.body_mocapid[body]) >= 0:
+                self.data.mocap_pos[mocap] = places[obstacle.body]
             self.model.body_pos[body] = places[obstacle.body]
         return places
 
     def reset(self, q: ArrayLike, qd: ArrayLike | None = None) -> None:
         """Start again at time 0 from joint coordinates ``(n,)`` and their rates, by default zero.
 
-        This also resets controls, mocap poses, warm starts, warnings, and the generator of the noise.
+        This also resets controls, mocap poses, warm starts, warnings, and the generator of the noise. What is not the
+        arm's begins as a view's state has it, or at the model's reference, at rest.
         """
         position = as_floats("q", q, (self.arm.n_joints,))
         velocity = np.zeros_like(position) if qd is None else as_floats("qd", qd, position.shape)
         mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:], self.data.qvel[:] = self.arm.qpos(position), self.arm.qvel(position, velocity)
+        if self.arm.state is None:
+            self.data.qvel[:] = self.arm.qvel(position, velocity)
+        else:
+            mujoco.mj_setState(self.model, self.data, self.arm.state, mujoco.mjtState.mjSTATE_INTEGRATION)
+            mine = self.arm.space.rate_addresses
+            self.data.qvel[mine] = self.arm.qvel(position, velocity)[mine]
+        self.data.qpos[:] = self.arm.qpos(position)
         self.steps = 0
         self.move_obstacles()
         self._sensors.reset()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ from numpy.typing import ArrayLike
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.planning import Plan
+from lieednn_sim.planning import Move, Plan, PlanSequence
 from lieednn_sim.planning.motion import Motion, steps_of_rate
+from lieednn_sim.planning.steps import Gripping
 from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Disturbances
@@ -70,12 +72,17 @@ def as_reference(arm: Arm, motion: Motion, rows: int, rate: float | None) -> Ref
     return Reference.of(arm, *at_rest_after(motion, rows), hold=hold)
 
 
+def default_controller(arm: Arm) -> str:
+    """Name of the controller that `simulate` takes by default."""
+    return "position-servo" if arm.state is None else "feedback-linearisation"
+
+
 def simulate(
     arm: Arm,
-    motion: Plan | Motion,
+    motion: Plan | Motion | PlanSequence,
     *,
     target: ArrayLike | None = None,
-    controller: str = "position-servo",
+    controller: str | None = None,
     hold: float = 1.0,
     reference_rate: float | None = None,
     disturbances: Disturbances | None = None,
@@ -85,13 +92,15 @@ def simulate(
     """Simulate an arm whose controller tracks a motion and then holds its end.
 
     The simulation starts at rest at the motion's first position, and is a function of its arguments alone: two runs
-    are bit-identical.
+    are bit-identical. Of a view, it is the user's model from the state that the view was made of: other actuators keep
+    their controls of that state, and what is not the arm's moves as physics has it.
 
     Args:
         arm: the arm; its model is not changed.
-        motion: a plan, or a motion sampled at the model's time step.
+        motion: a plan, or a motion sampled at the model's time step; or, for a view, a sequence, whose steps of
+            controls end by time or by their events, which may come sooner or later than planned.
         target: ``(n,)`` joint position to reach; by default the plan's, or the motion's end.
-        controller: a name of `CONTROLLERS`.
+        controller: a name of `CONTROLLERS`; by default ``position-servo``, or ``feedback-linearisation`` for a view.
         hold: time after the end of the motion [s].
         reference_rate: rate of the samples of the motion that the controller sees, held in between [Hz]; a divisor of
             the simulation's rate. By default it sees every step.
@@ -101,44 +110,111 @@ def simulate(
 
     Raises:
         InputError: the motion does not fit the model, or two channels have one name.
-        SimulationError: a warning of MuJoCo or a state that is not finite; it has the run up to there.
+        SimulationError: a warning of MuJoCo or a state that is not finite, or an event of a sequence does not come in
+            time; it has the run up to there.
     """
+    sequence = motion if isinstance(motion, PlanSequence) else None
     if target is None and isinstance(motion, Plan):
         target = motion.target
-    motion = as_motion(arm, motion)
-    total = len(motion.t) + round(as_hold(hold) / arm.timestep)
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)
-    reference = as_reference(arm, motion, total, rate)
+    rest = round(as_hold(hold) / arm.timestep)
+    if isinstance(motion, PlanSequence):
+        reference = _reference_of(arm, motion, rate)
+        total, end = len(motion.t) + rest, float(motion.t[-1])
+    else:
+        motion = as_motion(arm, motion)
+        total, end = len(motion.t) + rest, float(motion.t[-1])
+        reference = as_reference(arm, motion, total, rate)
     changes = Disturbances() if disturbances is None else disturbances
-    meta: dict[str, Any] = {"motion": motion, "controller": controller, "reference_rate": rate, "disturbances": changes}
+    name = default_controller(arm) if controller is None else controller
+    meta: dict[str, Any] = {"controller": name, "reference_rate": rate, "disturbances": changes}
+    meta["motion"] = motion if isinstance(motion, Motion) else None
     if target is not None:
         meta["target"] = arm.check_position(target, "target")
-    driver, simulation = make_controlled(arm, controller, reference, changes)
+    driver, simulation = make_controlled(arm, name, reference, changes)
     simulation.reset(reference.q[0])
-    drive = _drive(driver, simulation, total)
-    record = Log(simulation, driver, *log)
-    shown, end = time.monotonic(), float(motion.t[-1])
+    drive = _drive(driver, simulation, None if sequence else total)
+    record, play = Log(simulation, driver, *log), None if sequence is None else _Play(sequence, simulation, rest)
+    shown, seen, rows = time.monotonic(), list[int](), range(total) if play is None else play.rows()
     try:
         with QuietWarnings():
-            for k in range(total):
+            for k in rows:
                 drive(k)
                 record.step()
-                if progress is not None and (time.monotonic() - shown > 0.1 or k == total - 1):
+                seen.append(k)
+                if progress is not None and (time.monotonic() - shown > 0.1 or len(seen) == total):
                     shown = time.monotonic()
-                    progress(k + 1, total)
+                    progress(min(len(seen), total), total)
     except SimulationError as error:
         if len(record) > 1:
-            end = len(record) * arm.timestep
+            ended = {"motion_end": len(record) * arm.timestep, **({} if play is None else {"steps": tuple(play.begun)})}
             # What was logged may be out of range before the state is.
             with contextlib.suppress(InputError):
-                error.rollout = record.rollout(reference.q, reference.qd, motion_end=end, **meta)
+                rows_done = seen[: len(record)]
+                error.rollout = record.rollout(reference.q[rows_done], reference.qd[rows_done], **ended, **meta)
         raise
-    return record.rollout(reference.q, reference.qd, motion_end=end, **meta)
+    if play is not None:
+        end, meta["steps"] = play.end, tuple(play.begun)
+    return record.rollout(reference.q[seen], reference.qd[seen], motion_end=end, **meta)
 
 
-def _drive(driver: Controller, simulation: Simulation, total: int) -> Callable[[int], None]:
-    """A function that sets the controls of a step after a reset; they are computed beforehand if possible."""
-    model, data, inputs = simulation.model, simulation.data, driver.inputs(range(total), simulation.first_noise(total))
+def _reference_of(arm: Arm, sequence: PlanSequence, rate: float | None) -> Reference:
+    """The rows of a sequence in an arm's coordinates; the last one is also that of the rest after it."""
+    if sequence.qpos.shape[1] != arm.model.nq or sequence.arm.joint_names != arm.joint_names:
+        raise InputError(
+            f"the sequence is of another model or of other joints: it has {sequence.qpos.shape[1]} positions and "
+            f"moves {', '.join(sequence.arm.joint_names)}"
+        )
+    if arm.state is None:
+        raise InputError(f"arm {arm.name!r} is no view of a compiled model, such as Arm.of makes")
+    q = arm.coordinates(sequence.qpos)
+    hold = 1 if rate is None else steps_of_rate("reference_rate", rate, arm.timestep)
+    return Reference.of(arm, q, arm.rates(q, sequence.qvel), hold=hold)
+
+
+class _Play:
+    """The steps of a sequence in a simulation.
+
+    Attributes:
+        begun: when each step began [s], and its name.
+        end: when the last one ended [s].
+    """
+
+    def __init__(self, sequence: PlanSequence, simulation: Simulation, rest: int) -> None:
+        self._sequence, self._simulation, self._rest = sequence, simulation, rest
+        self.begun: list[tuple[float, str]] = []
+        self.end = float(sequence.t[-1])
+
+    def rows(self) -> Iterator[int]:
+        """The row of the sequence to track in each step; whoever asks for the next one has done the step."""
+        sequence, simulation = self._sequence, self._simulation
+        for number, part in enumerate(sequence.parts):
+            self.begun.append((simulation.time, part.step.name))
+            if isinstance(part.step, Move):
+                yield from range(part.first, part.last)
+                continue
+            gripping, done = Gripping(sequence.arm, simulation.model, part.step), 0
+            gripping.begin(simulation.data)
+            over = False
+            while not over:
+                # The arm rests, so that the rows of the step are all the same.
+                yield min(part.first + done, part.last - 1)
+                done += 1
+                try:
+                    over = gripping.over(simulation.data, done)
+                except LookupError as error:
+                    raise SimulationError(
+                        f"step {number + 1}, {part.step.name!r}, begun at {self.begun[-1][0]:.2f} s: its event does "
+                        f"not come: {error.args[0]}"
+                    ) from None
+        self.end = simulation.time
+        yield from repeat(len(sequence.t) - 1, self._rest + 1)
+
+
+def _drive(driver: Controller, simulation: Simulation, total: int | None) -> Callable[[int], None]:
+    """A function that sets the controls of a step after a reset; if they follow from known steps, beforehand."""
+    model, data = simulation.model, simulation.data
+    inputs = None if total is None else driver.inputs(range(total), simulation.first_noise(total))
     if inputs is None:
         return lambda k: driver.act(data, k, simulation.noise)
     kind, rows = joined(inputs)

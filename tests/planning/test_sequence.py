@@ -37,7 +37,12 @@ def cell():
 
 
 def sequence(model, data, steps, **how):
-    return ls.plan_sequence(model, data, JOINTS, steps, **{"tip": "grasp", "limits": LIMITS, **how})
+    return ls.plan_sequence(ls.Arm.of(model, data, JOINTS, tip="grasp", limits=LIMITS), steps, **how)
+
+
+def planned_in(model, data, goal, holding=None, **how):
+    arm = ls.Arm.of(model, data, JOINTS, tip="grasp", limits=LIMITS)
+    return ls.plan(arm if holding is None else arm.holding(holding), goal, **how)
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +107,8 @@ def test_the_same_seed_gives_the_same_sequence(planned):
 
 
 def test_in_the_simulation_friction_holds_the_box_and_it_is_put_where_planned(planned):
-    model, data, found = planned
-    run = ls.run_in(model, data, found, hold=0.5)
+    model, _, found = planned
+    run = ls.simulate(found.arm, found, hold=0.5)
     assert [name for _, name in run.steps] == [part.step.name for part in found.parts]
     assert run.step_at(run.steps[2][0] + 1.0) == "carry"
     assert np.abs(run.tracking_error).max() < 2e-3
@@ -131,43 +136,47 @@ def test_an_event_that_does_not_come_ends_planning_and_run(planned):
     with pytest.raises(
         SimulationError, match=r"step 2, 'touch', begun at 4\.00 s: its event does not come: after 0\.3"
     ):
-        ls.run_in(model, away, found)
+        ls.simulate(found.arm.at(away), found)
 
 
 def test_a_held_box_is_kept_off_what_the_empty_hand_passes(grasped):
     """A block where the lower face of the box would sweep, below the fingers."""
     model, state = grasped
-    how = {"tip": "grasp", "limits": LIMITS, "planner": "minimum-jerk", "duration": 2.0}
-    state.qpos[:] = ls.plan_in(model, state, JOINTS, [-0.3, 0.1, 0.2, 1.4, 0.0], holding="box", **how).qpos[-1]
+    how = {"planner": "minimum-jerk", "duration": 2.0}
+    state.qpos[:] = planned_in(model, state, [-0.3, 0.1, 0.2, 1.4, 0.0], holding="box", **how).qpos[-1]
     goal = [-1.0, 0.1, 0.2, 1.4, 0.0]
-    held = ls.plan_in(model, state, JOINTS, goal, holding="box", **how)
+    held = planned_in(model, state, goal, holding="box", **how)
     shown, changed = mujoco.MjData(model), cell()[0]
     shown.qpos[:] = held.qpos[2 * len(held.t) // 3]
     mujoco.mj_kinematics(model, shown)
     wall = model.body("wall").id
     changed.body_pos[wall], changed.geom_size[model.geom("wall").id] = shown.body("box").xpos - [0, 0, 0.02], 0.003
     with pytest.raises(PlanError, match="'wall' would come within 2 mm of 'box'"):
-        ls.plan_in(changed, state, JOINTS, goal, holding="box", **how)
-    around = ls.plan_in(changed, state, JOINTS, goal, holding="box", **{**how, "planner": "lieednn-shaped"})
+        planned_in(changed, state, goal, holding="box", **how)
+    around = planned_in(changed, state, goal, holding="box", **{**how, "planner": "lieednn-shaped"})
     np.testing.assert_allclose(around.qpos[-1], held.qpos[-1], atol=1e-6)
     # The empty hand passes above the block.
     state.joint("box").qpos[:3] = [0.0, -2.0, 0.5]
-    ls.plan_in(changed, state, JOINTS, goal, **how)
+    planned_in(changed, state, goal, **how)
 
 
 def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(grasped):
     model, state = grasped
-    how = {"tip": "grasp", "limits": LIMITS, "duration": 1.5}
-    aside = ls.plan_in(model, state, JOINTS, down(0.62, -0.40, 0.225), holding="box", **how)
+    how = {"duration": 1.5}
+    aside = planned_in(model, state, down(0.62, -0.40, 0.225), holding="box", **how)
     assert aside.qpos[:, 2].min() > 0.22 - 1e-3
     assert aside.qpos[-1, 2] == pytest.approx(0.22, abs=2e-4)
     for goal, holding, message in (
         (down(0.62, -0.40, 0.222), "box", "'box'.*'table'|'table'.*'box'"),
         (CARRY.goal, "box", "'box'.*'shelf'|'shelf'.*'box'"),
-        (down(0.62, -0.40, 0.3), None, "start is out of reach: .* if the hand holds it, say so by holding='box'"),
+        (
+            down(0.62, -0.40, 0.3),
+            None,
+            r"start is out .* if the hand holds it, plan with arm.holding\('box'\)",
+        ),
     ):
         with pytest.raises(ls.LieEDNNError, match=message):
-            ls.plan_in(model, state, JOINTS, goal, holding=holding, **how)
+            planned_in(model, state, goal, holding=holding, **how)
     # It may also stand on what is fixed beside the arm's own base.
     own = cell()[0]
     own.body_rootid[own.body("table").id] = own.body("column").id
@@ -187,8 +196,8 @@ def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(grasp
         ([ls.Actuate({}, until=("box", "cup"))], "no body 'cup'"),
         ([ls.Move("home", holding="cup")], "step 1, 'home': nothing to hold is called 'cup'.*: box"),
         ([ls.Move("home", holding="box", touching=["cup"])], "no body 'cup' to touch"),
-        ([ls.Move("nowhere")], "no keyframe 'nowhere'; allowed: home"),
-        ([ls.Move([0.0])], "step 1, 'move': the goal of turn, lift"),
+        ([ls.Move("nowhere")], "no keyframe 'nowhere'; keyframes of .*: home"),
+        ([ls.Move([0.0])], "step 1, 'move': target of turn, lift"),
     ],
 )
 def test_bad_steps_are_named(planned, steps, message):

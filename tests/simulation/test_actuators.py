@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.actuators import Actuators
-from lieednn_sim.simulation.disturbances import Noise, tangent_basis
+from lieednn_sim.simulation.disturbances import Noise
 
 seeds = st.integers(0, 2**32 - 1)
 arms = st.sampled_from(["compound", "telescope"])

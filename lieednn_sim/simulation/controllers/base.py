@@ -16,6 +16,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import Foreseen, Reference, runs
@@ -107,9 +108,10 @@ class FeedforwardServo(DriveController):
 
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """See `Controller`."""
-        data.ctrl[:] = self._foreseen.row(step, self.controls)
+        controls = self._foreseen.row(step, self.controls)
         if noise.present:
-            data.ctrl += self._actuators.measurement_error(noise)
+            controls = controls + self._actuators.measurement_error(noise)
+        self._actuators.write(controls, data.ctrl)
 
 
 class PositionServo(FeedforwardServo):
@@ -181,7 +183,7 @@ class ComputedTorque(DriveController):
         self._actuators.make_direct(self._model)
         self._foreseen = Foreseen(reference)
         # Gains of velocity and position, as arrays: multiplying by numbers takes twice as long.
-        self._gains = np.full((2, arm.model.nv), [[2.0 * NATURAL_FREQUENCY], [NATURAL_FREQUENCY**2]])
+        self._gains = np.outer([2.0 * NATURAL_FREQUENCY, NATURAL_FREQUENCY**2], tangent_basis(arm).any(axis=1))
         self._errors = np.empty_like(self._gains)
         self._lag, self._error = self._errors
 

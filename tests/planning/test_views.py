@@ -1,4 +1,4 @@
-"""Plans in a compiled model that somebody else made, and the arm's model that is made of it."""
+"""Plans of views: joints of a compiled model that somebody else made."""
 
 from __future__ import annotations
 
@@ -63,7 +63,11 @@ SCENE = """
   </actuator>
 </mujoco>
 """
-JOINTS = ["out", "turn", "lift"]
+JOINTS = ["turn", "lift", "out"]
+
+
+def planned(model, data, joints, goal, *, tip=None, limits=None, **how):
+    return ls.plan(ls.Arm.of(model, data, joints, tip=tip, limits=limits), goal, **how)
 
 
 @pytest.fixture
@@ -81,12 +85,10 @@ def state():
 def test_a_plan_in_somebody_elses_model_keeps_their_order_and_the_rest_where_it_is(state):
     model, data = state
     before = data.qpos.copy()
-    goal = {"out": 0.25, "turn": 5.2, "lift": -0.4}
-    found = ls.plan_in(
-        model, data, JOINTS, [goal[name] for name in JOINTS], tip="pen", limits={"turn": {"velocity": 2.0}}
-    )
-    assert found.plan.planner == "lieednn-shaped"
-    assert found.plan.network.certified
+    goal = {"turn": 5.2, "lift": -0.4, "out": 0.25}
+    found = planned(model, data, JOINTS, [goal[name] for name in JOINTS], tip="pen", limits={"turn": {"velocity": 2.0}})
+    assert found.planner == "lieednn-shaped"
+    assert found.network.certified
     assert found.arm.joint_names == ("turn", "lift", "out")
     assert found.arm.frames.names[-1] == "pen"
     np.testing.assert_array_equal(data.qpos, before)
@@ -107,23 +109,23 @@ def test_a_plan_in_somebody_elses_model_keeps_their_order_and_the_rest_where_it_
     their = mujoco.MjData(model)
     their.qpos[:] = found.qpos[300]
     mujoco.mj_kinematics(model, their)
-    pose = found.arm.link_poses(found.plan.motion.q[300])[-1]
+    pose = found.arm.link_poses(found.motion.q[300])[-1]
     np.testing.assert_allclose(pose.translation, their.site("pen").xpos, atol=1e-9)
     np.testing.assert_allclose(pose.rotation.as_matrix().ravel(), their.site("pen").xmat, atol=1e-9)
 
 
 def test_what_stands_in_the_way_is_avoided_where_the_data_has_it(state):
     model, data = state
-    goal = [0.1, 4.7, 0.3]
-    straight = ls.plan_in(model, data, JOINTS, goal, planner="minimum-jerk")
+    goal = [4.7, 0.3, 0.1]
+    straight = planned(model, data, JOINTS, goal, planner="minimum-jerk")
     tip = mujoco.MjData(model)
     tip.qpos[:] = straight.qpos[len(straight.t) // 2]
     mujoco.mj_kinematics(model, tip)
     data.mocap_pos[0] = tip.body("d").xpos
     with pytest.raises(PlanError, match="'hanging'"):
-        ls.plan_in(model, data, JOINTS, goal, planner="minimum-jerk")
+        planned(model, data, JOINTS, goal, planner="minimum-jerk")
     # With a last joint that moves nothing that could touch.
-    around = ls.plan_in(model, data, [*JOINTS, "spin"], [*goal, 0.4])
+    around = planned(model, data, [*JOINTS, "spin"], [*goal, 0.4])
     tip.mocap_pos[:] = data.mocap_pos
     for tip.qpos[:] in around.qpos[::20]:
         mujoco.mj_forward(model, tip)
@@ -132,26 +134,26 @@ def test_what_stands_in_the_way_is_avoided_where_the_data_has_it(state):
         }
 
 
-def test_sets_of_goals_are_in_the_given_order_of_the_joints_and_a_line_is_kept(state):
+def test_sets_of_goals_and_a_line_that_is_kept(state):
     model, data = state
     data.mocap_pos[0] = [0.0, 0.0, 5.0]
-    far, near = [0.2, 1.0, 0.5], [0.15, 3.4, 0.2]
-    found = ls.plan_in(model, data, JOINTS, [far, near], tip="pen", planner="minimum-jerk")
+    far, near = [1.0, 0.5, 0.2], [3.4, 0.2, 0.15]
+    found = planned(model, data, JOINTS, [far, near], tip="pen", planner="minimum-jerk")
     arm = found.arm
-    assert dict(zip(arm.joint_names, found.plan.target, strict=True)) == dict(zip(JOINTS, near, strict=True))
-    tip = arm.tip(found.plan.motion.q[0])
+    assert dict(zip(arm.joint_names, found.target, strict=True)) == dict(zip(JOINTS, near, strict=True))
+    tip = arm.tip(found.motion.q[0])
     up = ls.TaskSpaceRegion.line(tip, tip + np.array([0.0, 0.0, 0.1]))
     high = ls.TaskSpaceRegion.box([-9.0, -9.0, tip[2] + 0.1], [9.0, 9.0, tip[2] + 0.1])
-    kept = ls.plan_in(model, data, JOINTS, high, tip="pen", path_constraint=up)
-    off = arm.tip(kept.plan.motion.q)[:, :2] - tip[:2]
+    kept = planned(model, data, JOINTS, high, tip="pen", path_constraint=up)
+    off = arm.tip(kept.motion.q)[:, :2] - tip[:2]
     assert np.abs(off).max() < 5e-4
-    assert arm.tip(kept.plan.target)[2] == pytest.approx(tip[2] + 0.1, abs=1e-5)
+    assert arm.tip(kept.target)[2] == pytest.approx(tip[2] + 0.1, abs=1e-5)
 
 
 def test_the_start_may_be_any_turn_of_a_hinge_without_a_range(state):
     model, data = state
     data.joint("turn").qpos = 40.0
-    found = ls.plan_in(model, data, JOINTS, [0.2, 41.0, 0.0], planner="minimum-jerk")
+    found = planned(model, data, JOINTS, [41.0, 0.0, 0.2], planner="minimum-jerk")
     turned = found.qpos[[0, -1], model.joint("turn").qposadr[0]]
     np.testing.assert_allclose(turned, [40.0, 41.0], atol=1e-6)
 
@@ -162,7 +164,7 @@ def test_stages_that_follow_one_another_are_all_of_the_arm_of_the_first():
     ties = "".join(f'<joint joint1="{one}" joint2="{other}"/>' for one, other in ("ba", "cb"))
     text = f"<mujoco><worldbody><body>{bodies}</body></worldbody><equality>{ties}</equality></mujoco>"
     model = mujoco.MjModel.from_xml_string(text)
-    found = ls.plan_in(model, mujoco.MjData(model), ["a"], [0.05], planner="minimum-jerk", duration=1.0)
+    found = planned(model, mujoco.MjData(model), ["a"], [0.05], planner="minimum-jerk", duration=1.0)
     np.testing.assert_allclose(found.qpos[-1], 0.05, atol=1e-9)
 
 
@@ -173,21 +175,21 @@ def test_stages_that_follow_one_another_are_all_of_the_arm_of_the_first():
         (["turn", "knee"], {}, "joint of the arm.*'knee'.*finger, last, lift, other, out, spin, turn"),
         (["turn", "turn"], {}, "joints must differ"),
         (["turn", "other"], {}, "'other' is not on the way to body 'a'|'turn' is not on the way to body 'other'"),
-        (JOINTS, {"goal": [0.1, 0.2]}, r"the goal of out, turn, lift"),
-        (JOINTS, {"goal": [0.1, 3.0, 2.0]}, "target is out of reach: joint 'lift' would be at 2 rad"),
+        (JOINTS, {"goal": [0.1, 0.2]}, "target of turn, lift, out must have shape"),
+        (JOINTS, {"goal": [3.0, 2.0, 0.1]}, "target is out of reach: joint 'lift' would be at 2 rad"),
         (JOINTS, {"tip": "other"}, "the tip 'other' is not carried by the last link"),
     ],
 )
 def test_bad_input_is_named(state, joints, changes, message):
     model, data = state
     with pytest.raises(InputError, match=message):
-        ls.plan_in(model, data, joints, **{"goal": [0.1, 3.6, 0.2], **changes})
+        planned(model, data, joints, **{"goal": [3.6, 0.2, 0.1], **changes})
 
 
 def test_data_of_another_model_or_with_nan_is_refused(state):
     model, data = state
     with pytest.raises(InputError, match="data must be of the model"):
-        ls.plan_in(model, mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>")), JOINTS, [0.1, 3.6, 0.2])
+        planned(model, mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>")), JOINTS, [3.6, 0.2, 0.1])
     data.qpos[0] = np.nan
     with pytest.raises(InputError, match="NaN"):
-        ls.plan_in(model, data, JOINTS, [0.1, 3.6, 0.2])
+        planned(model, data, JOINTS, [3.6, 0.2, 0.1])

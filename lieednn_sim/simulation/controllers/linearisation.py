@@ -1,0 +1,123 @@
+"""Feedback linearisation through the actuators that a model has, whatever else moves in it."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.forces import tangent_basis
+from lieednn_sim.errors import InputError
+from lieednn_sim.simulation.actuators import ModelActuators
+from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY, Controller
+from lieednn_sim.simulation.disturbances import Noise
+from lieednn_sim.simulation.reference import Foreseen, Reference
+from lieednn_sim.values import Floats
+
+
+class FeedbackLinearisation(Controller):
+    """Forces B^T (M a + bias - passive) by the arm's own actuators, within their limits.
+
+    B has the velocities of the model's dofs at unit rates of the arm's coordinates. Position servos add their own
+    feedback: their controls are the planned positions, shifted by what velocity, gravity and inertia need. Elsewhere
+    a = a_ref + 2 w (v_ref - v) + w^2 (q_ref - q), with w of 2 pi 10 Hz. Where no actuator is, forces are applied to the
+    joints, without a limit. All other actuators keep their controls. The controller knows the arm and what is attached
+    to it, but neither contacts nor what the hand holds, nor other masses of the plant.
+
+    Raises:
+        InputError: what moves the arm are actuators of other kinds, such as muscles, or they cannot move it.
+    """
+
+    def __init__(self, arm: Arm, reference: Reference) -> None:
+        self._reference, self._foreseen = reference, Foreseen(reference)
+        self._actuators = actuators = ModelActuators(arm)
+        basis, transmission = tangent_basis(arm), actuators.transmission
+        driven = transmission.any(axis=0)
+        if np.linalg.matrix_rank(transmission) < driven.sum():
+            raise InputError("the model's actuators cannot move all joints of the arm independently")
+        servoed = np.abs(transmission[actuators.servos]).max(axis=0, initial=0.0) > 0.0
+        frequency, rates = np.where(servoed, 0.0, NATURAL_FREQUENCY), np.linalg.pinv(basis)
+        self._mine = np.asarray(basis.any(axis=1), dtype=float)
+        self._stiffness, self._damping = (basis * frequency**2) @ rates, (basis * 2.0 * frequency) @ rates
+        self._fed_back = bool(frequency.any())
+        self._driving = np.flatnonzero(actuators.driving)
+        self._exert = actuators.allocation[self._driving] / actuators.gain[self._driving, None]
+        # What actuators exert of their own at the measured state, unless they are servos, whose feedback this is.
+        direct = actuators.driving & ~actuators.servos
+        self._against = bool(actuators.bias[:, direct].any())
+        self._direct = direct[self._driving]
+        self._bare = np.flatnonzero(basis[:, ~driven].any(axis=1))
+        self._applied = arm.data().qfrc_applied[self._bare]
+        # MuJoCo adds the gravity compensation of these dofs to the actuators' force.
+        compensated = arm.model.jnt_actgravcomp[arm.model.dof_jntid] != 0
+        self._compensated = np.flatnonzero(compensated & (self._mine > 0.0) & bool(arm.model.body_gravcomp.any()))
+        # The dynamics that the controller knows, without contacts and constraints, for when it cannot take the plant's.
+        self._model = copy.deepcopy(arm.model)
+        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+        self._own = mujoco.MjData(self._model)
+        self._error, self._load = np.zeros(arm.model.nv), np.zeros(arm.model.nv)
+        self._plant: mujoco.MjModel | None = None
+        self._views: tuple[Floats, ...] = ()
+        self._data: mujoco.MjData | None = None
+
+    def equip(self, plant: mujoco.MjModel) -> None:
+        """See `Controller`: nothing is changed, but the plant's dynamics are taken where they are those of the arm."""
+        same = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_gravcomp")
+        known = all(np.array_equal(getattr(plant, name), getattr(self._model, name)) for name in same)
+        self._plant = plant if known else None
+
+    def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
+        """See `Controller`. Derived values in ``data``, such as inertias, are those of the last step."""
+        known = data
+        if self._plant is None or noise.present:
+            known = self._measured(data, noise)
+        elif step == 0:
+            mujoco.mj_forward(self._plant, data)
+        if known is not self._data:
+            # Views are kept, since asking MuJoCo for one takes as long as reading it.
+            self._data = known
+            self._views = known.qpos, known.qvel, known.qfrc_bias, known.qfrc_passive, known.qfrc_gravcomp
+            self._control, self._forces = data.ctrl, data.qfrc_applied
+        qpos, qvel, bias, passive, compensation = self._views
+        goal, velocity, acceleration, control = self._foreseen.row(step, self._goals)
+        if self._fed_back:
+            mujoco.mj_differentiatePos(self._model, self._error, 1.0, qpos, goal)
+            acceleration = acceleration + self._stiffness @ self._error + self._damping @ (velocity - qvel)
+        load = self._load
+        mujoco.mj_mulM(self._model, known, load, acceleration)
+        load += bias
+        load -= passive
+        if len(self._compensated):
+            load[self._compensated] -= compensation[self._compensated]
+        control = control + self._exert @ load
+        if self._against:
+            own = self._actuators.affine_controls(qpos, qvel, 0.0)[self._driving]
+            control[self._direct] += own[self._direct]
+        if noise.present:
+            seen = self._actuators.measurement_error(noise)[self._driving]
+            control[~self._direct] += seen[~self._direct]
+        self._control[self._driving] = control
+        if len(self._bare):
+            self._forces[self._bare] = self._applied + load[self._bare]
+
+    def _measured(self, data: mujoco.MjData, noise: Noise) -> mujoco.MjData:
+        """The arm's own dynamics at the measured state."""
+        own = self._own
+        own.qpos[:], own.qvel[:] = data.qpos, data.qvel + noise.velocity
+        mujoco.mj_integratePos(self._model, own.qpos, noise.position, 1.0)
+        own.mocap_pos[:], own.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+        mujoco.mj_fwdPosition(self._model, own)
+        mujoco.mj_fwdVelocity(self._model, own)
+        return own
+
+    def _goals(self, steps: range) -> list[tuple[Floats, ...]]:
+        """Wanted positions, velocities and accelerations at some steps, and the controls of servos without forces."""
+        reference, actuators = self._reference, self._actuators
+        rows = reference.row(np.array(steps))
+        following = np.minimum(rows + 1, reference.known - 1)
+        qpos, velocity, after = reference.qpos[rows], reference.qvel[rows], reference.qvel[following]
+        acceleration = self._mine * (after - velocity) / reference.timestep
+        controls = np.where(actuators.servos, actuators.affine_controls(qpos, after, 0.0), 0.0)[:, self._driving]
+        return list(zip(qpos, velocity, acceleration, controls, strict=True))

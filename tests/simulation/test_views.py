@@ -1,0 +1,233 @@
+"""Simulations of views: what drives an arm in somebody's model, and what else moves in it."""
+
+from __future__ import annotations
+
+import pickle
+
+import mujoco
+import numpy as np
+import pytest
+
+import lieednn_sim as ls
+from lieednn_sim import simulation
+from lieednn_sim.errors import InputError, SimulationError
+from lieednn_sim.simulation.plant import make_plant
+
+# A motor, a servo and a joint without an actuator; a stage that follows; a gripper, and a ball that falls on the floor.
+ROBOT = """
+<mujoco>
+  <option timestep="0.004" integrator="implicitfast"/>
+  <worldbody>
+    <geom type="plane" size="3 3 .1"/>
+    <body name="ball" pos="-1 0 .5"><freejoint/><geom size=".05"/></body>
+    <body name="post" mocap="true"><geom type="cylinder" size=".05 .2"/></body>
+    <body name="a" pos="0 0 .6">
+      <joint name="turn" axis="0 0 1" range="-120 120" damping="1"/>
+      <geom type="capsule" size=".04" fromto="0 0 0 .3 0 0"/>
+      <body name="b" pos=".3 0 0">
+        <joint name="lift" axis="0 1 0" range="-60 60"/><geom type="capsule" size=".03" fromto="0 0 0 .3 0 0"/>
+        <body name="c" pos=".3 0 0">
+          <joint name="reach" type="slide" axis="1 0 0" range="0 .2"/>
+          <geom type="capsule" size=".02" fromto="0 0 0 .2 0 0"/>
+          <body name="d" pos=".2 0 0">
+            <joint name="stage" type="slide" axis="1 0 0" range="0 .2"/><geom size=".02"/><site name="tip"/>
+            <body name="finger" pos=".06 0 0">
+              <joint name="finger" axis="0 0 1" range="-40 40" damping=".1"/><geom type="box" size=".02 .01 .01"/>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="stage" joint2="reach" polycoef="0 1 0 0 0"/></equality>
+  <actuator>
+    <position name="grip" joint="finger" kp="2"/>
+    <position name="lift" joint="lift" kp="800" kv="80"/>
+    <motor name="turn" joint="turn" gear="4"/>
+  </actuator>
+</mujoco>
+"""
+JOINTS = ["turn", "lift", "reach"]
+
+
+def view(model, data):
+    return ls.Arm.of(model, data, JOINTS, tip="tip")
+
+
+@pytest.fixture(scope="module")
+def case():
+    model = mujoco.MjModel.from_xml_string(ROBOT)
+    data = mujoco.MjData(model)
+    data.joint("turn").qpos, data.mocap_pos[0], data.ctrl[0] = -0.5, [0.0, 1.5, 0.0], 0.3
+    mujoco.mj_forward(model, data)
+    arm = view(model, data)
+    return model, data, arm, ls.plan(arm, [0.9, -0.4, 0.15], planner="minimum-jerk")
+
+
+def test_each_kind_of_actuator_follows_the_plan_and_the_rest_obeys_physics_alone(case):
+    model, data, arm, found = case
+    before, masses = arm.qpos_home.copy(), arm.model.body_mass.copy()
+    run = ls.simulate(arm, found, hold=0.5)
+    assert run.controller == "feedback-linearisation"
+    np.testing.assert_array_equal(arm.qpos_home, before)
+    np.testing.assert_array_equal(arm.model.body_mass, masses)
+    assert data.time == 0.0
+    assert run.t[-1] == pytest.approx(found.t[-1] + 0.5)
+    assert np.abs(run.tracking_error).max() < 2e-3
+    np.testing.assert_array_equal(run.q_ref[: len(found.t)], found.motion.q)
+    # What the arm does not touch moves as without it.
+    alone = mujoco.MjData(model)
+    alone.ctrl[0] = 0.3
+    for _ in run.t[1:]:
+        mujoco.mj_step(model, alone)
+    np.testing.assert_allclose(run.qpos[-1, :3], alone.qpos[:3], atol=1e-9)
+    assert (run.ctrl[:, 0] == 0.3).all()
+    assert run.qpos[-1, model.joint("finger").qposadr[0]] == pytest.approx(0.3, abs=0.02)
+    # The ball on the floor is no contact of the arm.
+    assert run.contacts.max() == 0
+    tip = run.poses("tip")[-1].translation
+    np.testing.assert_allclose(tip, run.link_position[-1, -1], atol=1e-9)
+    np.testing.assert_allclose(tip, arm.tip(found.motion.q[-1]), atol=2e-3)
+    np.testing.assert_array_equal(run.poses("post")[0].translation, [0.0, 1.5, 0.0])
+    assert run == ls.simulate(arm, found, hold=0.5)
+
+
+def test_a_rollout_of_a_view_is_judged_saved_and_loaded(case, tmp_path):
+    model, data, arm, found = case
+    run = ls.simulate(arm, found)
+    result = ls.evaluate(run)
+    assert result.contacts == 0
+    assert result.final_worst_mm < 1.0
+    assert 0.0 < result.clearance_mm < 1000.0
+    run.save(tmp_path / "run.npz")
+    assert ls.Rollout.load(tmp_path / "run.npz", arm, found.motion) == run
+    np.testing.assert_array_equal(ls.Rollout.load(tmp_path / "run.npz", view(model, data)).qpos, run.qpos)
+    assert pickle.loads(pickle.dumps(run.arm)).fingerprint == arm.fingerprint
+
+
+def test_a_force_that_the_data_applies_stays_and_pushes_the_arm(case):
+    model, data, arm, found = case
+    pushed = mujoco.MjData(model)
+    mujoco.mj_copyData(pushed, model, data)
+    pushed.qfrc_applied[model.joint("reach").dofadr[0]] = 5.0
+    one, other = (ls.simulate(each, found).tracking_error[-1, 2] for each in (arm.at(pushed), arm))
+    # In the end the feedback, m w^2 times the error, holds the force, with the mass of both stages, of which the second
+    # moves twice as far. It follows the first by a soft equality.
+    mass = model.body_subtreemass[model.body("c").id] + model.body_subtreemass[model.body("d").id] * 3.0
+    assert one - other == pytest.approx(5.0 / mass / (2.0 * np.pi * 10.0) ** 2, rel=0.2)
+
+
+def test_a_simulation_begins_in_the_whole_state_of_the_view():
+    text = ROBOT.replace("<actuator>", "<actuator><general name='slow' joint='finger' dyntype='filter' dynprm='5'/>")
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.act[0], data.ctrl[0], data.qvel[2] = 0.02, 0.01, 1.0
+    arm = view(model, data)
+    run = ls.simulate(arm, ls.plan(arm, [0.2, 0.0, 0.0], planner="minimum-jerk", duration=0.5), hold=0.0)
+    alone = mujoco.MjData(model)
+    mujoco.mj_copyData(alone, model, data)
+    mujoco.mj_step(model, alone)
+    assert run.qpos[1, 2] == pytest.approx(alone.qpos[2], abs=1e-12)
+    held = arm.data()
+    np.testing.assert_array_equal(held.act, data.act)
+    assert (run.ctrl[:, model.actuator("slow").id] == 0.01).all()
+
+
+@pytest.mark.parametrize("controller", ["position-servo", "inverse-dynamics", "computed-torque"])
+def test_other_controllers_drive_a_view_where_its_actuators_allow(controller):
+    servos = (
+        '<position name="reach" joint="reach" kp="900" kv="90"/><position name="turn" joint="turn" kp="800" kv="80"/>'
+    )
+    model = mujoco.MjModel.from_xml_string(ROBOT.replace('<motor name="turn" joint="turn" gear="4"/>', servos))
+    data = mujoco.MjData(model)
+    data.ctrl[0] = 0.3
+    arm = view(model, data)
+    found = ls.plan(arm, [0.4, -0.1, 0.1], planner="minimum-jerk")
+    run = ls.simulate(arm, found, controller=controller)
+    assert np.abs(run.tracking_error).max() < (0.02 if controller == "position-servo" else 2e-3)
+    assert (run.ctrl[:, 0] == 0.3).all()
+    with pytest.raises(InputError, match="a view of a compiled model has none; take another controller"):
+        ls.simulate(arm, found, controller="mocap")
+
+
+def test_disturbances_act_on_a_view(case):
+    _, _, arm, found = case
+    calm = ls.simulate(arm, found, hold=0.2)
+    for changes, least in (
+        (ls.Disturbances(pushes=(ls.Push("end effector", (0.0, 0.0, -20.0), 1.0, 0.3),)), 2e-3),
+        (ls.Disturbances(mass_scale=1.3), 1e-3),
+        (ls.Disturbances(payload=0.5), 1e-3),
+        (ls.Disturbances(position_noise=1e-3), 2e-4),
+    ):
+        run = ls.simulate(arm, found, hold=0.2, disturbances=changes)
+        off = np.abs(run.q - calm.q).max()
+        assert least < off < 0.3, changes
+        assert run == ls.simulate(arm, found, hold=0.2, disturbances=changes)
+        # The ball and its fall are no part of the arm.
+        np.testing.assert_allclose(run.qpos[:50, :3], calm.qpos[:50, :3], atol=1e-9)
+    moving = simulation.MovingObstacle("post", (0.0, 1.0), ((0.0, 1.5, 0.0), (0.0, 2.0, 0.0)))
+    run = ls.simulate(
+        arm,
+        found,
+        hold=0.0,
+        disturbances=ls.Disturbances(obstacles=(moving,)),
+        log=[ls.Channel("post", "m", lambda data: data.body("post").xpos)],
+    )
+    assert run.channels["post"][-1] == pytest.approx([0.0, 2.0, 0.0])
+
+
+def test_a_payload_is_that_of_the_same_body_in_the_spec(case):
+    _, _, arm, _ = case
+    plant = make_plant(arm, ls.Disturbances(payload=0.7))
+    spec = mujoco.MjSpec.from_string(ROBOT)
+    frame = arm.frames[-1:]
+    radius = (3.0 * 0.7 / (4.0 * np.pi * 7850.0)) ** (1.0 / 3.0)
+    body = arm.model.body(int(frame.bodies[0])).name
+    inertia = [0.4 * 0.7 * radius**2] * 3
+    spec.body(body).add_body(
+        name="load", pos=frame.positions[0], mass=0.7, ipos=[0, 0, 0], inertia=inertia, explicitinertial=True
+    )
+    loaded = spec.compile()
+    q = [0.3, -0.2, 0.1]
+    forces = []
+    for model in (plant, loaded):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = arm.qpos(q), arm.qvel(q, [1.0, -2.0, 0.3])
+        mujoco.mj_forward(model, data)
+        matrix = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, matrix)
+        forces.append(np.vstack([data.qfrc_bias, matrix]))
+    np.testing.assert_allclose(*forces, atol=1e-9)
+
+
+def test_a_certified_policy_runs_a_view(case):
+    _, _, arm, found = case
+    target = found.motion.q[-1]
+    policy = ls.make_policy("lieednn-shaped", arm, target, rate=125.0)
+    following = ls.follow(policy, target, 6.0)
+    assert following.rollout.controller == "feedback-linearisation"
+    np.testing.assert_allclose(following.rollout.q[-1], target, atol=2e-3)
+
+
+def test_a_motor_that_cannot_hold_its_load_is_named():
+    model = mujoco.MjModel.from_xml_string(ROBOT.replace('kp="800" kv="80"', 'kp="800" kv="80" forcerange="-1 1"'))
+    arm = view(model, mujoco.MjData(model))
+    with pytest.raises(InputError, match=r"'lift' cannot be held at the start: its load is .* N m, its force limit 1"):
+        ls.plan(arm, [0.9, -0.4, 0.15])
+
+
+def test_what_cannot_be_simulated_is_named(case):
+    model, data, arm, found = case
+    with pytest.raises(InputError, match="hold must be between 0"):
+        ls.simulate(arm, found, hold=-1.0)
+    fast = mujoco.MjData(model)
+    mujoco.mj_copyData(fast, model, data)
+    fast.qvel[0] = 1e12
+    with pytest.raises(SimulationError, match=r"simulation of .* failed at t = 0\.00"):
+        ls.simulate(arm.at(fast), found)
+    with pytest.raises(InputError, match="no body or site 'cup'"):
+        ls.simulate(arm, found, hold=0.0).poses("cup")
+    muscle = ROBOT.replace('<motor name="turn" joint="turn" gear="4"/>', '<muscle name="turn" joint="turn"/>')
+    weak = mujoco.MjModel.from_xml_string(muscle)
+    with pytest.raises(InputError, match="actuator 'turn' moves the arm in a way the controllers do not know"):
+        ls.simulate(view(weak, mujoco.MjData(weak)), found)
