@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -43,25 +42,24 @@ class Outcome:
     shots: list[tuple[Any, Any, Any, str]] = field(default_factory=list)
     cpu_time: float = 0.0
 
-    def move(self, joints: list[str], goal: Any, hold: float, riding: str = "", **options: Any) -> None:
-        """Plan from the present state, simulate the plan and some time at rest, and go on from there."""
+    def move(self, arm: ls.Arm, goal: Any, hold: float, riding: str = "", **options: Any) -> None:
+        """Plan for a view in the present state, simulate the plan and some time at rest, and go on from there."""
         begun = time.process_time()
         try:
-            found = ls.plan_in(self.model, self.data, joints, goal, time_budget=_TIME, **options)
+            found = ls.plan(arm, goal, time_budget=_TIME, **options)
         finally:
             self.cpu_time += time.process_time() - begun
-        run = ls.run_in(self.model, self.data, found, hold=hold)
+        run = ls.simulate(arm, found, hold=hold)
         self.plans.append(found)
         self.runs.append(run)
-        self.shots.append((run.model, run.t, run.qpos, riding))
+        self.shots.append((run.arm.model, run.t, run.qpos, riding))
         self.data.qpos[:], self.data.qvel[:], self.data.ctrl[:] = run.qpos[-1], 0.0, run.ctrl[-1]
         mujoco.mj_forward(self.model, self.data)
 
     def missed(self, leg: int) -> float:
         """Distance of the tip from where a motion was to end, at the end of its rest [m]."""
         run = self.runs[leg]
-        there, wanted = (run.poses(run.tip, planned=planned)[-1].translation for planned in (False, True))
-        return float(np.linalg.norm(there - wanted))
+        return float(np.linalg.norm(run.link_position[-1, -1] - run.arm.tip(run.q_ref[-1])))
 
     def clearance(self) -> float:
         """Least distance of the arm from anything in its simulations [m]."""
@@ -69,8 +67,7 @@ class Outcome:
         for found, run in zip(self.plans, self.runs, strict=True):
             collisions = Collisions(found.arm)
             rows = np.linspace(0, len(found.t) - 2, _LOOKS).astype(int)
-            for q in found.plan.motion.q[rows] + run.tracking_error[rows]:
-                least = min(least, collisions.clearance(q))
+            least = min(least, *map(collisions.clearance, run.q[rows]))
         return float(least)
 
 
@@ -138,8 +135,8 @@ class Boom(Task):
 
     def play(self, done: Outcome, case: int, planner: str) -> None:
         # 3 mm more than the published margin, for what a servo is off its plan.
-        options: dict[str, Any] = {"clearance": 0.033, "duration": 60.0, "max_time_scale": 4.0}
-        done.move(self.joints, self.goals[case], 5.0, planner=planner, seed=case, tip="tip", **options)
+        arm = ls.Arm.of(done.model, done.data, self.joints, tip="tip", clearance=0.033)
+        done.move(arm, self.goals[case], 5.0, planner=planner, seed=case, duration=60.0, max_time_scale=4.0)
 
     def judge(self, done: Outcome, case: int) -> dict[str, float]:
         return {
@@ -183,14 +180,15 @@ class Harvester(Task):
         return done
 
     def play(self, done: Outcome, case: int, planner: str) -> None:
-        home = done.data.qpos.copy()
-        options: dict[str, Any] = {"planner": planner, "seed": case, "tip": "tip", "duration": 1.5, "fastest": True}
+        arm = ls.Arm.of(done.model, done.data, self.joints, tip="tip")
+        home = arm.keyframe("home")
+        options: dict[str, Any] = {"planner": planner, "seed": case, "duration": 1.5, "fastest": True}
         for fruit in range(4):
-            done.move(self.joints, self._aim(done, fruit, 0.11), 0.0, **options)
-            done.move(self.joints, self._aim(done, fruit, 0.01), self.dwell, **options)
+            done.move(arm.at(done.data), self._aim(done, fruit, 0.11), 0.0, **options)
+            done.move(arm.at(done.data), self._aim(done, fruit, 0.01), self.dwell, **options)
             done.data.mocap_pos[fruit] = [-0.38 + 0.09 * fruit, 0.75, 0.41]
             mujoco.mj_forward(done.model, done.data)
-            done.move(self.joints, home, 0.0, riding=f"fruit{fruit}", **options)
+            done.move(arm.at(done.data), home, 0.0, riding=f"fruit{fruit}", **options)
 
     def judge(self, done: Outcome, case: int) -> dict[str, float]:
         moving = sum(run.motion_end for run in done.runs) / 4
@@ -259,12 +257,12 @@ class Crane(Task):
         return Outcome(model, data)
 
     def play(self, done: Outcome, case: int, planner: str) -> None:
-        self.begun = (done.model, copy.copy(done.data))
-        done.move(self.joints, self.goals[case], 10.0, planner=planner, seed=case, tip="tip", duration=self.duration)
+        arm = ls.Arm.of(done.model, done.data, self.joints, tip="tip")
+        done.move(arm, self.goals[case], 10.0, planner=planner, seed=case, duration=self.duration)
 
     def judge(self, done: Outcome, case: int) -> dict[str, float]:
         (found,), (run,) = done.plans, done.runs
-        uninformed = ls.run_in(*self.begun, _trapezoidal(found), hold=10.0)
+        uninformed = ls.simulate(run.arm, _trapezoidal(found.motion), hold=10.0)
         swing, theirs = self._swing(run), self._swing(uninformed)
         rest = run.t >= run.motion_end
         return {
@@ -288,7 +286,7 @@ class Crane(Task):
 
     def _load_clearance(self, run: Any) -> float:
         """Least distance of grapple and log from truck, stakes and ground [m]."""
-        model, data, least = run.model, mujoco.MjData(run.model), np.inf
+        model, data, least = run.arm.model, mujoco.MjData(run.arm.model), np.inf
         load = [k for k in range(model.ngeom) if model.geom_bodyid[k] == model.body("grapple").id]
         others = [k for k in range(model.ngeom) if model.geom_bodyid[k] == 0 and model.geom_group[k] != 4]
         for row in np.linspace(0, len(run.t) - 1, 5 * _LOOKS).astype(int):
@@ -314,13 +312,13 @@ def _at_home(name: str) -> Outcome:
     return Outcome(model, data)
 
 
-def _trapezoidal(found: Any, ramp: float = 0.25) -> Any:
+def _trapezoidal(motion: Any, ramp: float = 0.25) -> Any:
     """The same path in the same time with a trapezoidal speed, whose ramps each take a fraction of the time."""
-    step = np.linalg.norm(np.diff(found.qpos, axis=0), axis=1)
+    step = np.linalg.norm(np.diff(motion.q, axis=0), axis=1)
     far, passed = np.unique(np.append(0.0, np.cumsum(step)), return_index=True)
-    now = found.t / found.t[-1]
+    now = motion.t / motion.t[-1]
     speed = np.clip(np.minimum(now, 1.0 - now) / ramp, 0.0, 1.0)
     progress = np.append(0.0, np.cumsum(speed[1:] + speed[:-1]))
     wanted = far[-1] * progress / progress[-1]
-    qpos = np.stack([np.interp(wanted, far, column[passed]) for column in found.qpos.T], axis=1)
-    return replace(found, qpos=qpos, qvel=np.gradient(qpos, found.t, axis=0))
+    q = np.stack([np.interp(wanted, far, column[passed]) for column in motion.q.T], axis=1)
+    return replace(motion, q=q, qd=np.gradient(q, motion.t, axis=0))

@@ -11,7 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 from task_cases import ASSETS, LeftOutError, Outcome, Task
 
-from lieednn_sim._mujoco import mujoco
+import lieednn_sim as ls
+from lieednn_sim._mujoco import kinematics_at, mujoco
 
 _RADIUS, _HALF, _FALL = 0.03, 0.05, 0.012  # of the can, and how far it is above the board [m]
 _BOARD = 0.8 + _HALF + _FALL - 0.1145  # of the lift, above which the gripper is by the rest [m]
@@ -71,22 +72,27 @@ class Shelf(Task):
 
     def play(self, done: Outcome, case: int, planner: str) -> None:
         lift, extension, yaw = self.places[case]
-        options: dict[str, Any] = {"planner": planner, "seed": case, "tip": "stretch_link_grasp_center"}
-        options |= {"limits": self.limits, "duration": 6.0, "fastest": True}
+        options: dict[str, Any] = {"planner": planner, "seed": case, "duration": 6.0, "fastest": True}
         # The servos are soft, so the way there and back is 15 mm from everything; close to the can it cannot be.
-        done.move(self.joints, [lift + _ABOVE, extension / 4, yaw], 0.5, clearance=0.006, **options)
-        done.move(self.joints, [lift, extension / 4, yaw], 0.5, **options)
-        self.wanted = done.runs[-1].poses("can", planned=True)[-1]
+        done.move(self._arm(done, 0.006), [lift + _ABOVE, extension / 4, yaw], 0.5, **options)
+        done.move(self._arm(done), [lift, extension / 4, yaw], 0.5, **options)
+        run = done.runs[-1]
+        self.wanted = kinematics_at(run.arm.model, run.arm.qpos(run.q_ref[-1])).body("can").xpos.copy()
         self._open(done)
-        done.move(self.joints, [lift, self.begin[1] / 4, yaw], 0.5, **options)
-        done.move(self.joints, [self.begin[0], self.begin[1] / 4, self.begin[2]], 0.5, clearance=0.006, **options)
+        done.move(self._arm(done), [lift, self.begin[1] / 4, yaw], 0.5, **options)
+        done.move(self._arm(done, 0.006), [self.begin[0], self.begin[1] / 4, self.begin[2]], 0.5, **options)
+
+    def _arm(self, done: Outcome, clearance: float = 0.002) -> ls.Arm:
+        """The view of the arm in the present state."""
+        tip = "stretch_link_grasp_center"
+        return ls.Arm.of(done.model, done.data, self.joints, tip=tip, limits=self.limits, clearance=clearance)
 
     def judge(self, done: Outcome, case: int) -> dict[str, float]:
         taken = sum(run.motion_end for run in done.runs)
         moves = np.abs(np.subtract(self.places[case], self.begin))
         default = 2.0 * sum(_trapezoid_time(move, *limit) for move, limit in zip(moves, self.defaults, strict=True))
         can = done.runs[-1].poses("can")[-1]
-        off = (can.translation - self.wanted.translation) * (1.0, 1.0, 0.0)
+        off = (can.translation - self.wanted) * (1.0, 1.0, 0.0)
         return {
             "time_s": taken,
             "of_default": float(taken / default),

@@ -46,7 +46,10 @@ PLANNERS = (
 )
 FILMED = "lieednn-shaped"
 CASES = 5
-_ROWS = ("qpos", "qvel", "ctrl", "planned", "tracking_error")  # of a simulation
+_ROWS = (  # of a simulation
+    *("q", "qd", "q_ref", "qd_ref", "qpos", "ctrl", "force", "constraint_force"),
+    *("link_position", "link_quaternion", "contacts", "contact_force"),
+)
 
 
 def attempt(task: Task, case: int, planner: str) -> tuple[dict[str, Any], Outcome | None]:
@@ -87,7 +90,7 @@ def write_pages(folder: Path, name: str, done: Outcome) -> None:
     """Write a page that turns for each stretch of simulations in one model."""
     stretches: list[list[Any]] = []
     for run in done.runs:
-        if stretches and stretches[-1][-1].model.nq == run.model.nq:
+        if stretches and stretches[-1][-1].arm.model.nq == run.arm.model.nq:
             stretches[-1].append(run)
         else:
             stretches.append([run])
@@ -95,7 +98,8 @@ def write_pages(folder: Path, name: str, done: Outcome) -> None:
         ends = np.cumsum([run.t[-1] + run.timestep for run in runs])
         rows = {key: np.concatenate([getattr(run, key) for run in runs]) for key in _ROWS}
         rows["t"] = np.arange(len(rows["qpos"])) * runs[0].timestep
-        whole = replace(runs[0], **rows, motion_end=float(ends[-1] - runs[-1].t[-1] + runs[-1].motion_end))
+        end = float(ends[-1] - runs[-1].t[-1] + runs[-1].motion_end)
+        whole = replace(runs[0], **rows, motion_end=end, motion=None, target=runs[-1].target)
         ls.render_page(whole, folder / f"{name}{k + 1 if k else ''}.html", camera="side", title=name)
 
 

@@ -46,7 +46,7 @@ FRONT_DOOR = {
         lambda other: ls.solve_ik(other, [1.0, 0.0, 1.0]),
         lambda other: simulation.Simulation(other),
     ],
-    "motion must be a Plan, a Motion or a PlanSequence, got {}; see plan": [
+    "motion must be a Plan or a Motion or a PlanSequence, got {}; see plan": [
         lambda other: ls.simulate(Arm.load("telescopic_pr"), other)
     ],
     "motions[0] must be a Plan or a Motion, got {}; see plan": [

@@ -63,7 +63,7 @@ def written_files(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str
             shutil.copyfile(path, EXTRA / "turning" / name)
             shown.append(_PAGE.format(address=f"../../turning/{name}", title=escape(f"{example}: {path.stem}")))
             values = [getattr(value, "rollout", value) for value in block_vars["example_globals"].values()]
-            rollouts = [value for value in values if isinstance(value, ls.Rollout | ls.simulation.ModelRun)]
+            rollouts = [value for value in values if isinstance(value, ls.Rollout)]
             if rollouts and not any(path.with_suffix(suffix).exists() for suffix in PICTURES):
                 still = next(block_vars["image_path_iterator"])
                 ls.render_still(rollouts[-1], still, size=(800, 560), preset="draft")

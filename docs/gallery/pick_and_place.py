@@ -4,7 +4,7 @@ Pick, carry, place
 
 For whoever wants an arm to do several things in a row in a MuJoCo model: reach for a box, close the gripper, carry the
 box around an obstacle, and put it down. ``ls.plan_sequence`` plans each move with a proof of its own, and
-``ls.run_in`` simulates the whole in the given model, where only friction holds the box.
+``ls.simulate`` simulates the whole in the given model, where only friction holds the box.
 """
 
 import mujoco
@@ -42,13 +42,14 @@ steps = [
     ls.Move("home"),
 ]
 limits = {name: {"velocity": speed} for name, speed in speeds.items()}
-sequence = ls.plan_sequence(model, data, joints, steps, tip="grasp", limits=limits)
+arm = ls.Arm.of(model, data, joints, tip="grasp", limits=limits)
+sequence = ls.plan_sequence(arm, steps)
 print(sequence)
 
 # %%
 # One run of all steps. The box is 6 mm above the shelf before it is released, and is measured where it comes to rest.
 
-run = ls.run_in(model, data, sequence)
+run = ls.simulate(arm, sequence)
 box = run.poses("box").translation
 print(f"largest tracking error: {np.abs(run.tracking_error).max():.2g} rad or m")
 print(f"the box was lifted to {box[:, 2].max():.2f} m, over a wall of 0.48 m")

@@ -58,12 +58,13 @@ limits = {joint: {"velocity": speed, "acceleration": 5.0} for joint, speed in zi
 forwards = Rotation.from_euler("y", 90, degrees=True)
 inside = [RigidTransform.from_components(place, forwards) for place in ([0.55, 0.2, 0.38], [0.6, -0.15, 0.72])]
 steps = [ls.Move(inside[0], name="into the lower left"), ls.Move(inside[1], name="into the upper right", fastest=True)]
-found = ls.plan_sequence(model, data, joints, steps, tip="attachment_site", limits=limits)
+arm = ls.Arm.of(model, data, joints, tip="attachment_site", limits=limits)
+found = ls.plan_sequence(arm, steps)
 print(found)
 
 # %%
 # Simulated in that very model, where the arm's own servos follow the plan.
 
-run = ls.run_in(model, data, found)
+run = ls.simulate(arm, found)
 print(f"largest tracking error: {np.rad2deg(np.abs(run.tracking_error).max()):.2f} degrees")
 ls.render_page(run, "plan_in_menagerie.html", title="A shelf")

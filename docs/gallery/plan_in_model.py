@@ -3,8 +3,8 @@ A plan in somebody else's model
 ===============================
 
 For whoever has a MuJoCo model in memory, from a benchmark or from a simulator of their own, and wants a motion of its
-arm around everything that is in it. Here it is a task of dm_control: a Jaco arm among bricks. ``ls.plan_in`` takes the
-compiled model and its state as they are, and returns positions in that model's own order.
+arm around everything that is in it. Here it is a task of dm_control: a Jaco arm among bricks. ``ls.Arm.of`` takes the
+compiled model and its state as they are, and plans and simulations are in that model's own order.
 """
 
 import numpy as np
@@ -31,14 +31,13 @@ print(arm)
 brick = data.body("duplo2x4_2/").xpos
 downwards = arm.link_poses(arm.keyframe("home"))[-1].rotation
 pose = RigidTransform.from_components(brick + np.array([0.0, 0.0, 0.16]), downwards)
-found = ls.plan_in(model, data, joints, pose, tip=hand)
-print(f"{found.plan.planner}, {found.t[-1]:.1f} s, qpos {found.qpos.shape}")
-print(found.plan.network.certificate)
+plan = ls.plan(arm, pose)
+print(f"{plan.planner}, {plan.t[-1]:.1f} s, qpos {plan.qpos.shape}")
+print(plan.network.certificate)
 
 # %%
 # Played in their model by setting ``qpos``, or simulated there by its own actuators, while all else obeys physics.
 
-run = ls.run_in(model, data, found)
-apart = run.poses(run.tip).translation - run.poses(run.tip, planned=True).translation
-print(f"largest tracking error of the hand: {1e3 * np.linalg.norm(apart, axis=1).max():.2f} mm")
+run = ls.simulate(arm, plan)
+print(f"largest tracking error of the hand: {ls.evaluate(run).end_effector.tracking_max_mm:.2f} mm")
 ls.render_page(run, "motion.html")

@@ -93,9 +93,10 @@ steps = [
 joints = [f"robot0_joint{k}" for k in range(1, 8)]
 speeds = [2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61]
 limits = {joint: {"velocity": speed} for joint, speed in zip(joints, speeds, strict=True)}
-found = ls.plan_sequence(model, data, joints, steps, tip="gripper0_right_grip_site", limits=limits)
+arm = ls.Arm.of(model, data, joints, tip="gripper0_right_grip_site", limits=limits)
+found = ls.plan_sequence(arm, steps)
 print(found)
-run = ls.run_in(model, data, found)
+run = ls.simulate(arm, found)
 print(run)
 print("the can stands at", run.poses("Can_main")[-1].translation.round(3))
 ls.render_page(run, "plan_in_robosuite.html", title="PickPlace")

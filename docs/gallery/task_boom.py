@@ -20,24 +20,26 @@ mujoco.mj_resetDataKeyframe(model, data, 0)
 joints = ["carriage", "telescope", "yaw", "pitch", "reach"]
 goal = [4.95, 4.2, 0.45, 1.0, 0.4]  # m, m, rad, rad, m
 
+arm = ls.Arm.of(model, data, joints, tip="tip", clearance=0.03)
+
 # %%
 # All joints at once, as minimum jerk has it, meet the pipe.
 
 try:
-    ls.plan_in(model, data, joints, goal, tip="tip", planner="minimum-jerk", duration=60.0, clearance=0.03)
+    ls.plan(arm, goal, planner="minimum-jerk", duration=60.0)
 except ls.PlanError as error:
     print(f"minimum-jerk: {error}")
 
 # %%
 # ``lieednn-shaped`` lets a guide find a way that keeps 30 mm, and encodes it in a network with a proof.
 
-found = ls.plan_in(model, data, joints, goal, tip="tip", planner="lieednn-shaped", duration=60.0, clearance=0.03)
-print(f"{found.plan.planner}, {found.t[-1]:.0f} s, guided by {found.plan.guide.planner}")
-print(found.plan.network.certificate)
+found = ls.plan(arm, goal, planner="lieednn-shaped", duration=60.0)
+print(f"{found.planner}, {found.t[-1]:.0f} s, guided by {found.guide.planner}")
+print(found.network.certificate)
 
 # %%
 # The scene's own servos follow it.
 
-run = ls.run_in(model, data, found, hold=2.0)
+run = ls.simulate(arm, found, hold=2.0)
 print(f"largest tracking error: {1e3 * abs(run.tracking_error).max():.2g} mm or mrad")
 ls.render_page(run, "motion.html", title="boom")

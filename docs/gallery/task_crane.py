@@ -31,22 +31,25 @@ data.qpos[:4], data.qvel[:] = start, 0.0
 # Boxes in the scene that only the hook touches keep it high enough for the log below it.
 
 joints = ["slew", "inner", "outer", "telescope"]
-found = ls.plan_in(model, data, joints, goal, tip="tip", planner="lieednn-shaped", duration=12.0)
-print(found.plan.network.certificate)
+arm = ls.Arm.of(model, data, joints, tip="tip")
+found = ls.plan(arm, goal, planner="lieednn-shaped", duration=12.0)
+print(found.network.certificate)
 
 # %%
 # The same path in the same time with a trapezoidal speed.
 
-passed = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(found.qpos, axis=0), axis=1)))
+passed = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(found.motion.q, axis=0), axis=1)))
 now = found.t / found.t[-1]
 reached = np.cumsum(np.clip(np.minimum(now, 1.0 - now) / 0.25, 0.0, 1.0))
 rows = np.interp(reached / reached[-1] * passed[-1], passed, np.arange(len(passed))).round().astype(int)
-smooth = np.stack([np.convolve(np.pad(q, 25, "edge"), np.ones(51) / 51, "valid") for q in found.qpos[rows].T], axis=1)
-trapezoidal = replace(found, qpos=smooth, qvel=np.gradient(smooth, found.t, axis=0))
+smooth = np.stack(
+    [np.convolve(np.pad(q, 25, "edge"), np.ones(51) / 51, "valid") for q in found.motion.q[rows].T], axis=1
+)
+trapezoidal = replace(found.motion, q=smooth, qd=np.gradient(smooth, found.t, axis=0))
 
 fig, ax = plt.subplots(figsize=(7, 3.5), layout="constrained")
 for name, plan in (("as planned", found), ("trapezoidal speed", trapezoidal)):
-    run = ls.run_in(model, data, plan, hold=10.0)
+    run = ls.simulate(arm, plan, hold=10.0)
     line = run.poses("tip").translation - run.poses("load").translation
     angle = np.rad2deg(np.arccos(line[:, 2] / np.linalg.norm(line, axis=1)))
     print(f"{name}: {angle[run.t > run.motion_end].max():.1f} degrees of swing left")

@@ -35,8 +35,9 @@ before, at = (np.array([*angles, far - 0.04 - gap - 0.5]) for gap in (0.11, 0.01
 
 taken = []
 for goal, hold in ((before, 0.0), (at, 1.0), (home, 0.5)):
-    found = ls.plan_in(model, data, joints, goal, tip="tip", planner="lieednn-shaped", duration=1.5, fastest=True)
-    run = ls.run_in(model, data, found, hold=hold)
+    arm = ls.Arm.of(model, data, joints, tip="tip")
+    found = ls.plan(arm, goal, planner="lieednn-shaped", duration=1.5, fastest=True)
+    run = ls.simulate(arm, found, hold=hold)
     data.qpos[:] = run.qpos[-1]
     taken.append(found.t[-1])
     if goal is before:

@@ -181,11 +181,9 @@ class Arm(SerialArm):
         return Arm.of(self.model, data, clearance=self.clearance, **self.named)
 
     def data(self) -> mujoco.MjData:
-        """New data of the model in the state that a view was made of, or at ``home``."""
+        """New data of the model: in the state that a view was made of, and of other arms at the model's reference."""
         data = mujoco.MjData(self.model)
-        if self.state is None:
-            data.qpos[:] = self.qpos(self.keyframe("home"))
-        else:
+        if self.state is not None:
             mujoco.mj_setState(self.model, data, self.state, mujoco.mjtState.mjSTATE_INTEGRATION)
         return data
 

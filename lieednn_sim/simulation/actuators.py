@@ -31,6 +31,7 @@ class ModelActuators:
             the keyframe ``home``, or zero.
         servos: ``(nu,)`` which of the driving ones are position servos; the others exert forces alone.
         transmission: ``(nu, n)`` lengths' rates at unit rates of the coordinates; zero for those that do not drive.
+        moment: ``(nu, nv)`` generalised force per unit force; zero likewise.
         allocation: ``(nu, nv)`` forces of least norm with the effect of generalised forces on the arm.
         gain: ``(nu,)`` g of those that drive.
         bias: ``(3, nu)`` their b0, b1 and b2.
@@ -43,8 +44,8 @@ class ModelActuators:
         model, basis = arm.model, tangent_basis(arm)
         moments = actuator_moments(model)
         self.driving = _moving(moments, basis)
-        self._moment = np.where(self.driving[:, None], moments, 0.0)
-        self.transmission = transmission = self._moment @ basis
+        self.moment = np.where(self.driving[:, None], moments, 0.0)
+        self.transmission = transmission = self.moment @ basis
         _check(model, self.driving)
         # Forces f of least norm with basis^T moment^T f = basis^T tau: components of tau that do no work on the arm,
         # such as forces on other joints and between coupled stages, are left out.
@@ -72,15 +73,15 @@ class ModelActuators:
         """Lengths ``(..., nu)`` at positions ``(..., nq)``; zero for actuators that do not move the arm."""
         if self._model.nq == self._model.nv:
             # Without quaternions both have the same layout.
-            return np.matvec(self._moment, qpos)
+            return np.matvec(self.moment, qpos)
         x = np.zeros((*qpos.shape[:-1], self._model.nv))
         for index in np.ndindex(qpos.shape[:-1]):
             mujoco.mj_differentiatePos(self._model, x[index], 1.0, self._zero, qpos[index])
-        return np.matvec(self._moment, x)
+        return np.matvec(self.moment, x)
 
     def velocities(self, qvel: Floats) -> Floats:
         """Velocities ``(..., nu)`` of lengths at generalised velocities ``(..., nv)``."""
-        return np.matvec(self._moment, qvel)
+        return np.matvec(self.moment, qvel)
 
     def forces(self, generalised: Floats) -> Floats:
         """Actuator forces ``(..., nu)`` with the effect of generalised forces ``(..., nv)`` on the arm's joints."""

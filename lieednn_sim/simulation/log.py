@@ -210,7 +210,10 @@ class Log:
         """Number of contacts that count, and the largest normal force among them [N]."""
         contacts: Any = range(self._data.ncon)
         if self._groups is not None:
-            first, second = self._groups[self._data.contact.geom].T
+            groups = self._groups.take(self._data.contact.geom)
+            if not groups.any():
+                return 0, 0.0
+            first, second = groups.T
             contacts = np.flatnonzero((first != second) & ((first > 0) | (second > 0))).tolist()
         wrench, largest = np.zeros(6), 0.0
         for i in contacts:

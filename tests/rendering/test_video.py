@@ -73,7 +73,7 @@ def encoding(rollout, tmp_path, monkeypatch):
     rendered = [threading.Event() for _ in range(6)]
 
     class Pictures(contextlib.nullcontext):
-        def picture(self, q, draw):
+        def picture_at(self, qpos, draw):
             k = sum(event.is_set() for event in rendered)
             rendered[k].set()
             return np.full((90, 160, 3), k, np.uint8)

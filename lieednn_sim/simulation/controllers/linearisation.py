@@ -39,15 +39,23 @@ class FeedbackLinearisation(Controller):
             raise InputError("the model's actuators cannot move all joints of the arm independently")
         servoed = np.abs(transmission[actuators.servos]).max(axis=0, initial=0.0) > 0.0
         frequency, rates = np.where(servoed, 0.0, NATURAL_FREQUENCY), np.linalg.pinv(basis)
-        self._mine = np.asarray(basis.any(axis=1), dtype=float)
-        self._stiffness, self._damping = (basis * frequency**2) @ rates, (basis * 2.0 * frequency) @ rates
-        self._fed_back = bool(frequency.any())
+        space = arm.space
+        self._mine, self._dofs = np.asarray(basis.any(axis=1), dtype=float), space.rate_addresses
+        # Of hinges and slides the errors of positions are differences; of balls MuJoCo finds them.
+        self._places = None if len(space.balls) else space.addresses
+        feedback = np.concatenate([basis * frequency**2 @ rates, basis * 2.0 * frequency @ rates], axis=1)
+        self._feedback = feedback[:, np.concatenate([self._dofs, arm.model.nv + self._dofs])]
+        self._fed_back, self._lag = bool(frequency.any()), np.zeros(2 * len(self._dofs))
+        self._error, self._off, self._slow = np.zeros(arm.model.nv), *np.split(self._lag, 2)
         self._driving = np.flatnonzero(actuators.driving)
         self._exert = actuators.allocation[self._driving] / actuators.gain[self._driving, None]
-        # What actuators exert of their own at the measured state, unless they are servos, whose feedback this is.
+        # What direct drives exert of their own at the measured state is made up for; servos shall exert it.
         direct = actuators.driving & ~actuators.servos
-        self._against = bool(actuators.bias[:, direct].any())
+        self._against = bool(actuators.bias[:2, direct].any())
         self._direct = direct[self._driving]
+        damping = np.where(direct, actuators.bias[2] / actuators.gain, 0.0)
+        self._damping = (damping[:, None] * actuators.moment)[self._driving][:, self._dofs]
+        self._damped = bool(self._damping.any())
         self._bare = np.flatnonzero(basis[:, ~driven].any(axis=1))
         self._applied = arm.data().qfrc_applied[self._bare]
         # MuJoCo adds the gravity compensation of these dofs to the actuators' force.
@@ -57,7 +65,7 @@ class FeedbackLinearisation(Controller):
         self._model = copy.deepcopy(arm.model)
         self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._own = mujoco.MjData(self._model)
-        self._error, self._load = np.zeros(arm.model.nv), np.zeros(arm.model.nv)
+        self._load = np.zeros(arm.model.nv)
         self._plant: mujoco.MjModel | None = None
         self._views: tuple[Floats, ...] = ()
         self._data: mujoco.MjData | None = None
@@ -82,9 +90,15 @@ class FeedbackLinearisation(Controller):
             self._control, self._forces = data.ctrl, data.qfrc_applied
         qpos, qvel, bias, passive, compensation = self._views
         goal, velocity, acceleration, control = self._foreseen.row(step, self._goals)
+        speed = qvel.take(self._dofs)
         if self._fed_back:
-            mujoco.mj_differentiatePos(self._model, self._error, 1.0, qpos, goal)
-            acceleration = acceleration + self._stiffness @ self._error + self._damping @ (velocity - qvel)
+            if self._places is None:
+                mujoco.mj_differentiatePos(self._model, self._error, 1.0, qpos, goal)
+                self._error.take(self._dofs, out=self._off)
+            else:
+                np.subtract(goal, qpos.take(self._places), self._off)
+            np.subtract(velocity, speed, self._slow)
+            acceleration = acceleration + self._feedback @ self._lag
         load = self._load
         mujoco.mj_mulM(self._model, known, load, acceleration)
         load += bias
@@ -92,8 +106,10 @@ class FeedbackLinearisation(Controller):
         if len(self._compensated):
             load[self._compensated] -= compensation[self._compensated]
         control = control + self._exert @ load
+        if self._damped:
+            control -= self._damping @ speed
         if self._against:
-            own = self._actuators.affine_controls(qpos, qvel, 0.0)[self._driving]
+            own = self._actuators.affine_controls(qpos, np.zeros_like(qvel), 0.0)[self._driving]
             control[self._direct] += own[self._direct]
         if noise.present:
             seen = self._actuators.measurement_error(noise)[self._driving]
@@ -120,4 +136,6 @@ class FeedbackLinearisation(Controller):
         qpos, velocity, after = reference.qpos[rows], reference.qvel[rows], reference.qvel[following]
         acceleration = self._mine * (after - velocity) / reference.timestep
         controls = np.where(actuators.servos, actuators.affine_controls(qpos, after, 0.0), 0.0)[:, self._driving]
-        return list(zip(qpos, velocity, acceleration, controls, strict=True))
+        goals = qpos if self._places is None else qpos[:, self._places]
+        # Tuples are faster to unpack than arrays.
+        return list(zip(goals, velocity[:, self._dofs], acceleration, controls, strict=True))
