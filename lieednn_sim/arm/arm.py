@@ -388,6 +388,12 @@ class Arm(SerialArm):
         carried = self.grasp is not None and body in self.grasp.bodies
         return moved_by(self.model, self.grasp.carrier if self.grasp is not None and carried else body)
 
+    @property
+    def keyframes(self) -> tuple[str, ...]:
+        """Names of the keyframes; of a view with ``home``, its state."""
+        names = super().keyframes
+        return names if self.qpos_home is None or "home" in names else ("home", *names)
+
     def keyframe(self, name: str) -> Floats:
         """Joint coordinates ``(n,)`` of a keyframe; ``home`` of a view is the state that it was made of."""
         if name == "home" and self.qpos_home is not None:

@@ -58,9 +58,9 @@ def _write(stream: rr.RecordingStream, rollout: Rollout, rows: slice) -> None:
     target_radius = 0.02  # [m]
     stream.log("target", rr.Points3D([arm.tip(rollout.target)], radii=target_radius), static=True)
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    positions, quaternions = _poses(model, arm.qpos(rollout.q[rows]))
-    # Mocap bodies are markers, or pull the arm: a rollout does not tell where they are.
-    for body in np.flatnonzero(model.body_mocapid < 0).tolist():
+    positions, quaternions = _poses(model, rollout.qpos[rows])
+    # Mocap bodies are markers, or pull the arm: a rollout does not tell where they are. Those of a view stand still.
+    for body in np.flatnonzero((model.body_mocapid < 0) | (arm.state is not None)).tolist():
         path = ["scene", model.body(body).name or f"body {body}"]
         _log_geoms(stream, path, model, body)
         if model.body_weldid[body]:

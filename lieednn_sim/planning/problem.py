@@ -11,7 +11,6 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
-from lieednn_sim.arm.forces import dry_friction, resting_load, tangent_basis
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, as_time_budget
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
@@ -61,7 +60,6 @@ class PlanningProblem:
         for name in ("start", "target"):
             if off := end_outside(self.arm, self.path_constraint, getattr(self, name)):
                 raise InputError(f"at the {name} the end effector is outside the region to keep: by {off}")
-            _check_held(self.arm, getattr(self, name), name)
         check_fields(self, as_positive, "duration", "max_time_scale")
         if self.max_time_scale < 1.0:
             raise InputError(f"max_time_scale must be at least 1, the duration itself, got {self.max_time_scale:g}")
@@ -78,22 +76,6 @@ class PlanningProblem:
         """Sampling times ``(K,)`` from 0 to the duration, rounded to a whole number of time steps [s]."""
         count = count_steps(self.duration, self.timestep) + 1
         return self.timestep * np.arange(count, dtype=np.float64)
-
-
-def _check_held(arm: Arm, q: Floats, what: str) -> None:
-    """Raise `InputError` if the motors of a view are too weak for its weight at rest; dry friction may help them."""
-    if arm.state is None:
-        return
-    basis = tangent_basis(arm)
-    load = np.abs(resting_load(arm.model, arm.qpos(q)[None])[0] @ basis)
-    short = load - dry_friction(arm.model, basis) - arm.force_limits
-    j = int(short.argmax())
-    if short[j] > 0.0:
-        unit = "N" if arm.unit(j) == "m" else "N m"
-        raise InputError(
-            f"joint {arm.joint_names[j]!r} cannot be held at the {what}: its load is {load[j]:.4g} {unit}, "
-            f"its force limit {arm.force_limits[j]:.4g} {unit}"
-        )
 
 
 @frozen

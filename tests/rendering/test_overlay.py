@@ -73,8 +73,8 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
     shown, samples, captions, overlays, targets, rates = [], [], [], [], [], []
 
     class Pictures(contextlib.nullcontext):
-        def picture(self, q, draw):
-            shown.append(q)
+        def picture_at(self, qpos, draw):
+            shown.append(qpos)
             draw("a scene")
             return np.zeros((90, 160, 3), np.uint8)
 
@@ -92,7 +92,7 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
     assert video.render_video(rollout, tmp_path / "v.mp4", fps=4, title="a planner") == 5
     assert samples == [0, 25, 50, 75, 100]
     np.testing.assert_array_equal(targets, [rollout.target])
-    np.testing.assert_array_equal(shown, rollout.q[::25])
+    np.testing.assert_array_equal(shown, rollout.qpos[::25])
     names = ["a planner", gantry.name, "position-servo"]
     assert captions == [[*names, f"{0.25 * k:.2f} s of 1.00 s"] for k in range(5)]
     ((followed, _),) = overlays
