@@ -229,7 +229,7 @@ class Arm(SerialArm):
             arm = self.with_obstacles(load_obstacles(scene), label)
             check_home(arm, label)
             return replace(arm, recipe=recipe)
-        spec = self._extended()
+        spec = self.copied_spec()
         add_obstacles(spec, self, label, seed)
         return replace(self._of(spec), scene=label, scene_seed=seed, recipe=recipe)
 
@@ -243,7 +243,7 @@ class Arm(SerialArm):
         Raises:
             FileError: MuJoCo cannot compile them.
         """
-        spec = self._extended()
+        spec = self.copied_spec()
         add_own_obstacles(spec, self, obstacles, label)
         return replace(self._of(spec), scene=label)
 
@@ -257,7 +257,7 @@ class Arm(SerialArm):
         Raises:
             InputError: there is no such body, or a value is malformed.
         """
-        spec = self._extended()
+        spec = self.copied_spec()
         for name, place in places.items():
             fixed_body(self.model, name)
             body = spec.body(name)
@@ -267,10 +267,13 @@ class Arm(SerialArm):
                 geom.size = geom.size + as_floats("grown", grown, ()) * (geom.size > 0.0)
         return replace(self._of(spec), scene=self.scene, scene_seed=self.scene_seed)
 
-    def _extended(self) -> mujoco.MjSpec:
+    def copied_spec(self) -> mujoco.MjSpec:
         """A copy of the spec, to be changed; `InputError` for a view, which has none."""
         if self.spec is None:
-            raise InputError("this arm is a view of a compiled model; change its scene in the spec of that model")
+            raise InputError(
+                "a view of a compiled model has no spec to change: add bodies to the model before it is compiled, or "
+                "take another controller or policy"
+            )
         return self.spec.copy()
 
     def _of(self, spec: mujoco.MjSpec) -> Arm:

@@ -104,7 +104,7 @@ class VelocityRollouts:
 
 
 def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
-    spec = arm.spec.copy()
+    spec = arm.copied_spec()
     # Masses do not matter here, and geoms that do not collide only cost time.
     spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6
     for geom, moves in zip(list(spec.geoms), moving_geoms(arm.model), strict=True):

@@ -20,11 +20,12 @@ from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.values import Floats
 
 
-class ModelActuators:
+class Actuators:
     """The actuators that move an arm in a model, and the controls for wanted states and forces.
 
     Args:
         arm: the arm.
+        complete: whether they must be able to move all of its joints.
 
     Attributes:
         driving: ``(nu,)`` whether actuators move the arm's joints. The others keep their controls of a view's state, of
@@ -37,16 +38,26 @@ class ModelActuators:
         bias: ``(3, nu)`` their b0, b1 and b2.
 
     Raises:
-        InputError: an actuator that moves the arm is not affine, without memory and on joints or fixed tendons.
+        InputError: an actuator that moves the arm is not affine, without memory and on joints or fixed tendons; or they
+            cannot move the arm.
     """
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Arm, *, complete: bool = True) -> None:
         model, basis = arm.model, tangent_basis(arm)
         moments = actuator_moments(model)
         self.driving = _moving(moments, basis)
         self.moment = np.where(self.driving[:, None], moments, 0.0)
         self.transmission = transmission = self.moment @ basis
         _check(model, self.driving)
+        driven: NDArray[np.bool_] = np.asarray(transmission.any(axis=0))
+        if np.linalg.matrix_rank(transmission) < (arm.n_joints if complete else driven.sum()):
+            bare = ", ".join(repr(name) for name, moved in zip(arm.joint_names, driven, strict=True) if not moved)
+            why = (
+                f"no actuator moves {bare}"
+                if bare and complete
+                else "its actuators cannot move all joints independently"
+            )
+            raise InputError(f"arm {arm.name!r} cannot be driven: {why}")
         # Forces f of least norm with basis^T moment^T f = basis^T tau: components of tau that do no work on the arm,
         # such as forces on other joints and between coupled stages, are left out.
         self.allocation = np.linalg.pinv(transmission.T) @ basis.T
@@ -131,23 +142,6 @@ class ModelActuators:
         model.actuator_gainprm[self.driving, 0] = 1.0
         model.actuator_biasprm[self.driving, :3] = 0.0
         self.free_controls(model)
-
-
-class Actuators(ModelActuators):
-    """The actuators of an arm's own model, which can move all of its joints.
-
-    Raises:
-        InputError: as `ModelActuators`; or a joint has no actuator.
-    """
-
-    def __init__(self, arm: Arm) -> None:
-        super().__init__(arm)
-        if np.linalg.matrix_rank(self.transmission) < arm.n_joints:
-            bare = [repr(arm.joint_names[k]) for k in range(arm.n_joints) if not self.transmission[:, k].any()]
-            why = (
-                f"no actuator moves {', '.join(bare)}" if bare else "its actuators cannot move all joints independently"
-            )
-            raise InputError(f"arm {arm.name!r} cannot be driven: {why}")
 
 
 def driving_actuators(arm: Arm) -> NDArray[np.bool_]:

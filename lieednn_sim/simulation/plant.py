@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import moved_by
-from lieednn_sim.errors import InputError
 from lieednn_sim.lie import rotations
 from lieednn_sim.simulation.disturbances import Disturbances
 
@@ -34,15 +33,10 @@ def make_plant(
     """
     changes = Disturbances() if disturbances is None else disturbances
     view = arm.spec is None
-    if view and add_bodies is not None:
-        raise InputError(
-            "this controller adds bodies to the spec of an arm, and a view of a compiled model has none; "
-            "take another controller"
-        )
-    if view or (add_bodies is None and changes.payload == 0.0):
+    if add_bodies is None and (view or changes.payload == 0.0):
         plant = copy.deepcopy(arm.model)
     else:
-        spec: Any = arm.spec.copy()
+        spec: Any = arm.copied_spec()
         if add_bodies is not None:
             add_bodies(spec)
         if changes.payload > 0.0:

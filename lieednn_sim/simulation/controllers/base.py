@@ -149,7 +149,7 @@ class InverseDynamicsServo(FeedforwardServo):
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         super().__init__(arm, reference)
-        self._inverse = _InverseDynamics(arm.model)
+        self._inverse = _InverseDynamics(arm)
 
     def controls(self, steps: range) -> Floats:
         """See `FeedforwardServo`."""
@@ -178,7 +178,7 @@ class ComputedTorque(DriveController):
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         super().__init__(arm, reference)
-        self._inverse = _InverseDynamics(arm.model)
+        self._inverse = _InverseDynamics(arm)
         self._model = self._inverse.model
         self._actuators.make_direct(self._model)
         self._foreseen = Foreseen(reference)
@@ -217,16 +217,19 @@ class _InverseDynamics:
     """Joint forces required of the actuators, in the discrete time of the model's integrator.
 
     Attributes:
-        model: a copy of the model.
+        model: a copy of the arm's model, without contacts if it is a view.
         qpos: ``(nq,)`` positions, to be set by the user, like the next two. These views are kept, since asking MuJoCo
             for one takes as long as filling it.
         velocity: ``(nv,)`` velocities.
         acceleration: ``(nv,)`` accelerations.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = copy.deepcopy(model)
+    def __init__(self, arm: Arm) -> None:
+        self.model = copy.deepcopy(arm.model)
         self.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_INVDISCRETE
+        if arm.state is not None:
+            # Nobody knows how what touches the hand accelerates.
+            self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._data = mujoco.MjData(self.model)
         self.qpos, self.velocity, self.acceleration = self._data.qpos, self._data.qvel, self._data.qacc
         self._force = self._data.qfrc_inverse

@@ -9,8 +9,7 @@ import numpy as np
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import tangent_basis
-from lieednn_sim.errors import InputError
-from lieednn_sim.simulation.actuators import ModelActuators
+from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY, Controller
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import Foreseen, Reference
@@ -32,11 +31,9 @@ class FeedbackLinearisation(Controller):
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         self._reference, self._foreseen = reference, Foreseen(reference)
-        self._actuators = actuators = ModelActuators(arm)
+        self._actuators = actuators = Actuators(arm, complete=False)
         basis, transmission = tangent_basis(arm), actuators.transmission
         driven = transmission.any(axis=0)
-        if np.linalg.matrix_rank(transmission) < driven.sum():
-            raise InputError("the model's actuators cannot move all joints of the arm independently")
         servoed = np.abs(transmission[actuators.servos]).max(axis=0, initial=0.0) > 0.0
         frequency, rates = np.where(servoed, 0.0, NATURAL_FREQUENCY), np.linalg.pinv(basis)
         space = arm.space
