@@ -32,6 +32,8 @@ from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import Seed, as_choice, as_count, as_floats, as_path, as_seed, quoted
 from lieednn_sim.values import Floats
 
+_LIMITS = ("position_limits", "velocity_limits", "acceleration_limits", "jerk_limits", "force_limits")
+
 
 @dataclass(frozen=True, eq=False)
 class Arm(SerialArm):
@@ -50,6 +52,7 @@ class Arm(SerialArm):
         qpos_home: of a view, ``(nq,)`` the positions of its model in the state that it was made of: its ``home``.
         state: of a view, the whole of that state (`view.state_of`), in which simulations begin.
         named: of a view, the arguments joints, tip, base and limits of `of`.
+        made: of a view, the limits that it was made with, by name.
         collision_model: of a view, `geometry`.
         grasp: what it carries (`holding`).
     """
@@ -62,6 +65,7 @@ class Arm(SerialArm):
     qpos_home: Floats | None = None
     state: Floats | None = None
     named: Mapping[str, Any] = field(default_factory=dict)
+    made: Mapping[str, Floats] = field(default_factory=dict)
     collision_model: mujoco.MjModel | None = None
     grasp: Grasp | None = None
 
@@ -171,14 +175,21 @@ class Arm(SerialArm):
             qpos_home=qpos,
             state=state_of(own, data),
             named=named,
+            made={name: fields[name].copy() for name in _LIMITS},
             collision_model=rigid_groups(own, fields["space"]),
             **fields,
         )
 
     def at(self, data: mujoco.MjData) -> Arm:
-        """This view in another state of its model, with nothing in its hand; raises as `of`."""
+        """This view in another state of its model, with nothing in its hand; raises as `of`.
+
+        Clearance, and limits that have been changed by `dataclasses.replace`, are kept.
+        """
         self._require_view()
-        return Arm.of(self.model, data, clearance=self.clearance, **self.named)
+        moved = Arm.of(self.model, data, clearance=self.clearance, **self.named)
+        changed = {name: np.asarray(getattr(self, name) != self.made[name]) for name in _LIMITS}
+        limits = {name: np.where(changed[name], getattr(self, name), getattr(moved, name)) for name in _LIMITS}
+        return replace(moved, name=self.name, **limits)
 
     def data(self) -> mujoco.MjData:
         """New data of the model: in the state that a view was made of, and of other arms at the model's reference."""

@@ -135,8 +135,10 @@ def test_an_event_that_does_not_come_ends_planning_and_run(planned):
     away.joint("box").qpos[0] = 0.8
     with pytest.raises(
         SimulationError, match=r"step 2, 'touch', begun at 4\.00 s: its event does not come: after 0\.3"
-    ):
+    ) as failed:
         ls.simulate(found.arm.at(away), found)
+    assert failed.value.rollout.t[-1] == pytest.approx(4.3, abs=0.01)
+    assert failed.value.rollout.steps == ((0.0, "fetch"), (4.0, "touch"))
 
 
 def test_a_held_box_is_kept_off_what_the_empty_hand_passes(grasped):

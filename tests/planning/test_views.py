@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import dm_control
@@ -193,3 +194,27 @@ def test_data_of_another_model_or_with_nan_is_refused(state):
     data.qpos[0] = np.nan
     with pytest.raises(InputError, match="NaN"):
         planned(model, data, JOINTS, [3.6, 0.2, 0.1])
+
+
+def test_a_view_in_another_state_keeps_what_was_asked_for(state):
+    model, data = state
+    arm = ls.Arm.of(model, data, JOINTS, tip="pen", limits={"turn": {"velocity": 2.0}}, clearance=0.004)
+    arm = replace(
+        arm, velocity_limits=np.array([2.0, 0.5, np.inf]), position_limits=arm.position_limits * [[1.0], [0.9], [1.0]]
+    )
+    data.joint("turn").qpos, data.joint("finger").qpos, data.mocap_pos[0], data.ctrl[1] = 4.0, 0.1, [0.0, 0.0, 4.0], 0.2
+    moved = arm.at(data)
+    np.testing.assert_array_equal(moved.velocity_limits, arm.velocity_limits)
+    np.testing.assert_array_equal(moved.position_limits[1:], arm.position_limits[1:])
+    # A hinge without a range turns as far to both sides as before.
+    np.testing.assert_allclose(moved.position_limits[0], arm.position_limits[0] + 0.5)
+    np.testing.assert_allclose(moved.qpos(moved.keyframe("home")), data.qpos, atol=1e-12)
+    assert moved.clearance == 0.004
+    np.testing.assert_array_equal(moved.data().ctrl, data.ctrl)
+    np.testing.assert_array_equal(moved.data().mocap_pos, data.mocap_pos)
+    np.testing.assert_array_equal(moved.model.body_pos[model.body("hanging").id], [0.0, 0.0, 4.0])
+    assert moved.keyframes == ("home",)
+    with pytest.raises(InputError, match="is no view of a compiled model"):
+        ls.Arm.load("telescopic_pr").at(data)
+    with pytest.raises(InputError, match="data must be of the model"):
+        arm.at(mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>")))
