@@ -434,3 +434,14 @@ def test_a_compound_joint_that_comes_near_half_a_turn_is_told(half, told):
     )
     notes = [note for note in report.notes if "may turn by" in note]
     assert [note[: len("link 2 may turn by 3")] for note in notes] == ["link 2 may turn by 3"] * told
+
+
+def test_stages_that_cancel_each_other_are_refused_in_one_line():
+    stage = (
+        '<body pos=".1 0 0"><joint name="{}" type="slide" axis="1 0 0" range="-0.3 0.3"/><geom size=".03"/>{}</body>'
+    )
+    hand = '<body pos=".1 0 0"><joint name="wrist" axis="0 1 0" range="-80 80"/><geom size=".03"/></body>'
+    tie = '<equality><joint joint1="out2" joint2="out1" polycoef="0 -1 0 0 0"/></equality>'
+    bodies = stage.format("out1", stage.format("out2", hand))
+    with pytest.raises(InputError, match="follow each other such that it does not move"):
+        import_arm(spec_of(f"<mujoco><worldbody>{bodies}</worldbody>{tie}</mujoco>"))
