@@ -107,6 +107,16 @@ def continued(twists: Floats) -> Floats:
     return result
 
 
+def same_signs(quaternions: Floats) -> Floats:
+    """Unit quaternions ``(K, ..., 4)`` along paths, of which each has the sign that is nearer to the one before it.
+
+    q and -q are one rotation, but whoever interpolates between samples of both passes through zero.
+    """
+    along = np.vecdot(quaternions[1:], quaternions[:-1]) < 0.0
+    turned = np.concatenate([np.zeros_like(along[:1]), np.cumsum(along, axis=0) % 2 == 1])
+    return np.where(turned[..., None], -quaternions, quaternions)
+
+
 def rotations(matrix: Floats) -> Rotation:
     """`Rotation.from_matrix` of ``(..., 3, 3)`` orthogonal up to rounding, unchecked; compiled code as in `exp`."""
     quaternions = scipy.spatial.transform.Rotation.from_matrix(matrix.reshape(-1, 3, 3), assume_valid=True).as_quat()

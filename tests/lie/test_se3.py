@@ -19,6 +19,7 @@ from lieednn_sim.lie import (
     left_jacobian_so3,
     log,
     rotations,
+    same_signs,
     spatial_twist,
     transforms,
     vee,
@@ -158,3 +159,12 @@ def test_logarithms_along_a_way_go_on_beyond_half_a_turn_and_come_back():
     np.testing.assert_allclose(continued(principal), ways, atol=1e-9)
     below = log(exp(0.5 * ways))
     assert continued(below) is below
+
+
+def test_quaternions_keep_their_sign_along_turns():
+    turns = Rotation.from_rotvec(np.linspace(0.0, 4.0 * np.pi, 200)[:, None] * [[0.6, 0.0, 0.8]])
+    flipping = turns.as_quat(canonical=True)
+    assert np.vecdot(flipping[1:], flipping[:-1]).min() < 0.0
+    kept = same_signs(flipping)
+    assert np.vecdot(kept[1:], kept[:-1]).min() > 0.0
+    np.testing.assert_array_equal(np.abs(kept), np.abs(flipping))
