@@ -131,16 +131,20 @@ def transforms(rotation: Floats, translation: Floats) -> RigidTransform:
     return scipy.spatial.transform.RigidTransform(matrix, normalize=False, copy=False)
 
 
-def adjoint(rotation: ArrayLike, translation: ArrayLike) -> Floats:
+def adjoint(rotation: RigidTransform | ArrayLike, translation: ArrayLike | None = None) -> Floats:
     """Adjoint matrices ``[[R, 0], [hat(t) R, R]]`` of SE(3) acting on twists (omega, v).
 
     Args:
-        rotation: ``(..., 3, 3)`` rotation matrices.
+        rotation: ``(..., 3, 3)`` rotation matrices; or poses of shape ``(...)``, such as `exp` makes, alone.
         translation: ``(..., 3)`` translations [m].
 
     Returns:
         ``(..., 6, 6)``, with exp(Ad_T xi) = T exp(xi) T^-1.
     """
+    if translation is None:
+        if not isinstance(rotation, scipy.spatial.transform.RigidTransform):
+            raise InputError("adjoint needs a pose, or a rotation and a translation")
+        rotation, translation = rotation.rotation.as_matrix(), rotation.translation
     matrix = as_floats("rotation", rotation, (3, 3), batched=True)
     offset = as_floats("translation", translation, (3,), batched=True)
     if matrix.shape[:-2] != offset.shape[:-1]:

@@ -140,7 +140,7 @@ def configure() -> Backend:
         mujoco = sys.modules.get("mujoco")
         if mujoco is not None and _configured.renders and not hasattr(mujoco, "Renderer"):
             # It was imported with a PYOPENGL_PLATFORM other than MUJOCO_GL, and went on without its renderer.
-            mujoco.Renderer = importlib.import_module("mujoco.rendering.classic.renderer").Renderer
+            vars(mujoco)["Renderer"] = importlib.import_module("mujoco.rendering.classic.renderer").Renderer
     return _configured
 
 

@@ -87,6 +87,7 @@ def test_adjoint_moves_twists_as_conjugation_does(angle, direction):
     pose, twist = exp(make_twist(angle, direction)), direction[3:]
     conjugated = pose.as_matrix() @ hat(twist) @ pose.inv().as_matrix()
     np.testing.assert_allclose(adjoint_of(pose) @ twist, vee(conjugated), atol=1e-12)
+    np.testing.assert_array_equal(adjoint(pose), adjoint_of(pose))
     moved = pose * exp(twist) * pose.inv()
     np.testing.assert_allclose(exp(adjoint_of(pose) @ twist).as_matrix(), moved.as_matrix(), atol=1e-12)
 
@@ -140,6 +141,7 @@ def test_rotations_and_poses_are_scipys_to_the_last_bit(shape):
         (lambda: vee(np.zeros((3, 4))), r"\(\.\.\., 4, 4\), got \(3, 4\)"),
         (lambda: exp(np.zeros(5)), r"twist must have shape \(\.\.\., 6\), got \(5\)"),
         (lambda: left_jacobian_so3(np.zeros(6)), r"omega must have shape \(\.\.\., 3\)"),
+        (lambda: adjoint(np.eye(3)), "adjoint needs a pose, or a rotation and a translation"),
         (lambda: adjoint(np.zeros((2, 3, 3)), np.zeros((3, 3))), r"share their leading axes, got \(2, 3, 3\)"),
     ],
 )
