@@ -55,10 +55,9 @@ def _origin(file: Path) -> str:
     studies = json.loads((REFERENCE / "made.json").read_text(encoding="utf-8"))["studies"]
     study = next(study for study in studies.values() if name in study["outputs"])
     versions = ", ".join(f"{package} {version}" for package, version in study["versions"].items())
-    return (
-        f"Made on {study['date']} by `{study['command']}`, in {study['cpu_s']:.0f} s of CPU time on {study['cores']} "
-        f"cores, with {versions}."
-    )
+    # The CPU time of a study that was interrupted is not known.
+    spent = f"{study['wall_s']:.0f} s" if study["cpu_s"] is None else f"{study['cpu_s']:.0f} s of CPU time"
+    return f"Made on {study['date']} by `{study['command']}`, in {spent} on {study['cores']} cores, with {versions}."
 
 
 def _short(cell: str) -> str:

@@ -123,8 +123,9 @@ def moving_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Which geoms ``(ngeom,)`` collide with any others; the rest are only drawn."""
+    """Which geoms ``(ngeom,)`` collide with others, by their types or in explicit pairs; the rest are only drawn."""
     colliding: NDArray[np.bool_] = (model.geom_contype | model.geom_conaffinity) != 0
+    colliding[np.concatenate([model.pair_geom1, model.pair_geom2])] = True
     return colliding
 
 

@@ -76,9 +76,14 @@ class BodyFrames:
         place = xpos.take(self.bodies, axis=-2) + np.matvec(turn, self.positions)
         return place, turn @ self.rotations
 
-    def jacobian(self, model: mujoco.MjModel, data: mujoco.MjData, k: int) -> tuple[Floats, Floats]:
-        """Jacobians ``(3, nv)`` of position and rotation of frame k; data holds the kinematics, with ``mj_comPos``."""
-        linear, angular = np.zeros((2, 3, model.nv))
+    def jacobian(
+        self, model: mujoco.MjModel, data: mujoco.MjData, k: int, out: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        """Jacobians ``(3, nv)`` of position and rotation of frame k; data holds the kinematics, with ``mj_comPos``.
+
+        They are written to ``out`` ``(2, 3, nv)``, if that is given.
+        """
+        linear, angular = np.empty((2, 3, model.nv)) if out is None else out
         body = int(self.bodies[k])
         point = data.xpos[body] + data.xmat[body].reshape(3, 3) @ self.positions[k]
         mujoco.mj_jac(model, data, linear, angular, point, body)

@@ -241,7 +241,7 @@ class SerialArm:
         for twist, data.qpos[:] in zip(twists, self.space.to_qpos(flat), strict=True):
             mujoco.mj_kinematics(self.model, data)
             mujoco.mj_comPos(self.model, data)
-            twist[3:], twist[:3] = self.frames.jacobian(self.model, data, last)
+            self.frames.jacobian(self.model, data, last, twist.reshape(2, 3, -1)[::-1])
         rates = self.space.to_qvel(flat[:, None], np.eye(self.n_joints))
         return (twists @ np.swapaxes(rates, -1, -2)).reshape(*q.shape[:-1], 6, self.n_joints)
 

@@ -51,7 +51,16 @@ class Shown:
 def compare(
     *,
     cases: Annotated[
-        dict[str, Any], Comparison, "planners", "arms", "scenes", "controllers", "seeds", "slow_seeds", "common"
+        dict[str, Any],
+        Comparison,
+        "planners",
+        "arms",
+        "scenes",
+        "controllers",
+        "seeds",
+        "first_seed",
+        "slow_seeds",
+        "common",
     ],
     shard: str | None = None,
     merge: list[File] | None = None,

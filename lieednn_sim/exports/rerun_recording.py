@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import geom_colours, mujoco
 from lieednn_sim.exports.formats import samples
+from lieednn_sim.lie import same_signs
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
 
@@ -79,7 +80,7 @@ def _poses(model: mujoco.MjModel, qpos: Floats) -> tuple[Floats, Floats]:
         mujoco.mj_kinematics(model, data)
         result.append((data.xpos.copy(), data.xquat[:, [1, 2, 3, 0]]))
     positions, quaternions = zip(*result, strict=True)
-    return np.array(positions), np.array(quaternions)
+    return np.array(positions), same_signs(np.array(quaternions))
 
 
 def _log_geoms(stream: rr.RecordingStream, path: list[object], model: mujoco.MjModel, body: int) -> None:

@@ -27,6 +27,7 @@ from lieednn_sim.lie.se3 import (
 # Unchecked, for the rest of the package.
 from lieednn_sim.lie.se3 import continued as continued
 from lieednn_sim.lie.se3 import rotations as rotations
+from lieednn_sim.lie.se3 import same_signs as same_signs
 from lieednn_sim.lie.se3 import skew as skew
 from lieednn_sim.lie.se3 import transforms as transforms
 from lieednn_sim.typecheck import typecheck_public

@@ -107,6 +107,16 @@ def continued(twists: Floats) -> Floats:
     return result
 
 
+def same_signs(quaternions: Floats) -> Floats:
+    """Unit quaternions ``(K, ..., 4)`` along paths, of which each has the sign that is nearer to the one before it.
+
+    q and -q are one rotation, but whoever interpolates between samples of both passes through zero.
+    """
+    along = np.vecdot(quaternions[1:], quaternions[:-1]) < 0.0
+    turned = np.concatenate([np.zeros_like(along[:1]), np.cumsum(along, axis=0) % 2 == 1])
+    return np.where(turned[..., None], -quaternions, quaternions)
+
+
 def rotations(matrix: Floats) -> Rotation:
     """`Rotation.from_matrix` of ``(..., 3, 3)`` orthogonal up to rounding, unchecked; compiled code as in `exp`."""
     quaternions = scipy.spatial.transform.Rotation.from_matrix(matrix.reshape(-1, 3, 3), assume_valid=True).as_quat()
@@ -121,16 +131,20 @@ def transforms(rotation: Floats, translation: Floats) -> RigidTransform:
     return scipy.spatial.transform.RigidTransform(matrix, normalize=False, copy=False)
 
 
-def adjoint(rotation: ArrayLike, translation: ArrayLike) -> Floats:
+def adjoint(rotation: RigidTransform | ArrayLike, translation: ArrayLike | None = None) -> Floats:
     """Adjoint matrices ``[[R, 0], [hat(t) R, R]]`` of SE(3) acting on twists (omega, v).
 
     Args:
-        rotation: ``(..., 3, 3)`` rotation matrices.
+        rotation: ``(..., 3, 3)`` rotation matrices; or poses of shape ``(...)``, such as `exp` makes, alone.
         translation: ``(..., 3)`` translations [m].
 
     Returns:
         ``(..., 6, 6)``, with exp(Ad_T xi) = T exp(xi) T^-1.
     """
+    if translation is None:
+        if not isinstance(rotation, scipy.spatial.transform.RigidTransform):
+            raise InputError("adjoint needs a pose, or a rotation and a translation")
+        rotation, translation = rotation.rotation.as_matrix(), rotation.translation
     matrix = as_floats("rotation", rotation, (3, 3), batched=True)
     offset = as_floats("translation", translation, (3,), batched=True)
     if matrix.shape[:-2] != offset.shape[:-1]:

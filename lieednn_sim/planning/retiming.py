@@ -87,13 +87,17 @@ class _Path:
         """The law with the shortest duration, from time to the fraction of the path's length."""
         topp = optional_module("toppra")
         constraint, algorithm = optional_module("toppra.constraint"), optional_module("toppra.algorithm")
-        bounds = (self._arm.velocity_limits, self._arm.acceleration_limits)
-        # The solver wants bounds in place of missing limits, far above all rates.
-        limits = [np.minimum(bound, 1e6)[:, None] * [-1.0, 1.0] for bound in bounds]
+        # The solver wants numbers about one, also for a motion of a micrometre: each joint in units of what its
+        # acceleration limit gives in the unit of time, which is about the motion's duration.
+        q, velocity, acceleration = self._motion.q[self._kept], self._arm.velocity_limits, self._arm.acceleration_limits
+        unit = float(np.sqrt((np.ptp(q, axis=0) / acceleration).max()))
+        size = np.where(np.isfinite(acceleration), acceleration, 1.0) * unit**2
+        # It wants bounds in place of missing limits, too, far above all rates.
+        limits = [np.minimum(bound, 1e6)[:, None] * [-1.0, 1.0] for bound in (velocity * unit / size, 0.0 * size + 1.0)]
         grid = np.linspace(0.0, 1.0, _PIECES + 1)
         solver = algorithm.TOPPRA(
             [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])],
-            topp.SplineInterpolator(self._fraction, self._motion.q[self._kept]),
+            topp.SplineInterpolator(self._fraction, (q - q[0]) / size),
             gridpoints=grid,
             solver_wrapper="seidel",
         )
@@ -101,8 +105,8 @@ class _Path:
         if rate is None or not np.isfinite(rate).all():
             raise PlanError("toppra finds no time law for this path; it turns too sharply")
         # Constant acceleration on each piece.
-        t = np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
-        law = CubicHermiteSpline(t, grid, rate)
+        t = unit * np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
+        law = CubicHermiteSpline(t, grid, rate / unit)
         laws = [self._own, law, *(_averaged(law, window * t[-1]) for window in np.geomspace(0.002, 1.0, 20))]
         return min(map(self._stretched, laws), key=lambda item: float(item.x[-1]))
 

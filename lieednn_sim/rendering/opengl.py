@@ -137,6 +137,10 @@ def configure() -> Backend:
         if contexts is not None and _configured.renders:
             # It was imported before, with other settings.
             importlib.reload(contexts)
+        mujoco = sys.modules.get("mujoco")
+        if mujoco is not None and _configured.renders and not hasattr(mujoco, "Renderer"):
+            # It was imported with a PYOPENGL_PLATFORM other than MUJOCO_GL, and went on without its renderer.
+            vars(mujoco)["Renderer"] = importlib.import_module("mujoco.rendering.classic.renderer").Renderer
     return _configured
 
 

@@ -14,7 +14,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.errors import InputError
-from lieednn_sim.lie import rotations
+from lieednn_sim.lie import rotations, same_signs
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.validation import as_floats, quoted
@@ -184,7 +184,7 @@ class Log:
             force=np.nan_to_num(exerted) @ basis,
             constraint_force=np.nan_to_num(log["constraints"]) @ basis,
             link_position=places,
-            link_quaternion=rotations(turns).as_quat(scalar_first=True),
+            link_quaternion=same_signs(rotations(turns).as_quat(scalar_first=True)),
             contacts=contacts,
             contact_force=contact_force,
             qpos=log["qpos"],

@@ -73,14 +73,17 @@ def test_no_random_target_says_that_something_is_too_near(write, tmp_path):
         draw_target(Arm.load(path, scene), 0)
 
 
-def test_a_floor_is_where_it_is_asked_for_or_where_home_needs_it(write):
+def test_a_floor_is_where_it_is_asked_for_and_not_under_an_arm_that_reaches_below_its_base(write):
     assert floors(Arm.load(write(), floor=-0.25)) == [-0.25]
     assert floors(Arm.load(write(height=0.7))) == [0.7]
     # Pointing down at home, to 0.41 - 0.5 - 0.03.
     hanging = Arm.load(write(height=0.0), home={"b": 1.57})
-    (height,) = floors(hanging)
-    assert -0.2 < height < -0.12
-    assert hanging.near_contacts(hanging.keyframe("home")) == []
+    assert floors(hanging) == []
+    assert any("reaches below its base" in note for note in hanging.import_report.notes)
+    # Almost down to the ground: a floor that home is free of.
+    (height,) = floors(low := Arm.load(write(height=0.0), home={"b": 0.9}))
+    assert -0.05 < height < 0.0
+    assert low.near_contacts(low.keyframe("home")) == []
     for wrong in ("low", np.nan, True):
         with pytest.raises(InputError, match="floor must be"):
             import_arm(write(), floor=wrong)

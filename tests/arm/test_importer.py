@@ -434,3 +434,40 @@ def test_a_compound_joint_that_comes_near_half_a_turn_is_told(half, told):
     )
     notes = [note for note in report.notes if "may turn by" in note]
     assert [note[: len("link 2 may turn by 3")] for note in notes] == ["link 2 may turn by 3"] * told
+
+
+def test_stages_that_cancel_each_other_are_refused_in_one_line():
+    stage = (
+        '<body pos=".1 0 0"><joint name="{}" type="slide" axis="1 0 0" range="-0.3 0.3"/><geom size=".03"/>{}</body>'
+    )
+    hand = '<body pos=".1 0 0"><joint name="wrist" axis="0 1 0" range="-80 80"/><geom size=".03"/></body>'
+    tie = '<equality><joint joint1="out2" joint2="out1" polycoef="0 -1 0 0 0"/></equality>'
+    bodies = stage.format("out1", stage.format("out2", hand))
+    with pytest.raises(InputError, match="follow each other such that it does not move"):
+        import_arm(spec_of(f"<mujoco><worldbody>{bodies}</worldbody>{tie}</mujoco>"))
+
+
+def test_moving_links_without_an_inertia_get_a_small_one(tmp_path):
+    path = tmp_path / "slider.urdf"
+    path.write_text("""
+<robot name="slider"><link name="world_link"/><link name="basex"/>
+<link name="hand"><inertial><mass value="2"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>
+</link>
+<joint name="x" type="prismatic"><parent link="world_link"/><child link="basex"/><axis xyz="1 0 0"/>
+<limit lower="-1" upper="1" effort="50" velocity="1"/></joint>
+<joint name="turn" type="revolute"><parent link="basex"/><child link="hand"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="50" velocity="1"/></joint></robot>""")
+    spec, report = import_arm(path)
+    assert spec.compile().body("basex").mass == 0.01
+    assert "links without <inertial> got a mass of 10 g: basex" in report.notes
+
+
+def test_geoms_that_collide_in_explicit_pairs_alone_are_seen():
+    xml = """
+<mujoco><worldbody><body name="post" pos=".5 .3 0"><geom name="post" size=".1" contype="0" conaffinity="0"/></body>
+<body name="a"><joint name="turn" axis="0 0 1" range="-90 90"/>
+<geom name="a" type="capsule" fromto="0 0 0 .5 0 0" size=".03" contype="0" conaffinity="0"/></body></worldbody>
+<contact><pair geom1="a" geom2="post"/></contact></mujoco>"""
+    arm, report = arm_of(xml, floor="none")
+    assert not any("can collide" in note for note in report.notes)
+    assert arm.near_contacts([np.arctan2(0.3, 0.5)]) == [("post", "a")]

@@ -34,6 +34,19 @@ def test_csv_holds_every_number_with_its_name_and_unit(rollout, tmp_path):
     np.testing.assert_array_equal(read["end_effector_qw_1"], rollout.link_quaternion[::5, -1, 0])
 
 
+def test_quaternions_do_not_jump_where_the_hand_turns_further_than_half_a_turn(tmp_path):
+    body = '<body pos=".3 0 0"><joint name="{}" axis="0 0 1" range="-170 170"/><geom size=".05"/>{}</body>'
+    (tmp_path / "arm.xml").write_text(
+        f"<mujoco><worldbody>{body.format('a', body.format('b', ''))}</worldbody></mujoco>"
+    )
+    arm = ls.Arm.load(tmp_path / "arm.xml", floor="none")
+    planned = ls.plan(arm, [2.2, 2.2], start=[0.4, 0.2], planner="minimum-jerk")
+    (path,) = export(ls.simulate(arm, planned), tmp_path / "out")
+    read = np.genfromtxt(path, delimiter=",", names=True)
+    quaternion = np.stack([read[f"end_effector_q{axis}_1"] for axis in "wxyz"], axis=1)
+    assert np.vecdot(quaternion[1:], quaternion[:-1]).min() > 0.0
+
+
 @pytest.mark.parametrize(
     "name", [name for name, entry in FORMATS.items() if not entry.of_comparison and not entry.install]
 )

@@ -19,6 +19,7 @@ from lieednn_sim.lie import (
     left_jacobian_so3,
     log,
     rotations,
+    same_signs,
     spatial_twist,
     transforms,
     vee,
@@ -86,6 +87,7 @@ def test_adjoint_moves_twists_as_conjugation_does(angle, direction):
     pose, twist = exp(make_twist(angle, direction)), direction[3:]
     conjugated = pose.as_matrix() @ hat(twist) @ pose.inv().as_matrix()
     np.testing.assert_allclose(adjoint_of(pose) @ twist, vee(conjugated), atol=1e-12)
+    np.testing.assert_array_equal(adjoint(pose), adjoint_of(pose))
     moved = pose * exp(twist) * pose.inv()
     np.testing.assert_allclose(exp(adjoint_of(pose) @ twist).as_matrix(), moved.as_matrix(), atol=1e-12)
 
@@ -139,6 +141,7 @@ def test_rotations_and_poses_are_scipys_to_the_last_bit(shape):
         (lambda: vee(np.zeros((3, 4))), r"\(\.\.\., 4, 4\), got \(3, 4\)"),
         (lambda: exp(np.zeros(5)), r"twist must have shape \(\.\.\., 6\), got \(5\)"),
         (lambda: left_jacobian_so3(np.zeros(6)), r"omega must have shape \(\.\.\., 3\)"),
+        (lambda: adjoint(np.eye(3)), "adjoint needs a pose, or a rotation and a translation"),
         (lambda: adjoint(np.zeros((2, 3, 3)), np.zeros((3, 3))), r"share their leading axes, got \(2, 3, 3\)"),
     ],
 )
@@ -158,3 +161,12 @@ def test_logarithms_along_a_way_go_on_beyond_half_a_turn_and_come_back():
     np.testing.assert_allclose(continued(principal), ways, atol=1e-9)
     below = log(exp(0.5 * ways))
     assert continued(below) is below
+
+
+def test_quaternions_keep_their_sign_along_turns():
+    turns = Rotation.from_rotvec(np.linspace(0.0, 4.0 * np.pi, 200)[:, None] * [[0.6, 0.0, 0.8]])
+    flipping = turns.as_quat(canonical=True)
+    assert np.vecdot(flipping[1:], flipping[:-1]).min() < 0.0
+    kept = same_signs(flipping)
+    assert np.vecdot(kept[1:], kept[:-1]).min() > 0.0
+    np.testing.assert_array_equal(np.abs(kept), np.abs(flipping))

@@ -209,3 +209,15 @@ def test_a_duration_that_was_stretched_leaves_so_much_less_to_stretch():
     assert len(tried) > 2
     np.testing.assert_allclose([latest for _, latest in tried], 6.0)
     assert max(duration for duration, _ in tried) <= 6.0
+
+
+@pytest.mark.parametrize("planner", ["minimum-jerk", "lieednn-shaped"])
+def test_steps_of_any_length_are_timed_at_the_limits(planner):
+    """In a straight line, where acceleration decides: 2 sqrt(d / a) is the least time of all."""
+    arm = Arm.load("telescopic_pr")
+    home, signs = arm.keyframe("home"), np.array([1.0, -1.0] * 4)
+    for length in (1e-7, 1e-5, 1e-4, 1e-2, 0.1):
+        target = np.clip(home + length * signs, *arm.position_limits.T)
+        least = 2.0 * np.sqrt(np.abs(target - home) / arm.acceleration_limits).max()
+        duration = plan(arm, target, planner=planner, fastest=True).motion.t[-1]
+        assert least <= duration <= max(1.5 * least, 2.5 * arm.timestep)

@@ -177,8 +177,11 @@ print("fine")
 
 
 @pytest.mark.rendering
-def test_it_is_not_too_late_when_mujoco_is_imported_and_the_probe_says_what_it_finds():
-    code = """
+@pytest.mark.parametrize("before", ["", "os.environ |= {'MUJOCO_GL': 'egl', 'PYOPENGL_PLATFORM': 'osmesa'}"])
+def test_it_is_not_too_late_when_mujoco_is_imported_and_the_probe_says_what_it_finds(before):
+    code = f"""
+import os
+{before}
 import mujoco
 from lieednn_sim.rendering import opengl
 backend = opengl.require()

@@ -202,6 +202,7 @@ def test_failures_that_differ_in_names_and_numbers_are_counted_together():
         (lambda: Comparison(planners=("a-star",)), "no planner 'a-star'; allowed: .*minimum-jerk"),
         (lambda: Comparison(scenes=("sea",)), "no scene 'sea'"),
         (lambda: Comparison(seeds=0), "seeds must be at least 1, got 0"),
+        (lambda: Comparison(first_seed=-1), "first_seed"),
         (lambda: Comparison(seeds=3, slow_seeds=4), "slow_seeds must be at most seeds, 3, got 4"),
         (lambda: Settings(mass_scale=0.0), "mass_scale must be positive"),
         (lambda: Settings(hold=-1.0), "hold must be between 0 and"),
@@ -224,3 +225,12 @@ def test_slow_planners_come_first(tmp_path):
     order = [(case.seed, case.planner) for case, *_ in study.todo(study.open(tmp_path))]
     declared = ("lieednn-trained", "minimum-jerk", "linear-attractor")
     assert order == [(seed, name) for seed in range(2) for name in declared]
+
+
+def test_fresh_problems_begin_at_another_seed():
+    slow = next(name for name, entry in PLANNERS.items() if entry.cost > 1.0 and not entry.install)
+    study = Comparison(("minimum-jerk", slow), ("telescopic_pr",), ("free",), seeds=3, first_seed=40, slow_seeds=1)
+    assert {(case.planner, case.seed) for case in study.cases()} == {
+        *(("minimum-jerk", seed) for seed in (40, 41, 42)),
+        (slow, 40),
+    }

@@ -92,6 +92,10 @@ def _fits(units: Sequence[_Unit]) -> bool:
     screws = np.hstack([unit.screws for unit in units])
     if screws.shape[1] > 6 or sum(unit.turn for unit in units) >= np.pi:
         return False
-    sizes = np.linalg.svd(screws / np.linalg.norm(screws, axis=0), compute_uv=False)
+    lengths = np.linalg.norm(screws, axis=0)
+    # Coupled joints may cancel each other, and move nothing.
+    if lengths.min() < 1e-9 * lengths.max(initial=1.0):
+        return False
+    sizes = np.linalg.svd(screws / lengths, compute_uv=False)
     singular = 1e-3  # least relative singular value at which the screws of a compound joint count as independent
     return bool(sizes[-1] > singular * sizes[0])

@@ -17,11 +17,19 @@ _UNIT_FIELD = "length_scale"
 
 
 def mend_inertias(draft: Draft) -> None:
-    """Enlarge impossible inertias of a URDF, which other simulators accept: A + B >= C > 0 must hold."""
+    """Give inertias to moving links of a URDF without any, and enlarge impossible ones: A + B >= C > 0 must hold.
+
+    Other simulators accept both; links without an inertia are usual in mobile bases.
+    """
     if draft.source is None or draft.source.suffix.lower() != ".urdf":
         return
-    mended = []
+    mended, massless = [], []
     for body in draft.spec.bodies:
+        if body.joints and not body.explicitinertial and not body.geoms:
+            # As light as MuJoCo's solver bears between links of some kilograms.
+            body.mass, body.inertia, body.explicitinertial = 0.01, [1e-5] * 3, True
+            massless.append(body.name)
+            continue
         given = body.fullinertia
         if not np.isfinite(given).all():
             continue
@@ -34,6 +42,8 @@ def mend_inertias(draft: Draft) -> None:
             tensor = (axes * moments) @ axes.T
             body.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
             mended.append(body.name)
+    if massless:
+        draft.notes.append(f"links without <inertial> got a mass of 10 g: {', '.join(massless)}")
     if mended:
         draft.notes.append(f"physically impossible inertias made larger: {', '.join(mended)}")
 

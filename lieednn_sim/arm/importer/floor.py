@@ -28,9 +28,10 @@ def as_floor(value: float | str) -> float | str:
 
 
 def add_floor(draft: Draft) -> None:
-    """Add a floor at the height that was asked for, or else at that of the base or lower, where home needs it.
+    """Add a floor at the height that was asked for, or else below a base that stands on the ground.
 
-    A plane of the model is its floor; it is made to collide where it was only drawn.
+    A base does not stand on the ground if the robot reaches below it at home: it may hang, or be on a table. A plane of
+    the model is its floor; it is made to collide where it was only drawn.
     """
     bits = collision_bits(draft.bare)
     planes = [geom for geom in draft.spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
@@ -43,8 +44,12 @@ def add_floor(draft: Draft) -> None:
     if draft.floor == NONE or (planes and draft.floor == AUTO):
         return
     at_home = draft.configurations([draft.samples[0]])[0]
-    moving, lowest = lowest_points(draft.bare, at_home)
-    height = min(lowest, moving - _ROOM) if draft.floor == AUTO else float(draft.floor)
+    moving, fixed = lowest_points(draft.bare, at_home)
+    below = 0.05  # what the boxes around geoms, and a base frame inside of the base, may amount to [m]
+    if draft.floor == AUTO and moving < fixed - below:
+        draft.notes.append("no floor, since the robot reaches below its base at home; floor=HEIGHT adds one")
+        return
+    height = min(fixed, moving - _ROOM) if draft.floor == AUTO else float(draft.floor)
     add_plane(draft.spec, unused(FLOOR, {body.name for body in draft.spec.bodies}), height, bits)
     why = "" if draft.floor == AUTO else ", as asked for"
     draft.notes.append(f"a floor at a height of {height:.3g} m{why}; the model has none, and floor: none leaves it so")
@@ -71,7 +76,7 @@ def collision_bits(model: mujoco.MjModel) -> int:
 
 
 def lowest_points(model: mujoco.MjModel, qpos: Floats) -> tuple[float, float]:
-    """Heights of the lowest points of colliding moving geoms, and of all geoms and link frames [m].
+    """Heights of the lowest points of colliding moving geoms, and of fixed geoms and the base frame [m].
 
     They are those of the geoms' bounding boxes, which may be a little lower.
     """
@@ -81,4 +86,4 @@ def lowest_points(model: mujoco.MjModel, qpos: Floats) -> tuple[float, float]:
     low = middle - (np.abs(upright) * model.geom_aabb[:, 3:]).sum(axis=1)
     solid = moving_geoms(model) & colliding_geoms(model)
     base = float(data.site_xpos[model.site("base_frame").id, 2])
-    return float(low[solid].min(initial=np.inf)), float(low.min(initial=base))
+    return float(low[solid].min(initial=np.inf)), float(low[~moving_geoms(model)].min(initial=base))

@@ -138,7 +138,7 @@ def import_arm(
             over the model's.
         servos: ``"keep"`` the model's position servos, or ``"design"`` all of them anew.
         floor: height of the floor [m], or ``"none"``. Default, ``"auto"``: the model's own plane, else one at the
-            height of the base, or below the lowest point of the model at home.
+            height of the base, and none if the robot reaches below its base at home.
 
     Returns:
         A spec for `Arm.from_spec`, and the report.

@@ -77,7 +77,8 @@ class Comparison(Study[Row]):
             all of the package.
         scenes: a name of `SCENES`, or several, or files of obstacles, likewise; by default free,window.
         controllers: a name of `CONTROLLERS`, or several; by default position-servo,inverse-dynamics.
-        seeds: number of seeds for each arm, scene and planner, starting at 0.
+        seeds: number of seeds for each arm, scene and planner.
+        first_seed: the first of them; another one makes fresh problems.
         user_files: the arms and scenes that come from files; those given here can be referred to by name.
         slow_seeds: number of seeds of the planners whose cases take more than a second (``cost`` above `SLOW`), at
             most ``seeds``; by default as many.
@@ -98,6 +99,7 @@ class Comparison(Study[Row]):
     scenes: Sequence[str] = ()
     controllers: Sequence[str] = ()
     seeds: int = 3
+    first_seed: int = 0
     user_files: tuple[UserFile, ...] = ()
     slow_seeds: int | None = None
     common: Settings = field(default_factory=Settings)
@@ -124,6 +126,7 @@ class Comparison(Study[Row]):
             set_fields(self, **{name: chosen})
         set_fields(self, user_files=tuple(user_files))
         check_fields(self, as_count, "seeds")
+        check_fields(self, as_count, "first_seed", least=0)
         if self.slow_seeds is not None and as_count("slow_seeds", self.slow_seeds) > self.seeds:
             raise InputError(f"slow_seeds must be at most seeds, {self.seeds}, got {self.slow_seeds}")
 
@@ -145,9 +148,11 @@ class Comparison(Study[Row]):
         """The cases of the shard, or all, but for those of `absent` planners."""
         usable = [name for name in self.planners if name not in self.absent]
         few = self.seeds if self.slow_seeds is None else self.slow_seeds
-        combinations = itertools.product(self.arms, self.scenes, usable, range(self.seeds))
+        combinations = itertools.product(
+            self.arms, self.scenes, usable, range(self.first_seed, self.first_seed + self.seeds)
+        )
         every = itertools.starmap(Case, combinations)
-        cases = [case for case in every if case.seed < few or PLANNERS[case.planner].cost <= SLOW]
+        cases = [case for case in every if case.seed < self.first_seed + few or PLANNERS[case.planner].cost <= SLOW]
         part = self.shard
         return [case for case in cases if part is None or part.holds(case)]
 
