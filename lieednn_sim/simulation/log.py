@@ -211,7 +211,7 @@ class Log:
         contacts: Any = range(self._data.ncon)
         if self._groups is not None:
             groups = self._groups.take(self._data.contact.geom)
-            if not groups.any():
+            if not any(groups.ravel().tolist()):  # of a few numbers, in a third of the time of an array's
                 return 0, 0.0
             first, second = groups.T
             contacts = np.flatnonzero((first != second) & ((first > 0) | (second > 0))).tolist()
