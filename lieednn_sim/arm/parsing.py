@@ -64,7 +64,8 @@ def read_arm(
         arm: the arm's name, for messages.
         chain: frames and joints; by default those of the sites base_frame, link1_frame, ...
         rest: ``(nq,)`` where the other joints stay; by default at the keyframe ``home``.
-        lines: the couplings of the chain's joints; by default those of the model's equalities.
+        lines: the couplings of the chain's joints, and of others that follow them; by default the former, by the
+            model's equalities.
         ranges: the range ``(2,)`` of each joint of the chain; by default the model's.
 
     Raises:
@@ -117,8 +118,8 @@ def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
 
 
 def read_coordinates(model: mujoco.MjModel, chain: Chain, rest: Floats, leaders: Mapping[int, Line]) -> Coordinates:
-    """Coordinates of the chain's joints in qpos order; joints elsewhere stay at ``rest`` ``(nq,)``."""
-    joints = sorted(joint for group in chain.groups for joint in group)
+    """Coordinates of the chain's joints in qpos order; others than these and their followers stay at ``rest``."""
+    joints = sorted({joint for group in chain.groups for joint in group} | leaders.keys())
     names: list[str] = []
     units: list[str] = []
     index: dict[int, NDArray[np.int_]] = {}

@@ -9,6 +9,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.coupled_joints import Couplings
+from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
 _BALL, _SLIDE, _HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("BALL", "SLIDE", "HINGE"))
@@ -30,6 +31,9 @@ def cut(
         joints: joint ids from the base outwards.
         ranges: for each joint, its range ``(2,)``.
         couplings: joints that follow others.
+
+    Raises:
+        InputError: a joint moves nothing, because a follower undoes its motion.
     """
     units = _units(model, data, joints, ranges, couplings)
     groups: list[list[_Unit]] = []
@@ -84,6 +88,13 @@ def _units(
                 columns[joint] = np.array([np.concatenate([e, np.cross(arm, e)]) for e in np.eye(3)]).T
             else:
                 columns[couplings.leader(joint)] += ratio * np.concatenate([axis, np.cross(arm, axis)])[:, None]
+        for lead, column in columns.items():
+            if np.linalg.norm(column) < 1e-9:
+                others = ", ".join(repr(model.joint(joint).name) for joint in run if joint != lead)
+                raise InputError(
+                    f"joint {model.joint(lead).name!r} moves nothing, since {others}, which follows it, undoes its "
+                    "motion; correct the equality, or leave both out of the arm"
+                )
         units.append(_Unit(tuple(run), kind, turns, np.hstack(list(columns.values()))))
     return units
 

@@ -110,6 +110,11 @@ def find_couplings(model: mujoco.MjModel, joints: Sequence[int]) -> Couplings:
             raise InputError(f"joint {name!r} follows two joints; keep one of its equalities")
         direct[follower] = line
     couplings = Couplings(to_independent_leaders(direct, lambda joint: f"joint {model.joint(joint).name!r}"))
+    return along_tendons(model, joints, couplings)
+
+
+def along_tendons(model: mujoco.MjModel, joints: Sequence[int], couplings: Couplings) -> Couplings:
+    """Couplings, and those among some joints that driven tendons add to them (`find_couplings`)."""
     for tendon in dict.fromkeys(driven_tendons(model)):
         couplings = _along_tendon(model, joints, couplings, tendon)
     return couplings
