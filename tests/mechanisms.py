@@ -49,21 +49,3 @@ _BOOM = site("lug", "1.5 0 -.1") + body("jib", slide("extend"), _GRIPPER, "4 0 0
 _ROD = body("rod", slide("stroke"), site("eye", ".5 0 0"), ".8 0 0")
 _LIFTED = body("boom", hinge("luff"), _BOOM, "0 0 2") + body("barrel", hinge("swivel"), _ROD, ".3 0 .8")
 CRANE = body("post", hinge("slew", "0 0 1"), _LIFTED), connect("lug", "eye") + connect("g", "palm")
-
-# A palletiser: a bar along the upper arm keeps a triangle at the elbow level, and a bar along the forearm the hand.
-_FORE = body("hand", hinge("hand", "0 1 0"), site("h", "0 0 .1"), ".6 0 0")
-_TRIANGLE = body("bar2", hinge("bar2", "0 1 0"), site("b2", ".6 0 0"), "0 0 .1") + site("t", "-.1 0 0")
-_UPPER = body("fore", hinge("elbow", "0 1 0"), _FORE, "0 0 .5")
-_UPPER += body("triangle", hinge("triangle", "0 1 0"), _TRIANGLE, "0 0 .5")
-_TURRET = body("upper", hinge("shoulder", "0 1 0"), _UPPER)
-_TURRET += body("bar1", hinge("bar1", "0 1 0"), site("b1", "0 0 .5"), "-.1 0 0")
-PALLETISER = body("turret", hinge("turn", "0 0 1"), _TURRET), connect("b1", "t") + connect("b2", "h")
-
-# A scissor lift: two crossed bars of 1 m, one hinged to the ground and one rolling, and the same under the stage.
-_CROSSED = body("b", hinge("cross"), site("foot", ".5 0 0") + site("top", "-.5 0 0"), ".5 0 0") + site("end", "1 0 0")
-_STAGE = site("s", "0 0 0") + body("c", slide("roll"), site("u", "0 0 0"))
-_PUSHED = body("a", hinge("a"), _CROSSED) + body("roller", slide("push"), site("r", "0 0 0"))
-SCISSOR = (
-    _PUSHED + body("stage", slide("x") + slide("z", "0 0 1"), _STAGE),
-    connect("foot", "r") + connect("top", "s") + connect("end", "u"),
-)

@@ -6,7 +6,7 @@ import copy
 import os
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Unpack
@@ -52,6 +52,7 @@ class Arm(SerialArm):
             cannot be pickled, and for a view.
         qpos_home: of a view, ``(nq,)`` the positions of its model in the state that it was made of: its ``home``.
         collision_model: of a view, `geometry`.
+        left_out: of a view, offsets of pairs of geoms that do not count there (`rigid_groups`).
         grasp: what it carries (`holding`).
         dependents: of a view, the joints that it moves by closed loops or curves, if any.
         stops: of a view, ranges of these and of tendons, if any; configurations beyond them are not allowed.
@@ -64,6 +65,7 @@ class Arm(SerialArm):
     recipe: tuple[tuple[str, tuple[Any, ...], ImportOptions], ...] = ()
     qpos_home: Floats | None = None
     collision_model: mujoco.MjModel | None = None
+    left_out: dict[tuple[int, int], float] = field(default_factory=dict)
     grasp: Grasp | None = None
     dependents: Dependents | None = None
     stops: Stops | None = None
@@ -177,7 +179,7 @@ class Arm(SerialArm):
             clearance=float(as_floats("clearance", clearance, ())),
             **fields,
         )
-        return replace(arm, collision_model=rigid_groups(own, arm.dofs)) if held is None else arm.holding(held)
+        return arm._in_groups() if held is None else arm.holding(held)
 
     def holding(self, body: str, touching: Sequence[str] = ()) -> Arm:
         """This view of a model with a free body that its end effector carries, from where that is in its ``home``.
@@ -195,7 +197,13 @@ class Arm(SerialArm):
         if self.qpos_home is None:
             raise InputError(f"arm {self.name!r} is no view of a compiled model, such as Arm.of makes")
         grasp = find_grasp(self.model, self.qpos_home, self.frames[-1:], body, touching, self.clearance)
-        return replace(self, grasp=grasp, collision_model=rigid_groups(self.model, self.dofs, grasp.bodies))
+        return replace(self, grasp=grasp)._in_groups()
+
+    def _in_groups(self) -> Arm:
+        """This view with what it does not move against each other in groups."""
+        carried = () if self.grasp is None else self.grasp.bodies
+        geometry, left_out = rigid_groups(self.model, self.dofs, carried)
+        return replace(self, collision_model=geometry, left_out=left_out)
 
     def with_scene(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
         """This arm with the obstacles of a scene; itself for the scene ``"free"``.
@@ -360,13 +368,13 @@ class Arm(SerialArm):
 
     @property
     def geometry(self) -> mujoco.MjModel:
-        """The model for distances: in that of a view, what the arm does not move against each other is one body."""
+        """The model for distances: in that of a view, what the arm does not move is welded to the world."""
         return self.model if self.collision_model is None else self.collision_model
 
     @property
     def offsets(self) -> dict[tuple[int, int], float]:
         """Offsets of pairs of geoms that are not the model's own, as of `contacts.ContactOffsets`."""
-        return {} if self.grasp is None else self.grasp.offsets
+        return self.left_out if self.grasp is None else {**self.left_out, **self.grasp.offsets}
 
     def contact_finder(self, margin: float = 0.0) -> ContactFinder:
         """Finds geoms closer than a margin [m]; one for each thread."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import ancestry, check_numbers, joints_of
+from lieednn_sim.arm.contacts import colliding_geoms
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.dependents import Dependents
 from lieednn_sim.arm.equalities import names
@@ -72,7 +74,7 @@ def read_view(
     independent = _independent(own, chosen)
     dependents = Dependents(own, data, independent)
     qpos = dependents.to_qpos(data.qpos)
-    inner, path, joints_of_chain = _chain(own, dependents, chosen, tip, base)
+    inner, path, joints_of_chain = _chain(own, dependents, qpos, chosen, tip, base)
     last = body_frame(own, path[-1])
     end = last if tip is None else _tip(own, tip, last)
     held, weld = _welded(own, data, dependents, end.body)
@@ -120,20 +122,27 @@ def _independent(model: mujoco.MjModel, chosen: Sequence[int]) -> list[int]:
 
 
 def _chain(
-    model: mujoco.MjModel, dependents: Dependents, chosen: Sequence[int], tip: str | None, base: str | None
+    model: mujoco.MjModel,
+    dependents: Dependents,
+    qpos: Floats,
+    chosen: Sequence[int],
+    tip: str | None,
+    base: str | None,
 ) -> tuple[Frame, list[int], tuple[int, ...]]:
     """The base's frame, the bodies from the world to the last link, and the chain's joints from the base outwards."""
     paths = {joint: ancestry(model, int(model.jnt_bodyid[joint])) for joint in (*chosen, *dependents.lines)}
     longest = max((paths[joint] for joint in chosen), key=len)
     way = longest if tip is None else ancestry(model, find_frame(model, tip).body)
     on_way = [joint for body in way for joint in joints_of(model, body)]
-    moved = [joint for joint in dependents.moved if joint in on_way]
-    for joint in chosen:
-        if joint not in on_way and moved:
+    rates = dependents.basis(qpos)
+    for joint in [joint for joint in chosen if joint not in on_way and joint in dependents.independent]:
+        along = rates[:, np.searchsorted(dependents.dofs, model.jnt_dofadr[joint])]
+        moved = [other for other in dependents.moved if other in on_way and along[model.jnt_dofadr[other]]]
+        if moved:
             raise InputError(
-                f"joint {names(model, [joint])} is not on the way to {quoted(tip or model.body(way[-1]).name)}, where "
-                f"it moves {names(model, moved)}: name that in its place, since an arm's coordinates are joints of "
-                "its chain"
+                f"joint {names(model, [joint])} is not on the way to {quoted(tip or model.body(way[-1]).name)}; it "
+                f"moves {names(model, moved)} there, so name that in its place: an arm's coordinates are joints of its "
+                "chain"
             )
     path = common_path(model, chosen)
     # A telescope's last stages may follow the one that is named.
@@ -154,9 +163,8 @@ def _check_chain(model: mujoco.MjModel, dependents: Dependents, bodies: Sequence
             )
         raise InputError(
             f"joint {names(model, [joint])}, on the way to the end effector, is moved by "
-            f"{names(model, dependents.independent)} through a closed loop or a curve: name it in the place of one of "
-            "these that is not on the chain, or end the arm before it; joints of a chain may only follow others in a "
-            "straight line"
+            f"{names(model, dependents.independent)} through a closed loop or a curve; joints of a chain may only "
+            "follow others in a straight line, so choose joints and a tip before it"
         )
 
 
@@ -229,25 +237,46 @@ def _length_scale(fields: Mapping[str, Any]) -> float:
     return float(f"{largest:.2g}") if largest > 1.0 else 1.0
 
 
-def rigid_groups(model: mujoco.MjModel, dofs: NDArray[np.int_], carried: Sequence[int] = ()) -> mujoco.MjModel:
-    """A copy of a model for distances, in which what the arm does not move against each other is welded together.
+def rigid_groups(
+    model: mujoco.MjModel, dofs: NDArray[np.int_], carried: Sequence[int] = ()
+) -> tuple[mujoco.MjModel, dict[tuple[int, int], float]]:
+    """A copy of a model for distances, and pairs of geoms that do not count in it.
 
-    MuJoCo's collision filter leaves out geoms of bodies that are welded together, and counts those welded to the world
-    as fixed. It knows them by ``body_weldid`` alone, which kinematics do not use.
+    What the arm does not move is fixed in the copy: welded to the world, by ``body_weldid``, which MuJoCo's collision
+    filter uses and kinematics do not. Pairs that move together, such as the fingers of a hand, do not count, nor those
+    that the filter leaves out in the model: a link and its parent, even if that is fixed now.
 
     Args:
         model: the model.
         dofs: those that the arm moves.
         carried: ids of a body with a free joint that is carried, and of those that hang from it.
+
+    Returns:
+        The copy, and the offset -inf (`contacts.ContactOffsets`) of the pairs.
     """
-    moving = np.zeros(model.nv, dtype=bool)
+    moving, group = np.zeros(model.nv, dtype=bool), np.arange(model.nbody)
     moving[dofs] = True
-    result = copy.deepcopy(model)
-    weld = result.body_weldid
     # Parents come before their children.
-    for body in range(1, model.nbody):
-        first, parent = int(model.body_dofadr[body]), int(model.body_parentid[body])
+    for body, parent in enumerate(model.body_parentid):
+        first = int(model.body_dofadr[body])
         if not moving[first : first + int(model.body_dofnum[body])].any():
-            weld[body] = weld[parent]
-    weld[list(carried)] = carried[0] if len(carried) else 0
-    return result
+            group[body] = group[parent]
+    group[list(carried)] = carried[0] if len(carried) else 0
+    result, weld = copy.deepcopy(model), model.body_weldid
+    result.body_weldid[:] = np.where(group == 0, 0, weld)
+    result.body_weldid[list(carried)] = carried[0] if len(carried) else 0
+    bodies, solid = model.geom_bodyid, colliding_geoms(model)
+    solid[[*model.pair_geom1, *model.pair_geom2]] = True
+    explicit = {*zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
+    left_out: dict[tuple[int, int], float] = {}
+    for body in np.unique(group[group > 0]).tolist():
+        parts = np.flatnonzero(solid & (group[bodies] == body)).tolist()
+        left_out |= {(a, b): -np.inf for a, b in combinations(parts, 2) if weld[bodies[a]] != weld[bodies[b]]}
+    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
+        return result, left_out
+    for root in np.unique(weld[(group > 0)]).tolist():
+        above = weld[model.body_parentid[root]]
+        if above and group[above] == 0:
+            mine, parents = (np.flatnonzero(solid & (weld[bodies] == part)).tolist() for part in (root, above))
+            left_out |= {pair: -np.inf for pair in product(mine, parents) if not explicit & {pair, pair[::-1]}}
+    return result, left_out
