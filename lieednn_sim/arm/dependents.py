@@ -51,7 +51,8 @@ class Dependents:
         dofs: ``(m,)`` addresses in qvel of the independent rates, three for a ball.
         joints: ids of the dependent joints, in the model's order, free ones and those that equalities fix included.
         moved: those of them that the independent joints move.
-        lines: of those that follow an independent joint in a straight line, that joint, ratio and shift.
+        lines: of those that follow an independent joint in a straight line, that joint, ratio and shift; of joints in
+            loops, those that do so at random configurations, such as the bars of a scissor or a parallelogram.
         has_loops: whether there are closed loops, which may not be closed everywhere.
         linear: whether all dependent joints are affine functions of the independent ones.
         coupling: ``(nq, m)``, if linear: qpos = coupling q + offset, but for the quaternions of balls (rows of 0).
@@ -84,6 +85,7 @@ class Dependents:
             self._loops = ClosedLoops(model, data, equalities, sorted(looped), drivers, self._follow)
             self._follow(qpos)
             self._loops.check_independent(self._closed_form_basis(qpos[None])[0], model.dof_jntid[self.dofs])
+            self.lines |= self._lines_in_loops(qpos, sorted(looped))
         self.has_loops = self._loops is not None
         self.linear = not equalities and all(len(follower.coefficients) <= 2 for follower in self._followers)
         self.coupling: Floats | None = None
@@ -160,6 +162,25 @@ class Dependents:
                 f"the ranges of the joints that follow {names(self._model, [joint])} exclude each other; widen them"
             )
         return limits
+
+    def _lines_in_loops(self, state: Floats, joints: Sequence[int]) -> dict[int, Line]:
+        """As of `lines`, of hinges and slides in loops: found at random configurations, and so up to rounding."""
+        model, rows = self._model, np.tile(state, (12, 1))
+        scalars = [j for j in self.independent if len(dof_addresses(model, [j])) == 1]
+        spans = [model.jnt_range[j] if model.jnt_limited[j] else state[model.jnt_qposadr[j]] + [-1, 1] for j in scalars]
+        low, high = np.array(spans).reshape(-1, 2).T
+        rows[:, model.jnt_qposadr[scalars]] = np.random.default_rng(0).uniform(low, high, (len(rows), len(low)))
+        rows = self.to_qpos(rows, strict=False)
+        rows = rows[~np.isnan(rows).any(axis=1)]
+        result: dict[int, Line] = {}
+        for joint in [j for j in joints if len(dof_addresses(model, [j])) == 1 and len(rows) > len(scalars) + 1]:
+            y, x = rows[:, model.jnt_qposadr[joint]], rows[:, model.jnt_qposadr[scalars]]
+            design = np.column_stack([x, np.ones(len(x))])
+            *ratios, shift = np.linalg.lstsq(design, y, rcond=None)[0]
+            leads = np.flatnonzero(np.abs(ratios) > 1e-7)
+            if len(leads) == 1 and np.abs(design @ [*ratios, shift] - y).max() < 1e-9:
+                result[joint] = scalars[leads[0]], float(ratios[leads[0]]), float(shift)
+        return result
 
     def _checked(self, qpos: Floats) -> Floats:
         rows = np.asarray(qpos, dtype=float)
