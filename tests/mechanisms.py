@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from lieednn_sim._mujoco import mujoco
 
 MODEL = """<mujoco><compiler angle="radian"/><option jacobian="{2}"/><default><geom size=".02" mass="1"/></default>
@@ -49,3 +51,51 @@ _BOOM = site("lug", "1.5 0 -.1") + body("jib", slide("extend"), _GRIPPER, "4 0 0
 _ROD = body("rod", slide("stroke"), site("eye", ".5 0 0"), ".8 0 0")
 _LIFTED = body("boom", hinge("luff"), _BOOM, "0 0 2") + body("barrel", hinge("swivel"), _ROD, ".3 0 .8")
 CRANE = body("post", hinge("slew", "0 0 1"), _LIFTED), connect("lug", "eye") + connect("g", "palm")
+
+# A free tool that an active weld fixes to a hand, beside a table.
+TOOL = """<mujoco><worldbody><geom name="table" type="box" pos="0 .45 .44" size=".2 .2 .02"/>
+<body name="a" pos="0 0 .5"><joint name="turn" axis="0 0 1" range="-90 90"/>
+<geom type="capsule" fromto="0 0 0 .2 0 0" size=".02"/>
+<body name="hand" pos=".3 0 0"><joint name="out" type="slide" axis="1 0 0" range="0 .3"/><geom size=".02"/>
+<site name="tip" pos=".1 0 0"/></body></body><body name="tool" pos=".45 0 .5"><freejoint/>
+<geom type="capsule" fromto="-.125 0 0 .1 0 0" size=".01"/><geom type="capsule" fromto="0 0 0 0 0 -.1" size=".01"/>
+</body></worldbody><equality><weld body1="hand" body2="tool"/></equality></mujoco>"""
+
+
+def random_world(rng: np.random.Generator) -> str:
+    """MJCF of a chain j0, j1, ... with followers on branches and a hand, on a sliding base, among things."""
+
+    def numbers(*values: float) -> str:
+        return " ".join(f"{value:.4f}" for value in values)
+
+    def geom(name: str) -> str:
+        margin, gap = rng.choice([0.0, 0.02, 0.05], 2)
+        return f'<geom name="{name}" size="{rng.uniform(0.03, 0.12):.4f}" margin="{margin}" gap="{gap}"/>'
+
+    def part(name: str, kind: str, inside: str = "", wide: float = 1.0) -> str:
+        where, axis = numbers(*rng.uniform(-0.25, 0.25, 3)), numbers(*rng.normal(size=3))
+        bounds = "" if kind == "ball" else f'range="{numbers(-wide * rng.uniform(0.3, 1), wide * rng.uniform(0.3, 1))}"'
+        joint = f'<joint name="{name}" type="{kind}" axis="{axis}" {bounds}/>' if kind else ""
+        return f'<body name="b{name}" pos="{where}">{joint}{geom("g" + name)}{inside}</body>'
+
+    kinds = list(rng.choice(["hinge", "slide"], 3)) + ["ball"] * (rng.random() < 0.3)
+    scalars, ties = ["j0", "j1", "j2"], '<joint joint1="drum" joint2="j1" polycoef=".1 2 0 0 0"/>'
+    tree = part("palm", "", part("finger1", "hinge") + part("finger2", "slide"))
+    for k in reversed(range(len(kinds))):
+        kind, leader = rng.choice(["hinge", "slide"]), rng.choice([*scalars, "drum"])
+        curved = rng.normal(size=3) * (rng.random() < 0.3)
+        ties += (
+            f'<joint joint1="f{k}" joint2="{leader}" polycoef="{numbers(*rng.normal(scale=0.3, size=2), *curved)}"/>'
+        )
+        tree = part(f"j{k}", kinds[k], tree + part(f"f{k}", kind, part(f"e{k}", ""), wide=3.0))
+    things = "".join(f'<geom name="t{k}" pos="{numbers(*rng.uniform(-0.6, 0.6, 3))}" size=".08"/>' for k in range(4))
+    things += f'<body name="thing" pos=".3 .3 0"><freejoint/>{geom("thing")}</body>'
+    pairs = "".join(
+        f'<pair geom1="{a}" geom2="{b}" margin="{m}" gap=".01"/>'
+        for a, b, m in (("gj0", "gj1", 0.1), ("gpalm", "t0", 0.3), ("gfinger1", "gj2", 0.0), ("gbase", "gj0", 0.02))
+        if rng.random() < 0.3
+    )
+    rope = '<fixed name="rope" range="-.9 .9"><joint joint="j0" coef=".7"/><joint joint="j2" coef="-1"/></fixed>'
+    return f"""<mujoco><compiler angle="radian" autolimits="true"/><worldbody>{things}{part("drum", "hinge", wide=9.0)}
+      {part("base", "slide", tree)}</worldbody><contact>{pairs}<exclude body1="bj0" body2="bpalm"/></contact>
+      <tendon>{rope if rng.random() < 0.5 else ""}</tendon><equality>{ties}</equality></mujoco>"""

@@ -47,17 +47,16 @@ class ClearanceTest:
         """
         # Converted at once and unchecked: checking each configuration would cost as much as its collision pass.
         positions = self._arm.qpos(q, strict=False)
-        beyond = self._beyond(positions) > 0.0
+        beyond = self._beyond(positions)
         for index, position in enumerate(positions):
             self.tests += 1
-            if beyond[index] or self._finder.any(position):
+            if (beyond is not None and beyond[index] > 0.0) or self._finder.any(position):
                 return index
         return None
 
-    def _beyond(self, positions: Floats) -> Floats:
-        """How far dependent joints and tendons ``(K,)`` are beyond their ranges at MuJoCo's positions ``(K, nq)``."""
-        stops = self._arm.stops
-        return np.zeros(len(positions)) if stops is None else np.maximum(stops.excess(positions).max(axis=1), 0.0)
+    def _beyond(self, positions: Floats) -> Floats | None:
+        """How far the arm's stops, if it has any, are exceeded at MuJoCo's positions ``(K, nq)``."""
+        return None if self._arm.stops is None else self._arm.stops.excess(positions).max(axis=1)
 
     def lack(self, q: Floats) -> Floats:
         """Missing clearance ``(K,)`` [m] at ``q`` ``(K, n)``: the sum over pairs of geoms of margin minus distance.
@@ -68,7 +67,8 @@ class ClearanceTest:
         """
         positions = self._arm.qpos(q, strict=False)
         # What is beyond a range of the arm's stops lacks as much; where loops cannot be closed, a metre.
-        total = np.minimum(self._beyond(positions), 1.0)
+        beyond = self._beyond(positions)
+        total = np.zeros(len(q)) if beyond is None else np.clip(beyond, 0.0, 1.0)
         for index, position in enumerate(positions):
             self.tests += 1
             if np.isnan(position).any():

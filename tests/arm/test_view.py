@@ -9,6 +9,7 @@ import pytest
 from arm.loops import PALLETISER, SCISSOR_LIFT
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mechanisms import TOOL, body, compiled, connect, hinge, random_world, site, slide
 
 import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
@@ -23,43 +24,6 @@ EQUALITY, JOINT, TENDON = (
 )
 
 
-def random_world(rng):
-    """A chain that carries a hand and branches of followers, on a base that has a joint, with a drum, among things."""
-    numbers = lambda *v: " ".join(f"{x:.4f}" for x in v)  # noqa: E731
-
-    def geom(name):
-        margin, gap = rng.choice([0.0, 0.02, 0.05], 2)
-        return f'<geom name="{name}" size="{rng.uniform(0.03, 0.12):.4f}" margin="{margin}" gap="{gap}"/>'
-
-    def body(name, kind, inside="", wide=1.0):
-        where, axis = numbers(*rng.uniform(-0.25, 0.25, 3)), numbers(*rng.normal(size=3))
-        bounds = "" if kind == "ball" else f'range="{numbers(-wide * rng.uniform(0.3, 1), wide * rng.uniform(0.3, 1))}"'
-        joint = f'<joint name="{name}" type="{kind}" axis="{axis}" {bounds}/>' if kind else ""
-        return f'<body name="b{name}" pos="{where}">{joint}{geom("g" + name)}{inside}</body>'
-
-    kinds = list(rng.choice(["hinge", "slide"], 3)) + ["ball"] * (rng.random() < 0.3)
-    scalars, ties = ["j0", "j1", "j2"], '<joint joint1="drum" joint2="j1" polycoef=".1 2 0 0 0"/>'
-    tree = body("palm", "", body("finger1", "hinge") + body("finger2", "slide"))
-    for k in reversed(range(len(kinds))):
-        kind, leader = rng.choice(["hinge", "slide"]), rng.choice([*scalars, "drum"])
-        curved = rng.normal(size=3) * (rng.random() < 0.3)
-        ties += (
-            f'<joint joint1="f{k}" joint2="{leader}" polycoef="{numbers(*rng.normal(scale=0.3, size=2), *curved)}"/>'
-        )
-        tree = body(f"j{k}", kinds[k], tree + body(f"f{k}", kind, body(f"e{k}", ""), wide=3.0))
-    things = "".join(f'<geom name="t{k}" pos="{numbers(*rng.uniform(-0.6, 0.6, 3))}" size=".08"/>' for k in range(4))
-    things += f'<body name="thing" pos=".3 .3 0"><freejoint/>{geom("thing")}</body>'
-    pairs = "".join(
-        f'<pair geom1="{a}" geom2="{b}" margin="{m}" gap=".01"/>'
-        for a, b, m in (("gj0", "gj1", 0.1), ("gpalm", "t0", 0.3), ("gfinger1", "gj2", 0.0), ("gbase", "gj0", 0.02))
-        if rng.random() < 0.3
-    )
-    rope = '<fixed name="rope" range="-.9 .9"><joint joint="j0" coef=".7"/><joint joint="j2" coef="-1"/></fixed>'
-    return f"""<mujoco><compiler angle="radian" autolimits="true"/><worldbody>{things}{body("drum", "hinge", wide=9.0)}
-      {body("base", "slide", tree)}</worldbody><contact>{pairs}<exclude body1="bj0" body2="bpalm"/></contact>
-      <tendon>{rope if rng.random() < 0.5 else ""}</tendon><equality>{ties}</equality></mujoco>"""
-
-
 def pushing(arm, model, data):
     """Pairs of bodies that push each other in MuJoCo, of those that the arm moves against each other."""
     contact = data.contact
@@ -72,11 +36,9 @@ def compare(arm, model, data, q):
     """Everything at a configuration, against MuJoCo's own answers."""
     data.qpos[:] = arm.qpos(q)
     mujoco.mj_forward(model, data)
-    rows = np.abs(data.efc_pos[data.efc_type == EQUALITY])
-    assert rows.max(initial=0.0) < 1e-9
+    assert np.abs(data.efc_pos[data.efc_type == EQUALITY]).max(initial=0.0) < 1e-9
     assert arm.coordinates(data.qpos) == pytest.approx(q, abs=1e-9)
-    place, turn = arm.frames.poses(data.xpos, data.xmat)
-    pose = arm.link_poses(q)
+    (place, turn), pose = arm.frames.poses(data.xpos, data.xmat), arm.link_poses(q)
     assert pose.translation == pytest.approx(place, abs=1e-9)
     assert pose.rotation.as_matrix() == pytest.approx(turn, abs=1e-9)
     moved = set(model.dof_jntid[arm.dofs])
@@ -89,8 +51,7 @@ def compare(arm, model, data, q):
 
 def check_slopes(arm, q):
     """Velocities and derivatives of distances by finite differences."""
-    rng, step = np.random.default_rng(0), 1e-6
-    qd = rng.normal(size=arm.n_joints)
+    qd, step = np.random.default_rng(0).normal(size=arm.n_joints), 1e-6
     ends, motion = arm.qpos(q + step * np.array([[-1.0], [1.0]]) * qd), np.empty(arm.model.nv)
     mujoco.mj_differentiatePos(arm.model, motion, 2.0 * step, *ends)
     assert arm.qvel(q, qd) == pytest.approx(motion, abs=1e-5 * max(1.0, np.abs(motion).max()))
@@ -114,21 +75,37 @@ def check_slopes(arm, q):
 def test_random_trees_are_as_mujoco_says(seed):
     rng = np.random.default_rng(seed)
     xml = random_world(rng)
-    model = mujoco.MjModel.from_xml_string(xml)
-    data = mujoco.MjData(model)
-    data.joint("base").qpos = 0.1
-    joints = [name for name in ("j0", "j1", "j2", "j3") if f'name="{name}"' in xml]
-    arm = ls.Arm.of(model, data, joints)
+    model, data = made(xml, base=0.1)
+    arm = ls.Arm.of(model, data, [name for name in ("j0", "j1", "j2", "j3") if f'name="{name}"' in xml])
     assert (arm.dependents is None) == all(not model.eq_data[e, 2:5].any() for e in range(model.neq))
     low, high = arm.position_limits.T
     for q in rng.uniform(low - 0.1 * arm.ranges, high + 0.1 * arm.ranges, (8, arm.n_joints)):
         q[arm.space.balls] *= 0.4  # a turn of less than pi
         compare(arm, model, data, q)
     check_slopes(arm, rng.uniform(low, high))
+    if arm.dependents is None:
+        bounds = ClearanceBounds(arm, [(np.array([k]), np.ones(1)) for k in range(arm.n_joints)])
+        q, spread, none = rng.uniform(low, high), rng.uniform(0.2, 1.0, arm.n_joints), np.zeros((2, arm.n_joints))
+        scale = bounds(q, none[0], none, spread, 0.8)[0]
+        corners = q + scale * spread * rng.choice([-1.0, 1.0], (10 * (scale > 0.0), arm.n_joints))
+        assert Collisions(arm).least_clearance(corners) > -1e-9
 
 
-def made(xml, **state):
-    model = mujoco.MjModel.from_xml_path(xml) if xml.endswith(".xml") else mujoco.MjModel.from_xml_string(xml)
+@pytest.mark.parametrize(("height", "contact"), [(0.119, True), (0.121, False), (0.139, False)])
+def test_in_a_gap_there_is_no_force(height, contact):
+    arm = '<body><joint name="z" type="slide" axis="0 0 1" range="0 1"/><geom size=".1" margin=".02" gap=".02"/></body>'
+    model, data = made(f'<mujoco><worldbody><geom type="plane" size="1 1 1"/>{arm}</worldbody></mujoco>')
+    view = ls.Arm.of(model, data, ["z"])
+    data.qpos[0] = height
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 1
+    assert bool(view.contacts([height])) == contact == bool(data.efc_force[: data.nefc].any())
+
+
+def made(model, **state):
+    if isinstance(model, str):
+        read = mujoco.MjModel.from_xml_path if model.endswith(".xml") else mujoco.MjModel.from_xml_string
+        model = read(model)
     data = mujoco.MjData(model)
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -142,15 +119,14 @@ def made(xml, **state):
     [
         (CRANE, ["slew", "luff", "extend"], "end_effector", 6),
         (PALLETISER, ["turn", "lower", "upper"], None, 9),
-        (SCISSOR_LIFT, ["rise1"], None, 9),
+        (SCISSOR_LIFT, ["rise1"], "platform", 9),
     ],
 )
 def test_loops_are_closed_and_their_ranges_kept(xml, joints, tip, moved):
     model, data = made(xml)
     arm = ls.Arm.of(model, data, joints, tip=tip)
     assert len(arm.dofs) == moved
-    low, high = arm.position_limits.T
-    rng = np.random.default_rng(0)
+    (low, high), rng = arm.position_limits.T, np.random.default_rng(0)
     for q in rng.uniform(low - 0.05 * arm.ranges, high + 0.05 * arm.ranges, (20, arm.n_joints)):
         if np.isfinite(arm.limit_excess(q)).all():
             compare(arm, model, data, q)
@@ -167,9 +143,7 @@ def test_a_crane_plans_around_what_is_in_the_way_of_its_cylinder():
     beside = 0.3 * data.site("barrel_eye").xpos + 0.7 * data.site("rod_eye").xpos + [0.0, 0.3, 0.0]
     spec = mujoco.MjSpec.from_file(CRANE)
     spec.worldbody.add_geom(name="post", pos=beside, size=[0.27, 0, 0])
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
+    model, data = made(spec.compile())
     arm = ls.Arm.of(model, data, joints, tip="end_effector")
     assert ("world", "rod") in arm.near_contacts(q)
     check_slopes(arm, q - [0.05, 0.0, 0.0])
@@ -183,30 +157,16 @@ def test_a_crane_plans_around_what_is_in_the_way_of_its_cylinder():
 
 
 def test_where_a_loop_cannot_close_nothing_is_free():
-    crank = '<body><joint name="crank" axis="0 -1 0"/><geom size=".01"/><body name="strut" pos=".3 0 0"><joint '
-    crank += (
-        'name="strut" axis="0 -1 0" range="-179 179"/><geom size=".01"/><site name="tip" pos=".5 0 0"/></body></body>'
-    )
-    piston = '<body name="piston"><joint name="push" type="slide" axis="1 0 0" range=".3 1"/><geom size=".01"/>'
-    world = f'<worldbody>{crank}{piston}<site name="pin"/></body></worldbody>'
-    loop = '<equality><connect site1="tip" site2="pin"/></equality>'
-    arm = ls.Arm.of(*made(f"<mujoco>{world}{loop}</mujoco>", crank=1, strut=-2, push=0.6), ["push"])
+    bodies = body("crank", hinge("crank"), body("strut", hinge("strut"), site("tip", ".5 0 0"), ".3 0 0"))
+    bodies += body("piston", slide("push", more='range=".4 1" limited="true"'), site("pin", "0 0 0"))
+    arm = ls.Arm.of(*made(compiled(bodies, connect("tip", "pin")), crank=1, strut=-2, push=0.6), ["push"])
     assert np.isnan(arm.qpos(np.array([[0.9], [0.5]]), strict=False)).any(axis=1).tolist() == [True, False]
     assert arm.limit_excess(np.array([0.9])).max() == np.inf
-    assert list(arm.near_contacts_along(np.array([[0.5], [0.9]])))[1] == [("", "strut")]
+    assert list(arm.near_contacts_along(np.array([[0.5], [0.9]])))[1] == [("crank", "strut")]
     with pytest.raises(InputError, match=r"target is out of reach: no solution .* stays open by 0\.1"):
         ls.plan(arm, [0.9], start=[0.6], planner="minimum-jerk")
     with pytest.raises(NoSolutionError, match=r"'push' = 0\.9"):
         arm.qpos([0.9])
-
-
-TOOL = """<mujoco><worldbody><geom name="table" type="box" pos="0 .45 .44" size=".2 .2 .02"/>
-<body name="a" pos="0 0 .5"><joint name="turn" axis="0 0 1" range="-90 90"/>
-<geom type="capsule" fromto="0 0 0 .2 0 0" size=".02"/>
-<body name="hand" pos=".3 0 0"><joint name="out" type="slide" axis="1 0 0" range="0 .3"/><geom size=".02"/>
-<site name="tip" pos=".1 0 0"/></body></body><body name="tool" pos=".45 0 .5"><freejoint/>
-<geom type="capsule" fromto="-.125 0 0 .1 0 0" size=".01"/><geom type="capsule" fromto="0 0 0 0 0 -.1" size=".01"/>
-</body></worldbody><equality><weld body1="hand" body2="tool"/></equality></mujoco>"""
 
 
 def test_a_welded_tool_is_held_and_one_that_is_not_lies_in_the_way():
