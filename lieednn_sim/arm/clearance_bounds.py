@@ -226,8 +226,8 @@ def _check_provable(arm: Arm, pairs: Pairs) -> None:
     """Raise `InputError` for pairs of geoms that joints bring together whose displacements have no bound."""
     if arm.dependents is None:
         return
-    model, lines = arm.model, arm.dependents.lines
-    curved = dof_addresses(model, [joint for joint in arm.dependents.moved if joint not in lines])
+    model, straight = arm.model, {*arm.dependents.lines, *arm.dependents.sums}
+    curved = dof_addresses(model, [joint for joint in arm.dependents.moved if joint not in straight])
     bodies = model.geom_bodyid[pairs]
     moves = np.array([arm.moved_by(body)[curved] for body in range(model.nbody)])
     for first, second in bodies[(moves[bodies[:, 0]] != moves[bodies[:, 1]]).any(axis=1)].tolist():

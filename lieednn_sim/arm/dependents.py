@@ -10,7 +10,7 @@ import numpy as np
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import JOINT_KINDS
 from lieednn_sim.arm.closed_loops import ClosedLoops
-from lieednn_sim.arm.coordinates import Line
+from lieednn_sim.arm.coordinates import Line, Sum
 from lieednn_sim.arm.equalities import dof_addresses, equality_name, involved_joints, names, position_addresses
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
@@ -53,6 +53,7 @@ class Dependents:
         moved: those of them that the independent joints move.
         lines: of those that follow an independent joint in a straight line, that joint, ratio and shift; of joints in
             loops, those that do so at random configurations, such as the bars of a scissor or a parallelogram.
+        sums: of joints in loops, those that follow several of them so, such as a wrist that bars keep level.
         has_loops: whether there are closed loops, which may not be closed everywhere.
         linear: whether all dependent joints are affine functions of the independent ones.
         coupling: ``(nq, m)``, if linear: qpos = coupling q + offset, but for the quaternions of balls (rows of 0).
@@ -74,7 +75,7 @@ class Dependents:
         equalities, looped = _loops_of(model, remaining, roots)
         self.joints = tuple(sorted({follower.joint for follower in self._followers} | looped))
         self.moved = tuple(joint for joint in self.joints if joint in looped or roots[joint] is not None)
-        self.lines = _lines(self._followers, self.independent)
+        self.lines, self.sums = _lines(self._followers, self.independent), dict[int, Sum]()
         self._loops: ClosedLoops | None = None
         # The last rows that were asked for, and their solution: limits and contacts are tested one after another.
         self._last = np.zeros((0, model.nq)), np.zeros((0, model.nq))
@@ -85,7 +86,7 @@ class Dependents:
             self._loops = ClosedLoops(model, data, equalities, sorted(looped), drivers, self._follow)
             self._follow(qpos)
             self._loops.check_independent(self._closed_form_basis(qpos[None])[0], model.dof_jntid[self.dofs])
-            self.lines |= self._lines_in_loops(qpos, sorted(looped))
+            self._find_lines(qpos, sorted(looped))
         self.has_loops = self._loops is not None
         self.linear = not equalities and all(len(follower.coefficients) <= 2 for follower in self._followers)
         self.coupling: Floats | None = None
@@ -163,8 +164,8 @@ class Dependents:
             )
         return limits
 
-    def _lines_in_loops(self, state: Floats, joints: Sequence[int]) -> dict[int, Line]:
-        """As of `lines`, of hinges and slides in loops: found at random configurations, and so up to rounding."""
+    def _find_lines(self, state: Floats, joints: Sequence[int]) -> None:
+        """Add hinges and slides in loops to `lines` and `sums`, found at random configurations, so up to rounding."""
         model, rows = self._model, np.tile(state, (12, 1))
         scalars = [j for j in self.independent if len(dof_addresses(model, [j])) == 1]
         spans = [model.jnt_range[j] if model.jnt_limited[j] else state[model.jnt_qposadr[j]] + [-1, 1] for j in scalars]
@@ -172,15 +173,18 @@ class Dependents:
         rows[:, model.jnt_qposadr[scalars]] = np.random.default_rng(0).uniform(low, high, (len(rows), len(low)))
         rows = self.to_qpos(rows, strict=False)
         rows = rows[~np.isnan(rows).any(axis=1)]
-        result: dict[int, Line] = {}
         for joint in [j for j in joints if len(dof_addresses(model, [j])) == 1 and len(rows) > len(scalars) + 1]:
             y, x = rows[:, model.jnt_qposadr[joint]], rows[:, model.jnt_qposadr[scalars]]
             design = np.column_stack([x, np.ones(len(x))])
-            *ratios, shift = np.linalg.lstsq(design, y, rcond=None)[0]
-            leads = np.flatnonzero(np.abs(ratios) > 1e-7)
-            if len(leads) == 1 and np.abs(design @ [*ratios, shift] - y).max() < 1e-9:
-                result[joint] = scalars[leads[0]], float(ratios[leads[0]]), float(shift)
-        return result
+            # Exact where they are short numbers, such as 1 and 2, since turns are known to repeat then.
+            *ratios, shift = np.round(np.linalg.lstsq(design, y, rcond=None)[0], 12)
+            leads = {j: float(ratio) for j, ratio in zip(scalars, ratios, strict=True) if abs(ratio) > 1e-7}
+            if leads and np.abs(design @ [*ratios, shift] - y).max() < 1e-9:
+                if len(leads) == 1:
+                    (lead, ratio), *_ = leads.items()
+                    self.lines[joint] = lead, ratio, float(shift)
+                else:
+                    self.sums[joint] = leads, float(shift)
 
     def _checked(self, qpos: Floats) -> Floats:
         rows = np.asarray(qpos, dtype=float)

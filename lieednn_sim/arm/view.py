@@ -85,16 +85,25 @@ def read_view(
         state.eq_active[weld] = 0
         dependents = Dependents(own, state, independent)
     _check_chain(own, dependents, [*path, *ancestry(own, end.body)], joints_of_chain)
-    couplings = along_tendons(own, joints_of_chain, Couplings(dependents.lines))
+    couplings = along_tendons(own, joints_of_chain, Couplings(dependents.lines, sums=dependents.sums))
     within = dict(zip(own.dof_jntid[dependents.dofs].tolist(), dependents.follower_limits(), strict=True))
     whole = joint_ranges(own, [[joint] for joint in joints_of_chain], couplings, [], qpos, within)
     groups = cut(own, kinematics_at(own, qpos), joints_of_chain, whole, couplings)
     ends = [body_frame(own, int(own.jnt_bodyid[group[-1]])) for group in groups[:-1]]
     ranges = joint_ranges(own, groups, couplings, [], qpos, within)
-    fields = read_arm(own, "arm", Chain((inner, *ends, end), groups), rest=qpos, lines=couplings.lines, ranges=ranges)
+    fields = read_arm(
+        own,
+        "arm",
+        Chain((inner, *ends, end), groups),
+        rest=qpos,
+        lines=couplings.lines,
+        sums=couplings.sums,
+        ranges=ranges,
+    )
     space: Coordinates = fields["space"]
-    solved = () if dependents.linear else [joint for joint in dependents.moved if joint not in dependents.lines]
-    stops = Stops(own, solved, [*joints_of_chain, *dependents.moved], loops=dependents.has_loops)
+    bounded = [joint for joint in dependents.moved if joint not in dependents.lines]
+    solved = [joint for joint in bounded if joint not in dependents.sums]
+    stops = Stops(own, bounded, [*joints_of_chain, *dependents.moved], loops=bool(solved) and dependents.has_loops)
     fields |= {"qpos_home": qpos, "stops": stops if len(stops) else None}
     fields["dependents"] = dependents if solved else None
     fields["acceleration_limits"] = _acceleration_limits(own, fields)
@@ -130,7 +139,8 @@ def _chain(
     base: str | None,
 ) -> tuple[Frame, list[int], tuple[int, ...]]:
     """The base's frame, the bodies from the world to the last link, and the chain's joints from the base outwards."""
-    paths = {joint: ancestry(model, int(model.jnt_bodyid[joint])) for joint in (*chosen, *dependents.lines)}
+    followers = (*dependents.lines, *dependents.sums)
+    paths = {joint: ancestry(model, int(model.jnt_bodyid[joint])) for joint in (*chosen, *followers)}
     longest = max((paths[joint] for joint in chosen), key=len)
     way = longest if tip is None else ancestry(model, find_frame(model, tip).body)
     on_way = [joint for body in way for joint in joints_of(model, body)]
@@ -147,7 +157,7 @@ def _chain(
     path = common_path(model, chosen)
     # A telescope's last stages may follow the one that is named.
     path = max((paths[joint] for joint in paths if paths[joint][: len(path)] == path), key=len)
-    arm = {*dependents.independent, *dependents.lines}
+    arm = {*dependents.independent, *dependents.lines, *dependents.sums}
     chain = tuple(joint for body in path for joint in joints_of(model, body) if joint in arm)
     return chain_base(model, path, chain, base), path, chain
 
@@ -156,11 +166,6 @@ def _check_chain(model: mujoco.MjModel, dependents: Dependents, bodies: Sequence
     """Raise `InputError` for joints from the base to the end effector that others move, but not in a straight line."""
     on_way = {joint for body in bodies for joint in joints_of(model, body)}
     for joint in sorted(on_way.intersection(dependents.moved).difference(chain)):
-        if joint in dependents.lines:
-            raise InputError(
-                f"joint {names(model, [joint])} follows {names(model, [dependents.lines[joint][0]])} beyond the last "
-                "link; choose a tip that it moves, or that it does not"
-            )
         raise InputError(
             f"joint {names(model, [joint])}, on the way to the end effector, is moved by "
             f"{names(model, dependents.independent)} through a closed loop or a curve; joints of a chain may only "

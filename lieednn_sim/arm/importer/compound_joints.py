@@ -63,31 +63,33 @@ def _units(
     anchors = data.xanchor[list(joints)]
     size = max(float(np.linalg.norm(anchors - anchors[0], axis=1).max()), 1e-2)
     runs: list[list[int]] = []
-    leader = [couplings.leader(joint) for joint in joints]
-    last = {lead: i for i, lead in enumerate(leader)}
+    last = {lead: i for i, joint in enumerate(joints) for lead in couplings.ratios(joint)}
     end, bodies = -1, model.jnt_bodyid
     for i, joint in enumerate(joints):
         if i > end:
             runs.append([])
         runs[-1].append(joint)
-        end = max(end, last[leader[i]], max(k for k, other in enumerate(joints) if bodies[other] == bodies[joint]))
+        same_body = max(k for k, other in enumerate(joints) if bodies[other] == bodies[joint])
+        end = max(end, same_body, *(last[lead] for lead in couplings.ratios(joint)))
     units = []
     for run in runs:
         kinds = {int(model.jnt_type[joint]) for joint in run}
         kind = {_SLIDE: "slide", _HINGE: "hinge", _BALL: "ball"}[kinds.pop()] if len(kinds) == 1 else "mixed"
-        turns, columns = 0.0, {couplings.leader(joint): np.zeros((6, 1)) for joint in run}
+        turns, columns = 0.0, {lead: np.zeros((6, 1)) for joint in run for lead in couplings.ratios(joint)}
         for joint in run:
-            axis, ratio = data.xaxis[joint], couplings.ratio(joint)
+            axis, ratios = data.xaxis[joint], couplings.ratios(joint)
             arm = (data.xanchor[joint] - anchors[0]) / size
             if model.jnt_type[joint] == _SLIDE:
-                columns[couplings.leader(joint)] += ratio * np.concatenate([np.zeros(3), axis])[:, None]
+                for lead, ratio in ratios.items():
+                    columns[lead] += ratio * np.concatenate([np.zeros(3), axis])[:, None]
                 continue
             reference = 0.0 if model.jnt_type[joint] == _BALL else model.qpos0[model.jnt_qposadr[joint]]
             turns += float(np.abs(ranges[joint] - reference).max())
             if model.jnt_type[joint] == _BALL:
                 columns[joint] = np.array([np.concatenate([e, np.cross(arm, e)]) for e in np.eye(3)]).T
-            else:
-                columns[couplings.leader(joint)] += ratio * np.concatenate([axis, np.cross(arm, axis)])[:, None]
+                continue
+            for lead, ratio in ratios.items():
+                columns[lead] += ratio * np.concatenate([axis, np.cross(arm, axis)])[:, None]
         for lead, column in columns.items():
             if np.linalg.norm(column) < 1e-9:
                 others = ", ".join(repr(model.joint(joint).name) for joint in run if joint != lead)
