@@ -99,3 +99,32 @@ def random_world(rng: np.random.Generator) -> str:
     return f"""<mujoco><compiler angle="radian" autolimits="true"/><worldbody>{things}{part("drum", "hinge", wide=9.0)}
       {part("base", "slide", tree)}</worldbody><contact>{pairs}<exclude body1="bj0" body2="bpalm"/></contact>
       <tendon>{rope if rng.random() < 0.5 else ""}</tendon><equality>{ties}</equality></mujoco>"""
+
+
+def with_cylinder(xml: str, rng: np.random.Generator) -> mujoco.MjModel:
+    """A random world with a cylinder between its base and a link, its loop closed at qpos0."""
+    spec = mujoco.MjSpec.from_string(xml)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    link = f"bj{rng.integers(3)}"
+    foot, eye = rng.uniform(-0.3, 0.3, 3) + [0.0, 0.0, -0.5], rng.uniform(-0.1, 0.1, 3)
+    way = data.body(link).xpos + eye - data.body("bbase").xpos - foot
+    length = float(np.linalg.norm(way))
+    across = np.cross(way, rng.normal(size=3))
+    across /= np.linalg.norm(across)
+    xyaxes = [*across, *np.cross(way / length, across)]
+    barrel = spec.body("bbase").add_body(name="barrel", pos=foot)
+    barrel.alt.xyaxes = xyaxes
+    barrel.add_geom(name="gbarrel", size=[0.03, 0, 0])
+    for name, axis in (("tilt", [1, 0, 0]), ("swivel", [0, 1, 0])):
+        barrel.add_joint(name=name, axis=axis, range=[-0.9, 0.9])
+    rod = barrel.add_body(name="rod")
+    kind = mujoco.mjtJoint.mjJNT_SLIDE
+    rod.add_joint(name="stroke", type=kind, axis=[0, 0, 1], range=[-0.3 * length, 0.3 * length])
+    rod.add_geom(name="grod", size=[0.05, 0, 0], pos=[0, 0, 0.8 * length])
+    rod.add_site(name="end", pos=[0, 0, length])
+    spec.body(link).add_site(name="eye", pos=eye)
+    loop = spec.add_equality(name="loop", type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_SITE)
+    loop.name1, loop.name2 = "end", "eye"
+    return spec.compile()
