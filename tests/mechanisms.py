@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from lieednn_sim._mujoco import mujoco
 
 MODEL = """<mujoco><compiler angle="radian"/><option jacobian="{2}"/><default><geom size=".02" mass="1"/></default>
@@ -50,20 +52,79 @@ _ROD = body("rod", slide("stroke"), site("eye", ".5 0 0"), ".8 0 0")
 _LIFTED = body("boom", hinge("luff"), _BOOM, "0 0 2") + body("barrel", hinge("swivel"), _ROD, ".3 0 .8")
 CRANE = body("post", hinge("slew", "0 0 1"), _LIFTED), connect("lug", "eye") + connect("g", "palm")
 
-# A palletiser: a bar along the upper arm keeps a triangle at the elbow level, and a bar along the forearm the hand.
-_FORE = body("hand", hinge("hand", "0 1 0"), site("h", "0 0 .1"), ".6 0 0")
-_TRIANGLE = body("bar2", hinge("bar2", "0 1 0"), site("b2", ".6 0 0"), "0 0 .1") + site("t", "-.1 0 0")
-_UPPER = body("fore", hinge("elbow", "0 1 0"), _FORE, "0 0 .5")
-_UPPER += body("triangle", hinge("triangle", "0 1 0"), _TRIANGLE, "0 0 .5")
-_TURRET = body("upper", hinge("shoulder", "0 1 0"), _UPPER)
-_TURRET += body("bar1", hinge("bar1", "0 1 0"), site("b1", "0 0 .5"), "-.1 0 0")
-PALLETISER = body("turret", hinge("turn", "0 0 1"), _TURRET), connect("b1", "t") + connect("b2", "h")
+# A free tool that an active weld fixes to a hand, beside a table.
+TOOL = """<mujoco><worldbody><geom name="table" type="box" pos="0 .45 .44" size=".2 .2 .02"/>
+<body name="a" pos="0 0 .5"><joint name="turn" axis="0 0 1" range="-90 90"/>
+<geom type="capsule" fromto="0 0 0 .2 0 0" size=".02"/>
+<body name="hand" pos=".3 0 0"><joint name="out" type="slide" axis="1 0 0" range="0 .3"/><geom size=".02"/>
+<site name="tip" pos=".1 0 0"/></body></body><body name="tool" pos=".45 0 .5"><freejoint/>
+<geom type="capsule" fromto="-.125 0 0 .1 0 0" size=".01"/><geom type="capsule" fromto="0 0 0 0 0 -.1" size=".01"/>
+</body></worldbody><equality><weld body1="hand" body2="tool"/></equality></mujoco>"""
 
-# A scissor lift: two crossed bars of 1 m, one hinged to the ground and one rolling, and the same under the stage.
-_CROSSED = body("b", hinge("cross"), site("foot", ".5 0 0") + site("top", "-.5 0 0"), ".5 0 0") + site("end", "1 0 0")
-_STAGE = site("s", "0 0 0") + body("c", slide("roll"), site("u", "0 0 0"))
-_PUSHED = body("a", hinge("a"), _CROSSED) + body("roller", slide("push"), site("r", "0 0 0"))
-SCISSOR = (
-    _PUSHED + body("stage", slide("x") + slide("z", "0 0 1"), _STAGE),
-    connect("foot", "r") + connect("top", "s") + connect("end", "u"),
-)
+
+def random_world(rng: np.random.Generator) -> str:
+    """MJCF of a chain j0, j1, ... with followers on branches and a hand, on a sliding base, among things."""
+
+    def numbers(*values: float) -> str:
+        return " ".join(f"{value:.4f}" for value in values)
+
+    def geom(name: str) -> str:
+        margin, gap = rng.choice([0.0, 0.02, 0.05], 2)
+        return f'<geom name="{name}" size="{rng.uniform(0.03, 0.12):.4f}" margin="{margin}" gap="{gap}"/>'
+
+    def part(name: str, kind: str, inside: str = "", wide: float = 1.0) -> str:
+        where, axis = numbers(*rng.uniform(-0.25, 0.25, 3)), numbers(*rng.normal(size=3))
+        bounds = "" if kind == "ball" else f'range="{numbers(-wide * rng.uniform(0.3, 1), wide * rng.uniform(0.3, 1))}"'
+        joint = f'<joint name="{name}" type="{kind}" axis="{axis}" {bounds}/>' if kind else ""
+        return f'<body name="b{name}" pos="{where}">{joint}{geom("g" + name)}{inside}</body>'
+
+    kinds = list(rng.choice(["hinge", "slide"], 3)) + ["ball"] * (rng.random() < 0.3)
+    scalars, ties = ["j0", "j1", "j2"], '<joint joint1="drum" joint2="j1" polycoef=".1 2 0 0 0"/>'
+    tree = part("palm", "", part("finger1", "hinge") + part("finger2", "slide"))
+    for k in reversed(range(len(kinds))):
+        kind, leader = rng.choice(["hinge", "slide"]), rng.choice([*scalars, "drum"])
+        curved = rng.normal(size=3) * (rng.random() < 0.3)
+        ties += (
+            f'<joint joint1="f{k}" joint2="{leader}" polycoef="{numbers(*rng.normal(scale=0.3, size=2), *curved)}"/>'
+        )
+        tree = part(f"j{k}", kinds[k], tree + part(f"f{k}", kind, part(f"e{k}", ""), wide=3.0))
+    things = "".join(f'<geom name="t{k}" pos="{numbers(*rng.uniform(-0.6, 0.6, 3))}" size=".08"/>' for k in range(4))
+    things += f'<body name="thing" pos=".3 .3 0"><freejoint/>{geom("thing")}</body>'
+    pairs = "".join(
+        f'<pair geom1="{a}" geom2="{b}" margin="{m}" gap=".01"/>'
+        for a, b, m in (("gj0", "gj1", 0.1), ("gpalm", "t0", 0.3), ("gfinger1", "gj2", 0.0), ("gbase", "gj0", 0.02))
+        if rng.random() < 0.3
+    )
+    rope = '<fixed name="rope" range="-.9 .9"><joint joint="j0" coef=".7"/><joint joint="j2" coef="-1"/></fixed>'
+    return f"""<mujoco><compiler angle="radian" autolimits="true"/><worldbody>{things}{part("drum", "hinge", wide=9.0)}
+      {part("base", "slide", tree)}</worldbody><contact>{pairs}<exclude body1="bj0" body2="bpalm"/></contact>
+      <tendon>{rope if rng.random() < 0.5 else ""}</tendon><equality>{ties}</equality></mujoco>"""
+
+
+def with_cylinder(xml: str, rng: np.random.Generator) -> mujoco.MjModel:
+    """A random world with a cylinder between its base and a link, its loop closed at qpos0."""
+    spec = mujoco.MjSpec.from_string(xml)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    link = f"bj{rng.integers(3)}"
+    foot, eye = rng.uniform(-0.3, 0.3, 3) + [0.0, 0.0, -0.5], rng.uniform(-0.1, 0.1, 3)
+    way = data.body(link).xpos + eye - data.body("bbase").xpos - foot
+    length = float(np.linalg.norm(way))
+    across = np.cross(way, rng.normal(size=3))
+    across /= np.linalg.norm(across)
+    xyaxes = [*across, *np.cross(way / length, across)]
+    barrel = spec.body("bbase").add_body(name="barrel", pos=foot)
+    barrel.alt.xyaxes = xyaxes
+    barrel.add_geom(name="gbarrel", size=[0.03, 0, 0])
+    for name, axis in (("tilt", [1, 0, 0]), ("swivel", [0, 1, 0])):
+        barrel.add_joint(name=name, axis=axis, range=[-0.9, 0.9])
+    rod = barrel.add_body(name="rod")
+    kind = mujoco.mjtJoint.mjJNT_SLIDE
+    rod.add_joint(name="stroke", type=kind, axis=[0, 0, 1], range=[-0.3 * length, 0.3 * length])
+    rod.add_geom(name="grod", size=[0.05, 0, 0], pos=[0, 0, 0.8 * length])
+    rod.add_site(name="end", pos=[0, 0, length])
+    spec.body(link).add_site(name="eye", pos=eye)
+    loop = spec.add_equality(name="loop", type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_SITE)
+    loop.name1, loop.name2 = "end", "eye"
+    return spec.compile()

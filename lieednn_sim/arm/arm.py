@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, fixed_body, moved_by
+from lieednn_sim.arm.dependents import Dependents
+from lieednn_sim.arm.equalities import dof_addresses
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
 from lieednn_sim.arm.grasp import Grasp, find_grasp
 from lieednn_sim.arm.importer import ImportOptions, ImportReport
@@ -24,9 +26,10 @@ from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_fi
 from lieednn_sim.arm.parsing import read_arm
 from lieednn_sim.arm.scenes import add_obstacles
 from lieednn_sim.arm.serial_arm import SerialArm
+from lieednn_sim.arm.stops import Stops
 from lieednn_sim.arm.view import check_data, name_of, read_view, rigid_groups, standing, state_of
 from lieednn_sim.arm.visuals import discard_visuals, moves_alike
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.errors import FileError, InputError, NoSolutionError
 from lieednn_sim.lie import rotations
 from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import Seed, as_choice, as_count, as_floats, as_path, as_seed, quoted
@@ -54,7 +57,10 @@ class Arm(SerialArm):
         named: of a view, the arguments joints, tip, base and limits of `of`.
         made: of a view, the limits that it was made with, by name.
         collision_model: of a view, `geometry`.
+        left_out: of a view, offsets of pairs of geoms that do not count there (`rigid_groups`).
         grasp: what it carries (`holding`).
+        dependents: of a view, the joints that it moves by closed loops or curves, if any.
+        stops: of a view, ranges of these and of tendons, if any; configurations beyond them are not allowed.
     """
 
     scene: str = "free"
@@ -67,7 +73,10 @@ class Arm(SerialArm):
     named: Mapping[str, Any] = field(default_factory=dict)
     made: Mapping[str, Floats] = field(default_factory=dict)
     collision_model: mujoco.MjModel | None = None
+    left_out: dict[tuple[int, int], float] = field(default_factory=dict)
     grasp: Grasp | None = None
+    dependents: Dependents | None = None
+    stops: Stops | None = None
 
     @classmethod
     def load(
@@ -148,12 +157,18 @@ class Arm(SerialArm):
         joints, free bodies and robots are in it: obstacles, or parts of the link that carries them. The keyframe
         ``home`` is the state of ``data``. Obstacles are added to the model itself, before it is compiled.
 
+        Joints that active equalities tie to the named ones move with them, wherever they are: by a joint or tendon
+        equality, or in a closed loop of ``connect`` and ``weld``, such as the cylinder that lifts a boom
+        (`Dependents`). Their ranges, and those of limited tendons, bound the arm. On the chain itself they may only
+        follow in a straight line: of a boom and its cylinder, name the joint of the chain, the boom's. A free body that
+        an active weld fixes to the end effector is held (`holding`).
+
         Args:
             model: a compiled model, which is not changed.
             data: its state. Planning needs positions, mocap bodies and active equalities; a simulation begins with
                 controls, activations and all else as well.
-            joints: names of the joints, on one chain, in any order; those on it that equalities tie to them are the
-                arm's too. The coordinates are in the order of the chain, that of `joint_names`.
+            joints: names of the joints, on one chain, in any order. The coordinates are in the order of the chain, that
+                of `joint_names`.
             tip: body or site of the end effector, by default the last body that the joints move.
             base: body or site of the base frame, by default the parent of the first body that moves.
             limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s].
@@ -161,24 +176,24 @@ class Arm(SerialArm):
 
         Raises:
             InputError: the joints are not an arm's, or data is of another model, or not finite.
+            NoSolutionError: the state is not near a solution of the equalities, or at a dead centre of a loop.
         """
         check_data(model, data)
-        own, qpos = standing(model, data), data.qpos.copy()
+        own = standing(model, data)
         named: dict[str, Any] = {"joints": tuple(joints), "tip": tip, "base": base, "limits": limits}
-        fields = read_view(own, qpos, **named)
-        return cls(
+        fields, held = read_view(own, data, **named)
+        arm = cls(
             name=name_of(model),
             source=Path("a compiled model"),
             spec=None,
             model=own,
             clearance=float(as_floats("clearance", clearance, ())),
-            qpos_home=qpos,
             state=state_of(own, data),
             named=named,
             made={name: fields[name].copy() for name in _LIMITS},
-            collision_model=rigid_groups(own, fields["space"]),
             **fields,
         )
+        return arm._in_groups() if held is None else arm.holding(held)
 
     def at(self, data: mujoco.MjData) -> Arm:
         """This view in another state of its model, with nothing in its hand; raises as `of`.
@@ -212,7 +227,13 @@ class Arm(SerialArm):
             InputError: the arm is no view, or there is no such body.
         """
         grasp = find_grasp(self.model, self._require_view(), self.frames[-1:], body, touching, self.clearance)
-        return replace(self, grasp=grasp, collision_model=rigid_groups(self.model, self.space, grasp.bodies))
+        return replace(self, grasp=grasp)._in_groups()
+
+    def _in_groups(self) -> Arm:
+        """This view with what it does not move against each other in groups."""
+        carried = () if self.grasp is None else self.grasp.bodies
+        geometry, left_out = rigid_groups(self.model, self.dofs, carried)
+        return replace(self, collision_model=geometry, left_out=left_out)
 
     def with_scene(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
         """This arm with the obstacles of a scene; itself for the scene ``"free"``.
@@ -318,6 +339,12 @@ class Arm(SerialArm):
             raise FileError(f"{state['source']}, or a file that it uses, has changed since the arm was loaded from it")
         vars(self).update(state, spec=loaded.spec)
 
+    @property
+    def dofs(self) -> NDArray[np.int_]:
+        """Addresses in qvel of all that the coordinates move, but for what is carried."""
+        more = () if self.dependents is None else dof_addresses(self.model, self.dependents.moved)
+        return np.union1d(self.space.rate_addresses, more).astype(int)
+
     def __deepcopy__(self, _: dict[int, Any]) -> Arm:
         return replace(self, spec=self.spec and self.spec.copy(), model=copy.deepcopy(self.model))
 
@@ -356,8 +383,16 @@ class Arm(SerialArm):
         return self._nearly_touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
 
     def near_contacts_along(self, q: Floats) -> Iterator[list[tuple[str, str]]]:
-        """`near_contacts` at each of the configurations ``(K, n)``, lazily; the conversion to qpos is done at once."""
-        return map(self._nearly_touching.bodies, self.qpos(q))
+        """`near_contacts` at each of the configurations ``(K, n)``, lazily; the conversion to qpos is done at once.
+
+        Where loops cannot be closed, two bodies of them count as near.
+        """
+        rows = self.qpos(q, strict=False)
+        if self.dependents is None or not np.isnan(rows).any():
+            return map(self._nearly_touching.bodies, rows)
+        joints = self.dependents.moved
+        torn = [tuple(self.model.body(self.model.jnt_bodyid[joint]).name for joint in (joints[0], joints[-1]))]
+        return (torn if np.isnan(row).any() else self._nearly_touching.bodies(row) for row in rows)
 
     @property
     def without_visuals(self) -> Arm:
@@ -384,13 +419,13 @@ class Arm(SerialArm):
 
     @property
     def geometry(self) -> mujoco.MjModel:
-        """The model for distances: in that of a view, what the arm does not move against each other is one body."""
+        """The model for distances: in that of a view, what the arm does not move is welded to the world."""
         return self.model if self.collision_model is None else self.collision_model
 
     @property
     def offsets(self) -> dict[tuple[int, int], float]:
         """Offsets of pairs of geoms that are not the model's own, as of `contacts.ContactOffsets`."""
-        return {} if self.grasp is None else self.grasp.offsets
+        return self.left_out if self.grasp is None else {**self.left_out, **self.grasp.offsets}
 
     def contact_finder(self, margin: float = 0.0) -> ContactFinder:
         """Finds geoms closer than a margin [m]; one for each thread."""
@@ -414,9 +449,36 @@ class Arm(SerialArm):
             return self.coordinates(self.qpos_home)
         return super().keyframe(name)
 
-    def qpos(self, q: ArrayLike) -> Floats:
-        """MuJoCo's generalised positions ``(..., nq)`` at joint coordinates ``(..., n)``, of what is carried too."""
+    def limit_excess(self, q: Floats) -> Floats:
+        """How far each coordinate ``(..., n)`` is outside its limits, and what else has a range (`stops`)."""
+        excess = super().limit_excess(q)
+        if self.stops is None:
+            return excess
+        return np.concatenate([excess, self.stops.excess(self.qpos(q, strict=False))], axis=-1)
+
+    def describe_excess(self, q: Floats, joint: int) -> str:
+        """The message for an entry of `limit_excess` at q ``(n,)`` that is positive."""
+        if self.stops is None or joint < self.n_joints:
+            return super().describe_excess(q, joint)
+        try:
+            return self.stops.describe(self.qpos(q), joint - self.n_joints)
+        except NoSolutionError as error:
+            return str(error)
+
+    def qpos(self, q: ArrayLike, *, strict: bool = True) -> Floats:
+        """MuJoCo's positions ``(..., nq)`` at joint coordinates ``(..., n)``, those of loops and what is carried too.
+
+        Args:
+            q: joint coordinates.
+            strict: whether coordinates at which loops cannot be closed raise; else their positions are NaN.
+
+        Raises:
+            InputError: q is malformed.
+            NoSolutionError: loops cannot be closed.
+        """
         positions, grasp = super().qpos(q), self.grasp
+        if self.dependents is not None:
+            positions = self.dependents.to_qpos(positions, strict=strict)
         if grasp is not None:
             held = self.link_poses(q).as_matrix()[..., -1, :, :] @ grasp.place.as_matrix()
             positions[..., grasp.qpos : grasp.qpos + 3] = held[..., :3, 3]
@@ -426,6 +488,12 @@ class Arm(SerialArm):
     def qvel(self, q: ArrayLike, qd: ArrayLike) -> Floats:
         """MuJoCo's velocities ``(..., nv)`` at coordinates and rates ``(..., n)``, of what is carried too."""
         velocities, grasp = super().qvel(q, qd), self.grasp
+        if self.dependents is not None:
+            rows = np.broadcast_to(as_floats("q", q, (), batched=True), (*velocities.shape[:-1], self.n_joints))
+            # Often many rates at each of a few configurations.
+            few, which = np.unique(rows.reshape(-1, self.n_joints), axis=0, return_inverse=True)
+            bases = self.dependents.basis(self.qpos(few))[which.reshape(rows.shape[:-1])]
+            velocities = np.matvec(bases, velocities[..., self.dependents.dofs])
         if grasp is not None:
             tip = self.link_poses(q).as_matrix()[..., -1, :, :]
             held = tip @ grasp.place.as_matrix()

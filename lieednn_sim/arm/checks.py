@@ -100,8 +100,6 @@ def check_independent(joint: CompoundJoint, size: int, link: str) -> None:
     frames, _ = joint.pose_and_slopes(np.random.default_rng(0).uniform(-1.0, 1.0, (configurations, size)))
     columns = np.swapaxes(joint.selection(joint.indices) @ frames[:, 1:].reshape(configurations, -1, 12), -1, -2)
     if least_singular_value(columns, dependent).max() < dependent:
-        if count == 1:
-            raise InputError(f"the joints of {link} follow each other such that it does not move; leave them out")
         raise InputError(
             f"{link} is moved by {count} coordinates that are not independent; name more links to separate them"
         )

@@ -26,6 +26,8 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.collision import Collisions, Pairs
 from lieednn_sim.arm.deviations import Group
+from lieednn_sim.arm.equalities import dof_addresses
+from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
 # Distance below which normals are lost in rounding, so that nothing is proved [m].
@@ -39,11 +41,16 @@ class ClearanceBounds:
         arm: the arm, in its scene.
         groups: all coordinates in groups with weights, as of `Retractor.groups`.
         margin: distance to keep [m].
+
+    Raises:
+        InputError: a geom that could touch another is moved by a closed loop or a curve (`Arm.dependents`), of which
+            nothing is proved.
     """
 
     def __init__(self, arm: Arm, groups: Sequence[Group], margin: float = 0.0) -> None:
         model, n = arm.model, arm.n_joints
         self._arm, self._collisions, self._margin = arm, Collisions(arm), margin
+        _check_provable(arm, self._collisions.pairs)
         self._data, self._identity = mujoco.MjData(model), np.eye(n)
         self._members = np.zeros((len(groups), n))
         for row, (indices, weights) in zip(self._members, groups, strict=True):
@@ -213,6 +220,22 @@ class ClearanceBounds:
         constant = np.stack([rests(steps[0]), rests(steps[1])])
         both = np.stack([rests(steps[0] + steps[2]), rests(steps[1] + steps[2])])
         return constant, both - constant - bent, bent
+
+
+def _check_provable(arm: Arm, pairs: Pairs) -> None:
+    """Raise `InputError` for pairs of geoms that joints bring together whose displacements have no bound."""
+    if arm.dependents is None:
+        return
+    model, straight = arm.model, {*arm.dependents.lines, *arm.dependents.sums}
+    curved = dof_addresses(model, [joint for joint in arm.dependents.moved if joint not in straight])
+    bodies = model.geom_bodyid[pairs]
+    moves = np.array([arm.moved_by(body)[curved] for body in range(model.nbody)])
+    for first, second in bodies[(moves[bodies[:, 0]] != moves[bodies[:, 1]]).any(axis=1)].tolist():
+        body = model.body(first if moves[first].any() else second).name
+        raise InputError(
+            f"no proof of clearance: body {body!r} is moved by a closed loop or a curve, and could touch others; there "
+            "are bounds for what the arm's joints move, or joints that follow them in a straight line"
+        )
 
 
 def _largest(free: Floats, slope: Floats, bent: Floats) -> Floats:

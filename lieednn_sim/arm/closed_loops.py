@@ -86,22 +86,15 @@ class ClosedLoops:
     def solve(self, rows: Floats) -> None:
         """Set the dependent joints of the rows ``(S, nq)``, in place; all other joints are given.
 
-        Raises:
-            NoSolutionError: a row has no solution, or none that is reached from the state.
+        A row that has no solution, or none that is reached from the state, becomes NaN.
         """
         last = self._reference
-        for number, row in enumerate(rows):
-            furthest, most = last, -1.0
-            for start in self._starts(last, row):
-                solution, reached = self._track(start, row)
-                if reached == 1.0:
-                    break
-                if reached > most:
-                    furthest, most = solution, reached
+        for row in rows:
+            solution, reached = self._reach(last, row)
+            if reached:
+                last, row[:] = solution, solution.qpos
             else:
-                raise self._failure(number, row, furthest)
-            last = solution
-            row[:] = solution.qpos
+                row[:] = np.nan
 
     def slopes(self, qpos: Floats, known: Floats) -> Floats:
         """Velocities ``(D, m)`` of the dependent dofs at the closed configuration ``(nq,)``: -J_d^+ J_i V.
@@ -141,6 +134,17 @@ class ClosedLoops:
                 f"{self._residuals.owners(large.any(axis=1))}; leave {np.linalg.matrix_rank(left, 1e-6)} of them out "
                 "of the independent joints, or deactivate the equality"
             )
+
+    def _reach(self, last: _Solution, row: Floats) -> tuple[_Solution, bool]:
+        """The solution at a row, or the last one on the way there; and whether it is there."""
+        furthest, most = last, -1.0
+        for start in self._starts(last, row):
+            solution, part = self._track(start, row)
+            if part > most:
+                furthest, most = solution, part
+            if part == 1.0:
+                break
+        return furthest, most == 1.0
 
     def _newton(self, qpos: Floats, moved: float) -> Floats | None:
         """Close the loops in place after a motion of size ``moved``; the Jacobian there, or None if it went too far.
@@ -251,7 +255,9 @@ class ClosedLoops:
                 "these can move in two ways; put a state into data.qpos that is away from it"
             )
 
-    def _failure(self, number: int, row: Floats, furthest: _Solution) -> NoSolutionError:
+    def failure(self, number: int, row: Floats) -> NoSolutionError:
+        """What to say of a row ``(nq,)``, by its number, that has no solution."""
+        furthest, _ = self._reach(self._reference, row)
         start = row.copy()
         dependent = np.setdiff1d(np.arange(self._model.nq), self._residuals.given)
         start[dependent] = furthest.qpos[dependent]

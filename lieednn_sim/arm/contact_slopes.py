@@ -50,8 +50,9 @@ class ContactSlopes(ContactFinder):
         """
         model, data, n = self._model, self._data, q.shape[1]
         counts, distances, rows = np.zeros(len(q), dtype=int), [np.zeros(0)], [np.zeros((0, model.nv))]
-        for k, qpos in enumerate(self._arm.qpos(q)):
-            if not self._found(qpos):
+        for k, qpos in enumerate(self._arm.qpos(q, strict=False)):
+            # Where loops cannot be closed, no place of a geom is known.
+            if np.isnan(qpos).any() or not self._found(qpos):
                 continue
             mujoco.mj_comPos(model, data)
             mujoco.mj_makeConstraint(model, data)

@@ -16,6 +16,8 @@ from lieednn_sim.values import Floats
 
 # A joint that follows another by qpos = ratio * (qpos of the leader) + shift: leader, ratio, shift [rad, m].
 Line = tuple[int, float, float]
+# One that follows several by the sum of ratio * (qpos of the leader), plus a shift: ratios by leader, shift.
+Sum = tuple[dict[int, float], float]
 
 
 @dataclass(frozen=True, eq=False)

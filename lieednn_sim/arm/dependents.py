@@ -10,6 +10,7 @@ import numpy as np
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import JOINT_KINDS
 from lieednn_sim.arm.closed_loops import ClosedLoops
+from lieednn_sim.arm.coordinates import Line, Sum
 from lieednn_sim.arm.equalities import dof_addresses, equality_name, involved_joints, names, position_addresses
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
@@ -49,6 +50,11 @@ class Dependents:
         independent: their ids, in the model's order.
         dofs: ``(m,)`` addresses in qvel of the independent rates, three for a ball.
         joints: ids of the dependent joints, in the model's order, free ones and those that equalities fix included.
+        moved: those of them that the independent joints move.
+        lines: of those that follow an independent joint in a straight line, that joint, ratio and shift; of joints in
+            loops, those that do so at random configurations, such as the bars of a scissor or a parallelogram.
+        sums: of joints in loops, those that follow several of them so, such as a wrist that bars keep level.
+        has_loops: whether there are closed loops, which may not be closed everywhere.
         linear: whether all dependent joints are affine functions of the independent ones.
         coupling: ``(nq, m)``, if linear: qpos = coupling q + offset, but for the quaternions of balls (rows of 0).
         offset: ``(nq,)``, if linear; the position in the state of the joints that are not the arm's.
@@ -68,7 +74,11 @@ class Dependents:
         self._followers, roots, remaining = _in_closed_form(model, [int(e) for e in active], self.independent)
         equalities, looped = _loops_of(model, remaining, roots)
         self.joints = tuple(sorted({follower.joint for follower in self._followers} | looped))
+        self.moved = tuple(joint for joint in self.joints if joint in looped or roots[joint] is not None)
+        self.lines, self.sums = _lines(self._followers, self.independent), dict[int, Sum]()
         self._loops: ClosedLoops | None = None
+        # The last rows that were asked for, and their solution: limits and contacts are tested one after another.
+        self._last = np.zeros((0, model.nq)), np.zeros((0, model.nq))
         qpos = np.array(data.qpos)
         if equalities:
             moving = {roots[joint] for e in equalities for joint in involved_joints(model, e) & roots.keys()} - {None}
@@ -76,6 +86,8 @@ class Dependents:
             self._loops = ClosedLoops(model, data, equalities, sorted(looped), drivers, self._follow)
             self._follow(qpos)
             self._loops.check_independent(self._closed_form_basis(qpos[None])[0], model.dof_jntid[self.dofs])
+            self._find_lines(qpos, sorted(looped))
+        self.has_loops = self._loops is not None
         self.linear = not equalities and all(len(follower.coefficients) <= 2 for follower in self._followers)
         self.coupling: Floats | None = None
         self.offset: Floats | None = None
@@ -83,11 +95,12 @@ class Dependents:
         if self.linear:
             self.coupling, self.offset, self.rates = self._affine(qpos)
 
-    def to_qpos(self, qpos: Floats) -> Floats:
+    def to_qpos(self, qpos: Floats, *, strict: bool = True) -> Floats:
         """Rows with the independent joints set to rows with the dependent joints solved; others stay as they are.
 
         Args:
             qpos: ``(..., nq)``; where there are loops, rows along a path take the least time.
+            strict: whether a row without a solution raises; else it is NaN.
 
         Raises:
             InputError: the shape is wrong.
@@ -95,8 +108,18 @@ class Dependents:
         """
         result = self._checked(qpos).copy()
         self._follow(result)
-        if self._loops is not None:
-            self._loops.solve(result.reshape(-1, self._model.nq))
+        if self._loops is None:
+            return result
+        rows = result.reshape(-1, self._model.nq)
+        if not np.array_equal(rows, self._last[0]):
+            asked = rows.copy()
+            self._loops.solve(rows)
+            self._last = asked, rows.copy()
+        rows[:] = self._last[1]
+        missing = np.isnan(rows).any(axis=1)
+        if strict and missing.any():
+            first = int(missing.argmax())
+            raise self._loops.failure(first, self._last[0][first])
         return result
 
     def basis(self, qpos: Floats) -> Floats:
@@ -127,19 +150,11 @@ class Dependents:
         Raises:
             InputError: a follower's range leaves no position.
         """
-        limits = np.tile([-np.inf, np.inf], (len(self.dofs), 1))
-        lines: dict[int, tuple[int, float, float]] = {j: (j, 1.0, 0.0) for j in self.independent}
-        for follower in self._followers:
-            joint, leader = follower.joint, follower.leader
-            if leader not in lines or len(follower.coefficients) != 2:
-                continue
-            constant, slope = follower.coefficients
-            root, ratio, shift = lines[leader]
-            ratio, shift = slope * ratio, constant + slope * (shift - follower.x0)
-            lines[joint] = root, ratio, shift
-            if self._model.jnt_limited[joint]:
-                low, high = np.sort((self._model.jnt_range[joint] - shift) / ratio)
-                k = int(np.searchsorted(self.dofs, self._model.jnt_dofadr[root]))
+        model, limits = self._model, np.tile([-np.inf, np.inf], (len(self.dofs), 1))
+        for joint, (leader, ratio, shift) in self.lines.items():
+            if model.jnt_limited[joint]:
+                low, high = np.sort((model.jnt_range[joint] - shift) / ratio)
+                k = int(np.searchsorted(self.dofs, model.jnt_dofadr[leader]))
                 limits[k] = max(limits[k, 0], low), min(limits[k, 1], high)
         empty = np.flatnonzero(limits[:, 0] > limits[:, 1])
         if len(empty):
@@ -148,6 +163,28 @@ class Dependents:
                 f"the ranges of the joints that follow {names(self._model, [joint])} exclude each other; widen them"
             )
         return limits
+
+    def _find_lines(self, state: Floats, joints: Sequence[int]) -> None:
+        """Add hinges and slides in loops to `lines` and `sums`, found at random configurations, so up to rounding."""
+        model, rows = self._model, np.tile(state, (12, 1))
+        scalars = [j for j in self.independent if len(dof_addresses(model, [j])) == 1]
+        spans = [model.jnt_range[j] if model.jnt_limited[j] else state[model.jnt_qposadr[j]] + [-1, 1] for j in scalars]
+        low, high = np.array(spans).reshape(-1, 2).T
+        rows[:, model.jnt_qposadr[scalars]] = np.random.default_rng(0).uniform(low, high, (len(rows), len(low)))
+        rows = self.to_qpos(rows, strict=False)
+        rows = rows[~np.isnan(rows).any(axis=1)]
+        for joint in [j for j in joints if len(dof_addresses(model, [j])) == 1 and len(rows) > len(scalars) + 1]:
+            y, x = rows[:, model.jnt_qposadr[joint]], rows[:, model.jnt_qposadr[scalars]]
+            design = np.column_stack([x, np.ones(len(x))])
+            # Exact where they are short numbers, such as 1 and 2, since turns are known to repeat then.
+            *ratios, shift = np.round(np.linalg.lstsq(design, y, rcond=None)[0], 12)
+            leads = {j: float(ratio) for j, ratio in zip(scalars, ratios, strict=True) if abs(ratio) > 1e-7}
+            if leads and np.abs(design @ [*ratios, shift] - y).max() < 1e-9:
+                if len(leads) == 1:
+                    (lead, ratio), *_ = leads.items()
+                    self.lines[joint] = lead, ratio, float(shift)
+                else:
+                    self.sums[joint] = leads, float(shift)
 
     def _checked(self, qpos: Floats) -> Floats:
         rows = np.asarray(qpos, dtype=float)
@@ -209,6 +246,16 @@ def _follower_of(model: mujoco.MjModel, equality: int) -> Follower:
     if leader < 0 or not slopes:
         return Follower(joint, None, (y0 + constant,), 0.0)
     return Follower(joint, leader, (y0 + constant, *slopes), float(model.qpos0[model.jnt_qposadr[leader]]))
+
+
+def _lines(followers: Sequence[Follower], independent: Sequence[int]) -> dict[int, Line]:
+    """The followers in a straight line of an independent joint, directly or through others."""
+    lines: dict[int, Line] = {joint: (joint, 1.0, 0.0) for joint in independent}
+    for follower in followers:
+        if follower.leader in lines and len(follower.coefficients) == 2:
+            (constant, slope), (root, ratio, shift) = follower.coefficients, lines[follower.leader]
+            lines[follower.joint] = root, slope * ratio, constant + slope * (shift - follower.x0)
+    return {joint: line for joint, line in lines.items() if joint not in independent}
 
 
 def _in_closed_form(

@@ -117,7 +117,7 @@ def involved_joints(model: mujoco.MjModel, equality: int) -> set[int]:
     if kind == int(mujoco.mjtEq.mjEQ_JOINT):
         return {joint for joint in ids if joint >= 0}
     if kind == int(mujoco.mjtEq.mjEQ_TENDON):
-        return set().union(*(_tendon_joints(model, tendon) for tendon in ids if tendon >= 0))
+        return set().union(*(tendon_joints(model, tendon) for tendon in ids if tendon >= 0))
     if kind in (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)):
         sites = model.eq_objtype[equality] == int(mujoco.mjtObj.mjOBJ_SITE)
         return _between(model, [int(model.site_bodyid[i]) if sites else i for i in ids])
@@ -170,7 +170,7 @@ def _between(model: mujoco.MjModel, bodies: Iterable[int]) -> set[int]:
     return set().union(*above) - shared
 
 
-def _tendon_joints(model: mujoco.MjModel, tendon: int) -> set[int]:
+def tendon_joints(model: mujoco.MjModel, tendon: int) -> set[int]:
     """Joints that change the length of a fixed or spatial tendon."""
     start = int(model.tendon_adr[tendon])
     bodies, joints = [], set()

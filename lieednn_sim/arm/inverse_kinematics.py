@@ -184,7 +184,7 @@ class _Search:
         place, turn = self._move(q)
         mujoco.mj_comPos(arm.model, data)
         linear, angular = self._tip.jacobian(arm.model, data, 0)
-        to_rates = arm.qvel(q, np.eye(arm.n_joints)).T
+        to_rates = arm.space.to_qvel(q, np.eye(arm.n_joints)).T
         linear, angular = linear @ to_rates, angular @ to_rates
         parts = [self._goal.slopes(turn, linear, angular)] if isinstance(self._goal, _Point) else []
         twist = np.vstack([angular, linear])
@@ -192,7 +192,8 @@ class _Search:
 
     def _move(self, q: Floats) -> tuple[Floats, Floats]:
         """Position ``(3,)`` and rotation ``(3, 3)`` of the end effector."""
-        self._data.qpos[:] = self._arm.qpos(q)
+        # Of the chain alone: other joints do not move the end effector.
+        self._data.qpos[:] = self._arm.space.to_qpos(q)
         mujoco.mj_kinematics(self._arm.model, self._data)
         places, turns = self._tip.poses(self._data.xpos, self._data.xmat)
         return places[0], turns[0]
@@ -233,7 +234,7 @@ class _Search:
         reach = f"the end effector cannot reach {where}{within}"
         if refused:
             return reach + refused
-        near = arm.limit_excess(closest) > -1e-4 * arm.ranges
+        near = arm.limit_excess(closest)[: arm.n_joints] > -1e-4 * arm.ranges
         names = dict.fromkeys(name for name, at in zip(arm.joint_names, near, strict=True) if at)
         at_limits = f", with {', '.join(map(repr, names))} at the limit" if names else ""
         distance, angle = goal.distance(arm.link_poses(closest)[-1])

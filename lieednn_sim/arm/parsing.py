@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,7 @@ from lieednn_sim.arm.checks import (
     joint_label,
     joints_of,
 )
-from lieednn_sim.arm.coordinates import Coordinates, Line, line_of, to_independent_leaders
+from lieednn_sim.arm.coordinates import Coordinates, Line, Sum, line_of, to_independent_leaders
 from lieednn_sim.arm.forces import force_ranges
 from lieednn_sim.arm.frames import BodyFrames, Frame, site_frame
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
@@ -55,6 +55,7 @@ def read_arm(
     *,
     rest: Floats | None = None,
     lines: Mapping[int, Line] | None = None,
+    sums: Mapping[int, Sum] | None = None,
     ranges: Mapping[int, Floats] | None = None,
 ) -> dict[str, Any]:
     """The fields of an `Arm` that its model determines.
@@ -64,7 +65,9 @@ def read_arm(
         arm: the arm's name, for messages.
         chain: frames and joints; by default those of the sites base_frame, link1_frame, ...
         rest: ``(nq,)`` where the other joints stay; by default at the keyframe ``home``.
-        lines: the couplings of the chain's joints; by default those of the model's equalities.
+        lines: the couplings of the chain's joints, and of others that follow them; by default the former, by the
+            model's equalities.
+        sums: joints of the chain, and others, that follow several joints of it.
         ranges: the range ``(2,)`` of each joint of the chain; by default the model's.
 
     Raises:
@@ -80,7 +83,7 @@ def read_arm(
             check_limited(model, arm, joint)
         ranges = {joint: model.jnt_range[joint] for joint in group}
     lines = _leaders(model, arm, group) if lines is None else lines
-    space = read_coordinates(model, chain, _rest(model) if rest is None else rest, lines)
+    space = read_coordinates(model, chain, _rest(model) if rest is None else rest, lines, sums or {})
     joints, base, mounts, tips = read_joints(model, arm, chain, space, ranges)
     unlimited = np.full(len(space), np.inf)
     return {
@@ -116,13 +119,15 @@ def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
     return Chain(tuple(site_frame(model, site) for site in sites), tuple(groups))
 
 
-def read_coordinates(model: mujoco.MjModel, chain: Chain, rest: Floats, leaders: Mapping[int, Line]) -> Coordinates:
-    """Coordinates of the chain's joints in qpos order; joints elsewhere stay at ``rest`` ``(nq,)``."""
-    joints = sorted(joint for group in chain.groups for joint in group)
+def read_coordinates(
+    model: mujoco.MjModel, chain: Chain, rest: Floats, leaders: Mapping[int, Line], sums: Mapping[int, Sum]
+) -> Coordinates:
+    """Coordinates of the chain's joints in qpos order; others than these and their followers stay at ``rest``."""
+    joints = sorted({joint for group in chain.groups for joint in group} | leaders.keys() | sums.keys())
     names: list[str] = []
     units: list[str] = []
     index: dict[int, NDArray[np.int_]] = {}
-    for joint in (joint for joint in joints if joint not in leaders):
+    for joint in (joint for joint in joints if joint not in leaders and joint not in sums):
         name, ball = model.joint(joint).name, joint_kind(model, joint) == "ball"
         index[joint] = len(names) + np.arange(3 if ball else 1)
         names += [f"{name}_{axis}" for axis in "xyz"] if ball else [name]
@@ -133,8 +138,10 @@ def read_coordinates(model: mujoco.MjModel, chain: Chain, rest: Floats, leaders:
             offset[_quaternion(model, joint)] = 0.0
             continue
         leader, ratio, shift = leaders.get(joint, (joint, 1.0, 0.0))
+        ratios, shift = sums.get(joint, ({leader: ratio}, shift))
         address = model.jnt_qposadr[joint]
-        coupling[address, index[leader]] = rates[model.jnt_dofadr[joint], index[leader]] = ratio
+        for leader, ratio in ratios.items():
+            coupling[address, index[leader]] = rates[model.jnt_dofadr[joint], index[leader]] = ratio
         offset[address] = shift
     scalars = [joint for joint in index if joint_kind(model, joint) != "ball"]
     balls = [joint for joint in index if joint_kind(model, joint) == "ball"]
@@ -172,7 +179,8 @@ def read_joints(
         orientation = _orientation(data, model.jnt_bodyid[group[0]])
         anchor = data.xanchor[(turning or group)[-1]]
         frame = scipy.spatial.transform.RigidTransform.from_components(anchor, orientation)
-        joints.append(CompoundJoint(tuple(_factor(model, data, joint, frame, coordinates) for joint in group)))
+        factors = itertools.chain.from_iterable(_factors(model, data, joint, frame, coordinates) for joint in group)
+        joints.append(CompoundJoint(tuple(factors)))
         mounts.append((parent.inv() * frame).as_matrix())
         tips.append((frame.inv() * child).as_matrix())
     for i, (compound, group) in enumerate(zip(joints, chain.groups, strict=True), start=1):
@@ -193,7 +201,7 @@ def read_joints(
 def read_position_limits(
     model: mujoco.MjModel, chain: Chain, coordinates: Coordinates, ranges: Mapping[int, Floats]
 ) -> Floats:
-    """Limits ``(n, 2)``: the strictest of the joints that a coordinate moves; for a ball joint, its largest angle."""
+    """Limits ``(n, 2)``: the strictest of the joints that it alone moves; for a ball joint, its largest angle."""
     limits = np.tile([-np.inf, np.inf], (len(coordinates), 1))
     for joint in (joint for group in chain.groups for joint in group):
         low, high = ranges[joint]
@@ -202,7 +210,9 @@ def read_position_limits(
             limits[coordinates.balls[row]] = [-high, high]
             continue
         address = model.jnt_qposadr[joint]
-        k = int(np.flatnonzero(coordinates.coupling[address])[0])
+        k, *others = np.flatnonzero(coordinates.coupling[address])
+        if others:
+            continue
         bounds = np.sort((np.array([low, high]) - coordinates.offset[address]) / coordinates.coupling[address, k])
         limits[k] = max(limits[k, 0], bounds[0]), min(limits[k, 1], bounds[1])
     return limits
@@ -255,19 +265,20 @@ def _leaders(model: mujoco.MjModel, arm: str, joints: list[int]) -> dict[int, Li
     return to_independent_leaders(direct, lambda joint: joint_label(model, arm, joint))
 
 
-def _factor(
+def _factors(
     model: mujoco.MjModel, data: mujoco.MjData, joint: int, frame: RigidTransform, coordinates: Coordinates
-) -> Factor:
+) -> Iterator[Factor]:
+    """A joint as factors: one for each coordinate that moves it, since motions about one axis commute."""
     inverse = frame.inv()
     anchor = inverse.apply(data.xanchor[joint])
     if joint_kind(model, joint) == "ball":
         row = int(np.flatnonzero(coordinates.ball_addresses[:, 0] == model.jnt_qposadr[joint])[0])
         axes = (inverse.rotation * _orientation(data, model.jnt_bodyid[joint])).as_matrix()
-        return Factor("ball", axes, anchor, coordinates.balls[row])
-    (index,) = np.flatnonzero(coordinates.coupling[model.jnt_qposadr[joint]])
-    ratio = float(coordinates.coupling[model.jnt_qposadr[joint], index])
-    axis = inverse.rotation.apply(data.xaxis[joint])
-    return Factor(joint_kind(model, joint), axis[:, None], anchor, np.array([index]), ratio)
+        yield Factor("ball", axes, anchor, coordinates.balls[row])
+        return
+    ratios, axis = coordinates.coupling[model.jnt_qposadr[joint]], inverse.rotation.apply(data.xaxis[joint])
+    for index in np.flatnonzero(ratios):
+        yield Factor(joint_kind(model, joint), axis[:, None], anchor, np.array([index]), float(ratios[index]))
 
 
 def _joints_between(model: mujoco.MjModel, ancestor: int, body: int, arm: str, link: int) -> list[int]:

@@ -155,7 +155,7 @@ class SerialArm:
         low, high = self.position_limits[joint]
         value, name = q[joint], self.joint_names[joint]
         if joint in self.space.balls:
-            value, low, name = high + self.limit_excess(q)[joint], 0.0, name[:-2]
+            value, low, name = high + SerialArm.limit_excess(self, q)[joint], 0.0, name[:-2]
         return f"joint {name!r} would be at {value:.4g} {self.unit(joint)}, its range is [{low:.4g}, {high:.4g}]"
 
     def unit(self, joint: int) -> str:

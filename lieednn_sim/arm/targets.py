@@ -115,7 +115,7 @@ def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: F
     weights = (high - low) ** 2
     tip = arm.frames[-1:]
     for _ in range(25):
-        data.qpos[:] = arm.qpos(q)
+        data.qpos[:] = arm.space.to_qpos(q)
         mujoco.mj_kinematics(arm.model, data)
         away = point - tip.poses(data.xpos, data.xmat)[0][0]
         # Any point near the drawn one will do.
@@ -124,7 +124,7 @@ def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: F
         mujoco.mj_comPos(arm.model, data)
         slope, _ = tip.jacobian(arm.model, data, 0)
         # Joints that would be pushed into their limits are left out, so that the others make up for them.
-        jacobian = slope @ arm.qvel(np.broadcast_to(q, (len(q), len(q))), np.eye(len(q))).T
+        jacobian = slope @ arm.space.to_qvel(np.broadcast_to(q, (len(q), len(q))), np.eye(len(q))).T
         pushed = jacobian.T @ away
         moving = weights * ~(((q <= low) & (pushed < 0.0)) | ((q >= high) & (pushed > 0.0)))
         gain = (jacobian * moving) @ jacobian.T + 1e-3 * np.eye(3)

@@ -104,7 +104,7 @@ def violations(rollout: Rollout) -> dict[str, Any]:
     Positions are in units of the joint's range, velocities and accelerations in units of their limits.
     """
     arm = rollout.arm
-    outside = arm.limit_excess(rollout.q)
+    outside = arm.limit_excess(rollout.q)[:, : arm.n_joints]
     velocity = np.abs(rollout.qd) / arm.velocity_limits - 1.0
     acceleration = np.abs(np.diff(rollout.qd, axis=0) / rollout.timestep) / arm.acceleration_limits - 1.0
     excesses = {

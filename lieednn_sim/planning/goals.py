@@ -114,5 +114,5 @@ def _followed(arm: Arm, goals: Sequence[Single], start: Floats, path_constraint:
             continue
         region = goal if isinstance(goal, TaskSpaceRegion) else TaskSpaceRegion(goal, np.zeros(6), np.zeros(6))
         q = followed(arm, start, region, path_constraint)
-        if q is not None and not arm.near_contacts(q):
+        if q is not None and arm.limit_excess(q).max() <= 0.0 and not arm.near_contacts(q):
             yield q

@@ -37,31 +37,46 @@ class ClearanceTest:
         self.tests = 0
 
     def __call__(self, q: Floats) -> bool:
-        """True when nothing is closer than the margin at ``q`` ``(n,)``."""
+        """True when nothing is closer than the margin at ``q`` ``(n,)``, and `Arm.stops` are kept."""
         return self.first_blocked(q[None]) is None
 
     def first_blocked(self, q: Floats) -> int | None:
-        """Index of the first of the positions ``(K, n)`` at which something is closer than the margin, or None."""
+        """Index of the first of the positions ``(K, n)`` at which something is closer than the margin, or None.
+
+        One beyond the arm's stops, or at which loops cannot be closed, counts as well.
+        """
         # Converted at once and unchecked: checking each configuration would cost as much as its collision pass.
-        for index, position in enumerate(self._arm.qpos(q)):
+        positions = self._arm.qpos(q, strict=False)
+        beyond = self._beyond(positions)
+        for index, position in enumerate(positions):
             self.tests += 1
-            if self._finder.any(position):
+            if (beyond is not None and beyond[index] > 0.0) or self._finder.any(position):
                 return index
         return None
+
+    def _beyond(self, positions: Floats) -> Floats | None:
+        """How far the arm's stops, if it has any, are exceeded at MuJoCo's positions ``(K, nq)``."""
+        return None if self._arm.stops is None else self._arm.stops.excess(positions).max(axis=1)
 
     def lack(self, q: Floats) -> Floats:
         """Missing clearance ``(K,)`` [m] at ``q`` ``(K, n)``: the sum over pairs of geoms of margin minus distance.
 
-        Only pairs closer than the margin count, so the sum is zero where a call returns True. It grows with the depth
+        Only pairs closer than the margin count, so the sum, with what `Arm.stops` are exceeded by, is zero where a call
+        returns True. It grows with the depth
         of a penetration up to half the thickness of a geom.
         """
-        total = np.zeros(len(q))
-        for index, position in enumerate(self._arm.qpos(q)):
+        positions = self._arm.qpos(q, strict=False)
+        # What is beyond a range of the arm's stops lacks as much; where loops cannot be closed, a metre.
+        beyond = self._beyond(positions)
+        total = np.zeros(len(q)) if beyond is None else np.clip(beyond, 0.0, 1.0)
+        for index, position in enumerate(positions):
             self.tests += 1
+            if np.isnan(position).any():
+                continue
             distance, geoms = self._finder.geoms(position)
             # Of several contact points of two geoms the deepest counts.
             lack = sorted(zip(map(tuple, geoms.tolist()), (self._margin - distance).tolist(), strict=True))
-            total[index] = sum(max(deepest, 0.0) for deepest in dict(lack).values())
+            total[index] += sum(max(deepest, 0.0) for deepest in dict(lack).values())
         return total
 
 

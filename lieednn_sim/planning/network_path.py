@@ -103,7 +103,11 @@ class NetworkPath:
         field = network.visible(network.vector_field(states))
         if units is None:
             weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
-            rates = np.linalg.norm(arm.decode(network.visible(states), field, begin).qd / weights, axis=-1)
+            qd = arm.decode(network.visible(states), field, begin).qd
+            # Where a link's joints are exactly singular, nothing bounds them.
+            if not (np.abs(qd) < 1e100).all():
+                raise PlanError("the joint positions nearest to the network's path jump; use another network")
+            rates = np.linalg.norm(qd / weights, axis=-1)
             rates = np.hypot(rates, pace * np.linalg.norm(network.visible(states - target), axis=(-2, -1)))
         else:
             rates = np.linalg.norm(field * units, axis=(-2, -1))

@@ -112,7 +112,8 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
         margin: distance that everything keeps from contact [m].
 
     Raises:
-        InputError: a value is malformed or negative, the plan has no network, or its motion is not the network's path.
+        InputError: a value is malformed or negative, the plan has no network, or its motion is not the network's path;
+            or closed loops move what could touch something (`ClearanceBounds`).
         NotCertifiedError: the network has no certificate, or nothing is proved about the growth of deviations.
         PlanError: the motion comes too close to contact for any tube.
     """

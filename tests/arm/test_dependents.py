@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arm.loops import PALLETISER, SCISSOR_LIFT
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mechanisms import CRANE, PALLETISER, SCISSOR, body, compiled, connect, four_bar, hinge, site, slide, tied
+from mechanisms import CRANE, body, compiled, connect, four_bar, hinge, site, slide, tied
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
@@ -16,7 +17,11 @@ from lieednn_sim.errors import InputError, NoSolutionError
 
 def make(bodies, equalities, independent, jacobian="dense", **state):
     """Model, state and dependents; ``state`` are positions of joints."""
-    model = compiled(bodies, equalities, jacobian)
+    return read(compiled(bodies, equalities, jacobian), independent, **state)
+
+
+def read(model, independent, **state):
+    """The same of a compiled model."""
     data = mujoco.MjData(model)
     for name, value in state.items():
         data.joint(name).qpos[:] = value
@@ -135,23 +140,33 @@ def test_what_is_too_short_or_at_a_dead_centre_is_said():
         make(*four_bar(0.3, 0.1, 0.3), "crank")
 
 
-def test_the_hand_of_a_palletiser_stays_level():
-    model, data, dependents = make(*PALLETISER, "turn shoulder elbow")
+def test_the_wrist_of_a_palletiser_stays_level():
+    compiled_model = mujoco.MjModel.from_xml_string(PALLETISER)
+    model, data, dependents = read(compiled_model, "turn lower upper flange")
     a, b = np.random.default_rng(1).uniform([-0.7, -0.4], [0.7, 0.4], (30, 2)).T
-    solved = check(model, data, dependents, rows_at(model, turn=b, shoulder=a, elbow=b))
-    for name, angle in {"bar1": a, "triangle": -a, "bar2": a + b, "hand": -a - b}.items():
+    solved = check(model, data, dependents, rows_at(model, turn=b, lower=a, upper=b, flange=a))
+    for name, angle in {
+        "level1": a,
+        "plate": -a,
+        "level2": a + b,
+        "crank": a + b,
+        "drive": -b,
+        "wrist": -a - b,
+    }.items():
         assert column(model, solved, name) == pytest.approx(angle, abs=1e-9)
-    with pytest.raises(InputError, match=r"'elbow'.* not determined by .* add 1 of these .*for example"):
-        make(*PALLETISER, "turn shoulder")
+    with pytest.raises(InputError, match=r"'upper'.* not determined by .* add 1 of these .*for example"):
+        read(compiled_model, "turn lower flange")
     with pytest.raises(InputError, match=r"cannot move independently.* because of .*; leave 1 of them"):
-        make(*PALLETISER, "turn shoulder elbow hand")
+        read(compiled_model, "turn lower upper wrist flange")
 
 
-def test_the_stage_of_a_scissor_lift_rises_by_pythagoras():
-    model, *more = make(*SCISSOR, "push", a=0.5, cross=-1, push=0.87, z=0.48, roll=0.87)
-    push = np.linspace(0.97, 0.2, 30)
-    solved = check(model, *more, rows_at(model, push=push))
-    assert column(model, solved, "z") == pytest.approx(np.sqrt(1 - push**2), abs=1e-9)
+def test_the_platform_of_a_scissor_lift_rises_by_pythagoras():
+    model, data, dependents = read(mujoco.MjModel.from_xml_string(SCISSOR_LIFT), "stroke")
+    solved = check(model, data, dependents, rows_at(model, stroke=np.linspace(-0.04, 0.14, 10)))
+    for data.qpos[:] in solved:
+        mujoco.mj_kinematics(model, data)
+        width = 0.8 + data.joint("foot").qpos[0]
+        assert data.body("platform").xpos[2] == pytest.approx(2.0 * np.sqrt(1.0 - width**2), abs=1e-9)
 
 
 def test_followers_in_closed_form_and_polynomials_backwards():

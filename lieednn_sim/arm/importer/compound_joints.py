@@ -9,6 +9,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.coupled_joints import Couplings
+from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
 _BALL, _SLIDE, _HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("BALL", "SLIDE", "HINGE"))
@@ -30,6 +31,9 @@ def cut(
         joints: joint ids from the base outwards.
         ranges: for each joint, its range ``(2,)``.
         couplings: joints that follow others.
+
+    Raises:
+        InputError: a joint moves nothing, because a follower undoes its motion.
     """
     units = _units(model, data, joints, ranges, couplings)
     groups: list[list[_Unit]] = []
@@ -59,31 +63,40 @@ def _units(
     anchors = data.xanchor[list(joints)]
     size = max(float(np.linalg.norm(anchors - anchors[0], axis=1).max()), 1e-2)
     runs: list[list[int]] = []
-    leader = [couplings.leader(joint) for joint in joints]
-    last = {lead: i for i, lead in enumerate(leader)}
+    last = {lead: i for i, joint in enumerate(joints) for lead in couplings.ratios(joint)}
     end, bodies = -1, model.jnt_bodyid
     for i, joint in enumerate(joints):
         if i > end:
             runs.append([])
         runs[-1].append(joint)
-        end = max(end, last[leader[i]], max(k for k, other in enumerate(joints) if bodies[other] == bodies[joint]))
+        same_body = max(k for k, other in enumerate(joints) if bodies[other] == bodies[joint])
+        end = max(end, same_body, *(last[lead] for lead in couplings.ratios(joint)))
     units = []
     for run in runs:
         kinds = {int(model.jnt_type[joint]) for joint in run}
         kind = {_SLIDE: "slide", _HINGE: "hinge", _BALL: "ball"}[kinds.pop()] if len(kinds) == 1 else "mixed"
-        turns, columns = 0.0, {couplings.leader(joint): np.zeros((6, 1)) for joint in run}
+        turns, columns = 0.0, {lead: np.zeros((6, 1)) for joint in run for lead in couplings.ratios(joint)}
         for joint in run:
-            axis, ratio = data.xaxis[joint], couplings.ratio(joint)
+            axis, ratios = data.xaxis[joint], couplings.ratios(joint)
             arm = (data.xanchor[joint] - anchors[0]) / size
             if model.jnt_type[joint] == _SLIDE:
-                columns[couplings.leader(joint)] += ratio * np.concatenate([np.zeros(3), axis])[:, None]
+                for lead, ratio in ratios.items():
+                    columns[lead] += ratio * np.concatenate([np.zeros(3), axis])[:, None]
                 continue
             reference = 0.0 if model.jnt_type[joint] == _BALL else model.qpos0[model.jnt_qposadr[joint]]
             turns += float(np.abs(ranges[joint] - reference).max())
             if model.jnt_type[joint] == _BALL:
                 columns[joint] = np.array([np.concatenate([e, np.cross(arm, e)]) for e in np.eye(3)]).T
-            else:
-                columns[couplings.leader(joint)] += ratio * np.concatenate([axis, np.cross(arm, axis)])[:, None]
+                continue
+            for lead, ratio in ratios.items():
+                columns[lead] += ratio * np.concatenate([axis, np.cross(arm, axis)])[:, None]
+        for lead, column in columns.items():
+            if np.linalg.norm(column) < 1e-9:
+                others = ", ".join(repr(model.joint(joint).name) for joint in run if joint != lead)
+                raise InputError(
+                    f"joint {model.joint(lead).name!r} moves nothing, since {others}, which follows it, undoes its "
+                    "motion; correct the equality, or leave both out of the arm"
+                )
         units.append(_Unit(tuple(run), kind, turns, np.hstack(list(columns.values()))))
     return units
 
@@ -92,10 +105,6 @@ def _fits(units: Sequence[_Unit]) -> bool:
     screws = np.hstack([unit.screws for unit in units])
     if screws.shape[1] > 6 or sum(unit.turn for unit in units) >= np.pi:
         return False
-    lengths = np.linalg.norm(screws, axis=0)
-    # Coupled joints may cancel each other, and move nothing.
-    if lengths.min() < 1e-9 * lengths.max(initial=1.0):
-        return False
-    sizes = np.linalg.svd(screws / lengths, compute_uv=False)
+    sizes = np.linalg.svd(screws / np.linalg.norm(screws, axis=0), compute_uv=False)
     singular = 1e-3  # least relative singular value at which the screws of a compound joint count as independent
     return bool(sizes[-1] > singular * sizes[0])

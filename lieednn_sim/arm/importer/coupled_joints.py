@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.coordinates import Line, line_of, to_independent_leaders
+from lieednn_sim.arm.coordinates import Line, Sum, line_of, to_independent_leaders
 from lieednn_sim.arm.forces import ON_JOINTS
 from lieednn_sim.errors import InputError
 
@@ -43,10 +43,12 @@ class Couplings:
     Attributes:
         lines: for each follower, its independent leader, ratio and shift.
         added: for each follower tied by a fixed tendon and by no equality yet, the tendon.
+        sums: of joints that follow several others, ratios by leader, and shift.
     """
 
     lines: dict[int, Line] = field(default_factory=dict)
     added: dict[int, int] = field(default_factory=dict)
+    sums: dict[int, Sum] = field(default_factory=dict)
 
     def leader(self, joint: int) -> int:
         """The independent joint that ``joint`` follows, or itself."""
@@ -55,6 +57,10 @@ class Couplings:
     def ratio(self, joint: int) -> float:
         """Displacement of ``joint`` per displacement of its leader."""
         return self.lines[joint][1] if joint in self.lines else 1.0
+
+    def ratios(self, joint: int) -> dict[int, float]:
+        """Displacements of ``joint`` per displacement of each independent joint that moves it."""
+        return self.sums[joint][0] if joint in self.sums else {self.leader(joint): self.ratio(joint)}
 
     def named(self, model: mujoco.MjModel) -> tuple[Coupling, ...]:
         """The couplings by names of joints and tendons."""
@@ -110,6 +116,11 @@ def find_couplings(model: mujoco.MjModel, joints: Sequence[int]) -> Couplings:
             raise InputError(f"joint {name!r} follows two joints; keep one of its equalities")
         direct[follower] = line
     couplings = Couplings(to_independent_leaders(direct, lambda joint: f"joint {model.joint(joint).name!r}"))
+    return along_tendons(model, joints, couplings)
+
+
+def along_tendons(model: mujoco.MjModel, joints: Sequence[int], couplings: Couplings) -> Couplings:
+    """Couplings, and those among some joints that driven tendons add to them (`find_couplings`)."""
     for tendon in dict.fromkeys(driven_tendons(model)):
         couplings = _along_tendon(model, joints, couplings, tendon)
     return couplings
@@ -158,4 +169,12 @@ def _along_tendon(model: mujoco.MjModel, joints: Sequence[int], couplings: Coupl
             if leader == joint:
                 lines[follower] = first, further * ratio, further * shift + constant
         lines[joint] = first, ratio, shift
-    return Couplings(lines, added)
+    sums: dict[int, Sum] = {}
+    for joint, (ratios, shift) in couplings.sums.items():
+        through: dict[int, float] = {}
+        for head, ratio in ratios.items():
+            leader, further, constant = lines.get(head, (head, 1.0, 0.0))
+            through[leader] = through.get(leader, 0.0) + ratio * further
+            shift += ratio * constant
+        sums[joint] = through, shift
+    return Couplings(lines, added, sums)

@@ -161,6 +161,7 @@ def joint_ranges(
     couplings: Couplings,
     notes: list[str],
     around: Floats | None = None,
+    within: Mapping[int, Floats] | None = None,
 ) -> dict[int, Floats]:
     """The range ``(2,)`` [rad, m] of each joint; new and narrowed ranges are added to ``notes``.
 
@@ -174,15 +175,18 @@ def joint_ranges(
         couplings: joints that follow others.
         notes: remarks for the report.
         around: positions ``(nq,)`` about which hinges without a range may make a turn in each direction.
+        within: ranges ``(2,)`` that bound some joints besides, of joints elsewhere that follow them.
 
     Raises:
         InputError: a slide has no range, or nothing is left of a range.
     """
     joints = [joint for group in groups for joint in group]
     spans = {joint: _span(model, joint, notes, around, alone=len(group) == 1) for group in groups for joint in group}
+    for joint, (low, high) in (within or {}).items():
+        spans[joint] = np.array([max(spans[joint][0], low), min(spans[joint][1], high)])
     for lead in dict.fromkeys(couplings.leader(joint) for joint in joints):
         members = [joint for joint in joints if couplings.leader(joint) == lead]
-        if members == [lead] and np.isfinite(spans[lead]).all():
+        if members == [lead] and (within is None or lead not in within) and np.isfinite(spans[lead]).all():
             continue
         low, high = -np.inf, np.inf
         for joint in members:

@@ -69,6 +69,15 @@ def joint_groups(model: mujoco.MjModel, frames: Sequence[Frame]) -> tuple[tuple[
     return tuple(groups)
 
 
+def chosen_joints(model: mujoco.MjModel, joints: Sequence[str]) -> list[int]:
+    """Ids of the named hinges, slides and ball joints; `InputError` where a name is unknown or comes twice."""
+    known = {model.joint(joint).name: joint for joint in range(model.njnt) if model.jnt_type[joint] != _FREE}
+    chosen = [known[as_choice("joint of the arm", name, known)] for name in joints]
+    if len(set(chosen)) < len(chosen):
+        raise InputError(f"joints must differ, got {listed(joints)}")
+    return chosen
+
+
 def named_chain(model: mujoco.MjModel, joints: Sequence[str], base: str | None) -> tuple[Frame, tuple[int, ...]]:
     """Base frame and joints of the chain that named joints form, from the base outwards, with the joints tied to them.
 
@@ -76,10 +85,7 @@ def named_chain(model: mujoco.MjModel, joints: Sequence[str], base: str | None) 
         InputError: a name is unknown, comes twice, or is a free joint's; the joints are not on one chain; or they are
             not beyond the base.
     """
-    known = {model.joint(joint).name: joint for joint in range(model.njnt) if model.jnt_type[joint] != _FREE}
-    chosen = [known[as_choice("joint of the arm", name, known)] for name in joints]
-    if len(set(chosen)) < len(chosen):
-        raise InputError(f"joints must differ, got {listed(joints)}")
+    chosen = chosen_joints(model, joints)
     tied, ties = set[int](), tied_joints(model)
     while more := {joint for pair in ties if tied.union(chosen).intersection(pair) for joint in pair} - {
         *tied,
@@ -87,23 +93,35 @@ def named_chain(model: mujoco.MjModel, joints: Sequence[str], base: str | None) 
     }:
         tied |= more
     paths = {joint: ancestry(model, int(model.jnt_bodyid[joint])) for joint in (*chosen, *tied)}
-    path = max((paths[joint] for joint in chosen), key=len)
-    for joint in chosen:
+    path = common_path(model, chosen)
+    # A telescope's last stages may follow the one that is named.
+    path = max((other for other in paths.values() if other[: len(path)] == path), key=len)
+    arm = {joint for joint, other in paths.items() if other == path[: len(other)]}
+    chain = tuple(joint for body in path for joint in joints_of(model, body) if joint in arm)
+    return chain_base(model, path, chain, base), chain
+
+
+def common_path(model: mujoco.MjModel, joints: Sequence[int]) -> list[int]:
+    """The bodies from the world to the one that all of some joints move; `InputError` where they are on branches."""
+    paths = {joint: ancestry(model, int(model.jnt_bodyid[joint])) for joint in joints}
+    path = max(paths.values(), key=len)
+    for joint in joints:
         if paths[joint] != path[: len(paths[joint])]:
             raise InputError(
                 f"joint {model.joint(joint).name!r} is not on the way to body {model.body(path[-1]).name!r}: an arm is "
                 "one chain; leave out the joints of its hand"
             )
-    # A telescope's last stages may follow the one that is named.
-    path = max((other for other in paths.values() if other[: len(path)] == path), key=len)
-    arm = {joint for joint, other in paths.items() if other == path[: len(other)]}
-    chain = tuple(joint for body in path for joint in joints_of(model, body) if joint in arm)
+    return path
+
+
+def chain_base(model: mujoco.MjModel, path: Sequence[int], chain: Sequence[int], base: str | None) -> Frame:
+    """The frame of the base that is named, or that a chain's first joint moves its body against."""
     if base is None:
-        return body_frame(model, int(model.body_parentid[model.jnt_bodyid[chain[0]]])), chain
+        return body_frame(model, int(model.body_parentid[model.jnt_bodyid[chain[0]]]))
     start = find_frame(model, base)
     if start.body not in path or path.index(start.body) >= path.index(int(model.jnt_bodyid[chain[0]])):
         raise InputError(f"joint {model.joint(chain[0]).name!r} does not move against the base {base!r}")
-    return start, chain
+    return start
 
 
 def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:

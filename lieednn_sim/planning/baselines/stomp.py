@@ -143,6 +143,11 @@ class StompSearch:
         self.path = self.straight
         self.cost = self.costs(self.path)
 
+    def _beyond(self, q: Floats) -> Floats:
+        """How far coordinates ``(K, n)`` are beyond their own limits; what else has a range, `ClearanceTest` counts."""
+        excess = self.problem.arm.limit_excess(q)[:, : len(self._weights)]
+        return np.asarray(np.maximum(excess, 0.0) @ self._weights)
+
     def noise(self, count: int) -> Floats:
         """``count`` samples ``(count, N, n)`` of N(0, R^-1) for each joint, over the largest standard deviation."""
         n, joints = self.straight.shape
@@ -162,7 +167,7 @@ class StompSearch:
         for begin in range(0, len(configurations), _TESTS_PER_CHECK):
             check_time()
             part = slice(begin, begin + _TESTS_PER_CHECK)
-            beyond = np.maximum(self.problem.arm.limit_excess(configurations[part]), 0.0) @ self._weights
+            beyond = self._beyond(configurations[part])
             lack[part] = self._clear.lack(configurations[part]) + beyond
         worst = np.maximum.reduceat(lack, first)
         return np.maximum(worst[:-1], worst[1:])

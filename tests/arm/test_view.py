@@ -1,0 +1,201 @@
+"""Views of compiled models against MuJoCo: poses, places of dependent joints, limits, contacts, slopes, messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm.loops import PALLETISER, SCISSOR_LIFT
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mechanisms import TOOL, body, compiled, connect, hinge, random_world, site, slide, tied, with_cylinder
+
+import lieednn_sim as ls
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.clearance_bounds import ClearanceBounds
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.contact_slopes import ContactSlopes
+from lieednn_sim.errors import InputError, NoSolutionError
+
+CRANE = str(Path(__file__).parents[2] / "assets/mjcf/telescopic_crane/scene.xml")
+CURVED = body("a", hinge("x"), body("b", hinge("y")))
+EQUALITY, JOINT, TENDON = (
+    int(getattr(mujoco.mjtConstraint, f"mjCNSTR_{kind}")) for kind in ("EQUALITY", "LIMIT_JOINT", "LIMIT_TENDON")
+)
+
+
+def pushing(arm, model, data):
+    """Pairs of bodies that push each other in MuJoCo, of those that the arm moves against each other."""
+    contact = data.contact
+    pairs = {tuple(map(int, model.geom_bodyid[geoms])) for geoms in contact.geom[contact.exclude == 0]}
+    moves = {body: arm.moved_by(body)[arm.dofs].tolist() for pair in pairs for body in pair}
+    return {frozenset(model.body(b).name for b in pair) for pair in pairs if moves[pair[0]] != moves[pair[1]]}
+
+
+def compare(arm, model, data, q):
+    """Everything at a configuration, against MuJoCo's own answers."""
+    data.qpos[:] = arm.qpos(q)
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.efc_pos[data.efc_type == EQUALITY]).max(initial=0.0) < 1e-9
+    assert arm.coordinates(data.qpos) == pytest.approx(q, abs=1e-9)
+    (place, turn), pose = arm.frames.poses(data.xpos, data.xmat), arm.link_poses(q)
+    assert pose.translation == pytest.approx(place, abs=1e-9)
+    assert pose.rotation.as_matrix() == pytest.approx(turn, abs=1e-9)
+    moved = set(model.dof_jntid[arm.dofs])
+    ids = zip(data.efc_type, data.efc_id, data.efc_pos, strict=True)
+    beyond = [-pos for kind, i, pos in ids if kind == TENDON or (kind == JOINT and i in moved)]
+    if abs(max(beyond, default=1.0)) > 2e-6:
+        assert (arm.limit_excess(q).max() > 0.0) == bool(beyond)
+    assert {frozenset(pair) for pair in arm.contacts(q)} == pushing(arm, model, data)
+
+
+def check_slopes(arm, q):
+    """Velocities and derivatives of distances by finite differences."""
+    qd, step = np.random.default_rng(0).normal(size=arm.n_joints), 1e-6
+    ends, motion = arm.qpos(q + step * np.array([[-1.0], [1.0]]) * qd), np.empty(arm.model.nv)
+    mujoco.mj_differentiatePos(arm.model, motion, 2.0 * step, *ends)
+    assert arm.qvel(q, qd) == pytest.approx(motion, abs=1e-5 * max(1.0, np.abs(motion).max()))
+    collisions = Collisions(arm)
+    near = collisions.distances(q, 0.3)
+    there = [collisions.distances(q + side * step * qd, 0.4) for side in (-1.0, 1.0)]
+    low, high = ({tuple(p): d for p, d in zip(each.pairs, each.distance, strict=True)} for each in there)
+    for pair, slope, distance in zip(near.pairs, near.jacobian, near.distance, strict=True):
+        offset = float(collisions.offsets(pair[None])[0])
+        if distance + offset > 1e-4:  # MuJoCo's directions of separation in penetration are not always the shortest
+            assert slope @ qd == pytest.approx((high[*pair] - low[*pair]) / (2 * step), abs=1e-4)
+    slopes = ContactSlopes(arm, 0.05, own=True)
+    index, distance, rates = slopes.along(q + step * np.array([[-1.0], [0.0], [1.0]]) * qd)
+    if len(set(np.bincount(index, minlength=3))) == 1 and distance.min(initial=1.0) > 1e-3:
+        sums = np.bincount(index, distance, 3)
+        assert rates[index == 1].sum(axis=0) @ qd == pytest.approx((sums[2] - sums[0]) / (2 * step), abs=1e-3)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=60)
+def test_random_trees_are_as_mujoco_says(seed):
+    rng = np.random.default_rng(seed)
+    xml = random_world(rng)
+    model, data = made(with_cylinder(xml, rng) if rng.random() < 0.3 else xml, base=0.1)
+    arm = ls.Arm.of(model, data, [name for name in ("j0", "j1", "j2", "j3") if f'name="{name}"' in xml])
+    assert (arm.dependents is None) == (model.nsite == 0 and not model.eq_data[:, 2:5].any())
+    low, high = arm.position_limits.T
+    for q in rng.uniform(low - 0.1 * arm.ranges, high + 0.1 * arm.ranges, (8, arm.n_joints)):
+        q[arm.space.balls] *= 0.4  # a turn of less than pi
+        compare(arm, model, data, q)
+    check_slopes(arm, rng.uniform(low, high))
+    if arm.dependents is None:
+        bounds = ClearanceBounds(arm, [(np.array([k]), np.ones(1)) for k in range(arm.n_joints)])
+        q, spread, none = rng.uniform(low, high), rng.uniform(0.2, 1.0, arm.n_joints), np.zeros((2, arm.n_joints))
+        scale = bounds(q, none[0], none, spread, 0.8)[0]
+        corners = q + scale * spread * rng.choice([-1.0, 1.0], (10 * (scale > 0.0), arm.n_joints))
+        assert Collisions(arm).least_clearance(corners) > -1e-9
+
+
+@pytest.mark.parametrize(("height", "contact"), [(0.119, True), (0.121, False), (0.139, False)])
+def test_in_a_gap_there_is_no_force(height, contact):
+    arm = '<body><joint name="z" type="slide" axis="0 0 1" range="0 1"/><geom size=".1" margin=".02" gap=".02"/></body>'
+    model, data = made(f'<mujoco><worldbody><geom type="plane" size="1 1 1"/>{arm}</worldbody></mujoco>', z=height)
+    view = ls.Arm.of(model, data, ["z"])
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 1
+    assert bool(view.contacts([height])) == contact == bool(data.efc_force[: data.nefc].any())
+
+
+def made(model, **state):
+    if isinstance(model, str):
+        read = mujoco.MjModel.from_xml_path if model.endswith(".xml") else mujoco.MjModel.from_xml_string
+        model = read(model)
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    for name, value in state.items():
+        data.joint(name).qpos = value
+    return model, data
+
+
+@pytest.mark.parametrize(
+    ("xml", "joints", "tip", "moved"),
+    [
+        (CRANE, ["slew", "luff", "extend"], "end_effector", 6),
+        (PALLETISER, ["turn", "lower", "upper", "flange"], "tool", 10),
+        (SCISSOR_LIFT, ["rise1"], "platform", 9),
+    ],
+)
+def test_loops_are_closed_and_their_ranges_kept(xml, joints, tip, moved):
+    model, data = made(xml)
+    arm = ls.Arm.of(model, data, joints, tip=tip)
+    assert (len(arm.dofs), arm.dependents is None) == (moved, xml == PALLETISER)
+    (low, high), rng = arm.position_limits.T, np.random.default_rng(0)
+    for q in rng.uniform(low - 0.05 * arm.ranges, high + 0.05 * arm.ranges, (20, arm.n_joints)):
+        if arm.limit_excess(q).max() < np.inf:
+            compare(arm, model, data, q)
+    check_slopes(arm, rng.uniform(low, high))
+
+
+def test_a_crane_plans_around_what_is_in_the_way_of_its_cylinder():
+    model, data = made(CRANE)
+    joints = ["slew", "luff", "extend"]
+    arm = ls.Arm.of(model, data, joints, tip="end_effector")
+    q = np.array([0.0, 0.05, 0.5])
+    data.qpos[:] = arm.qpos(q)
+    mujoco.mj_kinematics(model, data)
+    beside = 0.3 * data.site("barrel_eye").xpos + 0.7 * data.site("rod_eye").xpos + [0.0, 0.3, 0.0]
+    spec = mujoco.MjSpec.from_file(CRANE)
+    spec.worldbody.add_geom(name="post", pos=beside, size=[0.27, 0, 0])
+    model, data = made(spec.compile())
+    arm = ls.Arm.of(model, data, joints, tip="end_effector")
+    assert ("world", "rod") in arm.near_contacts(q)
+    check_slopes(arm, q - [0.05, 0.0, 0.0])
+    with pytest.raises(InputError, match=r"no proof of clearance: body '(rod|barrel)' is moved by a closed loop"):
+        ClearanceBounds(arm, arm.retractor.groups)
+    data.qpos[:] = arm.qpos(np.array([0.0, 0.05, 0.5]))
+    found = ls.plan(arm, [-0.7, 0.1, 1.0], duration=6, max_time_scale=5)
+    for data.qpos[:] in found.qpos[::50]:
+        mujoco.mj_forward(model, data)
+        assert np.abs(data.efc_pos[data.efc_type == EQUALITY]).max() < 1e-9
+        assert not pushing(arm, model, data)
+
+
+def test_where_a_loop_cannot_close_nothing_is_free():
+    bodies = body("crank", hinge("crank"), body("strut", hinge("strut"), site("tip", ".5 0 0"), ".3 0 0"))
+    bodies += body("piston", slide("push", more='range=".4 1" limited="true"'), site("pin", "0 0 0"))
+    arm = ls.Arm.of(*made(compiled(bodies, connect("tip", "pin")), crank=1, strut=-2, push=0.6), ["push"])
+    assert np.isnan(arm.qpos(np.array([[0.9], [0.5]]), strict=False)).any(axis=1).tolist() == [True, False]
+    assert arm.limit_excess(np.array([0.9])).max() == np.inf
+    assert list(arm.near_contacts_along(np.array([[0.5], [0.9]])))[1] == [("crank", "strut")]
+    with pytest.raises(InputError, match=r"target is out of reach: no solution .* stays open by 0\.1"):
+        ls.plan(arm, [0.9], start=[0.6], planner="minimum-jerk")
+    with pytest.raises(NoSolutionError, match=r"'push' = 0\.9"):
+        arm.qpos([0.9])
+
+
+def test_a_welded_tool_is_held_and_one_that_is_not_lies_in_the_way():
+    model, data = made(TOOL)
+    arm = ls.Arm.of(model, data, ["turn", "out"], tip="tip")
+    assert (arm.dependents, arm.grasp is None) == (None, False)
+    q = np.random.default_rng(0).uniform(*arm.position_limits.T, (20, 2))
+    for each in q:
+        data.qpos[:] = arm.qpos(each)
+        mujoco.mj_forward(model, data)
+        assert np.abs(data.efc_pos[data.efc_type == EQUALITY]).max() < 1e-9
+        names = {frozenset(pair) for pair in arm.contacts(each)}
+        assert names == pushing(arm, model, data) - {frozenset(["hand", "tool"])}
+    assert any("tool" in pair for pairs in map(arm.contacts, q) for pair in pairs)
+    check_slopes(arm, np.array([0.2, 0.1]))
+    data = mujoco.MjData(model)
+    data.eq_active[0] = 0
+    assert ls.Arm.of(model, data, ["turn", "out"]).contacts([0.0, 0.0]) == [("hand", "tool")]
+
+
+@pytest.mark.parametrize(
+    ("xml", "joints", "tip", "message"),
+    [
+        (CRANE, ["slew", "stroke"], "end_effector", "'stroke' is not on the way to .* moves 'luff' there, so name"),
+        (CRANE, ["luff", "stroke"], "end_effector", "'luff', 'stroke' cannot move .* equality 'cylinder'"),
+        (compiled(CURVED, tied("y", "x", "0 1 2 0 0")), ["x"], "b", "'y', on the way .* by 'x' through .* a curve"),
+    ],
+)
+def test_joints_that_are_no_arm_are_named(xml, joints, tip, message):
+    with pytest.raises(InputError, match=message):
+        ls.Arm.of(*made(xml), joints, tip=tip)
