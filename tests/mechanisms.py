@@ -108,7 +108,7 @@ def with_cylinder(xml: str, rng: np.random.Generator) -> mujoco.MjModel:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     link = f"bj{rng.integers(3)}"
-    foot, eye = rng.uniform(-0.3, 0.3, 3) + [0.0, 0.0, -0.5], rng.uniform(-0.1, 0.1, 3)
+    foot, eye = rng.uniform([-0.3, -0.3, -0.8], [0.3, 0.3, -0.2]), rng.uniform(-0.1, 0.1, 3)
     way = data.body(link).xpos + eye - data.body("bbase").xpos - foot
     length = float(np.linalg.norm(way))
     across = np.cross(way, rng.normal(size=3))
