@@ -54,6 +54,7 @@ class Arm(SerialArm):
         named: of a view, the arguments joints, tip, base and limits of `of`.
         made: of a view, the limits that it was made with, by name.
         collision_model: of a view, `geometry`.
+        left_out: of a view, offsets of pairs of geoms that do not count there (`rigid_groups`).
         grasp: what it carries (`holding`).
     """
 
@@ -67,6 +68,7 @@ class Arm(SerialArm):
     named: Mapping[str, Any] = field(default_factory=dict)
     made: Mapping[str, Floats] = field(default_factory=dict)
     collision_model: mujoco.MjModel | None = None
+    left_out: dict[tuple[int, int], float] = field(default_factory=dict)
     grasp: Grasp | None = None
 
     @classmethod
@@ -176,9 +178,8 @@ class Arm(SerialArm):
             state=state_of(own, data),
             named=named,
             made={name: fields[name].copy() for name in _LIMITS},
-            collision_model=rigid_groups(own, fields["space"]),
             **fields,
-        )
+        )._in_groups()
 
     def at(self, data: mujoco.MjData) -> Arm:
         """This view in another state of its model, with nothing in its hand; raises as `of`.
@@ -212,7 +213,13 @@ class Arm(SerialArm):
             InputError: the arm is no view, or there is no such body.
         """
         grasp = find_grasp(self.model, self._require_view(), self.frames[-1:], body, touching, self.clearance)
-        return replace(self, grasp=grasp, collision_model=rigid_groups(self.model, self.space, grasp.bodies))
+        return replace(self, grasp=grasp)._in_groups()
+
+    def _in_groups(self) -> Arm:
+        """This view with what it does not move against each other in groups."""
+        carried = () if self.grasp is None else self.grasp.bodies
+        geometry, left_out = rigid_groups(self.model, self.space.rate_addresses, carried)
+        return replace(self, collision_model=geometry, left_out=left_out)
 
     def with_scene(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
         """This arm with the obstacles of a scene; itself for the scene ``"free"``.
@@ -390,7 +397,7 @@ class Arm(SerialArm):
     @property
     def offsets(self) -> dict[tuple[int, int], float]:
         """Offsets of pairs of geoms that are not the model's own, as of `contacts.ContactOffsets`."""
-        return {} if self.grasp is None else self.grasp.offsets
+        return self.left_out if self.grasp is None else {**self.left_out, **self.grasp.offsets}
 
     def contact_finder(self, margin: float = 0.0) -> ContactFinder:
         """Finds geoms closer than a margin [m]; one for each thread."""

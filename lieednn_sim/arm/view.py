@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import ancestry, check_numbers
+from lieednn_sim.arm.contacts import colliding_geoms
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.forces import resting_load
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame
@@ -140,27 +143,47 @@ def _length_scale(fields: Mapping[str, Any]) -> float:
     return float(f"{largest:.2g}") if largest > 1.0 else 1.0
 
 
-def rigid_groups(model: mujoco.MjModel, space: Coordinates, carried: Sequence[int] = ()) -> mujoco.MjModel:
-    """A copy of a model for distances, in which what the arm does not move against each other is welded together.
+def rigid_groups(
+    model: mujoco.MjModel, dofs: NDArray[np.int_], carried: Sequence[int] = ()
+) -> tuple[mujoco.MjModel, dict[tuple[int, int], float]]:
+    """A copy of a model for distances, and pairs of geoms that do not count in it.
 
-    MuJoCo's collision filter leaves out geoms of bodies that are welded together, and counts those welded to the world
-    as fixed. It knows them by ``body_weldid`` alone, which kinematics do not use.
+    What the arm does not move is fixed in the copy: welded to the world, by ``body_weldid``, which MuJoCo's collision
+    filter uses and kinematics do not. Pairs that move together, such as the fingers of a hand, do not count, nor those
+    that the filter leaves out in the model: a link and its parent, even if that is fixed now.
 
     Args:
         model: the model.
-        space: the arm's coordinates.
+        dofs: those that the arm moves.
         carried: ids of a body with a free joint that is carried, and of those that hang from it.
+
+    Returns:
+        The copy, and the offset -inf (`contacts.ContactOffsets`) of the pairs.
     """
-    moving = np.zeros(model.nv, dtype=bool)
-    moving[space.rate_addresses] = True
-    result = copy.deepcopy(model)
-    weld = result.body_weldid
+    moving, group = np.zeros(model.nv, dtype=bool), np.arange(model.nbody)
+    moving[dofs] = True
+    # Parents come before their children.
+    for body, parent in enumerate(model.body_parentid):
+        first = int(model.body_dofadr[body])
+        if not moving[first : first + int(model.body_dofnum[body])].any():
+            group[body] = group[parent]
+    group[list(carried)] = carried[0] if len(carried) else 0
+    result, weld = copy.deepcopy(model), model.body_weldid
     # Mocap bodies stand still, and can be moved as other bodies without joints are.
     result.body_mocapid[:] = -1
-    # Parents come before their children.
-    for body in range(1, model.nbody):
-        first, parent = int(model.body_dofadr[body]), int(model.body_parentid[body])
-        if not moving[first : first + int(model.body_dofnum[body])].any():
-            weld[body] = weld[parent]
-    weld[list(carried)] = carried[0] if len(carried) else 0
-    return result
+    result.body_weldid[:] = np.where(group == 0, 0, weld)
+    result.body_weldid[list(carried)] = carried[0] if len(carried) else 0
+    bodies, solid = model.geom_bodyid, colliding_geoms(model)
+    explicit = {*zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
+    left_out: dict[tuple[int, int], float] = {}
+    for body in np.unique(group[group > 0]).tolist():
+        parts = np.flatnonzero(solid & (group[bodies] == body)).tolist()
+        left_out |= {(a, b): -np.inf for a, b in combinations(parts, 2) if weld[bodies[a]] != weld[bodies[b]]}
+    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
+        return result, left_out
+    for root in np.unique(weld[(group > 0)]).tolist():
+        above = weld[model.body_parentid[root]]
+        if above and group[above] == 0:
+            mine, parents = (np.flatnonzero(solid & (weld[bodies] == part)).tolist() for part in (root, above))
+            left_out |= {pair: -np.inf for pair in product(mine, parents) if not explicit & {pair, pair[::-1]}}
+    return result, left_out
