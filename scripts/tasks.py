@@ -25,6 +25,7 @@ from task_shelf import Shelf
 import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.rendering import opengl
 from lieednn_sim.studies.markdown import table
 
 TASKS: dict[str, type[Task]] = {
@@ -69,7 +70,8 @@ def write_film(path: Path, done: Outcome, frames: int = 60, size: tuple[int, int
     whole, pictures = sum(t[-1] for _, t, _, _ in done.shots), []
     for model, t, qpos, riding in done.shots:
         data = mujoco.MjData(model)
-        with mujoco.Renderer(model, size[1], size[0]) as renderer:
+        opengl.require()
+    with mujoco.Renderer(model, size[1], size[0]) as renderer:
             for row in np.linspace(0, len(t) - 1, max(2, round(frames * t[-1] / whole))).astype(int):
                 data.qpos[:] = qpos[row]
                 mujoco.mj_forward(model, data)
