@@ -69,16 +69,6 @@ def test_the_fastest_run_is_kept_and_simulated(tmp_path, planner):
     assert RunDirectory(directory).load_rollout(task, arm).t[-1] == pytest.approx(motion.t[-1])
 
 
-def test_what_was_made_from_each_other_is_read_back(tmp_path, made):
-    run, task = save(tmp_path, made)
-    assert run.load_task()[0] == task
-    arm = made[3].arm
-    assert (LieEDNN.load(run.network), run.load_motion(task)) == made[1:3]
-    rollout = run.load_rollout(task, arm)
-    np.testing.assert_array_equal(rollout.q, made[3].q)
-    assert rollout.motion == made[2]
-
-
 def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsys, monkeypatch):
     """From a planner, by the command line."""
 
