@@ -54,19 +54,22 @@ def names(directory):
     return {path.name for path in directory.iterdir()}
 
 
-@pytest.mark.parametrize("planner", ["minimum-jerk", "lieednn-certified"])
-def test_the_fastest_run_is_kept_and_simulated(tmp_path, planner):
+def test_the_fastest_run_is_kept_and_simulated_and_the_network_of_an_earlier_one_is_gone(tmp_path, capsys):
     """A certified network draws its motion by itself in a duration that was asked for, but not in the least one."""
     pytest.importorskip("toppra")
-    directory, words = str(tmp_path), ["--target", "extended", "--planner", planner, "--fastest"]
-    assert main(["plan", *words, "--duration", "0.5", "--output", directory]) == 0  # which is too short
-    assert main(["plan", *words, "--output", directory]) == 0
-    task, arm = RunDirectory(directory).load_task()
-    motion = RunDirectory(directory).load_motion(task)
-    assert motion.t[-1] < 0.8 * task.duration
-    np.testing.assert_allclose(motion.q[-1], arm.keyframe("extended"), atol=1e-6)
-    assert main(["simulate", directory, "--hold", "0"]) == 0
-    assert RunDirectory(directory).load_rollout(task, arm).t[-1] == pytest.approx(motion.t[-1])
+    run = RunDirectory(tmp_path)
+    for planner in ("lieednn-certified", "minimum-jerk"):
+        words = ["--target", "extended", "--planner", planner, "--fastest", "--output", str(tmp_path)]
+        assert main(["plan", *words, "--duration", "0.5"]) == 0  # which is too short
+        assert main(["plan", *words]) == 0
+        assert f"planner: {planner} (asked for), at most 60 s of CPU time" in capsys.readouterr().out
+        task, arm = run.load_task()
+        motion = run.load_motion(task)
+        assert run.network.exists() == (planner != "minimum-jerk")
+        assert motion.t[-1] < 0.8 * task.duration
+        np.testing.assert_allclose(motion.q[-1], arm.keyframe("extended"), atol=1e-6)
+        assert main(["simulate", str(tmp_path), "--hold", "0"]) == 0
+        assert run.load_rollout(task, arm).t[-1] == pytest.approx(motion.t[-1])
 
 
 def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsys, monkeypatch):
