@@ -28,7 +28,6 @@ CHANGES = Disturbances(
         ("telescopic_pr", "position-servo"),
         ("telescopic_compound", "inverse-dynamics"),
         ("telescopic_compound", "mocap"),
-        ("telescopic_rrp", "mocap"),
     ],
 )
 def test_all_at_once_is_step_by_step(name, controller, travel, monkeypatch):
