@@ -67,11 +67,11 @@ def attempt(task: Task, case: int, planner: str) -> tuple[dict[str, Any], Outcom
 
 def write_film(path: Path, done: Outcome, frames: int = 60, size: tuple[int, int] = (640, 360)) -> None:
     """Write a GIF of all that happened, as the scene's camera sees it."""
+    opengl.require()
     whole, pictures = sum(t[-1] for _, t, _, _ in done.shots), []
     for model, t, qpos, riding in done.shots:
         data = mujoco.MjData(model)
-        opengl.require()
-    with mujoco.Renderer(model, size[1], size[0]) as renderer:
+        with mujoco.Renderer(model, size[1], size[0]) as renderer:
             for row in np.linspace(0, len(t) - 1, max(2, round(frames * t[-1] / whole))).astype(int):
                 data.qpos[:] = qpos[row]
                 mujoco.mj_forward(model, data)
