@@ -70,8 +70,6 @@ REFUSED = {
     "train --bias loud": "no bias rule 'loud'",
     "train --period 0": "period must be at least 1",
     "train --algorithm riemannian --period 8": "--period and --epochs are for the algorithms literal, repaired and",
-    "train --candidates 0": "candidates must be at least 1",
-    "train --tolerance -1": "tolerance must be positive",
     "learn way.csv --unit inch": "no unit 'inch'",
     "learn way.csv --rivals dmp,gmm": "no rival 'gmm'",
     "learn way.csv --clock-rate 2": "rate must be from 0.01 to 1",
