@@ -1,4 +1,4 @@
-"""Small things that a newcomer meets first: plain text, one line for what is large, one planner's run."""
+"""Small things that a newcomer meets first: plain text, one line for what is large, signals."""
 
 from __future__ import annotations
 

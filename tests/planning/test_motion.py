@@ -257,6 +257,25 @@ def _length(arm, motion):
     return np.linalg.norm(np.diff(motion.q, axis=0) / arm.velocity_limits, axis=1).sum()
 
 
+def test_candidates_are_screened_by_hand(gantry, monkeypatch):
+    """One way through y = 2.25, where y ends at 2; one that turns link 1 by 0.1 rad about x, which no joint does."""
+    arm = dataclasses.replace(gantry, length_scale=2.0)
+    ways = [arm.encode(np.zeros((count, 4))) for count in (3, 5)]
+    ways[0][1] = arm.encode([0.0, 2.25, 0.0, 0.0])
+    ways[1][2, 0, 0] = 0.1
+    monkeypatch.setattr(certified, "integrate_batch", lambda networks, start, longest, **tolerances: ways)
+    one, other = certified._screened(arm, [SimpleNamespace(gamma=1.0)] * 2, np.zeros(4))
+    np.testing.assert_allclose(one.q, [[0.0] * 4, [0.0, 2.25, 0.0, 0.0], [0.0] * 4], atol=1e-9)
+    np.testing.assert_allclose(other.q, np.zeros((5, 4)), atol=1e-9)
+    assert (one.excess, one.gap) == pytest.approx((0.25, 0.0), abs=1e-9)
+    assert other.gap == pytest.approx(0.1 * 2.0)
+    assert other.excess <= 0.0
+    # There and back along y, of which 2 m are a second's way at most.
+    assert (one.length, other.length) == pytest.approx((2.25, 0.0), abs=1e-8)
+    # To keep the limits counts more than to have no gap.
+    assert other.rank < one.rank
+
+
 def test_candidates_that_touch_something_come_last_and_the_best_first():
     made = [SimpleNamespace(rank=(rank,), touches=touches) for rank, touches in enumerate([1, 0, 1, 0, 1])]
     order = [candidate.rank[0] for candidate in certified._promising([made[k] for k in (3, 2, 4, 0, 1)])]

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.rendering import ffmpeg, video
 from lieednn_sim.simulation import simulate
@@ -127,6 +127,16 @@ def test_bad_input_is_refused_before_rendering(arm, rollout, tmp_path):
     for size in (320, (320,), "640x480", None):
         with pytest.raises(InputError, match=r"size must be a tuple of 2, each item a whole number, got "):
             video.render_video(rollout, tmp_path / "video.mp4", size=size)
+
+
+def test_without_opengl_the_error_names_the_packages(arm, rollout, tmp_path, monkeypatch):
+    def missing():
+        raise RenderingUnavailableError("install libegl1 libgl1")
+
+    monkeypatch.setattr(video.opengl, "require", missing)
+    with pytest.raises(RenderingUnavailableError, match="libegl1"):
+        video.render_video(rollout, tmp_path / "video.mp4")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("count", [1, 10], ids=["at the end", "on the way"])
