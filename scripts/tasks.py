@@ -25,6 +25,7 @@ from task_shelf import Shelf
 import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.rendering import opengl
 from lieednn_sim.studies.markdown import table
 
 TASKS: dict[str, type[Task]] = {
@@ -66,6 +67,7 @@ def attempt(task: Task, case: int, planner: str) -> tuple[dict[str, Any], Outcom
 
 def write_film(path: Path, done: Outcome, frames: int = 60, size: tuple[int, int] = (640, 360)) -> None:
     """Write a GIF of all that happened, as the scene's camera sees it."""
+    opengl.require()
     whole, pictures = sum(t[-1] for _, t, _, _ in done.shots), []
     for model, t, qpos, riding in done.shots:
         data = mujoco.MjData(model)

@@ -11,12 +11,10 @@ import fuzz_public
 import fuzz_things
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import settings
 
 from lieednn_sim import lie, stability, theory
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli import main
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.network import LieEDNN
@@ -32,10 +30,6 @@ MOST = settings.default.max_examples
 def rounds(examples):
     """So many examples in the suite, and as many as the profile says in a campaign."""
     return examples if MOST <= 100 else MOST
-
-
-def bounded(examples, **more):
-    return settings(max_examples=rounds(examples), **more)
 
 
 def check(function, *arguments, **named):
@@ -164,9 +158,6 @@ def test_checks_of_input_refuse_without_taking_memory_or_time(value):
         assert len(said) < 3000
 
 
-texts = st.one_of(st.text(max_size=12), st.sampled_from(fuzz_public.BAD_WORDS))
-
-
 def test_everything_public(tmp_path, monkeypatch, two_hinges):
     """Each name once, whoever added it; but no rendering, which takes too long, and no live pages, which go on."""
     monkeypatch.chdir(tmp_path)
@@ -178,39 +169,3 @@ def test_everything_public(tmp_path, monkeypatch, two_hinges):
     left_out = ("rendering.", "live.")
     calls = (n for n in range(rounds(len(known))) if not known[n % len(known)].name.startswith(left_out))
     assert [wrong for wrong in map(fuzz_public.attempt, calls) if wrong] == []
-
-
-NUMBERS = ("nan", "inf", "1e308", "-1e308", "0", "-1", "1e-320", "5", "1e9", "1,2", "1e308,0,0", "random:-1", "3" * 400)
-OPTIONS = """
-    arm option duration links output planner position scene scene-seed seed servos start target time-budget base preset
-    plots nonsense keyframe home
-"""
-option = st.tuples(st.sampled_from(OPTIONS.split()), st.one_of(texts, st.sampled_from(NUMBERS)))
-
-
-@bounded(60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    st.one_of(
-        st.lists(texts, max_size=3),
-        st.tuples(st.sampled_from(("simulate", "render", "evaluate")), texts),
-        st.tuples(st.just("arms"), texts),
-        st.tuples(
-            st.just("learn"), texts, st.sampled_from(("--starts=0", "--unit=inch", "--clock-rate=0", "--seed=0"))
-        ),
-        # Whatever else is asked for, the last option is bad, and found to be before the work.
-        st.builds(
-            lambda options, bad: ("demo", *(f"--{name}={value}" for name, value in options), bad),
-            st.lists(option, max_size=2),
-            st.sampled_from(("--hold=-1", "--fps=0", "--payload=-1", "--controller=none", "--push=hand", "--size=0x9")),
-        ),
-    )
-)
-def test_command_lines(tmp_path, monkeypatch, capsys, words):
-    monkeypatch.chdir(tmp_path)
-    try:
-        code = main(words)
-    except SystemExit as stop:
-        code = stop.code
-    assert code == 2
-    assert "error: " in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []

@@ -288,7 +288,6 @@ def rigid_groups(
     result.body_weldid[:] = np.where(group == 0, 0, weld)
     result.body_weldid[list(carried)] = carried[0] if len(carried) else 0
     bodies, solid = model.geom_bodyid, colliding_geoms(model)
-    solid[[*model.pair_geom1, *model.pair_geom2]] = True
     explicit = {*zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
     left_out: dict[tuple[int, int], float] = {}
     for body in np.unique(group[group > 0]).tolist():

@@ -9,7 +9,6 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, import_arm
 from lieednn_sim.arm.obstacles import load_obstacles
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.rendering import scene_setup
 
@@ -126,12 +125,3 @@ def test_a_film_shows_that_floor_or_none(write):
         model, _ = scene_setup.staged(arm, scene_setup.reached(arm))
         planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
         assert model.body_pos[model.geom_bodyid[planes], 2].tolist() == heights
-
-
-@pytest.mark.parametrize(("given", "heights"), [("none", []), ("-0.5", [-0.5]), ("auto", [0.0])])
-def test_a_run_keeps_its_floor(write, tmp_path, given, heights):
-    from lieednn_sim.cli.run_directory import RunDirectory
-
-    words = ["plan", "--arm", str(write()), "--target", "0.3,0.2", "--planner", "minimum-jerk"]
-    assert main([*words, "--floor", given, "--output", str(tmp_path / "run")]) == 0
-    assert floors(RunDirectory(tmp_path / "run").load_task()[1]) == heights

@@ -75,17 +75,10 @@ BALL = """
 </mujoco>
 """
 ON_SHOULDER = {"links": ["shoulder", "tool"]}
-HINGES = """
-<mujoco><option {options}/>
-  <worldbody>
-    <body name="one"><joint name="a" axis="0 0 1"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
-      <body name="two" pos="0.3 0 0"><joint name="b" axis="0 1 0"/>
-        <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
-        <body name="three" pos="0.3 0 0"><joint name="c" axis="0 1 0"/>
-          <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/></body></body></body>
-  </worldbody>
-</mujoco>
-"""
+HINGE = '<body pos="0.3 0 0"><joint name="{}" axis="0 1 0"/><geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>'
+HINGES = (
+    f"<mujoco><option {{options}}/><worldbody>{''.join(map(HINGE.format, 'abc'))}{'</body>' * 3}</worldbody></mujoco>"
+)
 
 
 def spec_of(xml):
@@ -313,7 +306,6 @@ def bad(xml, *replacements):
     ("xml", "options", "message"),
     [
         (BY_EQUALITY, {"links": ["elbow"]}, r"no body or site 'elbow'; bodies: .*'cart'.*; sites: 'tool'"),
-        (BY_EQUALITY, {"links": "wrist"}, "links must be a list, each item a string, got 'wrist'"),
         (BY_EQUALITY, {"links": []}, "links must name at least one body or site"),
         (BY_EQUALITY, {"links": ["tube2", "head"]}, "'head' does not descend from 'tube2'"),
         (BY_EQUALITY, {"links": ["wrist", "tool"]}, "no joint is between 'wrist' and 'tool'"),
@@ -322,11 +314,9 @@ def bad(xml, *replacements):
         (BY_EQUALITY, {"links": ["wrist"], "base": "world"}, "joint 'drive' between 'world' and 'wrist' is free"),
         (BY_EQUALITY, {"links": ["tube1", "tube2"]}, "'stage2' moves link 2 and follows joint 'stage1'"),
         (BY_EQUALITY, {"keyframe": "fold"}, "no keyframe 'fold'; keyframes of the model: 'home'"),
-        (BY_EQUALITY, {"keyframe": 3}, "keyframe must be a string, got 3"),
         (BY_EQUALITY, {"home": ["wrist"]}, "home must be a dictionary, got a list of 1"),
         (BY_EQUALITY, {"home": {"hip": 0.0}}, "no joint of the home configuration 'hip'; allowed: .*, pan, "),
         (BY_EQUALITY, {"home": {"pan": 2.0}}, r"home position 2 of joint 'pan' is outside of \[-1.571, 1.571\]"),
-        (BY_EQUALITY, {"home": {"pan": "left"}}, r"home\['pan'\] must be a number, got 'left'"),
         (BY_EQUALITY, {"home": {"stage2": 0.1}}, "'stage2' of the home configuration follows joint 'stage1'"),
         (bad(BY_EQUALITY, ("0.01 0.8 0 0 0", "0 1 2 0 0")), {}, "needs a straight line"),
         (bad(BY_EQUALITY, ('joint2="stage1" ', "")), {}, "'stage2' is locked by an equality"),

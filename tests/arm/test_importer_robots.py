@@ -419,10 +419,6 @@ def test_wrong_files_and_names_are_refused():
         arm_of(nan)
     with pytest.raises(InputError, match=r"the pos of body 'tube2' of the model is \[ 0.  0. nan\]; write numbers"):
         arm_of(TELESCOPE.replace('<body name="tube2">', '<body name="tube2" pos="0 0 nan">'))
-    with pytest.raises(InputError, match="base must be a string, got 3"):
-        arm_of(TELESCOPE, base=3)
-    with pytest.raises(InputError, match="must be a string or a path, got None"):
-        Arm.load(None)
     scale = TELESCOPE.replace("<worldbody>", '<custom><numeric name="length_scale" data="-1"/></custom><worldbody>')
     with pytest.raises(InputError, match="'length_scale' of arm 'robot' must be positive, got -1"):
         arm_of(scale)

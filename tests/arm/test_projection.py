@@ -118,17 +118,6 @@ def test_circles_are_refused_wherever_they_are_entered(circle):
         to_independent_leaders(direct, lambda joint: f"joint {joint}")
 
 
-def test_link_poses_equal_mujocos_kinematics(arm):
-    data = mujoco.MjData(arm.model)
-    sites = [arm.model.site(f"link{i + 1}_frame").id for i in range(arm.n_links)]
-    for q in positions(arm, 50):
-        data.qpos[:] = arm.qpos(q)
-        mujoco.mj_kinematics(arm.model, data)
-        poses = arm.link_poses(q).as_matrix()
-        np.testing.assert_allclose(poses[:, :3, 3], data.site_xpos[sites], atol=1e-12)
-        np.testing.assert_allclose(poses[:, :3, :3].reshape(-1, 9), data.site_xmat[sites], atol=1e-12)
-
-
 def link(begin, axis=(0.0, 0.0, 1.0), anchor=(0.0, 0.0, 0.0), ratio=1.0, kind="hinge", order=(0, 1, 2)):
     """A hinge, another one or a slide along y, and a slide along x; of the coordinates from ``begin`` on."""
     parts = (

@@ -1,27 +1,22 @@
-"""Small things that a newcomer meets first: plain text, one line for what is large, one planner's run."""
+"""Small things that a newcomer meets first: plain text, one line for what is large, signals."""
 
 from __future__ import annotations
 
-import json
 import sys
 import warnings
 
 import numpy as np
-import pytest
 from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import doctor, main
 from lieednn_sim.cli.console import console, to_stderr
-from lieednn_sim.cli.task import Task
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.learning import TrainingOptions
 from lieednn_sim.learning import train as learn
 from lieednn_sim.planning import Plan, reference_network
 from lieednn_sim.planning.certified import CertifiedDetails
-from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_path import make_motion
-from lieednn_sim.simulation import Rollout
 
 
 def test_what_is_printed_is_no_markup(capsys):
@@ -65,26 +60,6 @@ def test_a_signal_during_an_import_ends_the_command_cleanly(tmp_path, start):
     assert (tmp_path / "run" / "rollout.npz").exists()
     assert "rollout.npz" in printed
     assert not (tmp_path / "run" / "metrics.json").exists()
-
-
-@pytest.mark.usefixtures("no_plots")
-def test_a_planner_without_a_network_goes_the_whole_road(tmp_path, capsys):
-    directory = tmp_path / "run"
-    # An earlier run's network must not stay.
-    assert main(["plan", "--target", "extended", "--option", "n_networks=2", "--output", str(directory)]) == 0
-    words = ["demo", "--no-page", "--no-video", "--planner", "minimum-jerk", "--duration", "2", "--hold", "0.2"]
-    assert main([*words, "--output", str(directory)]) == 0
-    expected = {"lieednn_sim.json", "task.json", "motion.npz", "rollout.npz", "metrics.json", "metrics.csv"}
-    expected |= {"network.png", "tracking.png", "joints.png"}
-    assert {path.name for path in directory.iterdir() if path.suffix} == expected
-    assert Task.load(directory / "task.json").planner == "minimum-jerk"
-    printed = capsys.readouterr().out
-    assert "planner: minimum-jerk (asked for), at most 60 s of CPU time" in printed
-    motion = Motion.load(directory / "motion.npz")
-    rollout = Rollout.load(directory / "rollout.npz", Arm.load("telescopic_pr"))
-    np.testing.assert_array_equal(rollout.q_ref[: len(motion.t)], motion.q)
-    np.testing.assert_array_equal(motion.gap_translation, 0.0)
-    assert json.loads((directory / "metrics.json").read_text())["frames"][-1]["final_mm"] < 1.0
 
 
 def test_large_objects_are_shown_in_a_line():

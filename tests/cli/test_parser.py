@@ -8,7 +8,6 @@ import sys
 from argparse import ArgumentTypeError
 from dataclasses import make_dataclass
 from importlib import metadata
-from typing import get_type_hints
 
 import pytest
 from hypothesis import given
@@ -17,10 +16,9 @@ from hypothesis import strategies as st
 import lieednn_sim
 from lieednn_sim import registry
 from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.cli import COMMANDS, commands, main, parser
+from lieednn_sim.cli import COMMANDS, main, parser
 from lieednn_sim.cli.arguments import Planning, Simulating, joint_position, option_names, read_options
 from lieednn_sim.cli.kinds import KINDS, decimal, decimal_or_inf, force, named_numbers, names, numbers, size, whole
-from lieednn_sim.cli.signatures import Definition, find, parameters
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.simulation.disturbances import Disturbances
@@ -183,18 +181,6 @@ def test_the_help_lists_what_there_is(capsys):
 def test_every_option_says_what_it_is(command):
     described = parser.make_parser(parser.definition(ALL[command], command))._actions
     assert [action.option_strings or action.dest for action in described if not action.help] == []
-
-
-def test_a_signature_is_read_as_python_has_it():
-    source = find("lieednn_sim.cli.commands", "render")
-    assert source is not None
-    hints = get_type_hints(commands.render, include_extras=True)
-    assert [each.name for each in parameters(source)] == [name for name in hints if name != "return"]
-    look = next(each for each in parameters(source) if each.name == "look")
-    assert [each.name for each in look.group] == list(hints["look"].__metadata__[1:])
-    assert look.makes is None
-    assert find("lieednn_sim.cli.commands", "nothing") is None
-    assert isinstance(find("lieednn_sim.cli.arguments", "DEFAULT_TIME_BUDGET"), Definition)
 
 
 def test_the_version_is_that_of_the_package(capsys):

@@ -10,7 +10,6 @@ from lieednn_sim.cli import main
 from lieednn_sim.cli.arms import farthest
 from lieednn_sim.cli.task import Task
 from lieednn_sim.planning import OBSTACLE_PLANNER
-from lieednn_sim.simulation import Push, Rollout
 
 # Three hinges; [joint] looks like markup of the terminal.
 OWN = """
@@ -72,29 +71,6 @@ def test_arms_are_listed_and_described(own, capsys, fails):
     assert "no keyframe 'stow'; keyframes of the model: 'bent'" in fails("arms", str(own), "--keyframe", "stow")
     # The arm is straight at its reference, where nothing is further out.
     assert farthest(Arm.load(str(own), links=("two", "tool"), base="one")) == pytest.approx(0.9, abs=1e-6)
-
-
-@pytest.mark.usefixtures("no_plots")
-def test_disturbances_reach_the_simulation_and_are_reported(tmp_path, capsys):
-    directory = tmp_path / "run"
-    words = "demo --no-page --no-video --option n_networks=3 --duration 3 --payload 0.5"
-    road = [*words.split(), "--output", str(directory)]
-    road += ["--push", "end effector,0,-30,5.5,3.1,2", "--push", "forearm,1e-9,0,0,0.5,0.1", "--mass-scale", "1.1"]
-    road += ["--reference-rate", "100", "--position-noise", "1e-6", "--velocity-noise", "1e-5", "--noise-seed", "4"]
-    arm = Arm.load("telescopic_pr")
-    body = arm.model.body(arm.frames.bodies[1]).name
-    assert main([word.replace("forearm", body) for word in road]) == 0
-    rollout = Rollout.load(directory / "rollout.npz", arm)
-    told = rollout.disturbances
-    assert rollout.reference_rate == 100.0
-    assert told.pushes == (Push(body, (1e-9, 0.0, 0.0), 0.5, 0.1), Push("end effector", (0.0, -30.0, 5.5), 3.1, 2.0))
-    assert (told.payload, told.mass_scale, told.seed) == (0.5, 1.1, 4)
-    assert (told.position_noise, told.velocity_noise) == (1e-6, 1e-5)
-    printed = capsys.readouterr().out
-    assert f"wrote {directory / 'channels.png'}" in printed
-    # The run is over at 4 s.
-    assert re.search(r"end effector +3\.1 +5\.1 +\d", printed)
-    assert "reference held at 100 Hz, masses times 1.1, payload 0.5 kg, position noise 1e-06, velocity" in printed
 
 
 @pytest.mark.usefixtures("no_plots")

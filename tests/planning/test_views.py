@@ -216,5 +216,3 @@ def test_a_view_in_another_state_keeps_what_was_asked_for(state):
     assert moved.keyframes == ("home",)
     with pytest.raises(InputError, match="is no view of a compiled model"):
         ls.Arm.load("telescopic_pr").at(data)
-    with pytest.raises(InputError, match="data must be of the model"):
-        arm.at(mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>")))

@@ -10,19 +10,11 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.rendering import scene_setup
 from lieednn_sim.rendering.video import Camera
 
-LINK = """<link name="{}"><inertial><mass value="1"/>
-  <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>
-  <collision><origin xyz="{} 0 0"/><geometry><box size="{} .04 .04"/></geometry></collision></link>"""
-JOINT = """<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><origin xyz="{3} 0 0"/>
-  <axis xyz="{4}"/>  <limit lower="-1" upper="1" effort="10" velocity="1"/></joint>"""
 
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory) -> Arm:
-    path = tmp_path_factory.mktemp("robot") / "reacher.urdf"
-    links = LINK.format("foot", 0, 0.1), LINK.format("upper", 0.15, 0.3), LINK.format("fore", 0.15, 0.3)
-    joints = JOINT.format("a", "foot", "upper", 0.05, "0 0 1"), JOINT.format("b", "upper", "fore", 0.3, "0 1 0")
-    path.write_text(f'<robot name="reacher">{"".join((*links, *joints))}</robot>')
+@pytest.fixture
+def arm(tmp_path, two_hinges) -> Arm:
+    path = tmp_path / "robot.xml"
+    path.write_text(two_hinges)
     return Arm.load(path)
 
 

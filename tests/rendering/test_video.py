@@ -154,16 +154,6 @@ def test_a_full_disk_is_an_error_with_the_encoders_words(tmp_path, count):
         write()
 
 
-def test_a_stopped_encoder_ends_the_work(tmp_path):
-    def write():
-        with ffmpeg.mp4_writer(tmp_path / "missing" / "v.mp4", (160, 90), 10.0) as append:
-            while True:
-                append(np.zeros((90, 160, 3), np.uint8))
-
-    with pytest.raises(FileError, match=r"encoder stopped \(.*No such file or directory"):
-        write()
-
-
 def test_frames_are_counted(tmp_path):
     path = tmp_path / "v.mp4"
     with ffmpeg.mp4_writer(path, (160, 90), 10.0) as append:

@@ -120,7 +120,6 @@ def test_a_push_at_the_end_leaves_no_entry(arm, travel):
     ("make", "message"),
     [
         (lambda: Push("link 1", (1.0, 2.0), 0.0, 1.0), "force must be a tuple of 3"),
-        (lambda: Push("link 1", (1.0, 2.0, 3.0), -1.0, 1.0), "start must not be negative, got -1"),
         (lambda: Push("link 1", (1.0, 2.0, 3.0), 0.0, 0.0), "duration must be positive"),
         (lambda: Disturbances(pushes=("link 1",)), r"pushes\[0\] must be a Push"),
         (lambda: Disturbances(payload=-1.0), "payload must not be negative"),

@@ -28,7 +28,6 @@ CHANGES = Disturbances(
         ("telescopic_pr", "position-servo"),
         ("telescopic_compound", "inverse-dynamics"),
         ("telescopic_compound", "mocap"),
-        ("telescopic_rrp", "mocap"),
     ],
 )
 def test_all_at_once_is_step_by_step(name, controller, travel, monkeypatch):
@@ -47,7 +46,6 @@ def test_all_at_once_is_step_by_step(name, controller, travel, monkeypatch):
     [
         ("telescopic_pr", "position-servo"),
         ("telescopic_compound", "inverse-dynamics"),
-        ("telescopic_rrp", "mocap"),
         ("telescopic_pr", "mocap-deadbeat"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Rollouts: exact determinism, alignment of the log, the regression on final pose error, failures."""
+"""Rollouts: exact determinism, alignment of the log, channels, failures."""
 
 import dataclasses
 import itertools
@@ -41,20 +41,6 @@ def test_every_row_of_the_log_belongs_to_one_instant(arm, rollout):
         np.testing.assert_allclose(rollout.force[k], data.qfrc_actuator + data.qfrc_gravcomp, atol=1e-6)
     poses = rollout.link_poses().as_matrix()
     np.testing.assert_allclose(poses, arm.link_poses(rollout.q).as_matrix(), atol=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_final_pose_error_and_tracking_over_seeded_targets(seeded, seed):
-    _, result = seeded.run(seed, "position-servo")
-    for frame in result.frames:
-        assert frame.final_mm < 1e-3
-        assert frame.final_deg < 1e-4
-        assert frame.tracking_rms_mm < 1.0
-        assert frame.tracking_rms_deg < 0.1
-        assert frame.settling_s <= 4.0
-    assert result.contacts == 0
-    assert all(joint.peak_velocity <= joint.velocity_limit for joint in result.joints)
-    assert all(joint.peak_force <= joint.force_limit for joint in result.joints)
 
 
 def test_divergence_stops_the_run_and_tells_it_up_to_there(arm, planned, tmp_path, monkeypatch):

@@ -10,12 +10,11 @@ import pytest
 
 from lieednn_sim.errors import FileError
 from lieednn_sim.evaluation import paths
-from lieednn_sim.evaluation.paths import PathErrors
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.registry import Entry, Registry
 from lieednn_sim.studies.demonstrations import models as compared
-from lieednn_sim.studies.demonstrations.models import compare_models, mean_of
+from lieednn_sim.studies.demonstrations.models import compare_models
 from lieednn_sim.studies.demonstrations.study import DemonstrationSets, models
 from lieednn_sim.studies.study import compute
 from lieednn_sim.synthesis import ShapingOptions
@@ -53,11 +52,6 @@ def test_what_is_left_out_was_not_seen(monkeypatch):
     starts = shown.twists[:, 0, 4]
     wanted = [abs(starts[k] - min(np.delete(starts, k), key=lambda y, k=k: abs(y - starts[k]))) for k in range(3)]
     assert recaller.left_out.frechet_mm == pytest.approx(1e3 * np.mean(wanted), rel=1e-2)
-
-
-def test_mean_of():
-    errors = [PathErrors(1.0, 2.0, 3.0, 4.0, 5.0, 6.0), PathErrors(3.0, 2.0, 1.0, 0.0, 1.0, 2.0)]
-    assert mean_of(errors) == PathErrors(2.0, 2.0, 2.0, 2.0, 3.0, 4.0)
 
 
 def test_a_set_that_fails_is_not_tried_again_and_other_settings_are_refused(tmp_path):
