@@ -216,3 +216,14 @@ def test_a_view_in_another_state_keeps_what_was_asked_for(state):
     assert moved.keyframes == ("home",)
     with pytest.raises(InputError, match="is no view of a compiled model"):
         ls.Arm.load("telescopic_pr").at(data)
+
+
+@pytest.mark.parametrize("under", [1e-9, 1e-6, 5e-4])
+def test_a_sensor_that_reads_below_a_limit_is_at_it(state, under):
+    model, data = state
+    data.joint("out").qpos = data.joint("last").qpos = model.joint("out").range[0] - under
+    arm = ls.Arm.of(model, data, JOINTS, tip="pen")
+    planned = ls.plan(arm, arm.position_limits.mean(axis=1), planner="minimum-jerk")
+    np.testing.assert_array_equal(planned.motion.q[0], np.maximum(arm.keyframe("home"), arm.position_limits[:, 0]))
+    with pytest.raises(InputError, match=r"up to 1e-12 beyond a limit is taken as at it: bring the joint back"):
+        ls.plan(replace(arm, start_tolerance=1e-12), arm.position_limits.mean(axis=1))
