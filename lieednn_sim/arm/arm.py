@@ -355,6 +355,9 @@ class Arm(SerialArm):
                 f"; if the hand holds it, plan with arm.holding({body!r})"
                 for body in sorted(loose.intersection((first, second)))[:1]
             )
+            if not hint and not self.contacts(position):
+                near = f"nearer than the clearance of {1e3 * self.clearance:g} mm"
+                hint = f", or come {near}, which dataclasses.replace(arm, clearance=...) sets"
             raise InputError(f"{what} is out of reach: {first!r} would touch {second!r} there{hint}")
         return position
 
