@@ -50,6 +50,8 @@ class Arm(SerialArm):
         import_report: what the importer did, for a file without the package's conventions; otherwise None.
         clearance: distance that planned motions keep from contact, start and target included [m]; change it with
             `dataclasses.replace`.
+        start_tolerance: how far a start may be beyond a limit, such as by a sensor's noise or on a soft stop [rad, m];
+            it is then taken as at the limit (`check_start`).
         recipe: names of the methods that loaded it from files, and their arguments; empty for an arm from a spec, which
             cannot be pickled, and for a view.
         qpos_home: of a view, ``(nq,)`` the positions of its model in the state that it was made of: its ``home``.
@@ -67,6 +69,7 @@ class Arm(SerialArm):
     scene_seed: int = 0
     import_report: ImportReport | None = None
     clearance: float = PLANNED_CLEARANCE
+    start_tolerance: float = 1e-3
     recipe: tuple[tuple[str, tuple[Any, ...], ImportOptions], ...] = ()
     qpos_home: Floats | None = None
     state: Floats | None = None
@@ -348,6 +351,19 @@ class Arm(SerialArm):
     def __deepcopy__(self, _: dict[int, Any]) -> Arm:
         return replace(self, spec=self.spec and self.spec.copy(), model=copy.deepcopy(self.model))
 
+    def check_start(self, q: ArrayLike | str, what: str = "start") -> Floats:
+        """Return where the arm is, as `check_position` does; within `start_tolerance` beyond a limit, at that."""
+        position = self.configuration(q, what)
+        inside = self.within_angles(np.clip(position, *self.position_limits.T))
+        worst = int(np.abs(position - inside).argmax())
+        if abs(position[worst] - inside[worst]) > self.start_tolerance:
+            raise InputError(
+                f"{what} is out of reach: {self.describe_excess(position, worst)}; up to {self.start_tolerance:g} "
+                "beyond a limit is taken as at it: bring the joint back, or allow more by "
+                "dataclasses.replace(arm, start_tolerance=...)"
+            )
+        return inside
+
     def check_reachable(self, q: ArrayLike | str, what: str = "q") -> Floats:
         """Return ``q`` as `check_position` does, or raise `InputError` if contact is nearer than `clearance`."""
         position = self.check_position(q, what)
@@ -359,6 +375,9 @@ class Arm(SerialArm):
                 f"; if the hand holds it, plan with arm.holding({body!r})"
                 for body in sorted(loose.intersection((first, second)))[:1]
             )
+            if not hint and not self.contacts(position):
+                near = f"nearer than the clearance of {1e3 * self.clearance:g} mm"
+                hint = f", or come {near}, which dataclasses.replace(arm, clearance=...) sets"
             raise InputError(f"{what} is out of reach: {first!r} would touch {second!r} there{hint}")
         return position
 

@@ -50,7 +50,7 @@ def solve_ik(
         InputError: a value is malformed.
         NoSolutionError: no such joint position was found; the message says how close the search came.
     """
-    search = _Search(arm, _Point(position, rotation), None, arm.check_position(start, "start"))
+    search = _Search(arm, _Point(position, rotation), None, arm.check_start(start))
     return next(search.solutions(seed, _ATTEMPTS, several=False, progress=progress))
 
 
@@ -79,7 +79,7 @@ def ik_candidates(
         InputError: a value is malformed.
         NoSolutionError: none was found; the message says how close the search came.
     """
-    rest = arm.check_position(start, "start")
+    rest = arm.check_start(start)
     pace = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
     goal = pose if isinstance(pose, TaskSpaceRegion) else _Point(pose.translation, pose.rotation)
     result: list[Floats] = []

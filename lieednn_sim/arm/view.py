@@ -257,6 +257,18 @@ def _length_scale(fields: Mapping[str, Any]) -> float:
     return float(f"{largest:.2g}") if largest > 1.0 else 1.0
 
 
+def moved_together(model: mujoco.MjModel, dofs: NDArray[np.int_]) -> NDArray[np.int_]:
+    """For each body ``(nbody,)`` the first of those that some dofs move as one with it; zero for what they leave."""
+    moving, group = np.zeros(model.nv, dtype=bool), np.arange(model.nbody)
+    moving[dofs] = True
+    # Parents come before their children.
+    for body, parent in enumerate(model.body_parentid):
+        first = int(model.body_dofadr[body])
+        if not moving[first : first + int(model.body_dofnum[body])].any():
+            group[body] = group[parent]
+    return group
+
+
 def rigid_groups(
     model: mujoco.MjModel, dofs: NDArray[np.int_], carried: Sequence[int] = ()
 ) -> tuple[mujoco.MjModel, dict[tuple[int, int], float]]:
@@ -274,13 +286,7 @@ def rigid_groups(
     Returns:
         The copy, and the offset -inf (`contacts.ContactOffsets`) of the pairs.
     """
-    moving, group = np.zeros(model.nv, dtype=bool), np.arange(model.nbody)
-    moving[dofs] = True
-    # Parents come before their children.
-    for body, parent in enumerate(model.body_parentid):
-        first = int(model.body_dofadr[body])
-        if not moving[first : first + int(model.body_dofnum[body])].any():
-            group[body] = group[parent]
+    group = moved_together(model, dofs)
     group[list(carried)] = carried[0] if len(carried) else 0
     result, weld = copy.deepcopy(model), model.body_weldid
     # Mocap bodies stand still, and can be moved as other bodies without joints are.

@@ -116,7 +116,7 @@ class Goal(ChosenArm):
         """
         if (self.target is not None) + (self.position is not None) + bool(self.pose) > 1:
             raise InputError("give one of --target, --position and --pose")
-        start = arm.check_position(joint_position(arm, self.start, "start"), "start")
+        start = arm.check_start(joint_position(arm, self.start, "start"))
         if self.position is not None:
             there = self.position
             return start, TaskSpaceRegion.box(there, there) if place else solve_ik(arm, there, start=start)

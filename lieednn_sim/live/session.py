@@ -96,7 +96,7 @@ class Session:
     ) -> None:
         self.arm, self._rate, self.seed = arm, as_positive("rate", rate), as_seed("seed", seed)
         self.wanted = (settings or Settings()).chosen(arm)
-        self.start = arm.check_position(start, "start")
+        self.start = arm.check_start(start)
         first = self.start if target is None else arm.check_position(target, "target")
         self._requests: SimpleQueue[Callable[[], object]] = SimpleQueue()
         self._closed = threading.Event()

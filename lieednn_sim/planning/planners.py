@@ -14,7 +14,7 @@ from lieednn_sim.arm.forces import dry_friction, resting_load, tangent_basis
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning.goals import Goal, candidates
-from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, check_motion
+from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
@@ -148,7 +148,8 @@ def plan(
             plan's target is the one that is reached soonest (`motion.least_duration`) among those to which the planner
             finds a motion.
         planner: a name of `PLANNERS`; by default the `default_planner`, or ``lieednn-shaped`` where a region is kept.
-        start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name; ``home`` of a view is its state.
+        start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name; ``home`` of a view is its state. Within
+            `Arm.start_tolerance` beyond a limit it is taken as at that.
         duration: duration of the motion [s], rounded to a whole number of the model's time steps.
         max_time_scale: largest duration, as a multiple of `duration`, that the motion may take if the arm's limits
             require it; with 1, a motion that is too fast is refused with a sufficient duration. Learned networks always
@@ -182,10 +183,7 @@ def plan(
     if fastest:
         optional_module("toppra")  # before the work
     begin, number = cpu_time(), as_seed("seed", seed)
-    q = arm.configuration(start, "start")
-    # Where a move ended at a limit, rounding may have left it just outside.
-    inside = np.clip(q, *arm.position_limits.T)
-    q = np.where(np.abs(q - inside) <= LIMIT_TOLERANCE, inside, q)
+    q = arm.check_start(start)
     # The rest of a bad problem is refused before goals are searched for, which is within the budget.
     first = PlanningProblem(arm, q, q, duration, number, time_budget, max_time_scale, progress, path_constraint)
     _check_held(arm, first.start, "start")

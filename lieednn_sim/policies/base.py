@@ -61,7 +61,7 @@ class Policy(ABC):
         Raises:
             InputError: the coordinates are malformed or beyond the position limits, or the policy cannot start there.
         """
-        self.q = self.arm.check_position(q, "q").copy()
+        self.q = self.arm.check_start(q, "q").copy()
         self.qd, self._target = np.zeros_like(self.q), None
         self.q.flags.writeable = self.qd.flags.writeable = False
         self.begin(self.q)

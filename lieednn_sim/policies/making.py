@@ -81,7 +81,7 @@ def make_policy(
     """
     entry = POLICIES.find(name)
     given = given_options(f"the policy {name!r}", entry.options, options)
-    ends = arm.configuration(start, "start"), arm.configuration(target, "target")
+    ends = arm.check_start(start), arm.configuration(target, "target")
     task = PolicyTask(arm, *ends, rate, feedback, convergence_rate, as_seed("seed", seed), motion)
     policy = entry.load()(task, *given)
     if not isinstance(policy, Policy):

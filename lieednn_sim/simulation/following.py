@@ -105,7 +105,7 @@ def follow(
             f"the policy's rate must be at least {1.0 / (total * arm.timestep):g} Hz for a duration of {duration:g} s, "
             f"got {policy.rate:g} Hz"
         )
-    origin = arm.check_position(start, "start")
+    origin = arm.check_start(start)
     policy.reset(origin)
     loop.begin(origin)
     sample = _sampler(arm, target, arm.timestep)

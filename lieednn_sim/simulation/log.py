@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import tangent_basis
+from lieednn_sim.arm.view import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import rotations, same_signs
 from lieednn_sim.simulation.rollout import Rollout
@@ -207,14 +208,15 @@ class Log:
         return values, units
 
     def _touching(self) -> tuple[int, float]:
-        """Number of contacts that count, and the largest normal force among them [N]."""
-        contacts: Any = range(self._data.ncon)
+        """Number of contacts that count, and the largest normal force among them [N]; in a gap there is no force."""
+        counted = self._data.contact.exclude == 0
         if self._groups is not None:
             groups = self._groups.take(self._data.contact.geom)
             if not any(groups.ravel().tolist()):  # of a few numbers, in a third of the time of an array's
                 return 0, 0.0
             first, second = groups.T
-            contacts = np.flatnonzero((first != second) & ((first > 0) | (second > 0))).tolist()
+            counted &= (first != second) & ((first > 0) | (second > 0))
+        contacts = np.flatnonzero(counted).tolist()
         wrench, largest = np.zeros(6), 0.0
         for i in contacts:
             mujoco.mj_contactForce(self._simulation.model, self._data, i, wrench)
@@ -226,7 +228,7 @@ def _groups_of(arm: Arm) -> NDArray[np.int_] | None:
     """The group of each geom of a view ``(ngeom,)`` that the arm moves in one piece; zero for what it does not move."""
     if arm.state is None:
         return None
-    model, mine, carried = arm.geometry, arm.space.rate_addresses, () if arm.grasp is None else arm.grasp.bodies
-    groups = np.array([model.body_weldid[k] * arm.moved_by(k)[mine].any() for k in range(model.nbody)])
-    groups[list(carried)] = groups[arm.grasp.carrier] if arm.grasp is not None else 0
-    return np.asarray(groups[model.geom_bodyid])
+    groups = moved_together(arm.model, arm.space.rate_addresses)
+    if arm.grasp is not None:
+        groups[list(arm.grasp.bodies)] = groups[arm.grasp.carrier]
+    return np.asarray(groups[arm.model.geom_bodyid])

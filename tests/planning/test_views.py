@@ -216,3 +216,24 @@ def test_a_view_in_another_state_keeps_what_was_asked_for(state):
     assert moved.keyframes == ("home",)
     with pytest.raises(InputError, match="is no view of a compiled model"):
         ls.Arm.load("telescopic_pr").at(data)
+
+
+@pytest.mark.parametrize("under", [1e-9, 1e-6, 5e-4])
+def test_a_sensor_that_reads_below_a_limit_is_at_it(state, under):
+    model, data = state
+    data.joint("out").qpos = data.joint("last").qpos = model.joint("out").range[0] - under
+    arm = ls.Arm.of(model, data, JOINTS, tip="pen")
+    planned = ls.plan(arm, arm.position_limits.mean(axis=1), planner="minimum-jerk")
+    np.testing.assert_array_equal(planned.motion.q[0], np.maximum(arm.keyframe("home"), arm.position_limits[:, 0]))
+    with pytest.raises(InputError, match=r"up to 1e-12 beyond a limit is taken as at it: bring the joint back"):
+        ls.plan(replace(arm, start_tolerance=1e-12), arm.position_limits.mean(axis=1))
+
+
+def test_a_start_within_the_clearance_says_what_sets_it():
+    ball = '<body pos="0 0 .101"><joint name="up" type="slide" axis="0 0 1" range="0 1"/><geom size=".1"/></body>'
+    world = f'<mujoco><worldbody><geom type="plane" size="1 1 1"/>{ball}</worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(world)
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["up"])
+    with pytest.raises(InputError, match=r"come nearer than the clearance of 2 mm, which dataclasses\.replace"):
+        ls.plan(arm, [0.5])
+    assert ls.plan(replace(arm, clearance=5e-4), [0.5]).qpos[-1, 0] == pytest.approx(0.5)

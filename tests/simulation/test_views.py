@@ -216,3 +216,20 @@ def test_a_motor_that_cannot_hold_its_load_is_named():
     arm = view(model, mujoco.MjData(model))
     with pytest.raises(InputError, match=r"'lift' cannot be held at the start: its load is .* N m, its force limit 1"):
         ls.plan(arm, [0.9, -0.4, 0.15])
+
+
+def test_neither_fingers_that_touch_nor_what_is_in_a_gap_is_a_contact():
+    slide = '<joint name="f{0}" type="slide" axis="0 1 0" stiffness="1e3"/>'
+    finger = f'<body pos=".3 {{0}}.02 0">{slide}<geom size=".021"/></body>'
+    link = '<joint name="turn" axis="0 0 1" range="-90 90"/><geom type="capsule" fromto="0 0 0 .2 0 0" size=".02"/>'
+    near = '<geom size=".02" pos=".1 0 -.07" margin=".001" gap=".05"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option gravity="0 0 0"/><worldbody>{near}<body>{link}{finger.format("")}{finger.format("-")}</body>'
+        '</worldbody><actuator><motor joint="turn"/></actuator></mujoco>'
+    )
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["turn"])
+    run = ls.simulate(arm, ls.plan(arm, [0.1], planner="minimum-jerk", duration=0.5), hold=0.0)
+    data = arm.data()
+    mujoco.mj_forward(model, data)
+    assert sorted(data.contact.exclude) == [0, 1]
+    assert not run.contacts.any()
