@@ -449,6 +449,7 @@ def test_moving_links_without_an_inertia_get_a_small_one(tmp_path):
 <limit lower="-1" upper="1" effort="50" velocity="1"/></joint></robot>""")
     spec, report = import_arm(path)
     assert spec.compile().body("basex").mass == 0.01
+    assert not any("named like a tool" in note for note in report.notes)
     assert "links without <inertial> got a mass of 10 g: basex" in report.notes
 
 
@@ -461,3 +462,15 @@ def test_geoms_that_collide_in_explicit_pairs_alone_are_seen():
     arm, report = arm_of(xml, floor="none")
     assert not any("can collide" in note for note in report.notes)
     assert arm.near_contacts([np.arctan2(0.3, 0.5)]) == [("post", "a")]
+
+
+def test_a_frame_named_like_a_tool_is_told_with_the_option_that_chooses_it():
+    hand = (
+        '<body name="hand" pos=".3 0 0"><geom size=".02"/><site name="grip_tcp" pos=".1 0 0"/><site name="eye"/></body>'
+    )
+    xml = f'<mujoco><worldbody><body name="a"><joint name="a"/><geom size=".05"/>{hand}</body></worldbody></mujoco>'
+    told = (
+        "the end effector is 'a'; tip='grip_tcp' (--tip) would choose that, of the frames named like a tool: grip_tcp"
+    )
+    assert told in arm_of(xml, floor="none")[1].notes
+    assert arm_of(xml, floor="none", tip="grip_tcp")[1].links == ("grip_tcp",)

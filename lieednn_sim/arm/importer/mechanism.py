@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -29,6 +30,7 @@ from lieednn_sim.values import Floats
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _BALL, _SLIDE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
+_TOOL = re.compile(r"tcp|tool|(^|_)ee($|_)|end.?effector|flange|grasp|pinch|attachment", re.IGNORECASE)
 _DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
 
 
@@ -86,6 +88,11 @@ def find_mechanism(draft: Draft) -> None:
         draft.frames = (inner, *(body_frame(model, int(model.jnt_bodyid[group[-1]])) for group in draft.groups))
         if draft.tip is not None:
             draft.frames = (*draft.frames[:-1], _tip(model, draft.tip, draft.frames[-1]))
+        elif tools := _tools(model, draft.frames[-1].body):
+            draft.notes.append(
+                f"the end effector is {draft.frames[-1].name!r}; tip={tools[0]!r} (--tip) would choose that, of the "
+                f"frames named like a tool: {', '.join(tools)}"
+            )
     draft.ranges = joint_ranges(model, draft.groups, draft.couplings, draft.notes)
     link = {joint: i for i, group in enumerate(draft.groups, start=1) for joint in group}
     for follower, (leader, _, _) in draft.couplings.lines.items():
@@ -123,6 +130,14 @@ def _tip(model: mujoco.MjModel, name: str, last: Frame) -> Frame:
     if last.body not in ancestry(model, tip.body):
         raise InputError(f"the tip {name!r} is not carried by the last link, {last.name!r}")
     return tip
+
+
+def _tools(model: mujoco.MjModel, last: int) -> list[str]:
+    """Names of the bodies and sites that are fixed to the last link and named like a tool."""
+    fixed = np.flatnonzero(model.body_weldid == model.body_weldid[last])
+    names = [model.body(body).name for body in fixed if body != last]
+    names += [model.site(site).name for site in np.flatnonzero(np.isin(model.site_bodyid, fixed))]
+    return [name for name in names if _TOOL.search(name)]
 
 
 def _frames_of_the_model(model: mujoco.MjModel) -> tuple[tuple[str, ...] | None, str | None]:
