@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.checks import ancestry, check_numbers
+from lieednn_sim.arm.checks import check_numbers
 from lieednn_sim.arm.contacts import colliding_geoms
 from lieednn_sim.arm.coordinates import Coordinates
-from lieednn_sim.arm.forces import resting_load
-from lieednn_sim.arm.frames import Frame, body_frame, find_frame
+from lieednn_sim.arm.forces import tangent_basis
+from lieednn_sim.arm.frames import body_frame
 from lieednn_sim.arm.importer.compound_joints import cut
 from lieednn_sim.arm.importer.coupled_joints import find_couplings
-from lieednn_sim.arm.importer.limits import check_rates
-from lieednn_sim.arm.importer.mechanism import joint_ranges
+from lieednn_sim.arm.importer.limits import check_rates, spare_acceleration
+from lieednn_sim.arm.importer.mechanism import joint_ranges, tip_frame
 from lieednn_sim.arm.importer.serial_chain import named_chain
 from lieednn_sim.arm.parsing import Chain, read_arm
 from lieednn_sim.errors import InputError
@@ -85,7 +85,7 @@ def read_view(
     groups = cut(own, kinematics_at(own, qpos), joints_of_chain, whole, couplings)
     last = body_frame(own, int(own.jnt_bodyid[groups[-1][-1]]))
     ends = [body_frame(own, int(own.jnt_bodyid[group[-1]])) for group in groups[:-1]]
-    chain = Chain((inner, *ends, last if tip is None else _tip(own, tip, last)), groups)
+    chain = Chain((inner, *ends, last if tip is None else tip_frame(own, tip, last)), groups)
     ranges = joint_ranges(own, groups, couplings, notes, qpos)
     fields = read_arm(own, "arm", chain, rest=qpos, lines=couplings.lines, ranges=ranges)
     space: Coordinates = fields["space"]
@@ -99,14 +99,6 @@ def read_view(
     return fields
 
 
-def _tip(model: mujoco.MjModel, name: str, last: Frame) -> Frame:
-    """The frame of the end effector by its name, on the last link or beyond it."""
-    tip = find_frame(model, name)
-    if last.body not in ancestry(model, tip.body):
-        raise InputError(f"the tip {name!r} is not carried by the last link, {last.name!r}")
-    return tip
-
-
 def _samples(fields: Mapping[str, Any], count: int) -> Floats:
     """Random configurations ``(count, nq)`` within the limits."""
     low, high = fields["position_limits"].T
@@ -116,22 +108,11 @@ def _samples(fields: Mapping[str, Any], count: int) -> Floats:
 
 
 def _acceleration_limits(model: mujoco.MjModel, fields: Mapping[str, Any]) -> Floats:
-    """Half of what the actuators' spare forces give ``(n,)``: (F - |load|) / (2 I), as of `importer.limits`."""
-    space: Coordinates = fields["space"]
+    """The model's limits ``(n,)``, or where it has none those that its actuators' forces leave."""
     given, force = fields["acceleration_limits"], fields["force_limits"]
     if np.isfinite(given).all() or not np.isfinite(force).any():
         return np.array(given)
-    configurations = _samples(fields, 16)
-    rates = space.rates.copy()
-    rates[space.ball_rate_addresses, space.balls] = 1.0
-    load = np.abs(resting_load(model, configurations) @ rates).max(axis=0)
-    data, inertia, column = mujoco.MjData(model), np.zeros(len(space)), np.zeros(model.nv)
-    for data.qpos[:] in configurations:
-        mujoco.mj_fwdPosition(model, data)
-        for k, rate in enumerate(rates.T):
-            mujoco.mj_mulM(model, data, column, rate)
-            inertia[k] = max(inertia[k], rate @ column)
-    spare = np.where(np.isfinite(force) & (force > load), 0.5 * (force - load) / inertia, np.inf)
+    spare = spare_acceleration(model, _samples(fields, 16), tangent_basis(fields["space"]), force)
     return np.where(np.isfinite(given), given, spare)
 
 

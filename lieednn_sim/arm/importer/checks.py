@@ -90,7 +90,7 @@ def look_at_home(draft: Draft) -> None:
     elsewhere = draft.place(model, stacked(draft.samples[:loaded]), model.qpos0)
     at_home, *others = resting_load(model, np.array([data.qpos, *elsewhere]))
     loads = np.abs(others)
-    frictions = dry_friction(model, np.array([dof.rates for dof in draft.dofs]).T)
+    frictions = dry_friction(model, draft.rates)
     for dof, servo, friction in zip(draft.dofs, draft.servos, frictions, strict=True):
         force = float(at_home @ dof.rates)
         if servo.frequency < _SLOW:
