@@ -10,21 +10,21 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
-    from lieednn_sim.arm.serial_arm import SerialArm
+    from lieednn_sim.arm.coordinates import Coordinates
 
 # Kinds of transmission by which an actuator drives a joint.
 ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
-def tangent_basis(arm: SerialArm) -> Floats:
+def tangent_basis(space: Coordinates) -> Floats:
     """Generalised velocities ``(nv, n)`` at unit rates of the coordinates, every ball joint at its reference.
 
     Its columns span the velocities that the arm's joints can have at any position. Rows of joints outside the arm are
     zero, and those of coupled stages are multiples of their leaders'. Its transpose turns generalised forces ``(nv,)``
     into forces along the coordinates; for ball joints, along the axes of the moving body.
     """
-    rates = np.eye(arm.n_joints)
-    return arm.space.to_qvel(np.zeros_like(rates), rates).T
+    rates = np.eye(len(space))
+    return space.to_qvel(np.zeros_like(rates), rates).T
 
 
 def actuator_moments(model: mujoco.MjModel) -> Floats:

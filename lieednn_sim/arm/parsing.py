@@ -25,7 +25,7 @@ from lieednn_sim.arm.checks import (
     joints_of,
 )
 from lieednn_sim.arm.coordinates import Coordinates, Line, Sum, line_of, to_independent_leaders
-from lieednn_sim.arm.forces import force_ranges
+from lieednn_sim.arm.forces import force_ranges, tangent_basis
 from lieednn_sim.arm.frames import BodyFrames, Frame, site_frame
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.errors import InputError
@@ -220,9 +220,7 @@ def read_position_limits(
 
 def read_force_limits(model: mujoco.MjModel, coordinates: Coordinates) -> Floats:
     """The force ``(n,)`` that actuators can exert on each coordinate in both directions; infinite without a limit."""
-    rates = coordinates.rates.copy()
-    rates[coordinates.ball_rate_addresses, coordinates.balls] = 1.0
-    low, high = force_ranges(model, rates).T
+    low, high = force_ranges(model, tangent_basis(coordinates)).T
     return np.minimum(-low, high)
 
 

@@ -16,12 +16,12 @@ from lieednn_sim.arm.contacts import colliding_geoms
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.dependents import Dependents
 from lieednn_sim.arm.equalities import names
-from lieednn_sim.arm.forces import resting_load
+from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame
 from lieednn_sim.arm.importer.compound_joints import cut
 from lieednn_sim.arm.importer.coupled_joints import Couplings, along_tendons, tied_joints
-from lieednn_sim.arm.importer.limits import check_rates
-from lieednn_sim.arm.importer.mechanism import joint_ranges
+from lieednn_sim.arm.importer.limits import check_rates, spare_acceleration
+from lieednn_sim.arm.importer.mechanism import joint_ranges, tip_frame
 from lieednn_sim.arm.importer.serial_chain import chain_base, chosen_joints, common_path
 from lieednn_sim.arm.parsing import Chain, read_arm
 from lieednn_sim.arm.stops import Stops
@@ -91,7 +91,7 @@ def read_view(
     qpos = dependents.to_qpos(data.qpos)
     inner, path, joints_of_chain = _chain(own, dependents, qpos, chosen, tip, base)
     last = body_frame(own, path[-1])
-    end = last if tip is None else _tip(own, tip, last)
+    end = last if tip is None else tip_frame(own, tip, last)
     held, weld = _welded(own, data, dependents, end.body)
     if held is not None:
         # It is carried: a rigid part of the hand, without any iterations.
@@ -209,14 +209,6 @@ def _mover(model: mujoco.MjModel, moving: NDArray[np.bool_], body: int) -> int:
     return body
 
 
-def _tip(model: mujoco.MjModel, name: str, last: Frame) -> Frame:
-    """The frame of the end effector by its name, on the last link or beyond it."""
-    tip = find_frame(model, name)
-    if last.body not in ancestry(model, tip.body):
-        raise InputError(f"the tip {name!r} is not carried by the last link, {last.name!r}")
-    return tip
-
-
 def _samples(fields: Mapping[str, Any], count: int) -> Floats:
     """Random configurations ``(count, n)`` within the limits."""
     low, high = fields["position_limits"].T
@@ -225,29 +217,18 @@ def _samples(fields: Mapping[str, Any], count: int) -> Floats:
 
 
 def _acceleration_limits(model: mujoco.MjModel, fields: Mapping[str, Any]) -> Floats:
-    """Half of what the actuators' spare forces give ``(n,)``: (F - |load|) / (2 I), as of `importer.limits`."""
-    space: Coordinates = fields["space"]
+    """The model's limits ``(n,)``, or where it has none those that its actuators' forces leave."""
     given, force = fields["acceleration_limits"], fields["force_limits"]
     if np.isfinite(given).all() or not np.isfinite(force).any():
         return np.array(given)
-    configurations = space.to_qpos(_samples(fields, 16))
-    rates = space.rates.copy()
-    rates[space.ball_rate_addresses, space.balls] = 1.0
-    bases = np.broadcast_to(rates, (len(configurations), *rates.shape))
+    space: Coordinates = fields["space"]
+    configurations, rates = space.to_qpos(_samples(fields, 16)), tangent_basis(space)
     dependents: Dependents | None = fields["dependents"]
     if dependents is not None:
-        configurations = dependents.to_qpos(configurations, strict=False)
+        configurations = dependents.to_qpos(np.vstack([fields["qpos_home"], configurations]), strict=False)
         configurations = configurations[~np.isnan(configurations).any(axis=1)]
-        bases = dependents.basis(configurations) @ rates[dependents.dofs]
-    load = np.abs(np.einsum("kv,kvn->kn", resting_load(model, configurations), bases)).max(axis=0, initial=0.0)
-    data, inertia, column = mujoco.MjData(model), np.zeros(len(space)), np.zeros(model.nv)
-    for data.qpos[:], basis in zip(configurations, bases, strict=True):
-        mujoco.mj_fwdPosition(model, data)
-        for k, rate in enumerate(basis.T):
-            mujoco.mj_mulM(model, data, column, rate)
-            inertia[k] = max(inertia[k], rate @ column)
-    known = np.isfinite(force) & (force > load) & (inertia > 0.0)
-    spare = np.where(known, 0.5 * (force - load) / np.where(known, inertia, 1.0), np.inf)
+        rates = dependents.basis(configurations) @ rates[dependents.dofs]
+    spare = spare_acceleration(model, configurations, rates, force)
     return np.where(np.isfinite(given), given, spare)
 
 

@@ -120,8 +120,8 @@ def _add_option(group: Any, taken: Parameter) -> None:
     how: dict[str, Any] = {"dest": taken.option, "metavar": kind.metavar, "type": kind.read}
     if taken.positional:
         name, how["metavar"] = how.pop("dest"), taken.option.upper()
-        several, item = ("+", None) if taken.required else ("*", "?")
-        how["nargs"] = several if kind.words else item
+        several, single = ("+", None) if taken.required else ("*", "?")
+        how["nargs"] = several if kind.words else single
     elif taken.kind == "bool":
         name = f"--no-{taken.option}" if taken.default else f"--{taken.option}"
         text = f"do not {text}" if taken.default else text

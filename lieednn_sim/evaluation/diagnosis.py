@@ -50,7 +50,7 @@ def error_causes(rollout: Rollout, translation: float, rotation: float) -> tuple
 
 def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[list[str]]]:
     """For each coordinate, the causes of its error ``(n,)`` by the model, and their remedies."""
-    arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm)
+    arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm.space)
     (kp, _), friction = servo_gains(model, basis), dry_friction(model, basis)
     load = np.abs(resting_load(model, rollout.qpos[-1:])[0] @ basis)
     pace, limits = _pace(rollout), arm.force_limits
@@ -94,7 +94,7 @@ def _pace(rollout: Rollout) -> Floats:
 
     The slower root of M r^2 + (kv + D) r + kp = 0.
     """
-    model, basis = rollout.arm.model, tangent_basis(rollout.arm)
+    model, basis = rollout.arm.model, tangent_basis(rollout.arm.space)
     data = mujoco.MjData(model)
     data.qpos[:] = rollout.qpos[-1]
     mujoco.mj_forward(model, data)

@@ -230,14 +230,14 @@ class JointMotion:
 
 def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:
     """The names of the joints' columns; a table may have others."""
-    target = [name.lower() for name in arm.joint_names]
-    if missing := [name for name in target if name not in names]:
-        strange = [name for name in names if name not in (*target, *TIMES)]
+    joints = [name.lower() for name in arm.joint_names]
+    if missing := [name for name in joints if name not in names]:
+        strange = [name for name in names if name not in (*joints, *TIMES)]
         raise InputError(
             f"{path} must name the joints of {arm.name}: {', '.join(arm.joint_names)}; it lacks {', '.join(missing)}"
             + (f", and names {', '.join(strange)}" if strange else "")
         )
-    return target
+    return joints
 
 
 def _motion(arm: Arm, source: str, samples: ArrayLike, t: ArrayLike | None, rate: float) -> tuple[Floats, Floats]:

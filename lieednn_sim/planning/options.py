@@ -47,8 +47,8 @@ def given_options(
         InputError: options are given, of another class or to something without options.
     """
     if options is not None and (kind is None or not isinstance(options, kind)):
-        target = "has no options" if kind is None else f"takes options of class {kind.__name__}"
-        raise InputError(f"{what} {target}, got {type(options).__name__}")
+        allowed = "has no options" if kind is None else f"takes options of class {kind.__name__}"
+        raise InputError(f"{what} {allowed}, got {type(options).__name__}")
     return () if kind is None else (kind() if options is None else options,)
 
 

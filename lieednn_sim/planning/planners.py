@@ -111,7 +111,7 @@ def _check_held(arm: Arm, q: Floats, what: str) -> None:
     """Raise `InputError` if the motors of a view are too weak for its weight at rest; dry friction may help them."""
     if arm.state is None:
         return
-    basis = tangent_basis(arm)
+    basis = tangent_basis(arm.space)
     load = np.abs(resting_load(arm.model, arm.qpos(q)[None])[0] @ basis)
     short = load - dry_friction(arm.model, basis) - arm.force_limits
     j = int(short.argmax())

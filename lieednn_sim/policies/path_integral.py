@@ -123,9 +123,9 @@ def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
             actuator.set_to_velocity(kv=1e9)
     for sensor in list(spec.sensors):
         spec.delete(sensor)
-    target = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND) | 1 << int(mujoco.mjtConDataField.mjCONDATA_DIST)
+    fields = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND) | 1 << int(mujoco.mjtConDataField.mjCONDATA_DIST)
     # The sensor reports one contact: that of the least distance.
-    spec.add_sensor(name="nearest", type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=[target, 1, 1])
+    spec.add_sensor(name="nearest", type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=[fields, 1, 1])
     model = spec.compile()
     off = mujoco.mjtDisableBit
     model.opt.disableflags |= int(

@@ -47,17 +47,17 @@ def occupied(run: Rollout) -> Floats:
 def _occupied_in(run: Rollout) -> Floats:
     """Points around the geoms of the bodies in question, at some instants; what moves by a millimetre counts."""
     model, data = run.arm.model, mujoco.MjData(run.arm.model)
-    target = np.zeros(model.ngeom, dtype=bool)
+    shown = np.zeros(model.ngeom, dtype=bool)
     body = int(run.arm.frames.bodies[-1])
     while body > 0:
-        target |= model.geom_bodyid == body
+        shown |= model.geom_bodyid == body
         body = int(model.body_parentid[body])
     results = []
     for data.qpos[:] in run.qpos[np.linspace(0, len(run.t) - 1, 25, dtype=int)]:
         mujoco.mj_kinematics(model, data)
         results.append(_corners(model, data))
-    target |= np.ptp(results, axis=0).max(axis=(1, 2)) > 1e-3
-    return np.array(results)[:, target & (model.geom_type != _PLANE)].reshape(-1, 3)
+    shown |= np.ptp(results, axis=0).max(axis=(1, 2)) > 1e-3
+    return np.array(results)[:, shown & (model.geom_type != _PLANE)].reshape(-1, 3)
 
 
 def _corners(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:

@@ -92,8 +92,8 @@ def instants(path: Floats, count: int) -> list[int]:
     travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     if travelled[-1] < 1e-6:
         travelled = np.linspace(0.0, 1.0, len(path))
-    target = np.linspace(0.0, 1.0, count) * travelled[-1] * (1.0 - 1e-9)
-    return [int(k) for k in np.searchsorted(travelled, target)]
+    lengths = np.linspace(0.0, 1.0, count) * travelled[-1] * (1.0 - 1e-9)
+    return [int(k) for k in np.searchsorted(travelled, lengths)]
 
 
 typecheck_public(globals())

@@ -43,7 +43,7 @@ class Actuators:
     """
 
     def __init__(self, arm: Arm, *, complete: bool = True) -> None:
-        model, basis = arm.model, tangent_basis(arm)
+        model, basis = arm.model, tangent_basis(arm.space)
         moments = actuator_moments(model)
         self.driving = _moving(moments, basis)
         self.moment = np.where(self.driving[:, None], moments, 0.0)
@@ -146,7 +146,7 @@ class Actuators:
 
 def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
     """Which actuators ``(nu,)`` move the arm's joints."""
-    return _moving(actuator_moments(arm.model), tangent_basis(arm))
+    return _moving(actuator_moments(arm.model), tangent_basis(arm.space))
 
 
 def _moving(moments: Floats, basis: Floats) -> NDArray[np.bool_]:

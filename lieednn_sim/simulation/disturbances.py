@@ -194,7 +194,7 @@ class Sensors:
     def __init__(self, arm: Arm, disturbances: Disturbances) -> None:
         self._seed = disturbances.seed
         # Zero for joints that are no part of the arm.
-        measured = (tangent_basis(arm) != 0.0).any(axis=1)
+        measured = (tangent_basis(arm.space) != 0.0).any(axis=1)
         self._deviations = np.outer([disturbances.position_noise, disturbances.velocity_noise], measured)
         self.noisy = bool(self._deviations.any())
         # Adding negative zeros changes no bit.

@@ -170,7 +170,7 @@ class Log:
             contacts[row], contact_force[row] = touching, force
         # The gravity compensation of some dofs bypasses MuJoCo's actuators, which have to exert it, too.
         bypassing = ~model.jnt_actgravcomp[model.dof_jntid].astype(bool)
-        exerted, basis = log["actuators"] + bypassing * log["compensation"], tangent_basis(arm)
+        exerted, basis = log["actuators"] + bypassing * log["compensation"], tangent_basis(arm.space)
         places, turns = self._frames.poses(log["positions"], log["rotations"])
         q = arm.coordinates(log["qpos"])
         channels, units = self._channels()

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.contacts import moved_by
+from lieednn_sim.arm.view import moved_together
 from lieednn_sim.lie import rotations
 from lieednn_sim.simulation.disturbances import Disturbances
 
@@ -45,7 +44,10 @@ def make_plant(
         # The compiler derives servo damping from the inertia, which would include the payload.
         plant.actuator_gainprm[:], plant.actuator_biasprm[:] = arm.model.actuator_gainprm, arm.model.actuator_biasprm
     if changes.mass_scale != 1.0:
-        known = _of_arm(arm) if view else np.array([plant.body(i).name != _PAYLOAD for i in range(plant.nbody)])
+        if view:
+            known = moved_together(arm.model, arm.space.rate_addresses) > 0
+        else:
+            known = np.array([plant.body(i).name != _PAYLOAD for i in range(plant.nbody)])
         plant.body_mass[known] *= changes.mass_scale
         plant.body_inertia[known] *= changes.mass_scale
         plant.body_gravcomp[known] /= changes.mass_scale
@@ -54,12 +56,6 @@ def make_plant(
     if changes.mass_scale != 1.0 or (view and changes.payload > 0.0):
         mujoco.mj_setConst(plant, mujoco.MjData(plant))
     return plant
-
-
-def _of_arm(arm: Arm) -> NDArray[np.bool_]:
-    """Which bodies ``(nbody,)`` of its model the arm moves."""
-    mine = arm.space.rate_addresses
-    return np.array([moved_by(arm.model, body)[mine].any() for body in range(arm.model.nbody)])
 
 
 def _load(plant: mujoco.MjModel, arm: Arm, mass: float) -> None:

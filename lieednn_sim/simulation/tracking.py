@@ -120,11 +120,10 @@ def simulate(
     rest = round(as_hold(hold) / arm.timestep)
     if isinstance(motion, PlanSequence):
         reference = _reference_of(arm, motion, rate)
-        total, end = len(motion.t) + rest, float(motion.t[-1])
     else:
         motion = as_motion(arm, motion)
-        total, end = len(motion.t) + rest, float(motion.t[-1])
-        reference = as_reference(arm, motion, total, rate)
+        reference = as_reference(arm, motion, len(motion.t) + rest, rate)
+    total, end = len(motion.t) + rest, float(motion.t[-1])
     changes = Disturbances() if disturbances is None else disturbances
     name = default_controller(arm) if controller is None else controller
     meta: dict[str, Any] = {"controller": name, "reference_rate": rate, "disturbances": changes}

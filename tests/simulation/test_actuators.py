@@ -38,7 +38,7 @@ def test_lengths_velocities_and_forces_are_mujoco_s(small_arms, seed, name):
     np.testing.assert_allclose(data.actuator_force[moving], actuators.forces(wanted)[moving], atol=1e-9)
     # What the arm's joints can do is done by those forces; internal ones between coupled stages do not matter.
     driven = np.where(actuators.driving, data.actuator_force, 0.0)
-    basis, moment = tangent_basis(arm), np.zeros((arm.model.nu, arm.model.nv))
+    basis, moment = tangent_basis(arm.space), np.zeros((arm.model.nu, arm.model.nv))
     mujoco.mju_sparse2dense(
         moment, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind
     )
@@ -51,14 +51,14 @@ def test_noise_in_the_controls_is_noise_in_the_measurement(small_arms, seed, nam
     """The servo's force at the true state with disturbed controls is its force at a disturbed state."""
     arm, rng = small_arms[name], np.random.default_rng(seed)
     actuators, data = Actuators(arm), random_state(arm, rng)
-    noise = Noise(*(1e-3 * (tangent_basis(arm) != 0.0).any(axis=1) * rng.normal(size=(2, arm.model.nv))))
+    noise = Noise(*(1e-3 * (tangent_basis(arm.space) != 0.0).any(axis=1) * rng.normal(size=(2, arm.model.nv))))
     controls = rng.normal(size=arm.model.nu)
     data.ctrl[:] = controls + actuators.measurement_error(noise)
     mujoco.mj_forward(arm.model, data)
     disturbed = data.actuator_force.copy()
     if name == "compound":
         # What the servos of a ball joint measure is its rotation vector, so that is what the noise is of.
-        data.qpos[:] = arm.qpos(arm.coordinates(data.qpos) + noise.position @ tangent_basis(arm))
+        data.qpos[:] = arm.qpos(arm.coordinates(data.qpos) + noise.position @ tangent_basis(arm.space))
     else:
         data.qpos += np.insert(noise.position, 3, 0.0)  # the ball that lies about has a quaternion, and no noise
     data.qvel += noise.velocity

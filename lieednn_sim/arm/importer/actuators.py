@@ -53,7 +53,7 @@ def design_servos(draft: Draft) -> None:
     """
     natural_frequency = 20.0  # of a designed servo [Hz]
     omega, servos = 2.0 * np.pi * natural_frequency, []
-    inertia = largest_inertia(draft.bare, draft.configurations(draft.samples[:16]), draft.dofs)
+    inertia = largest_inertia(draft.bare, draft.configurations(draft.samples[:16]), draft.rates)
     for dof, actuation, held in zip(draft.dofs, draft.actuations, inertia, strict=True):
         kp, kv = map(float, actuation.gains or (held * omega**2, 2.0 * held * omega))
         frequency = float(np.sqrt(kp / held) / (2.0 * np.pi))
@@ -64,7 +64,7 @@ def design_servos(draft: Draft) -> None:
 def stabilise(draft: Draft) -> None:
     """If the servos are unstable at one of a few configurations, change the integrator, then shorten the timestep."""
     model, option = draft.bare, draft.spec.option
-    inertias = reduced_inertia(model, draft.configurations(draft.samples[:8]), draft.dofs)
+    inertias = reduced_inertia(model, draft.configurations(draft.samples[:8]), draft.rates)
 
     def unstable() -> bool:
         timestep = float(model.opt.timestep)

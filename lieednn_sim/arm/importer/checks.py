@@ -41,10 +41,10 @@ def check_kinematics(draft: Draft) -> None:
     for before.qpos[:], after.qpos[:] in zip(*configurations, strict=True):
         mujoco.mj_kinematics(original, before)
         mujoco.mj_kinematics(model, after)
-        target = pose(before.xpos[bodies], before.xquat[bodies]) * fixed
+        expected = pose(before.xpos[bodies], before.xquat[bodies]) * fixed
         rotations = scipy.spatial.transform.Rotation.from_matrix(after.site_xmat[sites].reshape(-1, 3, 3))
         result = scipy.spatial.transform.RigidTransform.from_components(after.site_xpos[sites], rotations)
-        same = np.isclose(target.as_matrix(), result.as_matrix(), rtol=0.0, atol=1e-9).all(axis=(-2, -1))
+        same = np.isclose(expected.as_matrix(), result.as_matrix(), rtol=0.0, atol=1e-9).all(axis=(-2, -1))
         if not same.all():
             raise InputError(
                 f"the frame {frames[int(same.argmin())].name!r} moved while other joints were locked; the model uses a "
@@ -90,7 +90,7 @@ def look_at_home(draft: Draft) -> None:
     elsewhere = draft.place(model, stacked(draft.samples[:loaded]), model.qpos0)
     at_home, *others = resting_load(model, np.array([data.qpos, *elsewhere]))
     loads = np.abs(others)
-    frictions = dry_friction(model, np.array([dof.rates for dof in draft.dofs]).T)
+    frictions = dry_friction(model, draft.rates)
     for dof, servo, friction in zip(draft.dofs, draft.servos, frictions, strict=True):
         force = float(at_home @ dof.rates)
         if servo.frequency < _SLOW:

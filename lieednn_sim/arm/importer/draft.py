@@ -115,6 +115,11 @@ class Draft:
     model: mujoco.MjModel = field(init=False)
 
     @property
+    def rates(self) -> Floats:
+        """Velocities ``(nv, n)`` in ``bare`` at unit rates of the coordinates."""
+        return np.array([dof.rates for dof in self.dofs]).T
+
+    @property
     def joints(self) -> list[int]:
         """The joints of the arm, from the base outwards."""
         return [joint for group in self.groups for joint in group]

@@ -13,6 +13,7 @@ from lieednn_sim.arm.forces import resting_load
 from lieednn_sim.arm.importer.draft import Draft
 from lieednn_sim.arm.importer.servos import largest_inertia
 from lieednn_sim.validation import as_choice, as_positive
+from lieednn_sim.values import Floats
 
 # The custom numerics that hold the limits.
 RATE_LIMITS = {"velocity": "velocity_limit", "acceleration": "acceleration_limit", "jerk": "jerk_limit"}
@@ -69,24 +70,30 @@ def _velocities(source: Path) -> dict[str, float]:
 def limit_accelerations(draft: Draft) -> None:
     """Limit accelerations where actuators have force limits, so that planned motions can be followed.
 
-    Each limit is (F - |load|) / (2 I), with the actuator's force limit F, the load of gravity and springs at rest, and
-    the inertia I with the other coordinates held, both the largest over a few configurations. A custom numeric
-    ``acceleration_limit`` of the model stays.
+    A custom numeric ``acceleration_limit`` of the model stays.
     """
     if draft.spec.numeric(_ACCELERATION) is not None:
         return
-    model, servos, configurations = draft.bare, draft.servos, draft.configurations(draft.samples[:16])
-    rates = np.array([dof.rates for dof in draft.dofs])
-    inertia = largest_inertia(model, configurations, draft.dofs)
-    load = np.abs(resting_load(model, configurations) @ rates.T).max(axis=0)
+    servos = draft.servos
     force = np.array([min(-servo.force_range[0], servo.force_range[1]) for servo in servos])
-    # An actuator that cannot hold its load is reported by `look_at_home`; a limit of zero would allow no motion.
-    limits = np.where(force > load, _ACCELERATING_FRACTION * (force - load) / inertia, np.inf)
+    limits = spare_acceleration(draft.bare, draft.configurations(draft.samples[:16]), draft.rates, force)
     finite = np.flatnonzero(np.isfinite(limits))
     if finite.size:
         draft.spec.add_numeric(name=_ACCELERATION, data=limits, size=len(limits))
         shown = ", ".join(f"{servos[k].name} {limits[k]:.3g}" for k in finite)
         draft.notes.append(f"acceleration limits from force limits [rad/s^2, m/s^2]: {shown}")
+
+
+def spare_acceleration(model: mujoco.MjModel, configurations: Floats, rates: Floats, force: Floats) -> Floats:
+    """The limits of acceleration ``(n,)`` that force limits ``(n,)`` leave: (F - |load|) / (2 I), or infinite.
+
+    The load of gravity and springs at rest, and the inertia I with the other coordinates held, are the largest over
+    the configurations ``(S, nq)``; ``rates`` are as in `servos.reduced_inertia`.
+    """
+    inertia = largest_inertia(model, configurations, rates)
+    load = np.abs(np.vecmat(resting_load(model, configurations), rates)).max(axis=0)
+    # An actuator that cannot hold its load is reported by `look_at_home`; a limit of zero would allow no motion.
+    return np.where(force > load, _ACCELERATING_FRACTION * (force - load) / inertia, np.inf)
 
 
 def check_rates(limits: Any) -> None:

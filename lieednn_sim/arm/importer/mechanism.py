@@ -87,7 +87,7 @@ def find_mechanism(draft: Draft) -> None:
         draft.groups = cut(model, data, chain, whole, draft.couplings)
         draft.frames = (inner, *(body_frame(model, int(model.jnt_bodyid[group[-1]])) for group in draft.groups))
         if draft.tip is not None:
-            draft.frames = (*draft.frames[:-1], _tip(model, draft.tip, draft.frames[-1]))
+            draft.frames = (*draft.frames[:-1], tip_frame(model, draft.tip, draft.frames[-1]))
         elif tools := _tools(model, draft.frames[-1].body):
             draft.notes.append(
                 f"the end effector is {draft.frames[-1].name!r}; tip={tools[0]!r} (--tip) would choose that, of the "
@@ -124,7 +124,7 @@ def _chain(draft: Draft, base: str | None) -> tuple[Frame, tuple[int, ...]]:
     return inner, chain
 
 
-def _tip(model: mujoco.MjModel, name: str, last: Frame) -> Frame:
+def tip_frame(model: mujoco.MjModel, name: str, last: Frame) -> Frame:
     """The frame of the end effector by its name, on the last link or beyond it."""
     tip = find_frame(model, name)
     if last.body not in ancestry(model, tip.body):

@@ -80,20 +80,24 @@ def gain_parameters(servo: Servo) -> tuple[Floats, Floats]:
     return np.array([servo.kp, *np.zeros(9)]), np.array([0.0, -servo.kp, -servo.kv, *np.zeros(7)])
 
 
-def reduced_inertia(model: mujoco.MjModel, configurations: Floats, dofs: Sequence[Dof]) -> Floats:
-    """Inertia ``(S, n, n)`` in the independent coordinates at configurations ``(S, nq)``, armature included."""
+def reduced_inertia(model: mujoco.MjModel, configurations: Floats, rates: Floats) -> Floats:
+    """Inertia ``(S, n, n)``, armature included, at configurations ``(S, nq)``.
+
+    ``rates`` are as in `force_ranges`, ``(nv, n)`` or, where they differ, ``(S, nv, n)``.
+    """
     data = mujoco.MjData(model)
-    columns = np.zeros((len(configurations), len(dofs), model.nv))
-    for at, data.qpos[:] in zip(columns, configurations, strict=True):
+    rates = np.broadcast_to(rates, (len(configurations), *rates.shape[-2:]))
+    columns = np.zeros((len(configurations), rates.shape[-1], model.nv))
+    for at, basis, data.qpos[:] in zip(columns, rates, configurations, strict=True):
         mujoco.mj_fwdPosition(model, data)
-        for column, dof in zip(at, dofs, strict=True):
-            mujoco.mj_mulM(model, data, column, dof.rates)
-    return columns @ np.array([dof.rates for dof in dofs]).T
+        for column, rate in zip(at, basis.T, strict=True):
+            mujoco.mj_mulM(model, data, column, rate)
+    return columns @ rates
 
 
-def largest_inertia(model: mujoco.MjModel, configurations: Floats, dofs: Sequence[Dof]) -> Floats:
+def largest_inertia(model: mujoco.MjModel, configurations: Floats, rates: Floats) -> Floats:
     """Largest inertia ``(n,)`` of each coordinate over the configurations ``(S, nq)``, the other coordinates held."""
-    return np.asarray(np.diagonal(reduced_inertia(model, configurations, dofs), axis1=1, axis2=2).max(axis=0))
+    return np.asarray(np.diagonal(reduced_inertia(model, configurations, rates), axis1=1, axis2=2).max(axis=0))
 
 
 def growth(

@@ -152,18 +152,18 @@ def _csv(path: Path, columns: Columns) -> Iterator[Table]:
     table = np.loadtxt(path, delimiter=",", skiprows=int(headed), ndmin=2, encoding="utf-8-sig")
     if not headed:
         return _several(path, table)
-    target = columns(path, names)
+    chosen = columns(path, names)
     t = next((table[:, names.index(name)] for name in TIMES if name in names), None)
-    return _several(path, table[:, [names.index(name) for name in target]], t)
+    return _several(path, table[:, [names.index(name) for name in chosen]], t)
 
 
 def _pose_columns(quaternion: str, path: Path, names: list[str]) -> Sequence[str]:
-    target = [name for name in _COLUMNS if name in names]
+    chosen = [name for name in _COLUMNS if name in names]
     if any(name in names for name in _QUATERNION_COLUMNS):
-        target = [*_COLUMNS, *(f"q{letter}" for letter in quaternion)]
-    if target[:2] != ["x", "y"] or not set(target) <= set(names):
+        chosen = [*_COLUMNS, *(f"q{letter}" for letter in quaternion)]
+    if chosen[:2] != ["x", "y"] or not set(chosen) <= set(names):
         raise InputError(f"{path} must have columns x, y, z and qw, qx, qy, qz, or x, y; it has: {', '.join(names)}")
-    return target
+    return chosen
 
 
 def _mat(path: Path, _: Columns) -> Iterator[Table]:

@@ -183,7 +183,7 @@ class ComputedTorque(DriveController):
         self._actuators.make_direct(self._model)
         self._foreseen = Foreseen(reference)
         # Gains of velocity and position, as arrays: multiplying by numbers takes twice as long.
-        self._gains = np.outer([2.0 * NATURAL_FREQUENCY, NATURAL_FREQUENCY**2], tangent_basis(arm).any(axis=1))
+        self._gains = np.outer([2.0 * NATURAL_FREQUENCY, NATURAL_FREQUENCY**2], tangent_basis(arm.space).any(axis=1))
         self._errors = np.empty_like(self._gains)
         self._lag, self._error = self._errors
 

@@ -32,7 +32,7 @@ class FeedbackLinearisation(Controller):
     def __init__(self, arm: Arm, reference: Reference) -> None:
         self._reference, self._foreseen = reference, Foreseen(reference)
         self._actuators = actuators = Actuators(arm, complete=False)
-        basis, transmission = tangent_basis(arm), actuators.transmission
+        basis, transmission = tangent_basis(arm.space), actuators.transmission
         driven = transmission.any(axis=0)
         servoed = np.abs(transmission[actuators.servos]).max(axis=0, initial=0.0) > 0.0
         frequency, rates = np.where(servoed, 0.0, NATURAL_FREQUENCY), np.linalg.pinv(basis)
