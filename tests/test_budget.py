@@ -11,7 +11,7 @@ import pytest
 
 from lieednn_sim import budget
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm, import_arm
+from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.budget import check_time, out_of_time, time_limit
 from lieednn_sim.cli import main
@@ -200,10 +200,8 @@ def test_configurations_that_are_searched_for_take_a_look_at_the_clock(looks):
 
 def test_one_network_is_drawn_first_where_links_are_screws_and_the_others_where_it_cannot_be_used(monkeypatch):
     hinge = '<body pos="0 0 .3"><joint axis="0 1 0" range="-90 90"/><geom size=".02"/>'
-    spec, report = import_arm(
-        mujoco.MjSpec.from_string(f"<mujoco><worldbody>{3 * hinge}{'</body>' * 3}</worldbody></mujoco>")
-    )
-    arm = Arm.from_spec(spec, Path("three.xml"), "three", report)
+    spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{3 * hinge}{'</body>' * 3}</worldbody></mujoco>")
+    arm = Arm.from_spec(spec)
     target = np.deg2rad([20.0, -40.0, 60.0])
     alone = plan(arm, target, planner="lieednn-certified")
     assert alone.details.n_networks == 1

@@ -6,7 +6,7 @@ the network's state; `Arm.decode` finds the joint coordinates whose poses are ne
 
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE
-from lieednn_sim.arm.importer import ImportReport, import_arm
+from lieednn_sim.arm.importer.report import ImportReport
 from lieednn_sim.arm.inverse_kinematics import ik_candidates, solve_ik
 from lieednn_sim.arm.models import arm_names, models_directory, scene_path
 from lieednn_sim.arm.projection import Retraction
@@ -21,7 +21,6 @@ __all__ = [
     "TaskSpaceRegion",
     "arm_names",
     "ik_candidates",
-    "import_arm",
     "models_directory",
     "scene_path",
     "solve_ik",

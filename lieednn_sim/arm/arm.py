@@ -5,81 +5,48 @@ from __future__ import annotations
 import copy
 import os
 import pickle
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, fixed_body, moved_by
-from lieednn_sim.arm.dependents import Dependents
-from lieednn_sim.arm.equalities import dof_addresses
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, fixed_body
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
-from lieednn_sim.arm.grasp import Grasp, find_grasp
-from lieednn_sim.arm.importer import ImportOptions, ImportReport
-from lieednn_sim.arm.models import find_model, label_of, open_model
+from lieednn_sim.arm.importer.importing import import_model
+from lieednn_sim.arm.importer.loading import compile_spec, read_model
+from lieednn_sim.arm.importer.report import ImportOptions, ImportReport
+from lieednn_sim.arm.model_arm import LIMITS, ModelArm
+from lieednn_sim.arm.models import chosen, find_model, has_frames, label_of
 from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.parsing import read_arm
 from lieednn_sim.arm.scenes import add_obstacles
-from lieednn_sim.arm.serial_arm import SerialArm
-from lieednn_sim.arm.stops import Stops
-from lieednn_sim.arm.view import check_data, name_of, read_view, rigid_groups, standing, state_of
-from lieednn_sim.arm.visuals import discard_visuals, moves_alike
-from lieednn_sim.errors import FileError, InputError, NoSolutionError
-from lieednn_sim.lie import rotations
+from lieednn_sim.arm.surroundings import check_data, name_of, state_of
+from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import SCENES
-from lieednn_sim.validation import Seed, as_choice, as_count, as_floats, as_path, as_seed, quoted
-from lieednn_sim.values import Floats
-
-_LIMITS = ("position_limits", "velocity_limits", "acceleration_limits", "jerk_limits", "force_limits")
+from lieednn_sim.validation import Seed, as_choice, as_floats, as_path, as_seed, quoted
 
 
 @dataclass(frozen=True, eq=False)
-class Arm(SerialArm):
+class Arm(ModelArm):
     """A robot arm among obstacles; make one with `Arm.load`.
 
-    The base class `SerialArm` has its joint coordinates, limits and kinematics; this class adds obstacles and contacts.
+    The base class `SerialArm` has its joint coordinates, limits and kinematics, and `ModelArm` what else its model has;
+    this class adds files, obstacles and contacts.
 
     Attributes:
         scene: name of the obstacles around it: one of `registry.SCENES`, or the stem of their file.
         scene_seed: seed of the obstacles' positions.
-        import_report: what the importer did, for a file without the package's conventions; otherwise None.
-        clearance: distance that planned motions keep from contact, start and target included [m]; change it with
-            `dataclasses.replace`.
-        start_tolerance: how far a start may be beyond a limit, such as by a sensor's noise or on a soft stop [rad, m];
-            it is then taken as at the limit (`check_start`).
-        recipe: names of the methods that loaded it from files, and their arguments; empty for an arm from a spec, which
-            cannot be pickled, and for a view.
-        qpos_home: of a view, ``(nq,)`` the positions of its model in the state that it was made of: its ``home``.
-        state: of a view, the whole of that state (`view.state_of`), in which simulations begin.
-        named: of a view, the arguments joints, tip, base and limits of `of`.
-        made: of a view, the limits that it was made with, by name.
-        collision_model: of a view, `geometry`.
-        left_out: of a view, offsets of pairs of geoms that do not count there (`rigid_groups`).
-        grasp: what it carries (`holding`).
-        dependents: of a view, the joints that it moves by closed loops or curves, if any.
-        stops: of a view, ranges of these and of tendons, if any; configurations beyond them are not allowed.
+        import_report: what the importer found and added, for a file without the package's sites; otherwise None.
     """
 
     scene: str = "free"
     scene_seed: int = 0
     import_report: ImportReport | None = None
-    clearance: float = PLANNED_CLEARANCE
-    start_tolerance: float = 1e-3
-    recipe: tuple[tuple[str, tuple[Any, ...], ImportOptions], ...] = ()
-    qpos_home: Floats | None = None
-    state: Floats | None = None
-    named: Mapping[str, Any] = field(default_factory=dict)
-    made: Mapping[str, Floats] = field(default_factory=dict)
-    collision_model: mujoco.MjModel | None = None
-    left_out: dict[tuple[int, int], float] = field(default_factory=dict)
-    grasp: Grasp | None = None
-    dependents: Dependents | None = None
-    stops: Stops | None = None
 
     @classmethod
     def load(
@@ -115,40 +82,63 @@ class Arm(SerialArm):
         """Load an MJCF or URDF file that holds one arm.
 
         A file with the sites ``base_frame`` and ``link1_frame``, ``link2_frame``, ... is taken as it is. Any other is
-        imported (`importer.import_arm`): cut into compound joints, given servos where it has none, other joints locked.
+        imported (`importer.importing.import_model`): its longest chain, or what the options name, is the arm.
 
         Args:
             path: the file.
             name: the arm's name; by default the file's stem, or its folder's name when the file is ``scene.xml``.
-            options: the options of `importer.import_arm`; naming any of them imports the file.
+            options: import options; naming any of them imports the file.
 
         Raises:
             FileError: there is no such file, or MuJoCo cannot compile it.
             InputError: it holds no such arm.
         """
         source = as_path("path", path)
-        spec, import_report = open_model(source, **options)
-        arm = cls.from_spec(spec, source, name or label_of(source), import_report)
+        arm = cls._taken(source, read_model(source), source, name or label_of(source), options)
         return replace(arm, recipe=(("from_xml", (source.absolute(), arm.name), options),))
 
     @classmethod
-    def from_spec(cls, spec: mujoco.MjSpec, source: Path, name: str, import_report: ImportReport | None = None) -> Arm:
-        """Compile a spec in the conventions of this class, such as one from `import_arm`; raises as `from_xml`."""
-        try:
-            model = spec.compile()
-        except ValueError as error:
-            raise FileError(f"MuJoCo cannot compile {source}: {str(error).strip()}") from None
-        return cls(
-            name=name, source=source, spec=spec, model=model, import_report=import_report, **read_arm(model, name)
-        )
+    def from_spec(
+        cls,
+        spec: mujoco.MjSpec,
+        source: Path = Path("a spec"),
+        name: str = "arm",
+        **options: Unpack[ImportOptions],
+    ) -> Arm:
+        """The arm in a spec, which is not changed, as of `from_xml`.
+
+        Args:
+            spec: the spec.
+            source: the file that it is from, if any.
+            name: the arm's name.
+            options: import options.
+
+        Raises:
+            FileError: MuJoCo cannot compile it.
+            InputError: it holds no such arm.
+        """
+        return cls._taken(spec, spec, source, name, options)
+
+    @classmethod
+    def _taken(
+        cls, model: Path | mujoco.MjSpec, spec: mujoco.MjSpec, source: Path, name: str, options: ImportOptions
+    ) -> Arm:
+        """The arm of a file or a spec, as it is in ``spec``: by its sites, or imported."""
+        given = chosen(options)
+        if has_frames(spec) and not given:
+            compiled = compile_spec(spec)
+            return cls(name=name, source=source, spec=spec, model=compiled, **read_arm(compiled, name))
+        arm, report = import_model(model, source, name, **given)
+        return cls(**{item.name: getattr(arm, item.name) for item in fields(arm)}, import_report=report)
 
     @classmethod
     def of(
         cls,
         model: mujoco.MjModel,
         data: mujoco.MjData,
-        joints: Sequence[str],
+        joints: Sequence[str] | None = None,
         *,
+        links: Sequence[str] | None = None,
         tip: str | None = None,
         base: str | None = None,
         limits: Mapping[str, Mapping[str, float]] | None = None,
@@ -172,6 +162,8 @@ class Arm(SerialArm):
                 controls, activations and all else as well.
             joints: names of the joints, on one chain, in any order. The coordinates are in the order of the chain, that
                 of `joint_names`.
+            links: instead of the joints, names of the bodies or sites at the link frames, from the base outwards; the
+                joints between two of them move one link.
             tip: body or site of the end effector, by default the last body that the joints move.
             base: body or site of the base frame, by default the parent of the first body that moves.
             limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s].
@@ -182,21 +174,10 @@ class Arm(SerialArm):
             NoSolutionError: the state is not near a solution of the equalities, or at a dead centre of a loop.
         """
         check_data(model, data)
-        own = standing(model, data)
-        named: dict[str, Any] = {"joints": tuple(joints), "tip": tip, "base": base, "limits": limits}
-        fields, held = read_view(own, data, **named)
-        arm = cls(
-            name=name_of(model),
-            source=Path("a compiled model"),
-            spec=None,
-            model=own,
-            clearance=float(as_floats("clearance", clearance, ())),
-            state=state_of(own, data),
-            named=named,
-            made={name: fields[name].copy() for name in _LIMITS},
-            **fields,
-        )
-        return arm._in_groups() if held is None else arm.holding(held)
+        named: dict[str, Any] = {"joints": joints, "links": links, "tip": tip, "base": base, "limits": limits}
+        named = {what: value for what, value in named.items() if value is not None}
+        more = {"clearance": float(as_floats("clearance", clearance, ())), "state": state_of(model, data)}
+        return cls.viewing(model, data, named, name=name_of(model), source=Path("a compiled model"), spec=None, **more)
 
     def at(self, data: mujoco.MjData) -> Arm:
         """This view in another state of its model, with nothing in its hand; raises as `of`.
@@ -204,39 +185,10 @@ class Arm(SerialArm):
         Clearance, and limits that have been changed by `dataclasses.replace`, are kept.
         """
         self._require_view()
-        moved = Arm.of(self.model, data, clearance=self.clearance, **self.named)
-        changed = {name: np.asarray(getattr(self, name) != self.made[name]) for name in _LIMITS}
-        limits = {name: np.where(changed[name], getattr(self, name), getattr(moved, name)) for name in _LIMITS}
+        moved = replace(Arm.of(self.model, data, clearance=self.clearance, **self.named), spec=self.spec)
+        changed = {name: np.asarray(getattr(self, name) != self.made[name]) for name in LIMITS}
+        limits = {name: np.where(changed[name], getattr(self, name), getattr(moved, name)) for name in LIMITS}
         return replace(moved, name=self.name, **limits)
-
-    def data(self) -> mujoco.MjData:
-        """New data of the model: in the state that a view was made of, and of other arms at the model's reference."""
-        data = mujoco.MjData(self.model)
-        if self.state is not None:
-            mujoco.mj_setState(self.model, data, self.state, mujoco.mjtState.mjSTATE_INTEGRATION)
-        return data
-
-    def holding(self, body: str, touching: Sequence[str] = ()) -> Arm:
-        """This view of a model with a free body that its end effector carries, from where that is in its ``home``.
-
-        The body moves with the end effector. What carries it may touch it. It keeps the clearance from all else, except
-        from what it stands on, that is, what it is nearer to than that now: this it may touch, but sink no deeper into.
-
-        Args:
-            body: name of a body with a free joint.
-            touching: names of bodies that it may touch as well, such as those it is put on.
-
-        Raises:
-            InputError: the arm is no view, or there is no such body.
-        """
-        grasp = find_grasp(self.model, self._require_view(), self.frames[-1:], body, touching, self.clearance)
-        return replace(self, grasp=grasp)._in_groups()
-
-    def _in_groups(self) -> Arm:
-        """This view with what it does not move against each other in groups."""
-        carried = () if self.grasp is None else self.grasp.bodies
-        geometry, left_out = rigid_groups(self.model, self.dofs, carried)
-        return replace(self, collision_model=geometry, left_out=left_out)
 
     def with_scene(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
         """This arm with the obstacles of a scene; itself for the scene ``"free"``.
@@ -266,7 +218,7 @@ class Arm(SerialArm):
             return replace(arm, recipe=recipe)
         spec = self.copied_spec()
         add_obstacles(spec, self, label, seed)
-        return replace(self._of(spec), scene=label, scene_seed=seed, recipe=recipe)
+        return replace(self.recompiled(spec), scene=label, scene_seed=seed, recipe=recipe)
 
     def with_obstacles(self, obstacles: mujoco.MjSpec, label: str) -> Arm:
         """This arm with the obstacles of a spec (see `obstacles.shapes`); does not check that home is free of them.
@@ -280,7 +232,7 @@ class Arm(SerialArm):
         """
         spec = self.copied_spec()
         add_own_obstacles(spec, self, obstacles, label)
-        return replace(self._of(spec), scene=label)
+        return replace(self.recompiled(spec), scene=label)
 
     def with_moved_bodies(self, places: Mapping[str, ArrayLike], grown: float = 0.0) -> Arm:
         """This arm with obstacles elsewhere, such as where they are measured, and grown by a margin.
@@ -300,7 +252,7 @@ class Arm(SerialArm):
             for geom in body.geoms:
                 # Sizes that a geom's type does not use are zero.
                 geom.size = geom.size + as_floats("grown", grown, ()) * (geom.size > 0.0)
-        return replace(self._of(spec), scene=self.scene, scene_seed=self.scene_seed)
+        return replace(self.recompiled(spec), scene=self.scene, scene_seed=self.scene_seed)
 
     def copied_spec(self) -> mujoco.MjSpec:
         """A copy of the spec, to be changed; `InputError` for a view, which has none."""
@@ -311,9 +263,15 @@ class Arm(SerialArm):
             )
         return self.spec.copy()
 
-    def _of(self, spec: mujoco.MjSpec) -> Arm:
-        """This arm, compiled from an extended spec."""
-        return replace(Arm.from_spec(spec, self.source, self.name, self.import_report), clearance=self.clearance)
+    def recompiled(self, spec: mujoco.MjSpec) -> Arm:
+        """This arm in a changed copy of its spec, which has the same joints; raises as `from_xml`."""
+        if self.qpos_home is None:
+            return replace(Arm.from_spec(spec, self.source, self.name), clearance=self.clearance)
+        model = compile_spec(spec)
+        data = mujoco.MjData(model)
+        data.qpos[:] = self.qpos_home
+        kept = ("name", "source", "import_report", "clearance", "start_tolerance")
+        return Arm.viewing(model, data, self.named, spec=spec, **{name: getattr(self, name) for name in kept})
 
     def __repr__(self) -> str:
         return f"<Arm {self.name}: {self.n_links} links, {self.n_joints} joints, scene {self.scene}>"
@@ -324,7 +282,7 @@ class Arm(SerialArm):
         Raises:
             InputError: the arm was made from a spec.
         """
-        if self.qpos_home is not None:
+        if self.spec is None:
             return dict(vars(self))
         if not self.recipe:
             raise InputError(
@@ -334,7 +292,7 @@ class Arm(SerialArm):
         return {**state, "compiled": self._compiled}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        if state["qpos_home"] is not None:
+        if "compiled" not in state:
             vars(self).update(state)
             return
         loaded = _loaded(pickle.dumps(state["recipe"]))
@@ -342,89 +300,8 @@ class Arm(SerialArm):
             raise FileError(f"{state['source']}, or a file that it uses, has changed since the arm was loaded from it")
         vars(self).update(state, spec=loaded.spec)
 
-    @property
-    def dofs(self) -> NDArray[np.int_]:
-        """Addresses in qvel of all that the coordinates move, but for what is carried."""
-        more = () if self.dependents is None else dof_addresses(self.model, self.dependents.moved)
-        return np.union1d(self.space.rate_addresses, more).astype(int)
-
     def __deepcopy__(self, _: dict[int, Any]) -> Arm:
         return replace(self, spec=self.spec and self.spec.copy(), model=copy.deepcopy(self.model))
-
-    def check_start(self, q: ArrayLike | str, what: str = "start") -> Floats:
-        """Return where the arm is, as `check_position` does; within `start_tolerance` beyond a limit, at that."""
-        position = self.configuration(q, what)
-        inside = self.within_angles(np.clip(position, *self.position_limits.T))
-        worst = int(np.abs(position - inside).argmax())
-        if abs(position[worst] - inside[worst]) > self.start_tolerance:
-            raise InputError(
-                f"{what} is out of reach: {self.describe_excess(position, worst)}; up to {self.start_tolerance:g} "
-                "beyond a limit is taken as at it: bring the joint back, or allow more by "
-                "dataclasses.replace(arm, start_tolerance=...)"
-            )
-        return inside
-
-    def check_reachable(self, q: ArrayLike | str, what: str = "q") -> Floats:
-        """Return ``q`` as `check_position` does, or raise `InputError` if contact is nearer than `clearance`."""
-        position = self.check_position(q, what)
-        touching = self.near_contacts(position)
-        if touching:
-            loose = self._free_bodies()
-            first, second = next((pair for pair in touching if loose.intersection(pair)), touching[0])
-            hint = "".join(
-                f"; if the hand holds it, plan with arm.holding({body!r})"
-                for body in sorted(loose.intersection((first, second)))[:1]
-            )
-            if not hint and not self.contacts(position):
-                near = f"nearer than the clearance of {1e3 * self.clearance:g} mm"
-                hint = f", or come {near}, which dataclasses.replace(arm, clearance=...) sets"
-            raise InputError(f"{what} is out of reach: {first!r} would touch {second!r} there{hint}")
-        return position
-
-    def _require_view(self) -> Floats:
-        """A view's `qpos_home`; raises `InputError` if the arm is no view."""
-        if self.qpos_home is None:
-            raise InputError(f"arm {self.name!r} is no view of a compiled model, such as Arm.of makes")
-        return self.qpos_home
-
-    def _free_bodies(self) -> set[str]:
-        """Names of the bodies in a view's model that are free and not carried."""
-        model, carried = self.model, () if self.grasp is None else self.grasp.bodies
-        free = model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)] if self.state is not None else ()
-        return {model.body(body).name for body in free if body not in carried}
-
-    def contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
-        """Names of the bodies that touch each other at ``q`` ``(n,)``."""
-        return self._touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
-
-    def near_contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
-        """Names of the bodies that are closer than the arm's `clearance` to each other at ``q`` ``(n,)``."""
-        return self._nearly_touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
-
-    def near_contacts_along(self, q: Floats) -> Iterator[list[tuple[str, str]]]:
-        """`near_contacts` at each of the configurations ``(K, n)``, lazily; the conversion to qpos is done at once.
-
-        Where loops cannot be closed, two bodies of them count as near.
-        """
-        rows = self.qpos(q, strict=False)
-        if self.dependents is None or not np.isnan(rows).any():
-            return map(self._nearly_touching.bodies, rows)
-        joints = self.dependents.moved
-        torn = [tuple(self.model.body(self.model.jnt_bodyid[joint]).name for joint in (joints[0], joints[-1]))]
-        return (torn if np.isnan(row).any() else self._nearly_touching.bodies(row) for row in rows)
-
-    @property
-    def without_visuals(self) -> Arm:
-        """This arm without its visual geoms: it moves exactly as this one does, to the last bit, at half the cost.
-
-        The arm itself is returned where its motion depends on them, or its model was changed after it was compiled.
-        """
-        return self._bare if self.spec is not None and moves_alike(self._bare.model, self.model) else self
-
-    @cached_property
-    def _bare(self) -> Arm:
-        spec, model = discard_visuals(self)
-        return replace(self, spec=spec, model=model, recipe=())
 
     @cached_property
     def _compiled(self) -> str:
@@ -435,100 +312,6 @@ class Arm(SerialArm):
     def fingerprint(self) -> str:
         """Fingerprint of this arm and its obstacles, see `fingerprint.arm_fingerprint`."""
         return arm_fingerprint(self)
-
-    @property
-    def geometry(self) -> mujoco.MjModel:
-        """The model for distances: in that of a view, what the arm does not move is welded to the world."""
-        return self.model if self.collision_model is None else self.collision_model
-
-    @property
-    def offsets(self) -> dict[tuple[int, int], float]:
-        """Offsets of pairs of geoms that are not the model's own, as of `contacts.ContactOffsets`."""
-        return self.left_out if self.grasp is None else {**self.left_out, **self.grasp.offsets}
-
-    def contact_finder(self, margin: float = 0.0) -> ContactFinder:
-        """Finds geoms closer than a margin [m]; one for each thread."""
-        return ContactFinder(self.geometry, margin, self.offsets)
-
-    def moved_by(self, body: int) -> NDArray[np.bool_]:
-        """Which degrees of freedom ``(nv,)`` move a body, by its id; for what is carried, those of what carries it."""
-        body = as_count("body", body, 0, self.model.nbody - 1)
-        carried = self.grasp is not None and body in self.grasp.bodies
-        return moved_by(self.model, self.grasp.carrier if self.grasp is not None and carried else body)
-
-    @property
-    def keyframes(self) -> tuple[str, ...]:
-        """Names of the keyframes; of a view with ``home``, its state."""
-        names = super().keyframes
-        return names if self.qpos_home is None or "home" in names else ("home", *names)
-
-    def keyframe(self, name: str) -> Floats:
-        """Joint coordinates ``(n,)`` of a keyframe; ``home`` of a view is the state that it was made of."""
-        if name == "home" and self.qpos_home is not None:
-            return self.coordinates(self.qpos_home)
-        return super().keyframe(name)
-
-    def limit_excess(self, q: Floats) -> Floats:
-        """How far each coordinate ``(..., n)`` is outside its limits, and what else has a range (`stops`)."""
-        excess = super().limit_excess(q)
-        if self.stops is None:
-            return excess
-        return np.concatenate([excess, self.stops.excess(self.qpos(q, strict=False))], axis=-1)
-
-    def describe_excess(self, q: Floats, joint: int) -> str:
-        """The message for an entry of `limit_excess` at q ``(n,)`` that is positive."""
-        if self.stops is None or joint < self.n_joints:
-            return super().describe_excess(q, joint)
-        try:
-            return self.stops.describe(self.qpos(q), joint - self.n_joints)
-        except NoSolutionError as error:
-            return str(error)
-
-    def qpos(self, q: ArrayLike, *, strict: bool = True) -> Floats:
-        """MuJoCo's positions ``(..., nq)`` at joint coordinates ``(..., n)``, those of loops and what is carried too.
-
-        Args:
-            q: joint coordinates.
-            strict: whether coordinates at which loops cannot be closed raise; else their positions are NaN.
-
-        Raises:
-            InputError: q is malformed.
-            NoSolutionError: loops cannot be closed.
-        """
-        positions, grasp = super().qpos(q), self.grasp
-        if self.dependents is not None:
-            positions = self.dependents.to_qpos(positions, strict=strict)
-        if grasp is not None:
-            held = self.link_poses(q).as_matrix()[..., -1, :, :] @ grasp.place.as_matrix()
-            positions[..., grasp.qpos : grasp.qpos + 3] = held[..., :3, 3]
-            positions[..., grasp.qpos + 3 : grasp.qpos + 7] = rotations(held[..., :3, :3]).as_quat(scalar_first=True)
-        return positions
-
-    def qvel(self, q: ArrayLike, qd: ArrayLike) -> Floats:
-        """MuJoCo's velocities ``(..., nv)`` at coordinates and rates ``(..., n)``, of what is carried too."""
-        velocities, grasp = super().qvel(q, qd), self.grasp
-        if self.dependents is not None:
-            rows = np.broadcast_to(as_floats("q", q, (), batched=True), (*velocities.shape[:-1], self.n_joints))
-            # Often many rates at each of a few configurations.
-            few, which = np.unique(rows.reshape(-1, self.n_joints), axis=0, return_inverse=True)
-            bases = self.dependents.basis(self.qpos(few))[which.reshape(rows.shape[:-1])]
-            velocities = np.matvec(bases, velocities[..., self.dependents.dofs])
-        if grasp is not None:
-            tip = self.link_poses(q).as_matrix()[..., -1, :, :]
-            held = tip @ grasp.place.as_matrix()
-            omega, speed = np.split(np.matvec(self.jacobian(q), as_floats("qd", qd, (), batched=True)), 2, axis=-1)
-            # A free joint's velocity is linear in the world, angular in its body.
-            velocities[..., grasp.qvel : grasp.qvel + 3] = speed + np.cross(omega, (held - tip)[..., :3, 3])
-            velocities[..., grasp.qvel + 3 : grasp.qvel + 6] = np.vecmat(omega, held[..., :3, :3])
-        return velocities
-
-    @cached_property
-    def _touching(self) -> ContactFinder:
-        return self.without_visuals.contact_finder()
-
-    @cached_property
-    def _nearly_touching(self) -> ContactFinder:
-        return self.without_visuals.contact_finder(self.clearance)
 
 
 @lru_cache(maxsize=8)

@@ -223,6 +223,37 @@ class Dependents:
         return coupling, offset, rates
 
 
+def independent_joints(model: mujoco.MjModel, chosen: Sequence[int]) -> list[int]:
+    """The chosen joints but those that equalities make followers of others of them.
+
+    Of several that one joint leads which is not chosen, such as the stages of a telescope by a drum, the first remains.
+    """
+    leaders = dict(tied_joints(model))
+    result, led = [], set[int]()
+    for joint in chosen:
+        above, seen = leaders.get(joint), [joint]
+        while above is not None and above not in chosen and above not in seen:
+            seen.append(above)
+            above = leaders.get(above)
+        if above is not None and above in chosen and above != joint:
+            continue
+        if above is None and len(seen) > 1:
+            if seen[-1] in led:
+                continue
+            led.add(seen[-1])
+        result.append(joint)
+    return result
+
+
+def tied_joints(model: mujoco.MjModel) -> list[tuple[int, int]]:
+    """Pairs (follower, leader) of the active equalities between two joints."""
+    return [
+        (int(model.eq_obj1id[e]), int(model.eq_obj2id[e]))
+        for e in range(model.neq)
+        if model.eq_type[e] == int(mujoco.mjtEq.mjEQ_JOINT) and model.eq_active0[e] and model.eq_obj2id[e] >= 0
+    ]
+
+
 def _check_joints(model: mujoco.MjModel, joints: Sequence[int]) -> None:
     if not joints or len(set(joints)) < len(joints) or not all(0 <= joint < model.njnt for joint in joints):
         raise InputError(f"independent joints must be different ids from 0 to {model.njnt - 1}, got {list(joints)}")

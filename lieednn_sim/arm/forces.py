@@ -78,12 +78,13 @@ def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
     return np.where(known[:, None], np.stack([low, high], axis=1), [-np.inf, np.inf])
 
 
-def resting_load(model: mujoco.MjModel, configurations: Floats) -> Floats:
+def resting_load(model: mujoco.MjModel, configurations: Floats, *, limited: bool = False) -> Floats:
     """Generalised forces that actuators need to hold the model at rest, after gravity compensation and springs.
 
     Args:
         model: the compiled model, which is not changed.
         configurations: MuJoCo's positions ``(S, nq)``.
+        limited: whether forces that ``actuatorfrcrange`` limits are meant: it limits compensation by actuators as well.
 
     Returns:
         ``(S, nv)``.
@@ -92,6 +93,8 @@ def resting_load(model: mujoco.MjModel, configurations: Floats) -> Floats:
     data = mujoco.MjData(model)
     # Where actgravcomp is set, MuJoCo adds the compensation to the actuator's force instead of the passive ones.
     by_actuator = model.jnt_actgravcomp[model.dof_jntid] != 0
+    if limited:
+        by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0
     loads = np.empty((len(configurations), model.nv))
     for load, data.qpos[:] in zip(loads, configurations, strict=True):
         # The part of mj_forward before the constraints are solved.

@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Any, NamedTuple, Unpack
+from typing import Any, NamedTuple
 
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.importer import ImportOptions, ImportReport, import_arm
-from lieednn_sim.arm.importer.loading import read_model
+from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import ARMS
 from lieednn_sim.validation import as_path
@@ -107,17 +106,9 @@ def label_of(source: Path) -> str:
 
 def chosen(options: ImportOptions) -> ImportOptions:
     """The options that differ from their defaults."""
-    return {name: value for name, value in options.items() if value not in (None, (), [], {}, "keep", "auto")}  # type: ignore[return-value]
+    return {name: value for name, value in options.items() if value not in (None, (), [], {}, "keep", "auto", "ignore")}  # type: ignore[return-value]
 
 
-def open_model(source: Path, **options: Unpack[ImportOptions]) -> tuple[mujoco.MjSpec, ImportReport | None]:
-    """The spec of a file; imported unless the file has the package's conventions and no options are given.
-
-    Raises:
-        FileError: there is no such file, or MuJoCo cannot compile it.
-        InputError: it holds no arm.
-    """
-    spec = read_model(source)
-    if chosen(options) or spec.site("base_frame") is None or spec.site("link1_frame") is None:
-        return import_arm(source, **chosen(options))
-    return spec, None
+def has_frames(spec: mujoco.MjSpec) -> bool:
+    """Whether a spec has the sites of the package's arms at its link frames."""
+    return spec.site("base_frame") is not None and spec.site("link1_frame") is not None

@@ -24,10 +24,12 @@ from lieednn_sim.arm.checks import (
     joint_label,
     joints_of,
 )
-from lieednn_sim.arm.coordinates import Coordinates, Line, Sum, line_of, to_independent_leaders
+from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
+from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.forces import force_ranges, tangent_basis
 from lieednn_sim.arm.frames import BodyFrames, Frame, site_frame
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
+from lieednn_sim.arm.limits import read_numeric
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
@@ -224,22 +226,6 @@ def read_force_limits(model: mujoco.MjModel, coordinates: Coordinates) -> Floats
     return np.minimum(-low, high)
 
 
-def read_numeric(model: mujoco.MjModel, arm: str, field: str, default: Floats, viewed: bool) -> Floats:
-    """A custom numeric of the model with as many values as ``default``, all of them positive.
-
-    In a model of which the arm is a view, one with another number of values is for another arm, and left out.
-    """
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, field)
-    values = default.copy() if index < 0 else np.array(model.numeric(index).data)
-    if viewed and len(values) != len(default):
-        return default.copy()
-    if len(values) != len(default):
-        raise InputError(f"numeric {field!r} of arm {arm!r} has {len(values)} values, expected {len(default)}")
-    if not (values > 0.0).all():
-        raise InputError(f"numeric {field!r} of arm {arm!r} must be positive, got {' '.join(f'{v:g}' for v in values)}")
-    return values
-
-
 def _rest(model: mujoco.MjModel) -> Floats:
     """Where joints that are not the arm's stay: the keyframe ``home``, else the model's reference position."""
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
@@ -247,20 +233,16 @@ def _rest(model: mujoco.MjModel) -> Floats:
 
 
 def _leaders(model: mujoco.MjModel, arm: str, joints: list[int]) -> dict[int, Line]:
-    """For each coupled joint its leader and the line qpos = ratio * qpos_leader + shift."""
-    direct: dict[int, Line] = {}
-    for equality in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)):
-        follower, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
-        if follower not in joints or not model.eq_active0[equality]:
-            continue
-        line = line_of(model, int(equality)) if leader in joints else None
-        if line is None:
+    """For each joint of a chain that follows another one its leader and the line qpos = ratio * qpos_leader + shift."""
+    independent = independent_joints(model, joints)
+    dependents = Dependents(model, mujoco.MjData(model), independent)
+    for joint in {*joints, *dependents.moved}.difference(independent):
+        if joint not in joints or joint not in dependents.lines:
             raise InputError(
-                f"{joint_label(model, arm, follower)} is tied by an equality that the arm cannot follow; the arm "
+                f"{joint_label(model, arm, joint)} is tied by an equality that the arm cannot follow; the arm "
                 "needs polycoef 'a0 a1 0 0 0' with a1 other than 0, between two joints of its chain"
             )
-        direct[follower] = line
-    return to_independent_leaders(direct, lambda joint: joint_label(model, arm, joint))
+    return {joint: line for joint, line in dependents.lines.items() if joint in joints}
 
 
 def _factors(

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion, solve_ik
-from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
+from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.arm.models import chosen, is_arm_file
 from lieednn_sim.arm.obstacles import is_scene_file
 from lieednn_sim.arm.targets import draw_target, goes_to_extended
@@ -55,7 +55,7 @@ class ChosenArm:
     arm: str = "telescopic_pr"
     scene: str = "free"
     scene_seed: int = 0
-    imported: Annotated[ImportOptions, import_arm] = field(default_factory=ImportOptions, kw_only=True)
+    imported: Annotated[ImportOptions, "*"] = field(default_factory=ImportOptions, kw_only=True)
 
     def load(self) -> Arm:
         """The arm; raises as `Arm.load`."""

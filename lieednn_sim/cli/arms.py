@@ -9,14 +9,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
+from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.cli.console import console
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.values import Floats
 
 
-def arms(arm: str | None = None, *, imported: Annotated[ImportOptions, import_arm]) -> None:
+def arms(arm: str | None = None, *, imported: Annotated[ImportOptions, "*"]) -> None:
     """List the arms of the package, or describe one of them or that of a file.
 
     Without a name, the arms of the package are listed.

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from lieednn_sim import io
-from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
+from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.cli.arguments import ChosenArm
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, wrote
@@ -81,7 +81,7 @@ def learn(
     fitting: Fitting,
     output: Directory = "results/learned-motion",
     plots: str = "png",
-    imported: Annotated[ImportOptions, import_arm],
+    imported: Annotated[ImportOptions, "*"],
 ) -> None:
     """Learn a certified network from recorded motions of an end effector or of an arm's joints.
 

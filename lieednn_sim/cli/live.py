@@ -7,7 +7,7 @@ import sys
 from typing import Annotated, Any
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.importer.importing import ImportOptions, import_arm
+from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.cli.arguments import joint_position
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console
@@ -26,7 +26,7 @@ def view(
     served: Annotated[dict[str, Any], show, "seed", "port", "host"],
     browser: bool = True,
     settings: Annotated[dict[str, Any], Settings, "policy", "planner", "controller", "payload", "mass_scale"],
-    imported: Annotated[ImportOptions, import_arm],
+    imported: Annotated[ImportOptions, "*"],
 ) -> None:
     """Show an arm in the browser: drag its target, push it, change its policy and its load.
 

@@ -105,6 +105,7 @@ class _Entry(NamedTuple):
     annotation: ast.expr
     default: ast.expr | None
     positional: bool = False
+    optional: bool = False
 
 
 def _entries(node: ast.AST) -> Iterator[_Entry]:
@@ -119,9 +120,10 @@ def _entries(node: ast.AST) -> Iterator[_Entry]:
             if argument.annotation is not None:
                 yield _Entry(argument.arg, argument.annotation, default, positional)
     elif isinstance(node, ast.ClassDef):
+        mapping = any(isinstance(base, ast.Name) and base.id == "TypedDict" for base in node.bases)
         for line in node.body:
             if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name):
-                yield _Entry(line.target.id, line.annotation, line.value)
+                yield _Entry(line.target.id, line.annotation, line.value, optional=mapping)
 
 
 def _parameter(module: str, entry: _Entry, texts: dict[str, str]) -> Parameter | None:
@@ -129,7 +131,7 @@ def _parameter(module: str, entry: _Entry, texts: dict[str, str]) -> Parameter |
     option = name.replace("_", "-")
     kind = kind_of(ast.unparse(annotation))
     if kind:
-        required = entry.default is None
+        required = entry.default is None and not entry.optional
         default = None if entry.default is None else _value(module, entry.default)
         return Parameter(name, kind, help_text, option, entry.positional, required, default)
     if isinstance(annotation, ast.Name) and (alias := find(module, annotation.id)) and isinstance(alias.node, ast.expr):

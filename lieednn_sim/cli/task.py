@@ -9,7 +9,7 @@ from typing import Any
 
 from lieednn_sim import io
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.importer import ImportOptions
+from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.typecheck import typecheck_public

@@ -75,7 +75,8 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
         if rollout.controller == "position-servo":
             for force, says, does in (
                 (friction[j], "dry friction of", "holds it anywhere within"),
-                (load[j], "its load of", "pulls it off by"),
+                # In a model that is not made for this package the load is fed forward.
+                (load[j] if arm.qpos_home is None else 0.0, "its load of", "pulls it off by"),
             ):
                 if force > _LEAST_EXPLAINED * kp[j] * off:
                     held = _amount(arm, j, force / kp[j])

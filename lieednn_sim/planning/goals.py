@@ -94,7 +94,7 @@ def candidates(
         check_time()
         try:
             if isinstance(goal, np.ndarray | str):
-                result.append(arm.check_reachable(goal, "target"))
+                result.append(arm.check_reachable(arm.nearest_turn(arm.configuration(goal, "target"), start), "target"))
             else:
                 result += ik_candidates(arm, goal, start=start, seed=seed, path_constraint=path_constraint)
         except (InputError, NoSolutionError) as error:

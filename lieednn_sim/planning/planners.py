@@ -104,15 +104,15 @@ def default_planner(arm: Arm) -> tuple[str, str]:
 
 
 class _TooWeakError(InputError):
-    """Motors cannot hold a view's weight at rest."""
+    """Motors cannot hold an arm's weight at rest."""
 
 
 def _check_held(arm: Arm, q: Floats, what: str) -> None:
-    """Raise `InputError` if the motors of a view are too weak for its weight at rest; dry friction may help them."""
-    if arm.state is None:
+    """Raise `InputError` if the motors are too weak for the arm's weight at rest; dry friction may help them."""
+    if not np.isfinite(arm.force_limits).any():
         return
     basis = tangent_basis(arm.space)
-    load = np.abs(resting_load(arm.model, arm.qpos(q)[None])[0] @ basis)
+    load = np.abs(resting_load(arm.model, arm.qpos(q)[None], limited=True)[0] @ basis)
     short = load - dry_friction(arm.model, basis) - arm.force_limits
     j = int(short.argmax())
     if short[j] > 0.0:

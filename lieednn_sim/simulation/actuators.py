@@ -149,6 +149,15 @@ def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
     return _moving(actuator_moments(arm.model), tangent_basis(arm.space))
 
 
+def has_servos(arm: Arm) -> bool:
+    """Whether position servos alone drive each coordinate."""
+    model, basis = arm.model, tangent_basis(arm.space)
+    moments = actuator_moments(model) @ basis
+    driving = _moving(actuator_moments(model), basis)
+    servos = model.actuator_biasprm[:, 1] / np.where(driving, model.actuator_gainprm[:, 0], 1.0) < 0.0
+    return bool(moments.any(axis=0).all() and servos[driving].all())
+
+
 def _moving(moments: Floats, basis: Floats) -> NDArray[np.bool_]:
     return np.asarray(np.abs(moments @ basis).max(axis=1, initial=0.0) > 1e-9)
 

@@ -87,7 +87,8 @@ def follow(
             simulation step, the last of which stays.
         duration: [s], at least a control period.
         start: joint coordinates ``(n,)`` at rest, or a keyframe's name.
-        controller: a name of `CONTROLLERS`; by default ``inverse-dynamics``, or ``feedback-linearisation`` for a view.
+        controller: a name of `CONTROLLERS`; by default ``inverse-dynamics`` where servos drive the arm, else
+            ``feedback-linearisation``.
         disturbances: disturbances unknown to policy and controller.
         log: further quantities to log, as for `simulate`.
 
@@ -97,7 +98,8 @@ def follow(
     """
     arm, total = policy.arm, count_steps(duration, policy.arm.timestep)
     changes = Disturbances() if disturbances is None else disturbances
-    name = ("inverse-dynamics" if arm.state is None else default_controller(arm)) if controller is None else controller
+    name = default_controller(arm) if controller is None else controller
+    name = "inverse-dynamics" if controller is None and name == "position-servo" else name
     loop = ClosedLoop(policy, name, changes, rows=total + 1)
     period, simulation = loop.period, loop.simulation
     if period > total:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import tangent_basis
-from lieednn_sim.arm.view import moved_together
+from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import rotations, same_signs
 from lieednn_sim.simulation.rollout import Rollout
@@ -226,7 +226,7 @@ class Log:
 
 def _groups_of(arm: Arm) -> NDArray[np.int_] | None:
     """The group of each geom of a view ``(ngeom,)`` that the arm moves in one piece; zero for what it does not move."""
-    if arm.state is None:
+    if arm.qpos_home is None:
         return None
     groups = moved_together(arm.model, arm.space.rate_addresses)
     if arm.grasp is not None:

@@ -17,6 +17,7 @@ from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Move, Plan, PlanSequence
 from lieednn_sim.planning.motion import Motion, steps_of_rate
 from lieednn_sim.planning.steps import Gripping
+from lieednn_sim.simulation.actuators import has_servos
 from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Disturbances
@@ -73,8 +74,10 @@ def as_reference(arm: Arm, motion: Motion, rows: int, rate: float | None) -> Ref
 
 
 def default_controller(arm: Arm) -> str:
-    """Name of the controller that `simulate` takes by default."""
-    return "position-servo" if arm.state is None else "feedback-linearisation"
+    """Name of the controller that `simulate` takes by default: the servos' own, if servos drive all of the arm."""
+    if arm.state is None and (arm.qpos_home is None or has_servos(arm)):
+        return "position-servo"
+    return "feedback-linearisation"
 
 
 def simulate(
@@ -100,7 +103,7 @@ def simulate(
         motion: a plan, or a motion sampled at the model's time step; or, for a view, a sequence, whose steps of
             controls end by time or by their events, which may come sooner or later than planned.
         target: ``(n,)`` joint position to reach; by default the plan's, or the motion's end.
-        controller: a name of `CONTROLLERS`; by default ``position-servo``, or ``feedback-linearisation`` for a view.
+        controller: a name of `CONTROLLERS`; by default that of `default_controller`.
         hold: time after the end of the motion [s].
         reference_rate: rate of the samples of the motion that the controller sees, held in between [Hz]; a divisor of
             the simulation's rate. By default it sees every step.
@@ -164,8 +167,6 @@ def _reference_of(arm: Arm, sequence: PlanSequence, rate: float | None) -> Refer
             f"the sequence is of another model or of other joints: it has {sequence.qpos.shape[1]} positions and "
             f"moves {', '.join(sequence.arm.joint_names)}"
         )
-    if arm.state is None:
-        raise InputError(f"arm {arm.name!r} is no view of a compiled model, such as Arm.of makes")
     q = arm.coordinates(sequence.qpos)
     hold = 1 if rate is None else steps_of_rate("reference_rate", rate, arm.timestep)
     return Reference.of(arm, q, arm.rates(q, sequence.qvel), hold=hold)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm, import_arm
+from lieednn_sim.arm import Arm
 from lieednn_sim.arm.obstacles import load_obstacles
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -85,7 +85,7 @@ def test_a_floor_is_where_it_is_asked_for_and_not_under_an_arm_that_reaches_belo
     assert low.near_contacts(low.keyframe("home")) == []
     for wrong in ("low", np.nan, True):
         with pytest.raises(InputError, match="floor must be"):
-            import_arm(write(), floor=wrong)
+            Arm.load(write(), floor=wrong)
 
 
 def test_a_plane_of_the_file_is_the_floor_even_if_it_was_only_drawn(write):

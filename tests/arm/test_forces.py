@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm, import_arm
+from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import dry_friction, servo_gains
 
 CARRIAGE = """
@@ -34,10 +34,10 @@ def both_arms(actuators, joint="", follower="", tie=""):
     sites["link2"] = f'<site name="link{1 if tie else 2}_frame"/>'
     native = mujoco.MjSpec.from_string(CARRIAGE.format(**fields, **sites))
     foreign = mujoco.MjSpec.from_string(CARRIAGE.format(**fields, base="", link1="", link2=""))
-    spec, report = import_arm(foreign, links=["stage"] if tie else ["carriage", "stage"], base="base")
-    arms = [Arm.from_spec(s, Path("a.xml"), "a") for s in (native, spec)]
+    imported = Arm.from_spec(foreign, links=["stage"] if tie else ["carriage", "stage"], base="base")
+    arms = [Arm.from_spec(native, Path("a.xml"), "a"), imported]
     assert [arm.joint_names for arm in arms] == [("x",) if tie else ("x", "y")] * 2
-    return arms, report
+    return arms, imported.import_report
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,6 @@ def test_limits_of_a_description_go_before_those_of_the_model(folder):
     np.testing.assert_array_equal(arm.velocity_limits, [2.0, bare.velocity_limits[1]])
     np.testing.assert_array_equal(arm.acceleration_limits, [bare.acceleration_limits[0], 7.0])
     np.testing.assert_array_equal(arm.jerk_limits, [500.0, np.inf])
-    assert "limits of jerk as asked for: a 500" in arm.import_report.notes
     # A limit of jerk designs a new one arm; one that has none is what it was before there were any.
     rest = {"a": {"velocity": 2}, "b": {"acceleration": 7.0}}
     assert Arm.load("two.xml", limits=rest).fingerprint not in (arm.fingerprint, bare.fingerprint)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm, import_arm
+from lieednn_sim.arm import Arm
 from lieednn_sim.arm.kinematics import CompoundJoint, Factor
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import exp
@@ -33,8 +31,8 @@ WRIST = """
 
 
 def arm_of(xml: str, **options) -> Arm:
-    spec, report = import_arm(mujoco.MjSpec.from_string(xml), floor="none", **options)
-    return Arm.from_spec(spec, Path("robot.xml"), "robot", report)
+    arm = Arm.from_spec(mujoco.MjSpec.from_string(xml), floor="none", **options)
+    return arm
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,10 @@
 """Links of three hinges: a pose has two postures, a way of poses one branch, and some postures have no pose alone."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm, import_arm
+from lieednn_sim.arm import Arm
 from lieednn_sim.arm.kinematics import least_singular_value
 from lieednn_sim.arm.singularities import NEARLY_SINGULAR, singularity_margin
 from lieednn_sim.errors import InputError, PlanError
@@ -23,10 +21,8 @@ WRIST = """
 
 
 def wrist(bend):
-    spec, report = import_arm(
-        mujoco.MjSpec.from_string(WRIST.format(bend=bend)), links=["shoulder", "hand"], floor="none"
-    )
-    return Arm.from_spec(spec, Path("wrist.xml"), "wrist", report)
+    arm = Arm.from_spec(mujoco.MjSpec.from_string(WRIST.format(bend=bend)), links=["shoulder", "hand"], floor="none")
+    return arm
 
 
 def test_a_way_of_states_is_followed_on_the_branch_on_which_it_begins():

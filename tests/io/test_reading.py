@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from lieednn_sim import io
-from lieednn_sim.arm import Arm, import_arm
+from lieednn_sim.arm import Arm
 from lieednn_sim.arm.obstacles import load_obstacles
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import reading
@@ -255,7 +255,7 @@ def test_models_that_ask_for_too_much(tmp_path, inside, message):
     path = tmp_path / "a.xml"
     path.write_text(f"<mujoco>{inside}</mujoco>")
     (tmp_path / "b.xml").write_text('<mujoco><asset><hfield name="a" nrow="99999" ncol="99999"/></asset></mujoco>')
-    for read in (load_obstacles, import_arm, Arm.load):
+    for read in (load_obstacles, Arm.load):
         with pytest.raises(FileError, match=message):
             read(path)
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 from contextlib import nullcontext
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm, import_arm
+from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
@@ -42,10 +41,8 @@ def test_large_targets_are_reached_though_the_integrator_errs_by_a_share_of_them
     """At this target of six hinges the error of the default tolerances is above the residual to be reached."""
     axes = ("0 0 1", "0 1 0") * 3
     bodies = "".join(f'<body pos="0 0 .3"><joint axis="{axis}" range="-175 175"/><geom size=".01"/>' for axis in axes)
-    spec, report = import_arm(
-        mujoco.MjSpec.from_string(f"<mujoco><worldbody>{bodies}{'</body>' * 6}</worldbody></mujoco>")
-    )
-    hinges = Arm.from_spec(spec, Path("hinges.xml"), "hinges", report)
+    arm = Arm.from_spec(mujoco.MjSpec.from_string(f"<mujoco><worldbody>{bodies}{'</body>' * 6}</worldbody></mujoco>"))
+    hinges = arm
     target = np.random.default_rng(11).uniform(*(0.95 * np.deg2rad([-175.0, 175.0])), 6)
     linear = LieEDNN(
         alpha=np.zeros((6, 6)),

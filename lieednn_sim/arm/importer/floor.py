@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, colliding_geoms, moving_geoms
-from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, colliding_geoms
 from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from lieednn_sim.arm.model_arm import ModelArm
 
 # Where `floor` is left to the importer, and where none is wanted.
 AUTO, NONE = "auto", "none"
@@ -27,32 +31,29 @@ def as_floor(value: float | str) -> float | str:
     return value if isinstance(value, str) else float(as_floats("floor", value, ()))
 
 
-def add_floor(draft: Draft) -> None:
+def add_floor(spec: mujoco.MjSpec, arm: ModelArm, floor: float | str, notes: list[str]) -> None:
     """Add a floor at the height that was asked for, or else below a base that stands on the ground.
 
     A base does not stand on the ground if the robot reaches below it at home: it may hang, or be on a table. A plane of
     the model is its floor; it is made to collide where it was only drawn.
     """
-    bits = collision_bits(draft.bare)
-    planes = [geom for geom in draft.spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
+    bits = collision_bits(arm.model)
+    planes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
     for plane in planes:
         if not (plane.contype or plane.conaffinity):
             plane.contype = plane.conaffinity = bits
-            draft.notes.append(
-                f"the plane {plane.name or 'without a name'!r} was only drawn; now it is part of the scene"
-            )
-    if draft.floor == NONE or (planes and draft.floor == AUTO):
+            notes.append(f"the plane {plane.name or 'without a name'!r} was only drawn; now it is part of the scene")
+    if floor == NONE or (planes and floor == AUTO):
         return
-    at_home = draft.configurations([draft.samples[0]])[0]
-    moving, fixed = lowest_points(draft.bare, at_home)
+    moving, fixed = lowest_points(arm)
     below = 0.05  # what the boxes around geoms, and a base frame inside of the base, may amount to [m]
-    if draft.floor == AUTO and moving < fixed - below:
-        draft.notes.append("no floor, since the robot reaches below its base at home; floor=HEIGHT adds one")
+    if floor == AUTO and moving < fixed - below:
+        notes.append("no floor, since the robot reaches below its base at home; floor=HEIGHT adds one")
         return
-    height = min(fixed, moving - _ROOM) if draft.floor == AUTO else float(draft.floor)
-    add_plane(draft.spec, unused(FLOOR, {body.name for body in draft.spec.bodies}), height, bits)
-    why = "" if draft.floor == AUTO else ", as asked for"
-    draft.notes.append(f"a floor at a height of {height:.3g} m{why}; the model has none, and floor: none leaves it so")
+    height = min(fixed, moving - _ROOM) if floor == AUTO else float(floor)
+    add_plane(spec, unused(FLOOR, {body.name for body in spec.bodies}), height, bits)
+    why = "" if floor == AUTO else ", as asked for"
+    notes.append(f"a floor at a height of {height:.3g} m{why}; the model has none, and floor: none leaves it so")
 
 
 def add_plane(spec: mujoco.MjSpec, name: str, height: float, bits: int) -> None:
@@ -75,15 +76,16 @@ def collision_bits(model: mujoco.MjModel) -> int:
     return int(np.bitwise_or.reduce(model.geom_contype | model.geom_conaffinity, initial=1))
 
 
-def lowest_points(model: mujoco.MjModel, qpos: Floats) -> tuple[float, float]:
-    """Heights of the lowest points of colliding moving geoms, and of fixed geoms and the base frame [m].
+def lowest_points(arm: ModelArm) -> tuple[float, float]:
+    """Heights at home of the lowest points of the arm's colliding geoms, and of all others and the base frame [m].
 
     They are those of the geoms' bounding boxes, which may be a little lower.
     """
-    data = kinematics_at(model, qpos)
+    model = arm.model
+    data = kinematics_at(model, arm.qpos(arm.keyframe("home")))
     upright = data.geom_xmat.reshape(-1, 3, 3)[:, 2]
     middle = data.geom_xpos[:, 2] + (upright * model.geom_aabb[:, :3]).sum(axis=1)
     low = middle - (np.abs(upright) * model.geom_aabb[:, 3:]).sum(axis=1)
-    solid = moving_geoms(model) & colliding_geoms(model)
-    base = float(data.site_xpos[model.site("base_frame").id, 2])
-    return float(low[solid].min(initial=np.inf)), float(low[~moving_geoms(model)].min(initial=base))
+    moving = moved_together(model, arm.dofs)[model.geom_bodyid] > 0
+    base = float(arm.base.translation[2])
+    return float(low[moving & colliding_geoms(model)].min(initial=np.inf)), float(low[~moving].min(initial=base))

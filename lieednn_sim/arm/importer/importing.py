@@ -1,178 +1,179 @@
-"""`import_arm`, and its steps in order."""
+"""`import_model`: the arm of a file, read as it stands, with a short list of additions to its spec."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TypedDict
+from typing import Any, Unpack
+from xml.etree import ElementTree
+
+import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.importer.actuators import add_servos, design_servos, read_actuators, stabilise
-from lieednn_sim.arm.importer.checks import (
-    check_kinematics,
-    look_at_home,
-    look_at_straight_paths,
-    look_for_half_turns,
-    look_for_shapes,
-    look_for_singular_links,
-)
-from lieednn_sim.arm.importer.configurations import add_keyframes, draw_configurations
-from lieednn_sim.arm.importer.conventions import (
-    add_frames,
-    compensate_gravity,
-    mend_inertias,
-    replace_integrator,
-    set_length_unit,
-    set_ranges,
-    tie_stages,
-)
-from lieednn_sim.arm.importer.draft import Draft, ImportReport
+from lieednn_sim.arm.chain import chosen_joints, joint_groups, named_frames
+from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.importer.floor import AUTO, add_floor, as_floor
-from lieednn_sim.arm.importer.limits import (
-    check_rates,
-    drop_old_limits,
-    limit_accelerations,
-    limit_as_asked,
-    limit_velocities,
-)
-from lieednn_sim.arm.importer.loading import load_spec
-from lieednn_sim.arm.importer.locking import lock_other_joints
-from lieednn_sim.arm.importer.mechanism import choose_configuration, find_mechanism
+from lieednn_sim.arm.importer.home import choose_home, give_controls, move_inside, take_controls
+from lieednn_sim.arm.importer.loading import compile_spec, load_spec
+from lieednn_sim.arm.importer.mending import fix_base, mend_inertias, replace_integrator, tie_stages
 from lieednn_sim.arm.importer.overlaps import ignore_overlaps
+from lieednn_sim.arm.importer.remarks import draw, remarks
+from lieednn_sim.arm.importer.report import Coupling, ImportOptions, ImportReport, Servo
+from lieednn_sim.arm.importer.serial_chain import choose_chain
+from lieednn_sim.arm.importer.servos import SERVOS, add_servos, describe_servos
+from lieednn_sim.arm.limits import check_rates
+from lieednn_sim.arm.model_arm import ModelArm
+from lieednn_sim.arm.view import View, read_view
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice
-
-# What is done with the position servos of a model.
-SERVOS = ("keep", "design")
-
-STEPS: tuple[Callable[[Draft], None], ...] = (
-    mend_inertias,
-    replace_integrator,
-    choose_configuration,
-    find_mechanism,
-    lock_other_joints,
-    add_frames,
-    tie_stages,
-    set_ranges,
-    compensate_gravity,
-    drop_old_limits,
-    draw_configurations,
-    read_actuators,
-    ignore_overlaps,
-    set_length_unit,
-    design_servos,
-    limit_velocities,
-    limit_accelerations,
-    limit_as_asked,
-    stabilise,
-    add_servos,
-    add_floor,
-    add_keyframes,
-    check_kinematics,
-    look_for_half_turns,
-    look_for_shapes,
-    look_at_home,
-    look_at_straight_paths,
-    look_for_singular_links,
-)
+from lieednn_sim.values import Floats
 
 
-class ImportOptions(TypedDict, total=False):
-    """The options of `import_arm`, for functions that pass them on."""
+def import_model(
+    model: Path | mujoco.MjSpec, source: Path, name: str, **options: Unpack[ImportOptions]
+) -> tuple[ModelArm, ImportReport]:
+    """An arm of an MJCF or URDF model, as a view (`Arm.of`) in which everything else stays, and a report.
 
-    links: Sequence[str] | None
-    joints: Sequence[str] | None
-    tip: str | None
-    base: str | None
-    keyframe: str | None
-    home: Mapping[str, float] | None
-    limits: Mapping[str, Mapping[str, float]] | None
-    servos: str
-    floor: float | str
+    Without ``links``, ``joints`` and ``tip`` the arm is the chain with the most driven joints
+    (`serial_chain.longest_chain`). It is cut into compound joints (`compound_joints.cut`), with its link frames at the
+    origins of the bodies behind the cuts. Only this is added to the model, and said in the report:
 
-
-def import_arm(
-    model: str | os.PathLike[str] | mujoco.MjSpec,
-    *,
-    links: Sequence[str] | None = None,
-    joints: Sequence[str] | None = None,
-    tip: str | None = None,
-    base: str | None = None,
-    keyframe: str | None = None,
-    home: Mapping[str, float] | None = None,
-    limits: Mapping[str, Mapping[str, float]] | None = None,
-    servos: str = "keep",
-    floor: float | str = AUTO,
-) -> tuple[mujoco.MjSpec, ImportReport]:
-    """Turn an MJCF or URDF model with a serial chain into an arm.
-
-    The arm has sites at its link frames and one servo for each coordinate; all other joints are locked.
-
-    Without ``links`` and ``joints`` the link frames are the model's own sites base_frame, link1_frame, ..., if it has
-    them; otherwise the arm is the chain with the most driven joints (`serial_chain.longest_chain`). A chain is cut into
-    compound joints (`compound_joints.cut`), with its link frames at the origins of the bodies behind the cuts.
-
-    Coupled stages count as one coordinate; a fixed tendon that drives several stages becomes equalities between them,
-    and soft equalities become as stiff as belts. Plain position servos keep their gains; other actuators are replaced
-    by critically damped servos of 20 Hz on the largest inertia M_ii of a few configurations, slower where coupled
-    stages could not follow. Force limits of actuators limit accelerations (`limits.limit_accelerations`); a URDF's
-    efforts and velocities are limits too. Gravity compensation is switched on where no body of the arm has any, because
-    position servos would sag. Tubes of a telescope, and other parts that overlap by design, don't collide with each
-    other, and home is moved away from other self-collisions (`overlaps.ignore_overlaps`). Hinges that share a link with
-    other joints are kept within 0.99 pi of their reference, where the logarithm is unique.
+    - servos where nothing drives a joint (`servos.add_servos`), and stiff ties between stages that a tendon drives;
+    - exclusions of contacts between parts that overlap by design (`overlaps.ignore_overlaps`);
+    - a floor below what stands on the ground (`floor.add_floor`);
+    - inertias of a URDF that are missing or impossible, and an integrator in place of RK4 (`mending`);
+    - a fixed base, where a free body carries the arm;
+    - the keyframe ``home``.
 
     Args:
-        model: an MJCF or URDF file, or a `mujoco.MjSpec`, which is not changed.
-        links: names of bodies or sites, from the base outwards; the frame of a body is at its origin.
-        joints: names of the arm's joints, instead of its links, which are then found. Joints that equalities tie to
-            them are the arm's too; all others are locked.
-        tip: body or site of the end effector's frame, beyond the last joint, where no links are named. Default: the
-            body that the last joint moves.
-        base: body or site of the base frame. Default: the parent of the first moving body of link 1.
-        keyframe: configuration of the locked joints, and of the new keyframe ``home``, which stays 5 % of each range
-            away from the limits. Default: ``home``, else the first keyframe, else the reference position. Keyframes
-            without positions, and with controls for another configuration, don't count.
-        home: positions of joints by name [rad, m] that replace those of the keyframe; for a URDF, which has none.
-        limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s]; they take precedence
-            over the model's.
-        servos: ``"keep"`` the model's position servos, or ``"design"`` all of them anew.
-        floor: height of the floor [m], or ``"none"``. Default, ``"auto"``: the model's own plane, else one at the
-            height of the base, and none if the robot reaches below its base at home.
-
-    Returns:
-        A spec for `Arm.from_spec`, and the report.
+        model: the file, or a spec, which is not changed.
+        source: the file, for messages.
+        name: the arm's name.
+        options: see `ImportOptions`.
 
     Raises:
         FileError: the file or one of its meshes is missing, or MuJoCo cannot compile it.
         InputError: the names or the mechanism don't make an arm; the message says why.
     """
-    as_choice("choice of servos", servos, SERVOS)
-    if links is not None and not links:
-        raise InputError("links must name at least one body or site, from the base outwards")
-    if joints is not None and not joints:
-        raise InputError("joints must name at least one joint")
-    if links is not None and (joints is not None or tip is not None):
+    given: dict[str, Any] = {what: value for what, value in options.items() if value is not None}
+    rule = as_choice("choice of servos", given.get("servos", "keep"), SERVOS)
+    overlaps = as_choice("choice of overlaps", given.get("overlaps", "ignore"), ("ignore", "keep"))
+    floor = as_floor(given.get("floor", AUTO))
+    check_rates(given.get("limits"))
+    if "links" in given and ("joints" in given or "tip" in given):
         raise InputError("name either the links, of which the last one is the tip, or the joints and the tip")
-    check_rates(limits)
-    height = as_floor(floor)
     notes: list[str] = []
     spec = load_spec(model, notes)
-    source = None if isinstance(model, mujoco.MjSpec) else Path(model)
-    draft = Draft(
-        spec,
-        source,
-        None if links is None else tuple(links),
-        None if joints is None else tuple(joints),
-        tip,
-        base,
-        keyframe,
-        home or {},
-        limits or {},
-        servos,
-        height,
-        notes,
+    if source.suffix.lower() == ".urdf":
+        mend_inertias(spec, notes)
+    replace_integrator(spec, notes)
+    compiled = compile_spec(spec)
+    label, keyframe, qpos = choose_home(spec, compiled, given.get("keyframe"), given.get("home", {}), notes)
+    named = choose_chain(compiled, options, notes)
+    qpos = fix_base(spec, compiled, _first_body(compiled, named), qpos, notes)
+
+    def viewed() -> ModelArm:
+        now = compile_spec(spec)
+        return ModelArm.viewing(now, _data(now, qpos), named, name=name, source=source, spec=spec)
+
+    compiled = compile_spec(spec)
+    view = read_view(compiled, _data(compiled, qpos), name=name, **named)
+    tie_stages(spec, compiled, view.couplings, notes)
+    named["limits"] = _limits(view, compiled, source, given.get("limits", {}), notes)
+    arm = viewed()
+    home, samples = move_inside(arm, notes), draw(arm, 64, seed=0)
+    if overlaps == "ignore":
+        home = ignore_overlaps(spec, arm, home, samples, notes)
+    qpos = arm.qpos(home)
+    arm = viewed()
+    add_floor(spec, arm, floor, notes)
+    commands = take_controls(spec)
+    added = add_servos(spec, arm, _closed(arm, home, samples), rule, notes)
+    give_controls(spec, compile_spec(spec), keyframe, qpos, commands)
+    arm = viewed()
+    servos = tuple(describe_servos(arm, _closed(arm, home, samples), added))
+    report = _report(arm, view, label, servos, notes)
+    return arm, replace(report, notes=(*notes, *remarks(arm, report.groups, servos, samples)))
+
+
+def _data(model: mujoco.MjModel, qpos: Floats) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    return data
+
+
+def _closed(arm: ModelArm, home: Floats, samples: Floats) -> Floats:
+    """Positions ``(S, nq)`` at home and at those configurations at which all loops can be closed."""
+    rows = arm.qpos(np.vstack([home, samples]), strict=False)
+    return rows[~np.isnan(rows).any(axis=1)]
+
+
+def _first_body(model: mujoco.MjModel, named: dict[str, Any]) -> int:
+    """The first body that the arm moves."""
+    if "links" in named:
+        return int(model.jnt_bodyid[joint_groups(model, named_frames(model, named["links"], named.get("base")))[0][0]])
+    bodies = [int(model.jnt_bodyid[joint]) for joint in chosen_joints(model, named["joints"])]
+    return min(bodies, key=lambda body: len(ancestry(model, body)))
+
+
+def _limits(
+    view: View, model: mujoco.MjModel, source: Path, given: Mapping[str, Mapping[str, float]], notes: list[str]
+) -> dict[str, dict[str, float]]:
+    """Limits of rates by coordinate: those that are given, else the velocities of a URDF, which MuJoCo does not read.
+
+    Those count of all joints that a coordinate moves; zero means no limit.
+    """
+    space, velocities = view.fields["space"], dict[str, float]()
+    if source.suffix.lower() == ".urdf":
+        try:
+            velocities = _velocities(source)
+        except (ElementTree.ParseError, ValueError) as error:
+            notes.append(f"velocity limits, if there are any, could not be read: {error}")
+    most = np.full(len(space), np.inf)
+    for name, velocity in velocities.items():
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        rates = np.abs(space.rates[model.jnt_dofadr[joint]]) if joint >= 0 else np.zeros(len(space))
+        most = np.minimum(most, np.divide(velocity, rates, out=np.full(len(space), np.inf), where=rates > 0.0))
+    limits = {name: {"velocity": float(v)} for name, v in zip(space.names, most, strict=True) if np.isfinite(v)}
+    if limits:
+        shown = ", ".join(f"{name} {limit['velocity']:.3g}" for name, limit in limits.items())
+        notes.append(f"velocity limits of the URDF [rad/s, m/s]: {shown}")
+    return {name: {**limits.get(name, {}), **given.get(name, {})} for name in {**limits, **given}}
+
+
+def _velocities(source: Path) -> dict[str, float]:
+    """The velocity limit of each joint [rad/s, m/s] that has one, if the file is a URDF."""
+    robot = ElementTree.parse(source).getroot()
+    if robot.tag != "robot":
+        return {}
+    limits = {joint.get("name", ""): joint.find("limit") for joint in robot.iterfind("joint")}
+    result = {name: float(limit.get("velocity", "0")) for name, limit in limits.items() if limit is not None}
+    return {name: velocity for name, velocity in result.items() if velocity > 0.0}
+
+
+def _report(arm: ModelArm, view: View, label: str, servos: tuple[Servo, ...], notes: list[str]) -> ImportReport:
+    model = arm.model
+    names = [model.joint(joint).name for joint in range(model.njnt)]
+    mine = {int(model.dof_jntid[dof]) for dof in arm.dofs}
+    tendons = {follower: model.tendon(tendon).name for follower, tendon in view.couplings.added.items()}
+    couplings = tuple(
+        Coupling(
+            names[follower],
+            names[leader],
+            ratio,
+            shift,
+            f"tendon {tendons[follower]!r}" if follower in tendons else "equality",
+        )
+        for follower, (leader, ratio, shift) in view.couplings.lines.items()
     )
-    for step in STEPS:
-        step(draft)
-    return draft.spec, draft.report()
+    return ImportReport(
+        configuration=label,
+        base=view.chain.frames[0].name,
+        links=tuple(frame.name for frame in view.chain.frames[1:]),
+        groups=tuple(tuple(names[joint] for joint in group) for group in view.chain.groups),
+        couplings=couplings,
+        others=tuple(name for joint, name in enumerate(names) if joint not in mine),
+        servos=servos,
+        notes=tuple(notes),
+    )

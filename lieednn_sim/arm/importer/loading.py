@@ -44,7 +44,7 @@ def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec, notes: list[str] | 
             notes.append(f"meshes in COLLADA taken as the convex hulls of their points: {', '.join(points)}")
     spec.compiler.fusestatic = False  # a link fixed to its parent would vanish
     spec.compiler.alignfree = False  # a locked object would keep the pose of its principal axes instead of its own
-    for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
+    for kind, elements in (("body", spec.bodies), ("joint", spec.joints), ("actuator", spec.actuators)):
         names = {element.name for element in elements}
         for number, element in enumerate(elements):
             if not element.name:

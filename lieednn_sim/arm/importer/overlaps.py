@@ -8,17 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import ancestry, joints_of
 from lieednn_sim.arm.contacts import ContactFinder
-from lieednn_sim.arm.importer.configurations import MARGIN, place_home
-from lieednn_sim.arm.importer.draft import Draft
+from lieednn_sim.arm.importer.home import MARGIN
 from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from lieednn_sim.arm.model_arm import ModelArm
 
 # Two ids, the smaller one first: of geoms or of bodies.
 _Pair = tuple[int, int]
@@ -29,24 +32,37 @@ _CLOSE = 0.0025
 _FRACTIONS = np.linspace(0.02, 1.0, 50)  # of a range by which home is moved
 
 
-def ignore_overlaps(draft: Draft) -> None:
+def ignore_overlaps(spec: mujoco.MjSpec, arm: ModelArm, home: Floats, samples: Floats, notes: list[str]) -> Floats:
     """Ignore contacts between parts of one robot that overlap by design, and move home away from other overlaps.
 
-    Three kinds of bodies overlap by design: stages of one telescope (with only parallel slides between them) that
-    overlap at any of the draft's configurations; neighbours (with one coordinate between them) that overlap at home;
-    and bodies that overlap at every configuration, of which only the geoms that always overlap are ignored, if there
-    are any. Where other bodies overlap at home, the nearest free configuration becomes home, since no motion could
-    start; if none is found, contacts of the geoms that overlap there are ignored.
+    Four kinds of bodies overlap by design: those that overlap at home and that the arm does not move apart, such as
+    fingers; stages of one telescope (with only parallel slides between them) that overlap anywhere; neighbours (with
+    one coordinate between them) that overlap at home; and bodies that overlap at every configuration, of which only the
+    geoms that always overlap are ignored, if there are any. Where other bodies overlap at home, the nearest free
+    configuration becomes home, since no motion could start; if none is found, contacts of the geoms that overlap there
+    are ignored.
+
+    Args:
+        spec: the spec of the arm's model, which is changed.
+        arm: the arm, with nothing ignored.
+        home: its coordinates ``(n,)`` at home.
+        samples: ``(S, n)`` random configurations.
+        notes: remarks for the report.
+
+    Returns:
+        Home, moved if need be.
     """
-    overlaps = _Overlaps(draft)
+    overlaps = _Overlaps(arm, home)
     bodies = overlaps.bodies
-    seen = [overlaps.at(qpos) for qpos in draft.configurations([*draft.samples, *draft.extremes])]
+    slides = np.array([unit == "m" for unit in arm.space.units])
+    extremes = [np.where(slides, ends, home) for ends in arm.position_limits.T]
+    seen = [overlaps.at(qpos) for qpos in arm.qpos(np.array([home, *samples, *extremes]), strict=False)]
     nearest: dict[_Pair, float] = {}
-    for solution in seen:
-        for geoms, distance in solution.items():
-            nearest[geoms] = min(distance, nearest.get(geoms, np.inf))
     ignored: dict[_Pair, set[_Pair]] = {}
     reasons: dict[str, list[str]] = {}
+    for solution in (*seen, fixed := overlaps.unmoved()):
+        for geoms, distance in solution.items():
+            nearest[geoms] = min(distance, nearest.get(geoms, np.inf))
 
     def ignore(pair: _Pair, chosen: set[_Pair], why: str) -> None:
         ignored[pair] = ignored.get(pair, set()) | chosen
@@ -56,67 +72,81 @@ def ignore_overlaps(draft: Draft) -> None:
     for pair in sorted(set(map(bodies, nearest)), key=overlaps.names):
         near = [{geoms for geoms in result if bodies(geoms) == pair} for result in seen]
         always = set.intersection(*near)
-        if overlaps.telescopic(pair):
+        still = {geoms for geoms in fixed if bodies(geoms) == pair}
+        if still:
+            ignore(pair, still, "they overlap, and the arm does not move them apart")
+        elif overlaps.telescopic(pair):
             ignore(pair, overlaps.geoms(pair), "stages of a telescope that overlap")
         elif near[0] and overlaps.neighbours(pair):
             ignore(pair, overlaps.geoms(pair), "neighbours that overlap at home")
         elif all(near):
             ignore(pair, always or overlaps.geoms(pair), "they overlap in every configuration")
 
-    def collisions(qpos: Floats) -> _Distances:
-        return {geoms: d for geoms, d in overlaps.at(qpos).items() if geoms not in ignored.get(bodies(geoms), ())}
+    def collisions(q: Floats) -> _Distances:
+        found = overlaps.at(arm.qpos(q, strict=False))
+        return {geoms: d for geoms, d in found.items() if geoms not in ignored.get(bodies(geoms), ())}
 
-    at_home = collisions(draft.configurations(draft.samples[:1])[0])
+    at_home = collisions(home)
     if at_home:
         touching = {pair: min(d for g, d in at_home.items() if bodies(g) == pair) for pair in map(bodies, at_home)}
         shown = ", ".join(f"{overlaps.names(pair)} ({_depth(depth)})" for pair, depth in touching.items())
-        home = next((q for q in _nearby(draft) if not collisions(draft.configurations([q])[0])), None)
-        if home is None:
+        free = next((q for q in _nearby(arm, home, samples) if not collisions(q)), None)
+        if free is None:
             for pair in touching:
                 chosen = {geoms for geoms in at_home if bodies(geoms) == pair}
                 ignore(pair, chosen, "they overlap at home, and no configuration near it is free")
         else:
-            before = draft.samples[0]
             moved = [
-                f"{draft.original.joint(joint).name} from {_listed(before[joint])} to {_listed(q)}"
-                for joint, q in home.items()
-                if not np.array_equal(q, before[joint])
+                f"{name} from {before:.3g} to {after:.3g}"
+                for name, before, after in zip(arm.joint_names, home, free, strict=True)
+                if before != after
             ]
-            draft.notes.append(f"home moved, since {shown} collide there: {', '.join(moved)}")
-            place_home(draft, home)
-    _exclude(draft, overlaps, ignored)
-    draft.notes += [f"contacts ignored between {', '.join(result)}: {why}" for why, result in reasons.items()]
+            notes.append(f"home moved, since {shown} collide there: {', '.join(moved)}")
+            home = free
+    _exclude(spec, overlaps, ignored)
+    notes += [f"contacts ignored between {', '.join(result)}: {why}" for why, result in reasons.items()]
+    return home
 
 
 class _Overlaps:
     """Parts of one robot that come closer to each other than `_CLOSE`."""
 
-    def __init__(self, draft: Draft) -> None:
-        self._draft, self._model = draft, draft.bare
-        self._finder = ContactFinder(draft.bare, _CLOSE)
-        self._data = kinematics_at(draft.bare, draft.configurations(draft.samples[:1])[0])
-        original = draft.original
-        names = [draft.bare.body(body).name for body in range(draft.bare.nbody)]
-        # The original model, with all joints, tells which bodies are one robot.
-        self._robot = [int(original.body_rootid[original.body(name).id]) for name in names]
+    def __init__(self, arm: ModelArm, home: Floats) -> None:
+        self.model, self._arm, self._home = arm.model, arm, home
+        self._finder = arm.contact_finder(_CLOSE)
+        self._data = kinematics_at(arm.model, arm.qpos(home))
+        self._moved = {int(arm.model.dof_jntid[dof]) for dof in arm.dofs}
+        # By each coordinate, its joints.
+        moving = arm.qvel(np.tile(home, (arm.n_joints, 1)), np.eye(arm.n_joints)) != 0.0
+        self._movers = [{int(arm.model.dof_jntid[dof]) for dof in np.flatnonzero(row)} for row in moving]
 
     def at(self, qpos: Floats) -> _Distances:
-        """Pairs of geoms of one robot that are near each other, and their distances [m]."""
+        """Pairs of geoms of one robot that are near each other, and their distances [m]; none where loops are open."""
+        return {} if np.isnan(qpos).any() else self._of_one_robot(*self._finder.geoms(qpos))
+
+    def unmoved(self) -> _Distances:
+        """Pairs that overlap at home and that the arm does not move against each other."""
+        group = moved_together(self.model, self._arm.dofs)
+        found = self._of_one_robot(*ContactFinder(self.model).geoms(self._arm.qpos(self._home)))
+        return {geoms: d for geoms, d in found.items() if len({int(group[body]) for body in self.bodies(geoms)}) == 1}
+
+    def _of_one_robot(self, distances: Floats, pairs: Any) -> dict[_Pair, float]:
         near: dict[_Pair, float] = {}
-        for distance, result in zip(*self._finder.geoms(qpos), strict=True):
+        root = self.model.body_rootid
+        for distance, result in zip(distances, pairs, strict=True):
             geoms = _pair(*result)
             first, second = self.bodies(geoms)
-            if self._robot[first] and self._robot[first] == self._robot[second]:
+            if root[first] and root[first] == root[second]:
                 near[geoms] = min(float(distance), near.get(geoms, np.inf))
         return near
 
     def bodies(self, geoms: _Pair) -> _Pair:
         """The bodies of two geoms."""
-        return _pair(*self._model.geom_bodyid[list(geoms)])
+        return _pair(*self.model.geom_bodyid[list(geoms)])
 
     def geoms(self, pair: _Pair) -> set[_Pair]:
         """All geoms of two bodies that may collide, in pairs."""
-        model = self._model
+        model = self.model
         mine, others = (range(model.body_geomadr[b], model.body_geomadr[b] + model.body_geomnum[b]) for b in pair)
         kind, affinity = model.geom_contype, model.geom_conaffinity
         return {_pair(g, h) for g, h in product(mine, others) if kind[g] & affinity[h] or kind[h] & affinity[g]} | {
@@ -125,13 +155,13 @@ class _Overlaps:
 
     def names(self, pair: _Pair) -> str:
         """Names of two bodies, for a note."""
-        first, second = sorted(self._model.body(body).name for body in pair)
+        first, second = sorted(self.model.body(body).name for body in pair)
         return f"{first!r} and {second!r}"
 
     def telescopic(self, pair: _Pair) -> bool:
         """Whether only slides along one line move the bodies against each other."""
         between = self._between(pair)
-        if not between or any(self._model.jnt_type[joint] != _SLIDE for joint in between):
+        if not between or any(self.model.jnt_type[joint] != _SLIDE for joint in between):
             return False
         axes = self._data.xaxis[between]
         parallel = 1e-6
@@ -139,35 +169,34 @@ class _Overlaps:
 
     def neighbours(self, pair: _Pair) -> bool:
         """Whether a single coordinate moves the bodies against each other."""
-        original = self._draft.original
-        joints = (original.joint(self._model.joint(joint).name).id for joint in self._between(pair))
-        return len({self._draft.couplings.leader(joint) for joint in joints}) == 1
+        between = set(self._between(pair))
+        # Three coordinates of a ball move the same joint.
+        return len({frozenset(joints) for joints in self._movers if joints & between}) == 1
 
     def _between(self, pair: _Pair) -> list[int]:
-        """The joints that move just one of the bodies against the world."""
-        model = self._model
+        """The joints of the arm, followers included, that move just one of the bodies against the world."""
+        model = self.model
         first, second = ({joint for b in ancestry(model, body) for joint in joints_of(model, b)} for body in pair)
-        return sorted(first ^ second)
+        return sorted((first ^ second) & self._moved)
 
 
-def _nearby(draft: Draft) -> Iterator[dict[int, Floats]]:
+def _nearby(arm: ModelArm, home: Floats, samples: Floats) -> Iterator[Floats]:
     """Configurations away from the limits, nearest to home first: one joint moved, then on lines to random ones."""
-    home = draft.samples[0]
-    scalar = [joint for joint in draft.independent if not draft.is_ball(joint)]
-    for fraction, joint, side in product(_FRACTIONS, scalar, (-1.0, 1.0)):
-        low, high = draft.ranges[joint]
-        value = home[joint] + side * fraction * (high - low)
-        if abs(value[0] - 0.5 * (low + high)) <= (0.5 - MARGIN) * (high - low):
-            yield {**home, joint: value}
-    for fraction, sample in product(_FRACTIONS, draft.samples[1:]):
-        middle = {joint: 0.0 if draft.is_ball(joint) else np.mean(draft.ranges[joint]) for joint in home}
-        inside = {joint: m + (1.0 - 2.0 * MARGIN) * (sample[joint] - m) for joint, m in middle.items()}
-        yield {joint: q + fraction * (inside[joint] - q) for joint, q in home.items()}
+    low, high = arm.position_limits.T
+    middle = 0.5 * (low + high)
+    scalar = [k for k in range(arm.n_joints) if k not in arm.space.balls]
+    for fraction, k, side in product(_FRACTIONS, scalar, (-1.0, 1.0)):
+        q = home.copy()
+        q[k] += side * fraction * (high[k] - low[k])
+        if abs(q[k] - middle[k]) <= (0.5 - MARGIN) * (high[k] - low[k]):
+            yield q
+    for fraction, sample in product(_FRACTIONS, samples):
+        yield home + fraction * (middle + (1.0 - 2.0 * MARGIN) * (sample - middle) - home)
 
 
-def _exclude(draft: Draft, overlaps: _Overlaps, ignored: Mapping[_Pair, Collection[_Pair]]) -> None:
+def _exclude(spec: mujoco.MjSpec, overlaps: _Overlaps, ignored: Mapping[_Pair, Collection[_Pair]]) -> None:
     """Exclude pairs of bodies; MuJoCo cannot exclude single geoms, so the bodies' other geoms become explicit pairs."""
-    spec, model = draft.spec, draft.bare
+    model = overlaps.model
     kept = {geoms for pair, gone in ignored.items() for geoms in overlaps.geoms(pair) - set(gone)}
     names = {geom.name for geom in spec.geoms}
     # By name: a spec forgets the ids of a compiled model as soon as something is added to it.
@@ -216,7 +245,3 @@ def _pair(first: int, second: int) -> _Pair:
 
 def _depth(distance: float) -> str:
     return f"{1e3 * abs(distance):.3g} mm {'deep' if distance < 0.0 else 'apart'}"
-
-
-def _listed(values: Floats) -> str:
-    return " ".join(f"{value:.3g}" for value in values)

@@ -4,128 +4,63 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.chain import chain_joints, joint_groups
 from lieednn_sim.arm.checks import ancestry, joints_of
+from lieednn_sim.arm.coupled_joints import coefficients, driven_directly, driven_tendons
+from lieednn_sim.arm.dependents import tied_joints
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame, listed
-from lieednn_sim.arm.importer.coupled_joints import driven_directly, driven_tendons, tendon_joints, tied_joints
+from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import as_choice
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+_TOOL = re.compile(r"tcp|tool|(^|_)ee($|_)|end.?effector|flange|grasp|pinch|attachment", re.IGNORECASE)
 _FINGER = re.compile(r"jaw|finger|fngr|claw|pincer", re.IGNORECASE)
 _GRIPPER = re.compile(_FINGER.pattern + r"|grip", re.IGNORECASE)  # a body of that name may be the one it is fixed to
 
 
-def named_frames(model: mujoco.MjModel, links: Sequence[str], base: str | None) -> tuple[Frame, ...]:
-    """Base and link frames by name, base first; the base may be left out.
+def choose_chain(model: mujoco.MjModel, options: ImportOptions, notes: list[str]) -> dict[str, Any]:
+    """What names the arm, as arguments of `Arm.of`: the options, the sites of the package's arms, or the longest chain.
 
     Raises:
-        InputError: a name is unknown or comes twice.
+        InputError: there is no such arm, or the choice is ambiguous.
     """
-    results = [find_frame(model, name) for name in links]
-    inboard = results[0] if base is None else find_frame(model, base)
-    if base is None:
-        moved = [body for body in ancestry(model, results[0].body) if _chain_joints(model, body)]
-        if not moved:
-            raise InputError(f"no hinge, slide or ball joint moves {links[0]!r}; name a link that moves")
-        inboard = body_frame(model, int(model.body_parentid[moved[0]]))
-    frames = (inboard, *results)
-    for first, second in itertools.combinations(frames, 2):
-        same = np.allclose(first.pos, second.pos, atol=1e-12) and abs(first.quat @ second.quat) > 1.0 - 1e-12
-        if first.body == second.body and same:
-            raise InputError(f"{first.name!r} and {second.name!r} are the same frame; every link needs its own")
-    return frames
+    named: dict[str, Any] = {what: options[what] for what in ("joints", "links", "tip", "base") if options.get(what)}
+    if not named:
+        sites = {model.site(i).name for i in range(model.nsite)}
+        links = [*itertools.takewhile(sites.__contains__, (f"link{i}_frame" for i in itertools.count(1)))]
+        named = {"links": links, "base": "base_frame"} if links and "base_frame" in sites else {}
+    if "links" in named or "joints" in named:
+        return named
+    base, tip = named.get("base"), named.get("tip")
+    inner, last = longest_chain(model, base, None if tip is None else find_frame(model, tip).body)
+    behind = (joint for joint in range(model.njnt) if model.body_parentid[model.jnt_bodyid[joint]] == last)
+    if hands := [model.joint(joint).name for joint in behind if is_gripper(model, joint)]:
+        notes.append(f"taken for a gripper, and no part of the arm: {', '.join(hands)}; name the links to move it")
+    (chain,) = joint_groups(model, (inner, body_frame(model, last)))
+    if tip is None and (tools := _tools(model, last)):
+        notes.append(
+            f"the end effector is {body_frame(model, last).name!r}; tip={tools[0]!r} (--tip) would choose that, of the "
+            f"frames named like a tool: {', '.join(tools)}"
+        )
+    return {**named, "joints": [model.joint(joint).name for joint in chain]}
 
 
-def joint_groups(model: mujoco.MjModel, frames: Sequence[Frame]) -> tuple[tuple[int, ...], ...]:
-    """The joints between consecutive frames, each group from the base outwards.
-
-    Raises:
-        InputError: the frames are not on one chain, there is no joint between two of them, or a joint is free.
-    """
-    groups = []
-    for inner, outer in itertools.pairwise(frames):
-        path = ancestry(model, outer.body)
-        if inner.body not in path:
-            raise InputError(
-                f"{outer.name!r} does not descend from {inner.name!r}; "
-                f"name links along one chain, from the base outwards"
-            )
-        group = [joint for body in path[path.index(inner.body) + 1 :] for joint in joints_of(model, body)]
-        if not group:
-            raise InputError(f"no joint is between {inner.name!r} and {outer.name!r}; leave one of them out")
-        for joint in group:
-            if model.jnt_type[joint] == _FREE:
-                raise InputError(
-                    f"joint {model.joint(joint).name!r} between {inner.name!r} and {outer.name!r} is free; "
-                    f"choose a base beyond it, such as {model.body(model.jnt_bodyid[joint]).name!r}"
-                )
-        groups.append(tuple(group))
-    return tuple(groups)
+def _tools(model: mujoco.MjModel, last: int) -> list[str]:
+    """Names of the bodies and sites that are fixed to the last link and named like a tool."""
+    fixed = np.flatnonzero(model.body_weldid == model.body_weldid[last])
+    names = [model.body(body).name for body in fixed if body != last]
+    names += [model.site(site).name for site in np.flatnonzero(np.isin(model.site_bodyid, fixed))]
+    return [name for name in names if _TOOL.search(name)]
 
 
-def chosen_joints(model: mujoco.MjModel, joints: Sequence[str]) -> list[int]:
-    """Ids of the named hinges, slides and ball joints; `InputError` where a name is unknown or comes twice."""
-    known = {model.joint(joint).name: joint for joint in range(model.njnt) if model.jnt_type[joint] != _FREE}
-    chosen = [known[as_choice("joint of the arm", name, known)] for name in joints]
-    if len(set(chosen)) < len(chosen):
-        raise InputError(f"joints must differ, got {listed(joints)}")
-    return chosen
-
-
-def named_chain(model: mujoco.MjModel, joints: Sequence[str], base: str | None) -> tuple[Frame, tuple[int, ...]]:
-    """Base frame and joints of the chain that named joints form, from the base outwards, with the joints tied to them.
-
-    Raises:
-        InputError: a name is unknown, comes twice, or is a free joint's; the joints are not on one chain; or they are
-            not beyond the base.
-    """
-    chosen = chosen_joints(model, joints)
-    tied, ties = set[int](), tied_joints(model)
-    while more := {joint for pair in ties if tied.union(chosen).intersection(pair) for joint in pair} - {
-        *tied,
-        *chosen,
-    }:
-        tied |= more
-    paths = {joint: ancestry(model, int(model.jnt_bodyid[joint])) for joint in (*chosen, *tied)}
-    path = common_path(model, chosen)
-    # A telescope's last stages may follow the one that is named.
-    path = max((other for other in paths.values() if other[: len(path)] == path), key=len)
-    arm = {joint for joint, other in paths.items() if other == path[: len(other)]}
-    chain = tuple(joint for body in path for joint in joints_of(model, body) if joint in arm)
-    return chain_base(model, path, chain, base), chain
-
-
-def common_path(model: mujoco.MjModel, joints: Sequence[int]) -> list[int]:
-    """The bodies from the world to the one that all of some joints move; `InputError` where they are on branches."""
-    paths = {joint: ancestry(model, int(model.jnt_bodyid[joint])) for joint in joints}
-    path = max(paths.values(), key=len)
-    for joint in joints:
-        if paths[joint] != path[: len(paths[joint])]:
-            raise InputError(
-                f"joint {model.joint(joint).name!r} is not on the way to body {model.body(path[-1]).name!r}: an arm is "
-                "one chain; leave out the joints of its hand"
-            )
-    return path
-
-
-def chain_base(model: mujoco.MjModel, path: Sequence[int], chain: Sequence[int], base: str | None) -> Frame:
-    """The frame of the base that is named, or that a chain's first joint moves its body against."""
-    if base is None:
-        return body_frame(model, int(model.body_parentid[model.jnt_bodyid[chain[0]]]))
-    start = find_frame(model, base)
-    if start.body not in path or path.index(start.body) >= path.index(int(model.jnt_bodyid[chain[0]])):
-        raise InputError(f"joint {model.joint(chain[0]).name!r} does not move against the base {base!r}")
-    return start
-
-
-def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
-    """Base frame and last moving body of the chain with the most driven joints.
+def longest_chain(model: mujoco.MjModel, base: str | None, tip: int | None = None) -> tuple[Frame, int]:
+    """Base frame and last moving body of the chain with the most driven joints, or of that to the body of a tip.
 
     A joint counts when an actuator drives it, directly or through a fixed tendon, or when an equality ties it to such a
     joint; in a model without such actuators all joints count. A hand at the end of a path is cut off: what lies beyond
@@ -137,20 +72,23 @@ def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
     """
     driven = _driven_joints(model)
     start = None if base is None else find_frame(model, base)
-    weight = np.array([len(driven.intersection(_chain_joints(model, b))) for b in range(model.nbody)], dtype=int)
+    weight = np.array([len(driven.intersection(chain_joints(model, b))) for b in range(model.nbody)], dtype=int)
     heaviest = weight.copy()  # the most driven joints on a path outwards from a body, its own included
     for body in range(model.nbody - 1, 0, -1):
         parent = model.body_parentid[body]
         heaviest[parent] = max(heaviest[parent], weight[parent] + heaviest[body])
     tips: dict[int, int] = {}
-    for outermost in np.flatnonzero(weight):
+    for outermost in np.flatnonzero(weight) if tip is None else [tip]:
         path = ancestry(model, int(outermost))
         if start is not None:
             if start.body not in path[:-1]:
                 continue
             path = path[path.index(start.body) + 1 :]
-        path = _without_hand(model, path, weight, heaviest)
-        if path:
+        if tip is None:
+            path = _without_hand(model, path, weight, heaviest)
+        elif weight[path].any():
+            path = path[: 1 + max(i for i, body in enumerate(path) if chain_joints(model, body))]
+        if path and weight[path].any():
             tips[path[-1]] = int(weight[path].sum())
     if not tips:
         beyond = "" if base is None else f" beyond {base!r}"
@@ -159,7 +97,7 @@ def longest_chain(model: mujoco.MjModel, base: str | None) -> tuple[Frame, int]:
     if len(best) > 1:
         raise InputError(
             f"{len(best)} chains have {max(tips.values())} joints each, they end in "
-            f"{listed([model.body(tip).name for tip in best])}; name the links of one of them, or its base"
+            f"{listed([model.body(tip).name for tip in best])}; name the tip or the links of one of them, or its base"
         )
     path = ancestry(model, best[0])
     first = next(body for body in (path if start is None else path[path.index(start.body) + 1 :]) if weight[body])
@@ -179,7 +117,7 @@ def is_gripper(model: mujoco.MjModel, joint: int) -> bool:
 
 def _driven_joints(model: mujoco.MjModel) -> set[int]:
     usable = {joint for joint in range(model.njnt) if model.jnt_type[joint] != _FREE}
-    driven = usable & driven_directly(model).union(*(tendon_joints(model, t) for t in driven_tendons(model)))
+    driven = usable & driven_directly(model).union(*(coefficients(model, t) for t in driven_tendons(model)))
     if not driven:
         return usable
     ties = tied_joints(model)
@@ -210,7 +148,3 @@ def _without_hand(
         opened |= bool(gripper)
         path = path[:-1]
     return path
-
-
-def _chain_joints(model: mujoco.MjModel, body: int) -> list[int]:
-    return [joint for joint in joints_of(model, body) if model.jnt_type[joint] != _FREE]

@@ -1,121 +1,229 @@
-"""Coordinates of an imported arm, their servos, and the dynamics by which these are designed."""
+"""Servos where nothing drives a joint: those of the arm, and those that hold what carries it or else would fall."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.chain import chain_joints
+from lieednn_sim.arm.checks import ancestry
+from lieednn_sim.arm.dependents import tied_joints
+from lieednn_sim.arm.equalities import dof_addresses
+from lieednn_sim.arm.forces import actuator_moments, force_ranges, servo_gains, tangent_basis
+from lieednn_sim.arm.importer.loading import compile_spec, unused
+from lieednn_sim.arm.importer.report import Servo
+from lieednn_sim.arm.limits import largest_inertia
 from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from lieednn_sim.arm.model_arm import ModelArm
+
+SERVOS = ("keep", "design", "none")
+_FREQUENCY = 20.0  # natural frequency of a designed servo [Hz]
+_STABLE = -1e-6  # least decay rate at which the steps count as stable [1/s]
+# Least decay rate of the motions of tied stages [1/s], and the factors by which servos are slowed down for it.
+_DECAY, _SLOWDOWNS = 10.0, 0.8 ** np.arange(13)
 
 
 @dataclass(frozen=True, eq=False)
-class Dof:
-    """One independent coordinate of the arm in a compiled model.
+class _Servo:
+    """A critically damped position servo of one dof, kp = I w^2 and kv = 2 I w.
 
     Attributes:
-        name: name of the joint, with ``_x``, ``_y`` or ``_z`` for those of a ball joint.
-        joint: name of the joint.
-        axis: 0, or 0 to 2 in a ball joint.
-        rates: ``(nv,)`` velocities of the model's dofs per unit rate, coupled stages included.
-        span: ``(2,)`` its range [rad, m].
+        name: of the dof: its joint's, with ``_x``, ``_y`` or ``_z`` for those of a ball joint.
+        joint, axis: where it acts.
+        inertia: I [kg m^2, kg].
+        span: ``(2,)`` the range of its control, if it has one [rad, m].
+        force: ``(2,)`` the range of its force, if it has one [N m, N].
+        tied: whether other joints follow this one.
     """
 
     name: str
     joint: str
     axis: int
-    rates: Floats
-    span: Floats
+    inertia: float
+    span: Floats | None = None
+    force: Floats | None = None
+    tied: bool = False
+
+    def parameters(self, slower: float) -> tuple[Floats, Floats]:
+        """MuJoCo's gain and bias parameters, ten each, of one slower by a factor."""
+        omega = 2.0 * np.pi * _FREQUENCY * slower
+        kp, kv = self.inertia * omega**2, 2.0 * self.inertia * omega
+        return np.array([kp, *np.zeros(9)]), np.array([0.0, -kp, -kv, *np.zeros(7)])
 
 
-@dataclass(frozen=True)
-class Servo:
-    """A servo with force kp (ctrl - q) - kv dq/dt on one coordinate.
+def add_servos(spec: mujoco.MjSpec, arm: ModelArm, configurations: Floats, rule: str, notes: list[str]) -> set[str]:
+    """Add servos to a spec, by ``rule``, one of `SERVOS`; the names of their actuators.
 
-    Attributes:
-        name: name of the coordinate.
-        kp: [N m/rad, N/m].
-        kv: [N m s/rad, N s/m].
-        force_range: [N m, N]; infinite where nothing limits the actuators.
-        frequency: natural frequency on the largest inertia of a few configurations, the other coordinates held [Hz].
-        kept: whether kp and kv are those of the given model.
+    Coordinates that nothing drives, or with ``design`` all of them, get a servo of 20 Hz, critically damped on the
+    largest inertia M_ii, the other coordinates held; with these free it may nearly vanish, as for two axes in line, and
+    a servo for that would be weak when both turn. Other joints that nothing drives get one that holds them where they
+    are, if they carry the arm or the file drives nothing at all; else they stay passive. All are slower where the time
+    step or the soft ties between coupled stages could not follow them.
+
+    Args:
+        spec: the spec of the arm's model, which is changed.
+        arm: the arm.
+        configurations: ``(S, nq)``, that at home first.
+        rule: as above.
+        notes: remarks for the report.
     """
+    if rule == "none":
+        return set()
+    model, basis = arm.model, tangent_basis(arm.space)
+    moments: Floats = np.abs(actuator_moments(model))
+    ranges, moving = force_ranges(model, basis), (moments @ np.abs(basis)).max(axis=1, initial=0.0) > 1e-9
+    holders = [*_holders(arm, np.asarray(moments.any(axis=0)), configurations[0])]
+    if rule == "design":
+        for actuator in [actuator for actuator in spec.actuators if moving[actuator.id]]:
+            spec.delete(actuator)
+        moments[moving] = 0.0
+    bare = np.flatnonzero((moments @ np.abs(basis)).max(axis=0, initial=0.0) <= 1e-9)
+    servos = [*_drivers(arm, bare, ranges, configurations[:16], basis)]
+    for made, why in ((servos, "as asked for" if rule == "design" else "there was no actuator"), (holders, "to hold")):
+        if made:
+            notes.append(f"new servos for {', '.join(servo.name for servo in made)}: {why}")
+    names = {actuator.name for actuator in spec.actuators}
+    actuators: dict[str, _Servo] = {}
+    for servo in (*servos, *holders):
+        name = unused(servo.name, names, "_servo")
+        names.add(name)
+        actuators[name] = servo
+        _add(spec, name, servo)
+    if actuators:
+        _slow_down(spec, actuators, configurations[:8], notes)
+    return set(actuators)
 
-    name: str
-    kp: float
-    kv: float
-    force_range: tuple[float, float]
-    frequency: float
-    kept: bool
 
-    def __str__(self) -> str:
-        """Return one line for a report."""
-        low, high = self.force_range
-        limits = "no force limit" if np.isinf([low, high]).all() else f"force {low:.4g} .. {high:.4g}"
-        return (
-            f"{self.name}: {'kept' if self.kept else 'made'}, kp {self.kp:.4g}, kv {self.kv:.4g}, "
-            f"{self.frequency:.3g} Hz, {limits}"
-        )
+def describe_servos(arm: ModelArm, configurations: Floats, added: set[str]) -> Iterator[Servo]:
+    """What drives each coordinate of an arm in its completed model; ``added`` are names of actuators."""
+    model, basis = arm.model, tangent_basis(arm.space)
+    (kp, kv), ranges = servo_gains(model, basis), force_ranges(model, basis)
+    inertia = largest_inertia(model, configurations[:16], basis)
+    driving = np.abs(actuator_moments(model) @ basis) > 1e-9
+    for k, name in enumerate(arm.joint_names):
+        frequency = float(np.sqrt(kp[k] / inertia[k]) / (2.0 * np.pi))
+        kept = not added.intersection(model.actuator(int(a)).name for a in np.flatnonzero(driving[:, k]))
+        low, high = map(float, ranges[k])
+        yield Servo(name, float(kp[k]), float(kv[k]), (low, high), frequency, kept)
 
 
-@dataclass(frozen=True)
-class Actuation:
-    """What drives one coordinate in the original model.
+def _drivers(
+    arm: ModelArm, bare: NDArray[np.int_], ranges: Floats, configurations: Floats, basis: Floats
+) -> Iterator[_Servo]:
+    """Servos for the coordinates ``bare``."""
+    if not len(bare):
+        return
+    inertia = largest_inertia(arm.model, configurations, basis)
+    for k in bare.tolist():
+        ball = np.argwhere(arm.space.balls == k)
+        axis = int(ball[0, 1]) if len(ball) else 0
+        name, (low, high) = arm.joint_names[k], ranges[k]
+        joint = name[:-2] if len(ball) else name
+        # The force range of a joint bounds all its actuators together, so it is none of the servo.
+        limited = np.isfinite([low, high]).all() and not arm.model.jnt_actfrclimited[arm.model.joint(joint).id]
+        force = ranges[k] if limited else None
+        tied = bool(np.count_nonzero(basis[:, k]) > 1)
+        yield _Servo(name, joint, axis, float(inertia[k]), arm.position_limits[k], force, tied=tied)
 
-    Attributes:
-        force_range: sum over its actuators, referred to the coordinate [N m, N].
-        gains: kp and kv referred to the coordinate, of the one plain position servo that moves nothing else.
-        remark: why there are no gains, or empty.
+
+def _holders(arm: ModelArm, driven: NDArray[np.bool_], qpos: Floats) -> Iterator[_Servo]:
+    """Servos that hold joints where they are in ``qpos``; ``driven`` are the dofs that actuators move."""
+    model = arm.model
+    followers = {follower for follower, _ in tied_joints(model)}
+    carrying = {joint for body in ancestry(model, int(arm.frames.bodies[0])) for joint in chain_joints(model, body)}
+    moved = {int(model.dof_jntid[dof]) for dof in arm.dofs}
+    inertia = largest_inertia(model, qpos[None], np.eye(model.nv))
+    for joint in (joint for body in range(model.nbody) for joint in chain_joints(model, body)):
+        dofs = dof_addresses(model, [joint])
+        if joint in moved or joint in followers or driven[dofs].any() or not (joint in carrying or not model.nu):
+            continue
+        for axis, dof in enumerate(dofs.tolist()):
+            name = model.joint(joint).name
+            named = f"{name}_{'xyz'[axis]}" if len(dofs) > 1 else name
+            yield _Servo(named, name, axis, float(inertia[dof]))
+
+
+def _add(spec: mujoco.MjSpec, name: str, servo: _Servo) -> None:
+    gear = np.zeros(6)
+    gear[servo.axis] = 1.0
+    actuator = spec.add_actuator(
+        name=name,
+        target=servo.joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        dyntype=mujoco.mjtDyn.mjDYN_NONE,
+        gear=gear,
+        inheritrange=0.0,
+        actlimited=mujoco.mjtLimited.mjLIMITED_FALSE,
+        ctrllimited=mujoco.mjtLimited.mjLIMITED_FALSE,
+        forcelimited=mujoco.mjtLimited.mjLIMITED_FALSE,
+    )
+    actuator.gainprm, actuator.biasprm = servo.parameters(1.0)
+    for what, span in (("ctrl", servo.span), ("force", servo.force)):
+        if span is not None:
+            setattr(actuator, f"{what}limited", mujoco.mjtLimited.mjLIMITED_TRUE)
+            setattr(actuator, f"{what}range", span)
+
+
+def _slow_down(spec: mujoco.MjSpec, actuators: Mapping[str, _Servo], configurations: Floats, notes: list[str]) -> None:
+    """Take the integrator implicitfast where Euler's would be unstable, and slow servos down.
+
+    First those of coupled stages, which act on one stage, until their soft ties can keep up: the fastest are taken with
+    which the model's slowest mode decays at 10 / s at home, or nearly as fast as with any slower ones, since other
+    parts of the model may be slow by themselves. Then all, until the steps are stable at all configurations. Dry
+    friction, which would hide how stages swing once they move, contacts and limits are left out.
     """
+    model = compile_spec(spec)
+    model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    slower = dict.fromkeys(actuators, 1.0)
 
-    force_range: tuple[float, float]
-    gains: tuple[float, float] | None
-    remark: str
+    def decay(rows: Floats) -> float:
+        for name, servo in actuators.items():
+            actuator = model.actuator(name).id
+            model.actuator_gainprm[actuator], model.actuator_biasprm[actuator] = servo.parameters(slower[name])
+        return min(-float(np.log(_step_growth(model, qpos))) / model.opt.timestep for qpos in rows)
+
+    euler = int(mujoco.mjtIntegrator.mjINT_EULER)
+    if decay(configurations) < _STABLE and model.opt.integrator == euler:
+        model.opt.integrator = spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        notes.append("the servos would be unstable with the model's integrator; it is implicitfast now")
+    if tied := [name for name, servo in actuators.items() if servo.tied]:
+        decays: list[float] = []
+        for factor in _SLOWDOWNS:
+            slower.update(dict.fromkeys(tied, factor))
+            decays.append(decay(configurations[:1]))
+            if decays[-1] >= _DECAY:
+                break
+        enough = min(_DECAY, max(decays) - 0.1 * abs(max(decays)))
+        slower.update(dict.fromkeys(tied, next(f for f, d in zip(_SLOWDOWNS, decays, strict=False) if d >= enough)))
+    start = dict(slower)
+    for factor in _SLOWDOWNS:
+        slower.update({name: factor * first for name, first in start.items()})
+        if decay(configurations) > _STABLE:
+            break
+    else:
+        slower = start  # something else is unstable, such as a link that nothing holds
+    for name, servo in actuators.items():
+        actuator = spec.actuator(name)
+        actuator.gainprm, actuator.biasprm = servo.parameters(slower[name])
 
 
-def gain_parameters(servo: Servo) -> tuple[Floats, Floats]:
-    """MuJoCo's gain and bias parameters, ten each."""
-    return np.array([servo.kp, *np.zeros(9)]), np.array([0.0, -servo.kp, -servo.kv, *np.zeros(7)])
-
-
-def reduced_inertia(model: mujoco.MjModel, configurations: Floats, rates: Floats) -> Floats:
-    """Inertia ``(S, n, n)``, armature included, at configurations ``(S, nq)``.
-
-    ``rates`` are as in `force_ranges`, ``(nv, n)`` or, where they differ, ``(S, nv, n)``.
-    """
+def _step_growth(model: mujoco.MjModel, qpos: Floats) -> float:
+    """Spectral radius of one step of the whole model, at rest with the servos commanded to the configuration."""
     data = mujoco.MjData(model)
-    rates = np.broadcast_to(rates, (len(configurations), *rates.shape[-2:]))
-    columns = np.zeros((len(configurations), rates.shape[-1], model.nv))
-    for at, basis, data.qpos[:] in zip(columns, rates, configurations, strict=True):
-        mujoco.mj_fwdPosition(model, data)
-        for column, rate in zip(at, basis.T, strict=True):
-            mujoco.mj_mulM(model, data, column, rate)
-    return columns @ rates
-
-
-def largest_inertia(model: mujoco.MjModel, configurations: Floats, rates: Floats) -> Floats:
-    """Largest inertia ``(n,)`` of each coordinate over the configurations ``(S, nq)``, the other coordinates held."""
-    return np.asarray(np.diagonal(reduced_inertia(model, configurations, rates), axis1=1, axis2=2).max(axis=0))
-
-
-def growth(
-    model: mujoco.MjModel, inertia: Floats, dofs: Sequence[Dof], servos: tuple[Servo, ...], timestep: float
-) -> float:
-    """Largest factor by which one step of MuJoCo's integrator multiplies a small error of the servo loops.
-
-    Linearised, without springs and Coriolis forces: M dv/dt = -K q - (D + Kv) v, one step of the semi-implicit Euler
-    method (D implicit; with the implicit methods, Kv too).
-    """
-    rates = np.array([dof.rates for dof in dofs])
-    stiffness, gains = (np.diag([getattr(servo, gain) for servo in servos]) for gain in ("kp", "kv"))
-    damping = rates @ np.diag(model.dof_damping) @ rates.T
-    h, identity = timestep, np.eye(len(servos))
-    implicit = damping.copy()
-    if model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_EULER):
-        implicit += gains
-    mass = inertia + h * implicit
-    from_q, from_v = (-h * np.linalg.solve(mass, m) for m in (stiffness, damping + gains))
-    step = np.block([[identity + h * from_q, h * (identity + from_v)], [from_q, identity + from_v]])
-    return float(np.abs(np.linalg.eigvals(step)).max())
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    data.ctrl[:] = data.actuator_length
+    size = 2 * model.nv + model.na
+    transition = np.zeros((size, size))
+    mujoco.mjd_transitionFD(model, data, 1e-6, True, transition, None, None, None)
+    return float(np.abs(np.linalg.eigvals(transition)).max())

@@ -16,7 +16,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import tangent_basis
+from lieednn_sim.arm.forces import resting_load, tangent_basis
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import Foreseen, Reference, runs
@@ -119,7 +119,8 @@ class PositionServo(FeedforwardServo):
 
     A position actuator exerts kp (ctrl - q) - kv qd, so without the second term it would lag a moving reference by
     kv / kp seconds. The joint damping of the model is compensated in the same way. The velocity is that of the next
-    step, since the integrator implicitfast damps with the velocity at the end of the step.
+    step, since the integrator implicitfast damps with the velocity at the end of the step. In a model that is not made
+    for this package, the load at rest at q_ref, of gravity and springs, is fed forward as well, or the arm would sag.
 
     Raises:
         InputError: the arm is not driven by position actuators on joints or fixed tendons.
@@ -128,13 +129,18 @@ class PositionServo(FeedforwardServo):
     def __init__(self, arm: Arm, reference: Reference) -> None:
         super().__init__(arm, reference)
         self._damping = arm.model.dof_damping.copy()
+        self._loaded = None if arm.qpos_home is None else arm.model
 
     def controls(self, steps: range) -> Floats:
         """See `FeedforwardServo`."""
         reference = self._reference
         rows = reference.row(np.array(steps))
-        velocity = reference.qvel[np.minimum(rows + 1, reference.known - 1)]
-        return self._actuators.servo_controls(reference.qpos[rows], velocity, self._damping * velocity)
+        qpos, velocity = reference.qpos[rows], reference.qvel[np.minimum(rows + 1, reference.known - 1)]
+        forces = self._damping * velocity
+        if self._loaded is not None:
+            firsts, run = runs(qpos)
+            forces += resting_load(self._loaded, qpos[firsts])[run]
+        return self._actuators.servo_controls(qpos, velocity, forces)
 
 
 class InverseDynamicsServo(FeedforwardServo):
@@ -227,7 +233,7 @@ class _InverseDynamics:
     def __init__(self, arm: Arm) -> None:
         self.model = copy.deepcopy(arm.model)
         self.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_INVDISCRETE
-        if arm.state is not None:
+        if arm.qpos_home is not None:
             # Nobody knows how what touches the hand accelerates.
             self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._data = mujoco.MjData(self.model)

@@ -22,7 +22,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim import io
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.importer import import_arm
 from lieednn_sim.arm.obstacles import shapes
 from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_floats, as_path
@@ -52,7 +51,7 @@ class ProblemSets:
     Beside them it has a URDF (of several, ``..._spherized.urdf`` is taken), and perhaps an SRDF. The arm's joints are
     those of the goals, one per link; other joints are locked where the first problem starts. Collisions that an SRDF
     disables are ignored, and so are those with neighbours and bodies welded to these; without an SRDF the import
-    decides (`importer.import_arm`).
+    decides (`Arm.from_xml`).
 
     Args:
         folder: folder of the robot, with its name.
@@ -148,15 +147,18 @@ class ProblemSets:
         if missing := [joint for joint in goal if joint not in children]:
             raise FileError(f"{self.model} has no joint {', '.join(missing)}, for which goals are given")
         home = {joint: q for joint, q in start.items() if joint in goal} | self._locked
-        spec, report = import_arm(self.model, links=[children[joint] for joint in goal], home=home, floor="none")
+        links = [children[joint] for joint in goal]
+        arm = Arm.from_xml(self.model, self.robot, links=links, home=home, floor="none")
         if self.semantics:
+            spec = arm.copied_spec()
             for old in [*spec.excludes, *spec.pairs]:
                 spec.delete(old)
             bodies = {body.name for body in spec.bodies}
             for first, second in _never_colliding(self.semantics):
                 if {first, second} <= bodies:
                     spec.add_exclude(bodyname1=first, bodyname2=second)
-        return replace(Arm.from_spec(spec, self.model, self.robot, report), clearance=0.0)
+            arm = arm.recompiled(spec)
+        return replace(arm, clearance=0.0)
 
     @cached_property
     def _first(self) -> tuple[dict[str, float], dict[str, float]]:

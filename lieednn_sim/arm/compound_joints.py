@@ -1,4 +1,4 @@
-"""Where the serial chain of a foreign MJCF is cut into compound joints."""
+"""Where the chain is cut into compound joints."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.importer.coupled_joints import Couplings
+from lieednn_sim.arm.coupled_joints import Couplings
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 

@@ -1,0 +1,145 @@
+"""What a file needs before it can be an arm: possible inertias, an integrator, a base that stands, stiff ties."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.checks import ancestry
+from lieednn_sim.arm.contacts import colliding_geoms
+from lieednn_sim.arm.coupled_joints import Couplings
+from lieednn_sim.values import Floats
+
+_LEAST_INERTIA = 1e-6  # of the largest moment of a body, or [kg m^2]
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+
+
+def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
+    """Give inertias to moving links of a URDF without any, and enlarge impossible ones: A + B >= C > 0 must hold.
+
+    Other simulators accept both; links without an inertia are usual in mobile bases.
+    """
+    mended, massless = [], []
+    for body in spec.bodies:
+        if body.joints and not body.explicitinertial and not body.geoms:
+            # As light as MuJoCo's solver bears between links of some kilograms.
+            body.mass, body.inertia, body.explicitinertial = 0.01, [1e-5] * 3, True
+            massless.append(body.name)
+            continue
+        given = body.fullinertia
+        if not np.isfinite(given).all():
+            continue
+        xx, yy, zz, xy, xz, yz = given
+        moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        moments = np.maximum(moments, _LEAST_INERTIA * max(moments[2], _LEAST_INERTIA))
+        lacking = (1.0 + _LEAST_INERTIA) * moments[2] - moments[0] - moments[1]
+        if lacking > 0.0 or given[:3].min() <= 0.0:
+            moments[:2] += 0.5 * max(lacking, 0.0)
+            tensor = (axes * moments) @ axes.T
+            body.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+            mended.append(body.name)
+    if massless:
+        notes.append(f"links without <inertial> got a mass of 10 g: {', '.join(massless)}")
+    if mended:
+        notes.append(f"physically impossible inertias made larger: {', '.join(mended)}")
+
+
+def replace_integrator(spec: mujoco.MjSpec, notes: list[str]) -> None:
+    """Replace RK4 by implicitfast, see `arm.checks.check_integrator`."""
+    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        notes.append("integrator implicitfast in place of RK4, which has no inverse dynamics in discrete time")
+
+
+def fix_base(spec: mujoco.MjSpec, model: mujoco.MjModel, carried: int, qpos: Floats, notes: list[str]) -> Floats:
+    """Fix the free body that carries the arm where it is, since nothing would hold it up; the new ``qpos``.
+
+    Args:
+        spec: the spec, which is changed.
+        model: the model that it compiles to.
+        carried: id of the first moving body of the arm.
+        qpos: ``(nq,)`` where everything is.
+        notes: remarks for the report.
+    """
+    free = [j for j in np.flatnonzero(model.jnt_type == _FREE) if model.jnt_bodyid[j] in ancestry(model, carried)]
+    if not free:
+        return qpos
+    (joint,) = free
+    root = int(model.jnt_bodyid[joint])
+    data = kinematics_at(model, qpos)
+    _exclude_neighbours(spec, model, root)
+    first, rate = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    for key in spec.keys:
+        key.qpos = np.delete(key.qpos, slice(first, first + 7)) if len(key.qpos) else key.qpos
+        key.qvel = np.delete(key.qvel, slice(rate, rate + 6)) if len(key.qvel) else key.qvel
+    body = spec.bodies[root]
+    _place(spec, body, model, data)
+    notes.append(f"{body.name!r}, a free body that carries the arm, is fixed where it is at home")
+    spec.delete(spec.joints[joint])
+    return np.delete(qpos, slice(first, first + 7))
+
+
+def tie_stages(spec: mujoco.MjSpec, model: mujoco.MjModel, couplings: Couplings, notes: list[str]) -> None:
+    """Tie the stages of a telescope to their leaders by equalities that are nearly as stiff as rigid belts.
+
+    Stages tied by a tendon alone get an equality, and softer ones of the model are made as stiff: by MuJoCo's default a
+    light stage hangs on a spring of a few hundred newtons per metre, and friction of a few newtons leaves it
+    centimetres behind the others, unseen by any servo.
+    """
+    # MuJoCo's least time constant is two timesteps.
+    reference = np.array([max(0.004, 2.0 * model.opt.timestep), 1.0])
+    impedance = np.array([0.99, 0.999, 0.001, 0.5, 2.0])
+    for follower in couplings.added:
+        leader, ratio, shift = couplings.lines[follower]
+        y0, x0 = (float(model.qpos0[model.jnt_qposadr[joint]]) for joint in (follower, leader))
+        equality = spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_JOINT, name1=model.joint(follower).name, name2=model.joint(leader).name, active=True
+        )
+        equality.data = np.array([shift - y0 + ratio * x0, ratio, *np.zeros(len(equality.data) - 2)])
+        equality.solref, equality.solimp = reference, impedance
+    followers = {model.joint(follower).name for follower in couplings.lines if follower not in couplings.added}
+    stiffened = []
+    for equality in spec.equalities:
+        if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.active or equality.name1 not in followers:
+            continue
+        # Negative numbers are a stiffness and a damping that were chosen explicitly.
+        if equality.solref[0] > reference[0] or equality.solref[0] == 0.0:
+            equality.solref, equality.solimp = reference, impedance
+            stiffened.append(equality.name1)
+    if couplings.added:
+        tied = ", ".join(model.joint(follower).name for follower in couplings.added)
+        notes.append(f"ties added to {tied}, which only a tendon moved along")
+    if stiffened:
+        notes.append(f"ties of {', '.join(stiffened)} made stiff, with solref {reference[0]:g} s")
+
+
+def _place(spec: mujoco.MjSpec, body: mujoco.MjsBody, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Put a child of the world where it is in a state."""
+    transform = scipy.spatial.transform.RigidTransform
+    turn = scipy.spatial.transform.Rotation.from_quat
+
+    def pose(pos: Floats, quat: Floats) -> scipy.spatial.transform.RigidTransform:
+        return transform.from_components(pos, turn(quat, scalar_first=True))
+
+    quat = np.array(body.quat)
+    if body.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        units = body.compiler
+        quat = np.array(spec.resolve_orientation(degree=units.degree, sequence=units.eulerseq, orientation=body.alt))
+    # The spec's pose may be one in a <frame>, the model's is one in the world: move the former like the latter.
+    compiled = pose(model.body_pos[body.id], model.body_quat[body.id])
+    local = pose(np.array(body.pos), quat) * compiled.inv() * pose(data.xpos[body.id], data.xquat[body.id])
+    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    body.pos, body.quat = local.translation, local.rotation.as_quat(scalar_first=True)
+
+
+def _exclude_neighbours(spec: mujoco.MjSpec, model: mujoco.MjModel, root: int) -> None:
+    """Exclude what MuJoCo filters as parent and child, but no longer once the parent is a part of the world."""
+    weld, solid = model.body_weldid, np.unique(model.geom_bodyid[colliding_geoms(model)]).tolist()
+    known = {frozenset((exclude.bodyname1, exclude.bodyname2)) for exclude in spec.excludes}
+    base = [body for body in solid if weld[body] == root]
+    for child in (body for body in solid if weld[body] != root and weld[model.body_parentid[weld[body]]] == root):
+        for body in base:
+            pair = model.body(body).name, model.body(child).name
+            if frozenset(pair) not in known:
+                spec.add_exclude(bodyname1=pair[0], bodyname2=pair[1])

@@ -1,0 +1,147 @@
+"""What to look at in an imported arm: half turns, shapes, contacts, servos, singular links."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, colliding_geoms
+from lieednn_sim.arm.forces import dry_friction, resting_load, tangent_basis
+from lieednn_sim.arm.importer.report import Servo
+from lieednn_sim.arm.kinematics import least_singular_value
+from lieednn_sim.arm.surroundings import moved_together
+from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from lieednn_sim.arm.model_arm import ModelArm
+
+_OFF = 3e-4  # worth a remark [rad, m]: over a few joints, a millimetre at an arm's length
+_PATHS, _LOOKS = 256, 20  # straight paths, and configurations on each
+_SHOWN = 24  # pairs of bodies in a remark
+# Least singular value of a link's screws, of unit size, at which its pose still determines its joints. By the same
+# measure paths begin to be straightened at the larger `singularities.NEARLY_SINGULAR`; the gap that this leaves is
+# worth a remark here.
+_SINGULAR = 0.1
+_SLOW = 5.0  # worth a remark [Hz]
+_DESIGN = "servos='design' designs a new one"
+
+
+def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Servo], samples: Floats) -> Iterator[str]:
+    """Remarks on an arm: what moves each link, what drives each coordinate, and random configurations ``(S, n)``."""
+    home = arm.keyframe("home")
+    if len(groups) == 1:
+        yield "the arm is one link; networks of a single neuron are hard to certify: name more links"
+    if arm.length_scale != 1.0:
+        unit = f"{arm.length_scale:g} m, the furthest that a link moves"
+        yield f"unit of length in the network's coordinates: {unit}"
+    limits = zip(arm.joint_names, arm.acceleration_limits, strict=True)
+    if shown := ", ".join(f"{name} {limit:.3g}" for name, limit in limits if np.isfinite(limit)):
+        yield f"acceleration limits [rad/s^2, m/s^2]: {shown}"
+    yield from _half_turns(arm, groups, np.vstack([home, samples]))
+    yield from _shapes(arm)
+    yield from _drives(arm, servos, np.vstack([home, samples[:16]]))
+    for first, second in arm.contacts(home):
+        yield f"bodies {first!r} and {second!r} touch at home"
+    yield from _straight_paths(arm, home)
+    yield from _singular_links(arm, groups, home, samples)
+
+
+def _half_turns(arm: ModelArm, groups: Sequence[Sequence[str]], q: Floats) -> Iterator[str]:
+    """Compound joints of several hinges that come near half a turn at one of the configurations."""
+    turns = np.linalg.norm(arm.encode(q)[..., :3], axis=-1).max(axis=0)
+    for i, (group, turn) in enumerate(zip(groups, turns, strict=True), start=1):
+        if len(group) > 1 and turn > 0.95 * np.pi and arm.joints.joints[i - 1].screw is None:
+            why = f"link {i} may turn by {turn:.3g} rad against link {i - 1}"
+            yield f"{why}; the logarithm is unique below pi: name more links"
+
+
+def _shapes(arm: ModelArm) -> Iterator[str]:
+    """That the arm cannot be seen, or cannot touch anything."""
+    model = arm.model
+    moving = moved_together(model, arm.dofs)[model.geom_bodyid] > 0
+    if not moving.any():
+        yield (
+            "no moving body has a geom: the arm is invisible and touches nothing; of a URDF MuJoCo reads <collision>, "
+            'and <visual> only with <mujoco><compiler discardvisual="false"/></mujoco> in <robot>'
+        )
+    elif not colliding_geoms(model)[moving].any():
+        yield "no geom of a moving body can collide: the arm passes through obstacles and through itself"
+
+
+def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
+    """Servos that stick, are slow, or too weak for their load at rest."""
+    basis = tangent_basis(arm.space)
+    loads = resting_load(arm.model, arm.qpos(q, strict=False), limited=True) @ basis
+    for servo, friction, load in zip(servos, dry_friction(arm.model, basis), loads.T, strict=True):
+        if servo.kp and servo.frequency < _SLOW:
+            slow = f"its servo is slow, {servo.frequency:.2g} Hz, and follows motions badly"
+            yield f"{servo.name}: {slow}{f'; {_DESIGN}' if servo.kept else ''}"
+        if servo.kp and friction / servo.kp > _OFF:
+            off = f"dry friction of {friction:.3g} leaves it up to {friction / servo.kp:.2g} rad or m off"
+            helps = f"the controller inverse-dynamics compensates for it{f', {_DESIGN}' if servo.kept else ''}"
+            yield f"{servo.name}: {off}; {helps}"
+        limit = min(-servo.force_range[0], servo.force_range[1])
+        if abs(load[0]) > limit + friction:
+            yield f"{servo.name}: needs {load[0]:.4g} at home, more than its force limits allow"
+        elif (weak := int((np.abs(load) > limit + friction).sum())) > 0:
+            most = f"up to {np.abs(load).max():.4g}, its force limit is {limit:.4g}"
+            yield f"{servo.name}: cannot hold its load at {weak} of {len(load) - 1} random configurations, {most}"
+
+
+def _straight_paths(arm: ModelArm, home: Floats) -> Iterator[str]:
+    """The bodies between which straight paths from home to random configurations come near contact."""
+    ends, between = Counter[str](), Counter[str]()
+    blocked, touching = 0, 0
+    fractions = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
+    for target in draw(arm, _PATHS, seed=1):
+        for fraction, result in zip(
+            fractions, arm.near_contacts_along(home + fractions[:, None] * (target - home)), strict=True
+        ):
+            if result:
+                touching, blocked = touching + int(fraction == 1.0), blocked + int(fraction < 1.0)
+                (ends if fraction == 1.0 else between).update({"{!r} and {!r}".format(*sorted(p)) for p in result})
+                break
+    for count, what, pairs, then in (
+        (touching, f"{_PATHS} random configurations are", ends, "these cannot be targets"),
+        (
+            blocked,
+            f"{_PATHS - touching} straight paths from home to the others come",
+            between,
+            "there planners fail that do not search for a way around, as lieednn-shaped and rrt-connect do",
+        ),
+    ):
+        if count:
+            # Sets have no order: ties are broken by name.
+            most = sorted(pairs.items(), key=lambda item: (-item[1], item[0]))[:_SHOWN]
+            shown = ", ".join(f"{pair} ({times})" for pair, times in most)
+            near = f"within {1e3 * PLANNED_CLEARANCE:g} mm of contact"
+            yield f"{count} of {what} {near}, between {shown}: {then}"
+
+
+def _singular_links(arm: ModelArm, groups: Sequence[Sequence[str]], home: Floats, samples: Floats) -> Iterator[str]:
+    """Links of several joints whose pose does not determine the joints somewhere on a straight path."""
+    fractions = np.linspace(0.0, 1.0, _LOOKS + 1)[:, None]
+    paths = np.array([home + fractions * (sample - home) for sample in samples])
+    scale = np.array([np.sqrt(0.5)] * 3 + [1.0 / arm.length_scale])  # of the columns of a rotation, and of a position
+    for i, (compound, group) in enumerate(zip(arm.joints.joints, groups, strict=True), start=1):
+        if len(compound.indices) < 2:
+            continue
+        frames, _ = compound.pose_and_slopes(paths.reshape(-1, arm.n_joints) - arm.joints.reference)
+        columns = (frames[:, 1:] * scale).reshape(len(frames), -1, 12)
+        jacobian = np.swapaxes(compound.selection(compound.indices) @ columns, -1, -2)
+        near = least_singular_value(jacobian).reshape(paths.shape[:2]).min(axis=1) < _SINGULAR
+        if near.any():
+            yield (
+                f"link {i}: {near.sum()} of {len(paths)} straight paths from home pass near configurations at which "
+                f"its pose does not determine {', '.join(group)}; networks, which lead an arm by poses, leave a "
+                "gap there, or fail: name more links to avoid that"
+            )
+
+
+def draw(arm: ModelArm, count: int, seed: int) -> Floats:
+    """Random configurations ``(count, n)`` within the limits."""
+    low, high = arm.position_limits.T
+    return arm.within_angles(np.random.default_rng(seed).uniform(low, high, (count, arm.n_joints)))

@@ -1,0 +1,98 @@
+"""Ranges of the joints of a chain, where the joints that follow them and the logarithm leave any."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.coupled_joints import Couplings
+from lieednn_sim.errors import InputError
+from lieednn_sim.values import Floats
+
+_BALL, _SLIDE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
+_DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
+
+
+def joint_ranges(
+    model: mujoco.MjModel,
+    groups: Sequence[Sequence[int]],
+    couplings: Couplings,
+    notes: list[str],
+    around: Floats | None = None,
+    within: Mapping[int, Floats] | None = None,
+) -> dict[int, Floats]:
+    """The range ``(2,)`` [rad, m] of each joint; new and narrowed ranges are added to ``notes``.
+
+    A coordinate may move as far as all the joints that it moves. A hinge or ball joint without a range gets 0.95 pi
+    either side of its reference. A hinge alone in its link keeps its range, whatever it is; other hinges, and ball
+    joints, are narrowed to 0.99 pi, where the logarithm is still unique.
+
+    Args:
+        model: the model as given.
+        groups: for each link, the joints that move it.
+        couplings: joints that follow others.
+        notes: remarks for the report.
+        around: positions ``(nq,)`` about which hinges without a range may make a turn in each direction.
+        within: ranges ``(2,)`` that bound some joints besides, of joints elsewhere that follow them.
+
+    Raises:
+        InputError: a slide has no range, or nothing is left of a range.
+    """
+    joints = [joint for group in groups for joint in group]
+    spans = {joint: _span(model, joint, notes, around, alone=len(group) == 1) for group in groups for joint in group}
+    for joint, (low, high) in (within or {}).items():
+        spans[joint] = np.array([max(spans[joint][0], low), min(spans[joint][1], high)])
+    for lead in dict.fromkeys(couplings.leader(joint) for joint in joints):
+        members = [joint for joint in joints if couplings.leader(joint) == lead]
+        if members == [lead] and (within is None or lead not in within) and np.isfinite(spans[lead]).all():
+            continue
+        low, high = -np.inf, np.inf
+        for joint in members:
+            _, ratio, shift = couplings.lines.get(joint, (lead, 1.0, 0.0))
+            bounds = np.sort((spans[joint] - shift) / ratio)
+            low, high = max(low, bounds[0]), min(high, bounds[1])
+        name = model.joint(lead).name
+        if not np.isfinite([low, high]).all():
+            raise InputError(f'slide {name!r} has no range; give it one, such as range="0 0.5" [m]')
+        if low >= high:
+            raise InputError(f"nothing is left of the range of {name!r} and the joints that follow it; correct them")
+        own = spans[lead]
+        if np.isfinite(own).all() and (low > own[0] + 1e-9 or high < own[1] - 1e-9):
+            notes.append(f"{name}: range narrowed to [{low:.4g}, {high:.4g}] by the joints that follow it")
+        spans[lead] = np.array([low, high])
+        for joint in members:
+            if not np.isfinite(spans[joint]).all():
+                _, ratio, shift = couplings.lines[joint]
+                spans[joint] = np.sort(ratio * spans[lead] + shift)
+    return spans
+
+
+def _span(model: mujoco.MjModel, joint: int, notes: list[str], around: Floats | None, *, alone: bool) -> Floats:
+    name, kind = model.joint(joint).name, int(model.jnt_type[joint])
+    given = model.jnt_range[joint].copy() if model.jnt_limited[joint] else np.array([-np.inf, np.inf])
+    if kind == _SLIDE:
+        return given
+    if kind == _BALL:
+        widest = given[1] if model.jnt_limited[joint] else _DEFAULT
+        span = np.array([0.0, min(widest, _WIDEST)])
+    elif alone and model.jnt_limited[joint]:
+        return given
+    elif alone and around is not None:
+        return around[model.jnt_qposadr[joint]] + 2.0 * np.pi * np.array([-1.0, 1.0])
+    else:
+        reference = float(model.qpos0[model.jnt_qposadr[joint]])
+        most = _WIDEST if model.jnt_limited[joint] else _DEFAULT
+        span = np.clip(given, reference - most, reference + most)
+        if span[0] >= span[1]:
+            raise InputError(
+                f"hinge {name!r} with range [{given[0]:.4g}, {given[1]:.4g}] rad never comes within pi of its "
+                f"reference {reference:.4g}; give it a ref inside its range"
+            )
+    if not model.jnt_limited[joint]:
+        notes.append(f"{name}: had no range and got [{span[0]:.4g}, {span[1]:.4g}] rad")
+    elif not np.array_equal(span, given):
+        notes.append(f"{name}: range [{given[0]:.4g}, {given[1]:.4g}] narrowed to [{span[0]:.4g}, {span[1]:.4g}] rad")
+    return span

@@ -1,0 +1,302 @@
+"""An arm in its model, which may hold more: what it moves besides its chain, what it carries, and what bounds it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moved_by
+from lieednn_sim.arm.dependents import Dependents
+from lieednn_sim.arm.equalities import dof_addresses
+from lieednn_sim.arm.grasp import Grasp, find_grasp
+from lieednn_sim.arm.serial_arm import SerialArm
+from lieednn_sim.arm.stops import Stops
+from lieednn_sim.arm.surroundings import rigid_groups, standing
+from lieednn_sim.arm.view import read_view
+from lieednn_sim.arm.visuals import discard_visuals, moves_alike
+from lieednn_sim.errors import InputError, NoSolutionError
+from lieednn_sim.lie import rotations
+from lieednn_sim.validation import as_count, as_floats
+from lieednn_sim.values import Floats
+
+#: The limits of an arm, by the names of its fields.
+LIMITS = ("position_limits", "velocity_limits", "acceleration_limits", "jerk_limits", "force_limits")
+
+
+@dataclass(frozen=True, eq=False)
+class ModelArm(SerialArm):
+    """An arm in its model; make one with `Arm.load` or `Arm.of`.
+
+    A view of a model is an arm of some of its joints. Those of the package are the only joints of their models.
+
+    Attributes:
+        recipe: names of the methods that loaded it from files, and their arguments; empty for an arm from a spec, which
+            cannot be pickled, and for a view of a compiled model.
+        clearance: distance that planned motions keep from contact, start and target included [m]; change it with
+            `dataclasses.replace`.
+        start_tolerance: how far a start may be beyond a limit, such as by a sensor's noise or on a soft stop [rad, m];
+            it is then taken as at the limit (`check_start`).
+        qpos_home: of a view, ``(nq,)`` the positions of its model in the state that it was made of: its ``home``.
+        state: of a view of a compiled model, the whole of that state (`state_of`), in which simulations begin. Those of
+            an imported file, which is a view as well, begin at rest, with the controls of the keyframe ``home``.
+        named: of a view, the arguments joints, links, tip, base and limits of `Arm.of`.
+        made: of a view, the limits that it was made with, by name.
+        collision_model: of a view, `geometry`.
+        left_out: of a view, offsets of pairs of geoms that do not count there (`rigid_groups`).
+        grasp: what it carries (`Arm.holding`).
+        dependents: of a view, the joints that it moves by closed loops or curves, if any.
+        stops: of a view, ranges of these and of tendons, if any; configurations beyond them are not allowed.
+    """
+
+    recipe: tuple[tuple[str, tuple[Any, ...], Any], ...] = ()
+    clearance: float = PLANNED_CLEARANCE
+    start_tolerance: float = 1e-3
+    qpos_home: Floats | None = None
+    state: Floats | None = None
+    named: Mapping[str, Any] = field(default_factory=dict)
+    made: Mapping[str, Floats] = field(default_factory=dict)
+    collision_model: mujoco.MjModel | None = None
+    left_out: dict[tuple[int, int], float] = field(default_factory=dict)
+    grasp: Grasp | None = None
+    dependents: Dependents | None = None
+    stops: Stops | None = None
+
+    @classmethod
+    def viewing(cls, model: mujoco.MjModel, data: mujoco.MjData, named: Mapping[str, Any], **more: Any) -> Self:
+        """A view with other fields of its own; arguments and errors are those of `of`."""
+        own = standing(model, data)
+        view = read_view(own, data, name=more["name"], **named)
+        made = {name: view.fields[name].copy() for name in LIMITS}
+        arm = cls(model=own, named=named, made=made, **view.fields, **more)
+        return arm._in_groups() if view.held is None else arm.holding(view.held)
+
+    def data(self) -> mujoco.MjData:
+        """New data of the model: of a view in its state, of a file's arm at ``home``, else at the model's reference."""
+        data = mujoco.MjData(self.model)
+        if self.state is None and self.qpos_home is not None:
+            mujoco.mj_resetDataKeyframe(self.model, data, self.model.key("home").id)
+        elif self.state is not None:
+            mujoco.mj_setState(self.model, data, self.state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        return data
+
+    @property
+    def dofs(self) -> NDArray[np.int_]:
+        """Addresses in qvel of all that the coordinates move, but for what is carried."""
+        more = () if self.dependents is None else dof_addresses(self.model, self.dependents.moved)
+        return np.union1d(self.space.rate_addresses, more).astype(int)
+
+    @cached_property
+    def continuous(self) -> NDArray[np.bool_]:
+        """Which coordinates ``(n,)`` are turns of hinges without a range, alone: a whole turn changes nothing."""
+        model, space = self.model, self.space
+        result = np.zeros(self.n_joints, dtype=bool)
+        joints = model.dof_jntid[space.scalar_rate_addresses]
+        free = (model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)) & (model.jnt_limited[joints] == 0)
+        result[space.scalars] = free & (np.count_nonzero(space.rates, axis=0)[space.scalars] == 1)
+        return result if self.dependents is None else np.zeros_like(result)
+
+    def nearest_turn(self, q: Floats, near: Floats) -> Floats:
+        """Coordinates ``(n,)`` with whole turns of `continuous` ones added so that they are nearest to others."""
+        turned = q + 2.0 * np.pi * np.round((near - q) / (2.0 * np.pi)) * self.continuous
+        low, high = self.position_limits.T
+        return np.where((turned < low) | (turned > high), q, turned)
+
+    def check_start(self, q: ArrayLike | str, what: str = "start") -> Floats:
+        """Return where the arm is, as `check_position` does; within `start_tolerance` beyond a limit, at that."""
+        position = self.configuration(q, what)
+        inside = self.within_angles(np.clip(position, *self.position_limits.T))
+        worst = int(np.abs(position - inside).argmax())
+        if abs(position[worst] - inside[worst]) > self.start_tolerance:
+            raise InputError(
+                f"{what} is out of reach: {self.describe_excess(position, worst)}; up to {self.start_tolerance:g} "
+                "beyond a limit is taken as at it: bring the joint back, or allow more by "
+                "dataclasses.replace(arm, start_tolerance=...)"
+            )
+        return inside
+
+    def _require_view(self) -> Floats:
+        """A view's `qpos_home`; raises `InputError` if the arm is no view."""
+        if self.qpos_home is None:
+            raise InputError(f"arm {self.name!r} is no view of a compiled model, such as Arm.of makes")
+        return self.qpos_home
+
+    def _free_bodies(self) -> set[str]:
+        """Names of the bodies in a view's model that are free and not carried."""
+        model, carried = self.model, () if self.grasp is None else self.grasp.bodies
+        free = model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)] if self.state is not None else ()
+        return {model.body(body).name for body in free if body not in carried}
+
+    @property
+    def geometry(self) -> mujoco.MjModel:
+        """The model for distances: in that of a view, what the arm does not move is welded to the world."""
+        return self.model if self.collision_model is None else self.collision_model
+
+    @property
+    def offsets(self) -> dict[tuple[int, int], float]:
+        """Offsets of pairs of geoms that are not the model's own, as of `contacts.ContactOffsets`."""
+        return self.left_out if self.grasp is None else {**self.left_out, **self.grasp.offsets}
+
+    def contact_finder(self, margin: float = 0.0) -> ContactFinder:
+        """Finds geoms closer than a margin [m]; one for each thread."""
+        return ContactFinder(self.geometry, margin, self.offsets)
+
+    def moved_by(self, body: int) -> NDArray[np.bool_]:
+        """Which degrees of freedom ``(nv,)`` move a body, by its id; for what is carried, those of what carries it."""
+        body = as_count("body", body, 0, self.model.nbody - 1)
+        carried = self.grasp is not None and body in self.grasp.bodies
+        return moved_by(self.model, self.grasp.carrier if self.grasp is not None and carried else body)
+
+    @property
+    def keyframes(self) -> tuple[str, ...]:
+        """Names of the keyframes; of a view with ``home``, its state."""
+        names = super().keyframes
+        return names if self.qpos_home is None or "home" in names else ("home", *names)
+
+    def keyframe(self, name: str) -> Floats:
+        """Joint coordinates ``(n,)`` of a keyframe; ``home`` of a view is the state that it was made of."""
+        if name == "home" and self.qpos_home is not None:
+            return self.coordinates(self.qpos_home)
+        return super().keyframe(name)
+
+    def limit_excess(self, q: Floats) -> Floats:
+        """How far each coordinate ``(..., n)`` is outside its limits, and what else has a range (`stops`)."""
+        excess = super().limit_excess(q)
+        if self.stops is None:
+            return excess
+        return np.concatenate([excess, self.stops.excess(self.qpos(q, strict=False))], axis=-1)
+
+    def describe_excess(self, q: Floats, joint: int) -> str:
+        """The message for an entry of `limit_excess` at q ``(n,)`` that is positive."""
+        if self.stops is None or joint < self.n_joints:
+            return super().describe_excess(q, joint)
+        try:
+            return self.stops.describe(self.qpos(q), joint - self.n_joints)
+        except NoSolutionError as error:
+            return str(error)
+
+    def qpos(self, q: ArrayLike, *, strict: bool = True) -> Floats:
+        """MuJoCo's positions ``(..., nq)`` at joint coordinates ``(..., n)``, those of loops and what is carried too.
+
+        Args:
+            q: joint coordinates.
+            strict: whether coordinates at which loops cannot be closed raise; else their positions are NaN.
+
+        Raises:
+            InputError: q is malformed.
+            NoSolutionError: loops cannot be closed.
+        """
+        positions, grasp = super().qpos(q), self.grasp
+        if self.dependents is not None:
+            positions = self.dependents.to_qpos(positions, strict=strict)
+        if grasp is not None:
+            held = self.link_poses(q).as_matrix()[..., -1, :, :] @ grasp.place.as_matrix()
+            positions[..., grasp.qpos : grasp.qpos + 3] = held[..., :3, 3]
+            positions[..., grasp.qpos + 3 : grasp.qpos + 7] = rotations(held[..., :3, :3]).as_quat(scalar_first=True)
+        return positions
+
+    def qvel(self, q: ArrayLike, qd: ArrayLike) -> Floats:
+        """MuJoCo's velocities ``(..., nv)`` at coordinates and rates ``(..., n)``, of what is carried too."""
+        velocities, grasp = super().qvel(q, qd), self.grasp
+        if self.dependents is not None:
+            rows = np.broadcast_to(as_floats("q", q, (), batched=True), (*velocities.shape[:-1], self.n_joints))
+            # Often many rates at each of a few configurations.
+            few, which = np.unique(rows.reshape(-1, self.n_joints), axis=0, return_inverse=True)
+            bases = self.dependents.basis(self.qpos(few))[which.reshape(rows.shape[:-1])]
+            velocities = np.matvec(bases, velocities[..., self.dependents.dofs])
+        if grasp is not None:
+            tip = self.link_poses(q).as_matrix()[..., -1, :, :]
+            held = tip @ grasp.place.as_matrix()
+            omega, speed = np.split(np.matvec(self.jacobian(q), as_floats("qd", qd, (), batched=True)), 2, axis=-1)
+            # A free joint's velocity is linear in the world, angular in its body.
+            velocities[..., grasp.qvel : grasp.qvel + 3] = speed + np.cross(omega, (held - tip)[..., :3, 3])
+            velocities[..., grasp.qvel + 3 : grasp.qvel + 6] = np.vecmat(omega, held[..., :3, :3])
+        return velocities
+
+    def holding(self, body: str, touching: Sequence[str] = ()) -> Self:
+        """This view of a model with a free body that its end effector carries, from where that is in its ``home``.
+
+        The body moves with the end effector. What carries it may touch it. It keeps the clearance from all else, except
+        from what it stands on, that is, what it is nearer to than that now: this it may touch, but sink no deeper into.
+
+        Args:
+            body: name of a body with a free joint.
+            touching: names of bodies that it may touch as well, such as those it is put on.
+
+        Raises:
+            InputError: the arm is no view, or there is no such body.
+        """
+        grasp = find_grasp(self.model, self._require_view(), self.frames[-1:], body, touching, self.clearance)
+        return replace(self, grasp=grasp)._in_groups()
+
+    def _in_groups(self) -> Self:
+        """This view with what it does not move against each other in groups."""
+        carried = () if self.grasp is None else self.grasp.bodies
+        geometry, left_out = rigid_groups(self.model, self.dofs, carried)
+        return replace(self, collision_model=geometry, left_out=left_out)
+
+    def check_reachable(self, q: ArrayLike | str, what: str = "q") -> Floats:
+        """Return ``q`` as `check_position` does, or raise `InputError` if contact is nearer than `clearance`."""
+        position = self.check_position(q, what)
+        touching = self.near_contacts(position)
+        if touching:
+            loose = self._free_bodies()
+            first, second = next((pair for pair in touching if loose.intersection(pair)), touching[0])
+            hint = "".join(
+                f"; if the hand holds it, plan with arm.holding({body!r})"
+                for body in sorted(loose.intersection((first, second)))[:1]
+            )
+            if not hint and not self.contacts(position):
+                near = f"nearer than the clearance of {1e3 * self.clearance:g} mm"
+                hint = f", or come {near}, which dataclasses.replace(arm, clearance=...) sets"
+            raise InputError(f"{what} is out of reach: {first!r} would touch {second!r} there{hint}")
+        return position
+
+    def contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
+        """Names of the bodies that touch each other at ``q`` ``(n,)``."""
+        return self._touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
+
+    def near_contacts(self, q: ArrayLike) -> list[tuple[str, str]]:
+        """Names of the bodies that are closer than the arm's `clearance` to each other at ``q`` ``(n,)``."""
+        return self._nearly_touching.bodies(self.qpos(as_floats("q", q, (self.n_joints,))))
+
+    def near_contacts_along(self, q: Floats) -> Iterator[list[tuple[str, str]]]:
+        """`near_contacts` at each of the configurations ``(K, n)``, lazily; the conversion to qpos is done at once.
+
+        Where loops cannot be closed, two bodies of them count as near.
+        """
+        rows = self.qpos(q, strict=False)
+        if self.dependents is None or not np.isnan(rows).any():
+            return map(self._nearly_touching.bodies, rows)
+        joints = self.dependents.moved
+        torn = [tuple(self.model.body(self.model.jnt_bodyid[joint]).name for joint in (joints[0], joints[-1]))]
+        return (torn if np.isnan(row).any() else self._nearly_touching.bodies(row) for row in rows)
+
+    @property
+    def without_visuals(self) -> Self:
+        """This arm without its visual geoms: it moves exactly as this one does, to the last bit, at half the cost.
+
+        The arm itself is returned where its motion depends on them, or its model was changed after it was compiled.
+        """
+        if self.spec is None or self.grasp is not None:
+            return self
+        return self._bare if moves_alike(self._bare.model, self.model) else self
+
+    @cached_property
+    def _bare(self) -> Self:
+        spec, model = discard_visuals(self)
+        bare = replace(self, spec=spec, model=model, recipe=())
+        return bare if self.qpos_home is None else bare._in_groups()
+
+    @cached_property
+    def _touching(self) -> ContactFinder:
+        return self.without_visuals.contact_finder()
+
+    @cached_property
+    def _nearly_touching(self) -> ContactFinder:
+        return self.without_visuals.contact_finder(self.clearance)

@@ -1,0 +1,100 @@
+"""What a state of a compiled model says of an arm's surroundings, and which bodies an arm moves as one."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.contacts import colliding_geoms
+from lieednn_sim.errors import InputError
+from lieednn_sim.values import Floats
+
+
+def check_data(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Raise `InputError` for data of another model, or with positions that are not finite."""
+    if len(data.qpos) != model.nq or data.xpos.shape[0] != model.nbody or len(data.ctrl) != model.nu:
+        raise InputError("data must be of the model: make it by mujoco.MjData(model)")
+    if not all(np.isfinite(values).all() for values in (data.qpos, data.mocap_pos, data.mocap_quat)):
+        raise InputError("data holds positions that are NaN or infinite")
+
+
+def name_of(model: mujoco.MjModel) -> str:
+    """The model's own name, or ``arm`` if nobody gave it one."""
+    name = model.names[: model.names.index(b"\0")].decode("utf-8", "replace")
+    return "arm" if name in ("", "MuJoCo Model") else name
+
+
+def standing(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjModel:
+    """A copy of a model in which mocap bodies are where a state has them, and equalities are on that are on there."""
+    own = copy.deepcopy(model)
+    for body in np.flatnonzero(model.body_mocapid >= 0):
+        mocap = model.body_mocapid[body]
+        own.body_pos[body], own.body_quat[body] = data.mocap_pos[mocap], data.mocap_quat[mocap]
+    own.eq_active0[:] = data.eq_active
+    return own
+
+
+def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
+    """The whole state of ``data``, controls and applied forces included, at time 0, as ``mjSTATE_INTEGRATION``."""
+    kind = mujoco.mjtState.mjSTATE_INTEGRATION
+    state = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, data, state, kind)
+    state[0] = 0.0  # the time is its first entry
+    return state
+
+
+def moved_together(model: mujoco.MjModel, dofs: NDArray[np.int_]) -> NDArray[np.int_]:
+    """For each body ``(nbody,)`` the first of those that some dofs move as one with it; zero for what they leave."""
+    moving, group = np.zeros(model.nv, dtype=bool), np.arange(model.nbody)
+    moving[dofs] = True
+    # Parents come before their children.
+    for body, parent in enumerate(model.body_parentid):
+        first = int(model.body_dofadr[body])
+        if not moving[first : first + int(model.body_dofnum[body])].any():
+            group[body] = group[parent]
+    return group
+
+
+def rigid_groups(
+    model: mujoco.MjModel, dofs: NDArray[np.int_], carried: Sequence[int] = ()
+) -> tuple[mujoco.MjModel, dict[tuple[int, int], float]]:
+    """A copy of a model for distances, and pairs of geoms that do not count in it.
+
+    What the arm does not move is fixed in the copy: welded to the world, by ``body_weldid``, which MuJoCo's collision
+    filter uses and kinematics do not. Pairs that move together, such as the fingers of a hand, do not count, nor those
+    that the filter leaves out in the model: a link and its parent, even if that is fixed now.
+
+    Args:
+        model: the model.
+        dofs: those that the arm moves.
+        carried: ids of a body with a free joint that is carried, and of those that hang from it.
+
+    Returns:
+        The copy, and the offset -inf (`contacts.ContactOffsets`) of the pairs.
+    """
+    group = moved_together(model, dofs)
+    group[list(carried)] = carried[0] if len(carried) else 0
+    result, weld = copy.deepcopy(model), model.body_weldid
+    # Mocap bodies stand still, and can be moved as other bodies without joints are.
+    result.body_mocapid[:] = -1
+    result.body_weldid[:] = np.where(group == 0, 0, weld)
+    result.body_weldid[list(carried)] = carried[0] if len(carried) else 0
+    bodies, solid = model.geom_bodyid, colliding_geoms(model)
+    explicit = {*zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
+    left_out: dict[tuple[int, int], float] = {}
+    for body in np.unique(group[group > 0]).tolist():
+        parts = np.flatnonzero(solid & (group[bodies] == body)).tolist()
+        left_out |= {(a, b): -np.inf for a, b in combinations(parts, 2) if weld[bodies[a]] != weld[bodies[b]]}
+    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
+        return result, left_out
+    for root in np.unique(weld[(group > 0)]).tolist():
+        above = weld[model.body_parentid[root]]
+        if above and group[above] == 0:
+            mine, parents = (np.flatnonzero(solid & (weld[bodies] == part)).tolist() for part in (root, above))
+            left_out |= {pair: -np.inf for pair in product(mine, parents) if not explicit & {pair, pair[::-1]}}
+    return result, left_out
