@@ -401,7 +401,7 @@ CONTROLLERS: Registry[Entry] = Registry(
             "feedback from the measured state through the model, instead of servos",
         ),
         "feedback-linearisation": Entry(
-            "simulation.controllers.linearisation:FeedbackLinearisation",
+            "simulation.controllers.linearisation:feedback_linearisation",
             "computed torques through whatever actuators a model has; the default for views",
         ),
         "mocap": Entry(

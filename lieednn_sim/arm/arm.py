@@ -23,9 +23,9 @@ from lieednn_sim.arm.importer.report import ImportOptions, ImportReport
 from lieednn_sim.arm.model_arm import LIMITS, ModelArm
 from lieednn_sim.arm.models import chosen, find_model, has_frames, label_of
 from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
-from lieednn_sim.arm.parsing import read_arm
+from lieednn_sim.arm.parsing import read_arm, read_chain
 from lieednn_sim.arm.scenes import add_obstacles
-from lieednn_sim.arm.surroundings import check_data, name_of, state_of
+from lieednn_sim.arm.surroundings import check_data, home_data, name_of, state_of
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import Seed, as_choice, as_floats, as_path, as_seed, quoted
@@ -127,7 +127,11 @@ class Arm(ModelArm):
         given = chosen(options)
         if has_frames(spec) and not given:
             compiled = compile_spec(spec)
-            return cls(name=name, source=source, spec=spec, model=compiled, **read_arm(compiled, name))
+            chain = read_chain(compiled, name)
+            if compiled.njnt == sum(map(len, chain.groups)):
+                return cls(name=name, source=source, spec=spec, model=compiled, **read_arm(compiled, name))
+            named = {"links": [frame.name for frame in chain.frames[1:]], "base": chain.frames[0].name}
+            return cls.viewing(compiled, home_data(compiled), named, name=name, source=source, spec=spec)
         arm, report = import_model(model, source, name, **given)
         return cls(**{item.name: getattr(arm, item.name) for item in fields(arm)}, import_report=report)
 

@@ -54,6 +54,11 @@ def constant_moments(model: mujoco.MjModel) -> Floats:
     return np.where(np.array(constant, dtype=bool)[:, None], actuator_moments(model), 0.0)
 
 
+def actuator_ranges(model: mujoco.MjModel) -> Floats:
+    """Least and largest force ``(nu, 2)`` of each actuator, infinite where nothing limits it."""
+    return np.array([_force_range(model, a) for a in range(model.nu)]).reshape(-1, 2)
+
+
 def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
     """Least and largest force ``(n, 2)`` [N m, N] of the actuators on each coordinate.
 
@@ -66,7 +71,7 @@ def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
         rates: ``(nv, n)`` velocities of its dofs per unit rate of each coordinate, coupled stages included.
     """
     moments = constant_moments(model)
-    single = np.array([_force_range(model, a) for a in range(model.nu)]).reshape(-1, 2)
+    single = actuator_ranges(model)
     on_dofs, together = _sum_of_ranges(moments, single), _sum_of_ranges(moments @ rates, single)
     limited = np.flatnonzero(model.jnt_actfrclimited)
     dofs, bounds = model.jnt_dofadr[limited], model.jnt_actfrcrange[limited]

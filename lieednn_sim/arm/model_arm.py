@@ -14,10 +14,11 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moved_by
 from lieednn_sim.arm.dependents import Dependents
 from lieednn_sim.arm.equalities import dof_addresses
+from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.grasp import Grasp, find_grasp
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.arm.stops import Stops
-from lieednn_sim.arm.surroundings import rigid_groups, standing
+from lieednn_sim.arm.surroundings import home_data, rigid_groups, standing
 from lieednn_sim.arm.view import read_view
 from lieednn_sim.arm.visuals import discard_visuals, moves_alike
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -78,10 +79,10 @@ class ModelArm(SerialArm):
 
     def data(self) -> mujoco.MjData:
         """New data of the model: of a view in its state, of a file's arm at ``home``, else at the model's reference."""
-        data = mujoco.MjData(self.model)
         if self.state is None and self.qpos_home is not None:
-            mujoco.mj_resetDataKeyframe(self.model, data, self.model.key("home").id)
-        elif self.state is not None:
+            return home_data(self.model)
+        data = mujoco.MjData(self.model)
+        if self.state is not None:
             mujoco.mj_setState(self.model, data, self.state, mujoco.mjtState.mjSTATE_INTEGRATION)
         return data
 
@@ -217,6 +218,16 @@ class ModelArm(SerialArm):
             velocities[..., grasp.qvel : grasp.qvel + 3] = speed + np.cross(omega, (held - tip)[..., :3, 3])
             velocities[..., grasp.qvel + 3 : grasp.qvel + 6] = np.vecmat(omega, held[..., :3, :3])
         return velocities
+
+    def unit_rates(self, q: Floats | None = None) -> Floats:
+        """Velocities ``(nv, n)`` of all that moves at unit rates of the coordinates at ``q`` ``(n,)``.
+
+        By default, those at any configuration (`tangent_basis`); where there are closed loops, those at home.
+        """
+        if q is None and self.dependents is None:
+            return tangent_basis(self.space)
+        units = np.eye(self.n_joints)
+        return self.qvel(np.broadcast_to(self.keyframe("home") if q is None else q, units.shape), units).T
 
     def holding(self, body: str, touching: Sequence[str] = ()) -> Self:
         """This view of a model with a free body that its end effector carries, from where that is in its ``home``.

@@ -29,6 +29,15 @@ def name_of(model: mujoco.MjModel) -> str:
     return "arm" if name in ("", "MuJoCo Model") else name
 
 
+def home_data(model: mujoco.MjModel) -> mujoco.MjData:
+    """Data at the keyframe ``home``, or at the reference position of a model without it."""
+    data = mujoco.MjData(model)
+    home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+    if home >= 0:
+        mujoco.mj_resetDataKeyframe(model, data, home)
+    return data
+
+
 def standing(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjModel:
     """A copy of a model in which mocap bodies are where a state has them, and equalities are on that are on there."""
     own = copy.deepcopy(model)

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
-from lieednn_sim.arm.forces import dry_friction, resting_load, tangent_basis
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning.goals import Goal, candidates
+from lieednn_sim.planning.holding import TooWeakError, check_held, check_held_along
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.path_constraints import check_path_constraint
@@ -21,7 +21,6 @@ from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.registry import PLANNERS, PlannerEntry, optional_module
 from lieednn_sim.validation import Seed, as_seed
-from lieednn_sim.values import Floats
 
 _Solve = TypeVar("_Solve", bound=Callable[..., Plan | Motion])
 
@@ -103,26 +102,6 @@ def default_planner(arm: Arm) -> tuple[str, str]:
     return "lieednn-certified", "the default without obstacles"
 
 
-class _TooWeakError(InputError):
-    """Motors cannot hold an arm's weight at rest."""
-
-
-def _check_held(arm: Arm, q: Floats, what: str) -> None:
-    """Raise `InputError` if the motors are too weak for the arm's weight at rest; dry friction may help them."""
-    if not np.isfinite(arm.force_limits).any():
-        return
-    basis = tangent_basis(arm.space)
-    load = np.abs(resting_load(arm.model, arm.qpos(q)[None], limited=True)[0] @ basis)
-    short = load - dry_friction(arm.model, basis) - arm.force_limits
-    j = int(short.argmax())
-    if short[j] > 0.0:
-        unit = "N" if arm.unit(j) == "m" else "N m"
-        raise _TooWeakError(
-            f"joint {arm.joint_names[j]!r} cannot be held at the {what}: its load is {load[j]:.4g} {unit}, "
-            f"its force limit {arm.force_limits[j]:.4g} {unit}"
-        )
-
-
 def plan(
     arm: Arm,
     target: Goal,
@@ -186,16 +165,17 @@ def plan(
     q = arm.check_start(start)
     # The rest of a bad problem is refused before goals are searched for, which is within the budget.
     first = PlanningProblem(arm, q, q, duration, number, time_budget, max_time_scale, progress, path_constraint)
-    _check_held(arm, first.start, "start")
+    check_held(arm, first.start[None], ["the start"])
     refusal: LieEDNNError = NoSolutionError("there is no goal")
     with time_limit(first.time_budget):
         for goal in candidates(arm, target, q, number, path_constraint):
             try:
-                _check_held(arm, goal, "target")
+                check_held(arm, goal[None], ["the target"])
                 result = _solved(entry, replace(first, target=goal), *given)
                 motion = retime(arm, result.motion) if fastest else result.motion
                 check_path_constraint(arm, path_constraint, motion)
-            except (PlanError, NotCertifiedError, _TooWeakError) as error:
+                check_held_along(arm, motion)
+            except (PlanError, NotCertifiedError, TooWeakError) as error:
                 refusal = error
             else:
                 spent = cpu_time() - begin

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import actuator_moments, on_fixed_tendon, tangent_basis
+from lieednn_sim.arm.forces import actuator_moments, on_fixed_tendon
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.values import Floats
@@ -43,7 +43,8 @@ class Actuators:
     """
 
     def __init__(self, arm: Arm, *, complete: bool = True) -> None:
-        model, basis = arm.model, tangent_basis(arm.space)
+        # Closed loops are looked at where the arm is at home.
+        model, basis = arm.model, arm.unit_rates()
         moments = actuator_moments(model)
         self.driving = _moving(moments, basis)
         self.moment = np.where(self.driving[:, None], moments, 0.0)
@@ -146,12 +147,12 @@ class Actuators:
 
 def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
     """Which actuators ``(nu,)`` move the arm's joints."""
-    return _moving(actuator_moments(arm.model), tangent_basis(arm.space))
+    return _moving(actuator_moments(arm.model), arm.unit_rates())
 
 
 def has_servos(arm: Arm) -> bool:
     """Whether position servos alone drive each coordinate."""
-    model, basis = arm.model, tangent_basis(arm.space)
+    model, basis = arm.model, arm.unit_rates()
     moments = actuator_moments(model) @ basis
     driving = _moving(actuator_moments(model), basis)
     servos = model.actuator_biasprm[:, 1] / np.where(driving, model.actuator_gainprm[:, 0], 1.0) < 0.0

@@ -75,7 +75,7 @@ def as_reference(arm: Arm, motion: Motion, rows: int, rate: float | None) -> Ref
 
 def default_controller(arm: Arm) -> str:
     """Name of the controller that `simulate` takes by default: the servos' own, if servos drive all of the arm."""
-    if arm.state is None and (arm.qpos_home is None or has_servos(arm)):
+    if arm.state is None and arm.dependents is None and (arm.qpos_home is None or has_servos(arm)):
         return "position-servo"
     return "feedback-linearisation"
 

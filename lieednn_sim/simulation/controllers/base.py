@@ -17,6 +17,7 @@ import numpy as np
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import resting_load, tangent_basis
+from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import Foreseen, Reference, runs
@@ -72,9 +73,11 @@ class Controller(ABC):
 
 
 class DriveController(Controller):
-    """Base class of controllers that use the arm's own actuators."""
+    """Base class of controllers that use the arm's own actuators; `InputError` for arms that move closed loops."""
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
+        if arm.dependents is not None:
+            raise InputError(f"arm {arm.name!r} moves closed loops, as the controller feedback-linearisation alone can")
         self._actuators = Actuators(arm)
         self._reference = reference
 

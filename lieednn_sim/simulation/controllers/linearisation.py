@@ -11,9 +11,15 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY, Controller
+from lieednn_sim.simulation.controllers.loops import LoopLinearisation
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.simulation.reference import Foreseen, Reference
 from lieednn_sim.values import Floats
+
+
+def feedback_linearisation(arm: Arm, reference: Reference) -> Controller:
+    """The controller for an arm with closed loops, or without."""
+    return (FeedbackLinearisation if arm.dependents is None else LoopLinearisation)(arm, reference)
 
 
 class FeedbackLinearisation(Controller):

@@ -37,7 +37,7 @@ def test_a_problem_is_an_arm_among_obstacles_with_a_start_and_a_goal(tiny: Path)
 
 
 def test_parts_collide_that_the_srdf_does_not_rule_out(tiny: Path, tmp_path: Path) -> None:
-    # Neighbours never do; the base stands still. The finger could move against the fore, so upper is no neighbour of it.
+    # Neighbours never do; the base stands still. The finger has a joint of its own, so upper is no neighbour of it.
     moving = {("fore", "lift"), ("finger", "lift"), ("finger", "upper")}
     moving |= {("base", "upper"), ("base", "fore"), ("base", "finger")}
     assert colliding(tiny) == moving | {("base", "lift")}
