@@ -151,12 +151,12 @@ def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
 
 
 def has_servos(arm: Arm) -> bool:
-    """Whether position servos alone drive each coordinate."""
+    """Whether position servos alone drive each coordinate, and no closed loop is between them."""
     model, basis = arm.model, arm.unit_rates()
     moments = actuator_moments(model) @ basis
     driving = _moving(actuator_moments(model), basis)
     servos = model.actuator_biasprm[:, 1] / np.where(driving, model.actuator_gainprm[:, 0], 1.0) < 0.0
-    return bool(moments.any(axis=0).all() and servos[driving].all())
+    return arm.dependents is None and bool(moments.any(axis=0).all() and servos[driving].all())
 
 
 def _moving(moments: Floats, basis: Floats) -> NDArray[np.bool_]:

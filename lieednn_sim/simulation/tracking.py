@@ -74,10 +74,14 @@ def as_reference(arm: Arm, motion: Motion, rows: int, rate: float | None) -> Ref
 
 
 def default_controller(arm: Arm) -> str:
-    """Name of the controller that `simulate` takes by default: the servos' own, if servos drive all of the arm."""
-    if arm.state is None and arm.dependents is None and (arm.qpos_home is None or has_servos(arm)):
+    """Name of the controller that `simulate` takes by default.
+
+    It is ``position-servo`` for arms that are made for it, whose weight is compensated; ``inverse-dynamics`` for those
+    of other files that servos drive; and else ``feedback-linearisation``.
+    """
+    if arm.qpos_home is None:
         return "position-servo"
-    return "feedback-linearisation"
+    return "inverse-dynamics" if arm.state is None and has_servos(arm) else "feedback-linearisation"
 
 
 def simulate(
