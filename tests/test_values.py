@@ -19,7 +19,7 @@ from lieednn_sim.values import frozen
 # Parts of an arm and of a group, inputs and what is computed from them on the way: each is made once, and is itself.
 IDENTITIES = {
     *("Chain", "Coordinates", "Factor", "CompoundJoint", "CompoundJoints", "MovingPoses", "MatrixLieGroup"),
-    *("PlanningProblem", "PolicyTask", "NetworkPath", "SerialArm", "Arm", "Frame", "Dof", "Joint"),
+    *("PlanningProblem", "PolicyTask", "NetworkPath", "SerialArm", "ModelArm", "Arm", "Frame", "Joint"),
     *("Transition", "Deviations", "BodyFrames"),
 }
 

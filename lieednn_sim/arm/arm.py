@@ -127,9 +127,10 @@ class Arm(ModelArm):
         given = chosen(options)
         if has_frames(spec) and not given:
             compiled = compile_spec(spec)
-            chain = read_chain(compiled, name)
-            if compiled.njnt == sum(map(len, chain.groups)):
+            loops = np.isin(compiled.eq_type, (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)))
+            if not (loops & compiled.eq_active0).any():
                 return cls(name=name, source=source, spec=spec, model=compiled, **read_arm(compiled, name))
+            chain = read_chain(compiled, name)
             named = {"links": [frame.name for frame in chain.frames[1:]], "base": chain.frames[0].name}
             return cls.viewing(compiled, home_data(compiled), named, name=name, source=source, spec=spec)
         arm, report = import_model(model, source, name, **given)

@@ -102,8 +102,9 @@ class ModelArm(SerialArm):
         result[space.scalars] = free & (np.count_nonzero(space.rates, axis=0)[space.scalars] == 1)
         return result if self.dependents is None else np.zeros_like(result)
 
-    def nearest_turn(self, q: Floats, near: Floats) -> Floats:
+    def nearest_turn(self, q: ArrayLike, near: ArrayLike) -> Floats:
         """Coordinates ``(n,)`` with whole turns of `continuous` ones added so that they are nearest to others."""
+        q, near = (as_floats(what, value, (self.n_joints,)) for what, value in (("q", q), ("near", near)))
         turned = q + 2.0 * np.pi * np.round((near - q) / (2.0 * np.pi)) * self.continuous
         low, high = self.position_limits.T
         return np.where((turned < low) | (turned > high), q, turned)
@@ -219,7 +220,7 @@ class ModelArm(SerialArm):
             velocities[..., grasp.qvel + 3 : grasp.qvel + 6] = np.vecmat(omega, held[..., :3, :3])
         return velocities
 
-    def unit_rates(self, q: Floats | None = None) -> Floats:
+    def unit_rates(self, q: ArrayLike | None = None) -> Floats:
         """Velocities ``(nv, n)`` of all that moves at unit rates of the coordinates at ``q`` ``(n,)``.
 
         By default, those at any configuration (`tangent_basis`); where there are closed loops, those at home.
@@ -227,7 +228,8 @@ class ModelArm(SerialArm):
         if q is None and self.dependents is None:
             return tangent_basis(self.space)
         units = np.eye(self.n_joints)
-        return self.qvel(np.broadcast_to(self.keyframe("home") if q is None else q, units.shape), units).T
+        at = self.keyframe("home") if q is None else as_floats("q", q, (self.n_joints,))
+        return self.qvel(np.broadcast_to(at, units.shape), units).T
 
     def holding(self, body: str, touching: Sequence[str] = ()) -> Self:
         """This view of a model with a free body that its end effector carries, from where that is in its ``home``.

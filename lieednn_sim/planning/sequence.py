@@ -154,7 +154,9 @@ class _Planned:
         if step.holding is not None:
             arm = arm.holding(step.holding, step.touching)
         # A keyframe ``home`` is the state in which the sequence begins, not this one.
-        result = plan(arm, resolved(self._arm, step.goal), **step.arguments(common))
+        own = {name: getattr(step, name) for name in (*common, "path_constraint")}
+        own = {name: value for name, value in own.items() if value is not None}
+        result = plan(arm, resolved(self._arm, step.goal), **{**common, **own})
         self._add(result.qpos[1:], result.qvel[1:])
         return result
 

@@ -56,12 +56,6 @@ class Move:
         label = self.name or (self.goal if isinstance(self.goal, str) else "move")
         set_fields(self, name=label, touching=tuple(self.touching))
 
-    def arguments(self, common: Mapping[str, Any]) -> dict[str, Any]:
-        """The arguments of `plan` besides arm and goal: those of the sequence, where not its own."""
-        names = (*common, "path_constraint")
-        own = {name: getattr(self, name) for name in names}
-        return {**common, **{name: value for name, value in own.items() if value is not None}}
-
 
 @dataclass(frozen=True)
 class Actuate:

@@ -412,7 +412,7 @@ def test_wrong_files_and_names_are_refused():
     # MuJoCo's copy of a spec leaves the broken equality out, and would compile.
     broken = mujoco.MjSpec.from_string(TELESCOPE.replace('joint1="s3" joint2="s2"', 'joint1="s3" joint2="s3"'))
     with pytest.raises(FileError, match="repeated in equality"):
-        Arm.load(broken)
+        Arm.from_spec(broken)
     nan = TELESCOPE.replace("</mujoco>", '<keyframe><key name="home" qpos="0 nan 0 0 0"/></keyframe></mujoco>')
     with pytest.raises(InputError, match="keyframe 'home' holds NaN"):
         arm_of(nan)
