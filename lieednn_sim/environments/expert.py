@@ -44,12 +44,7 @@ class Expert:
     """
 
     def __init__(
-        self,
-        environment: Any,
-        *,
-        policy: str | None = None,
-        planner: str | None = None,
-        seed: Seed = 0,
+        self, environment: Any, *, policy: str | None = None, planner: str | None = None, seed: Seed = 0
     ) -> None:
         inner = getattr(environment, "unwrapped", environment)
         task = inner if isinstance(inner, ArmTask) else getattr(inner, "task", None)

@@ -54,13 +54,7 @@ def state_names(joints: Sequence[str], *parts: str) -> list[str]:
 
 
 def write_dataset(
-    folder: Path,
-    episodes: Sequence[Episode],
-    names: Mapping[str, Sequence[str]],
-    *,
-    fps: float,
-    task: str,
-    robot: str,
+    folder: Path, episodes: Sequence[Episode], names: Mapping[str, Sequence[str]], *, fps: float, task: str, robot: str
 ) -> None:
     """Write a data set into a folder.
 

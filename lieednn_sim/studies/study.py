@@ -59,11 +59,7 @@ class Study(ABC, Generic[R]):
 
 
 def compute(
-    study: Study[R],
-    directory: str | os.PathLike[str],
-    *,
-    jobs: int = 1,
-    console: Console | None = None,
+    study: Study[R], directory: str | os.PathLike[str], *, jobs: int = 1, console: Console | None = None
 ) -> Table[R]:
     """Compute the rows that a directory's table lacks; finished cases are kept when it is interrupted.
 

@@ -98,12 +98,7 @@ def _arm_and_target(
 
 def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
     return plan(
-        arm,
-        target,
-        planner=case.planner,
-        duration=settings.duration,
-        seed=case.seed,
-        time_budget=settings.time_budget,
+        arm, target, planner=case.planner, duration=settings.duration, seed=case.seed, time_budget=settings.time_budget
     )
 
 

@@ -52,11 +52,7 @@ OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
     # Its guide is minimum jerk, or else the same search, for a fair comparison with it. Contacts of a network that
     # deviates a little are found by the check of its motion.
-    "lieednn-shaped": ShapedOptions(
-        guide=GuideOptions(optimised=False, search=_SEARCH),
-        guides=100,
-        deviation=1e-2,
-    ),
+    "lieednn-shaped": ShapedOptions(guide=GuideOptions(optimised=False, search=_SEARCH), guides=100, deviation=1e-2),
 }
 
 

@@ -70,11 +70,7 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
 
 
 def view(
-    table: Table[Row],
-    cases: Sequence[Case],
-    controller: str,
-    *,
-    progress: Callable[[int, int], None] | None = None,
+    table: Table[Row], cases: Sequence[Case], controller: str, *, progress: Callable[[int, int], None] | None = None
 ) -> View:
     """Plan and simulate cases of one problem again, and record them side by side.
 
