@@ -113,13 +113,13 @@ def test_a_case_that_raises_is_a_row_and_is_not_tried_again(finished, tmp_path, 
         return run_case(case, *others)
 
     larger = replace(SMALL, planners=("linear-attractor", *SMALL.planners), common=QUICK)
-    monkeypatch.setattr("lieednn_sim.studies.comparison.study.run_case", failing)
+    monkeypatch.setattr(Comparison, "run", staticmethod(failing))
     rows = compute(larger, tmp_path).rows
     lost = rows.pop(("telescopic_pr", "free", "linear-attractor", "position-servo", 0))
     assert (lost.reason, lost.success, lost.planned) == ("error: MemoryError: none left", False, False)
     # The others are those of another run, but for the planning time.
     assert untimed(rows) == untimed(Comparison.read(finished).rows)
-    monkeypatch.setattr("lieednn_sim.studies.comparison.study.run_case", None)
+    monkeypatch.setattr(Comparison, "run", None)
     assert len(compute(larger, tmp_path).rows) == 3
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -92,7 +92,7 @@ class Comparison(Study[Row]):
     """
 
     name, kind = "comparison", Row
-    failed = staticmethod(failed_case)
+    run, failed = staticmethod(run_case), staticmethod(failed_case)
 
     planners: Sequence[str] = ()
     arms: Sequence[str] = ()
@@ -163,11 +163,6 @@ class Comparison(Study[Row]):
             (job for job in target if job[1]),
             key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -PLANNERS[job[0].planner].cost),
         )
-
-    @property
-    def run(self) -> Callable[..., list[Row]]:
-        """See `Study`."""
-        return run_case
 
     def _missing(self, table: Table[Row], case: Case) -> list[str]:
         """The controllers for which a case has no row yet."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -183,7 +183,7 @@ class PublishedProblems(Study[Solution]):
     """
 
     name, kind = "problems", Solution
-    failed = staticmethod(failed)
+    run, failed = staticmethod(solve), staticmethod(failed)
 
     sets: ProblemSets
     planners: Sequence[str] = DEFAULT_PLANNERS
@@ -206,8 +206,3 @@ class PublishedProblems(Study[Solution]):
         """See `Study`."""
         target = [(*key, name) for key in self.sets.selection(self.problems) for name in self.planners]
         return [(str(self.sets.folder), *key, self.time_budget) for key in target if key not in table.rows]
-
-    @property
-    def run(self) -> Callable[..., list[Solution]]:
-        """See `Study`."""
-        return solve

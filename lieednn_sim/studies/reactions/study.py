@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from lieednn_sim import io
@@ -60,7 +60,7 @@ class Reactions(Study[Reaction]):
     """
 
     name, kind = "reactions", Reaction
-    failed = staticmethod(failed_reactions)
+    run, failed = staticmethod(run_reactions), staticmethod(failed_reactions)
 
     arms: Sequence[str]
     scenes: Sequence[str]
@@ -78,11 +78,6 @@ class Reactions(Study[Reaction]):
             for seed, arm, scene, policy in itertools.product(range(self.seeds), self.arms, self.scenes, self.policies)
             if any((arm, scene, policy, name, seed) not in table.rows for name in DISTURBANCES)
         ]
-
-    @property
-    def run(self) -> Callable[..., list[Reaction]]:
-        """See `Study`."""
-        return run_reactions
 
 
 class ReactionGroup(Group[Reaction]):
