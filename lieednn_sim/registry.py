@@ -219,16 +219,18 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         """Names of those whose library is not installed, with the commands that install them."""
         return {name: entry.install for name, entry in self.entries.items() if entry.install}
 
-    def require(self, name: str) -> None:
-        """Raise `LieEDNNError` if the library that one needs is not installed; the message says what to do.
+    def require(self, name: str) -> _Entry:
+        """As `find`; `LieEDNNError` if the library that it needs is not installed, which says what to do.
 
         No other one is taken instead, since results must not depend on what is installed.
         """
-        if command := self.find(name).install:
-            others = ", ".join(other for other, entry in self.entries.items() if not entry.library)
+        entry = self.find(name)
+        if command := entry.install:
+            others = ", ".join(other for other, row in self.entries.items() if not row.library)
             raise LieEDNNError(
                 f"{self.kind} {name!r} is not installed: {command}; or name another one, which needs no extra: {others}"
             )
+        return entry
 
     def origins(self, names: Iterable[str]) -> list[str]:
         """Where those that others have added come from, a line for each."""

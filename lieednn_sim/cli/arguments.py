@@ -19,7 +19,7 @@ from lieednn_sim.arm.obstacles import is_scene_file
 from lieednn_sim.arm.targets import draw_target, goes_to_extended
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.cli.kinds import KINDS, Force, Joints, Point, Pose, Setting, kind_of, numbers
-from lieednn_sim.cli.task import Task
+from lieednn_sim.cli.run_directory import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
 from lieednn_sim.registry import CONTROLLERS

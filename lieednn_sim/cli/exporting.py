@@ -38,8 +38,7 @@ def export(
             instead; for lerobot.
         recorded: the episodes.
     """
-    chosen = FORMATS.find(format)
-    FORMATS.require(format)
+    chosen = FORMATS.require(format)
     if episodes is not None:
         if format != "lerobot" or runs:
             raise InputError("--episodes are recorded in the format lerobot, and of no runs")

@@ -14,8 +14,7 @@ from lieednn_sim.cli.arguments import Goal
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
 from lieednn_sim.cli.kinds import Directory
-from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.cli.task import Task
+from lieednn_sim.cli.run_directory import RunDirectory, Task
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation import plot_training
 from lieednn_sim.evaluation.display import table

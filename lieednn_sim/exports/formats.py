@@ -60,8 +60,7 @@ def export(
         FileError: the files cannot be written, or the directory holds anything but exports of this package.
         LieEDNNError: a library that the format needs is not installed.
     """
-    chosen = FORMATS.find(format)
-    FORMATS.require(format)
+    chosen = FORMATS.require(format)
     kinds: Any
     kinds, expected, alone = Rollout, "a rollout", "motion"
     if chosen.of_comparison:
