@@ -17,7 +17,7 @@ from lieednn_sim.registry import PLANNERS
 from lieednn_sim.studies import Case, Comparison, Settings, compute, run_case, write_summary
 from lieednn_sim.studies.comparison import cases
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
-from lieednn_sim.studies.comparison.statistics import failures
+from lieednn_sim.studies.comparison.summary import failures
 from lieednn_sim.studies.statistics import numbers, wilson
 
 CASE = Case("telescopic_pr", "free", "minimum-jerk", 0)

@@ -18,8 +18,7 @@ from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import MotionModel
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.planning.demonstrated import JointDemonstrations
-from lieednn_sim.studies.demonstrations.attraction import random_starts
-from lieednn_sim.studies.demonstrations.models import reproduction
+from lieednn_sim.studies.demonstrations.models import random_starts, reproduction
 from lieednn_sim.values import Floats
 
 # A name for the legend, paths, and the style of their lines.

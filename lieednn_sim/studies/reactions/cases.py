@@ -23,8 +23,7 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies import FilterOptions, Policy, make_policy
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
 from lieednn_sim.studies.comparison.cases import FREE, arm_and_target
-from lieednn_sim.studies.reactions.recovery import PUSH_TIME, UndisturbedPath, pushing_force
-from lieednn_sim.studies.reactions.walker import walking_pole
+from lieednn_sim.studies.reactions.disturbing import PUSH_TIME, UndisturbedPath, pushing_force, walking_pole
 from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
 from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.values import Floats, frozen

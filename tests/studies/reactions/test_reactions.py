@@ -15,8 +15,7 @@ from lieednn_sim.simulation import Disturbances, Push
 from lieednn_sim.studies import compute
 from lieednn_sim.studies.reactions import cases, study
 from lieednn_sim.studies.reactions.cases import DISTURBANCES, Reaction, Task
-from lieednn_sim.studies.reactions.recovery import UndisturbedPath, pushing_force
-from lieednn_sim.studies.reactions.walker import walking_pole
+from lieednn_sim.studies.reactions.disturbing import UndisturbedPath, pushing_force, walking_pole
 
 
 def test_a_recovery_by_hand(gantry):

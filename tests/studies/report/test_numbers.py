@@ -11,8 +11,7 @@ import pytest
 
 from lieednn_sim.studies import Comparison, Settings, write_summary
 from lieednn_sim.studies.comparison.rows import BY_NAME, COLUMNS, SHOWN, Row
-from lieednn_sim.studies.comparison.statistics import controllers_of, verdict
-from lieednn_sim.studies.comparison.summary import method
+from lieednn_sim.studies.comparison.summary import controllers_of, method, verdict
 from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
 from lieednn_sim.studies.reactions.study import Reactions
 from lieednn_sim.studies.report import figures, page, write_page
