@@ -241,12 +241,9 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         ]
 
     def _all(self) -> dict[str, _Entry]:
-        if not self._searched:
-            self._searched = True
-            self._load_entry_points()
-        return self.entries
-
-    def _load_entry_points(self) -> None:
+        if self._searched:
+            return self.entries
+        self._searched = True
         from importlib import metadata  # slow to import
 
         for point in metadata.entry_points(group=self._group):
@@ -258,7 +255,8 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
                     self.register(point.name)(given)
             except Exception as error:
                 text = f"{self.kind} {point.name!r} of package {package!r} ({point.value}) is left out: {error}"
-                warnings.warn(text, RuntimeWarning, stacklevel=5)
+                warnings.warn(text, RuntimeWarning, stacklevel=4)
+        return self.entries
 
 
 def install_command(library: str) -> str:

@@ -211,7 +211,14 @@ def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, ND
             archive = Archive(stream)
             # NumPy stores four bytes a character.
             meta = json.loads(str(archive.read(META_KEY, 4 * LARGEST_TEXT)))
-            _check_meta(meta, source, kinds)
+            kind = meta.get("kind") if isinstance(meta, dict) else None
+            if kind not in kinds:
+                raise FileError(f"{source} holds {kind!r}, expected {kinds[0]!r}")
+            if meta.get("format") != FORMAT:
+                raise FileError(
+                    f"{source} was written by another version of this package (format {meta.get('format')!r}, not "
+                    f"{FORMAT}); make it again"
+                )
             return {name: archive.read(name) for name in archive.names if name != META_KEY}, meta
         except FileError:
             raise
@@ -221,17 +228,6 @@ def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, ND
             *(zipfile.BadZipFile, zlib.error),
         ) as error:
             raise FileError(f"{source} is not a readable {kinds[0]} file ({type(error).__name__}: {error})") from None
-
-
-def _check_meta(meta: Any, source: Path, kinds: tuple[str, ...]) -> None:
-    result = meta.get("kind") if isinstance(meta, dict) else None
-    if result not in kinds:
-        raise FileError(f"{source} holds {result!r}, expected {kinds[0]!r}")
-    if meta.get("format") != FORMAT:
-        raise FileError(
-            f"{source} was written by another version of this package (format {meta.get('format')!r}, not {FORMAT}); "
-            "make it again"
-        )
 
 
 def take(arrays: Mapping[str, NDArray[Any]], source: str | os.PathLike[str], *names: str) -> list[NDArray[Any]]:

@@ -99,7 +99,9 @@ def run_each(
     """
     workers = min(workers, len(todo))
     pools = worker_pool(workers) if workers > 1 else contextlib.nullcontext()
-    with pools as pool, progress_bar(console) as progress:
+    times = (TimeElapsedColumn(), TextColumn("done, left"), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *times)
+    with pools as pool, Progress(*columns, console=console) as progress:
         ended = _here(run, todo) if pool is None else _on_workers(pool, run, todo, 2 * workers)
         for outcome in progress.track(ended, total=len(todo), description=title):
             done(*outcome)
@@ -166,12 +168,6 @@ def _trim() -> Callable[[int], Any]:
         return getattr(ctypes.CDLL(None), "malloc_trim", lambda _: 0)
     except TypeError:  # Windows gives no handle of the program itself
         return lambda _: 0
-
-
-def progress_bar(console: Console) -> Progress:
-    """The progress bar of a study."""
-    times = (TimeElapsedColumn(), TextColumn("done, left"), TimeRemainingColumn())
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *times, console=console)
 
 
 def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:

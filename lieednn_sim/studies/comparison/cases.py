@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -54,11 +55,9 @@ class Settings:
 def load_arm(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] = ()) -> Arm:
     """The arm in its scene; warms up what is computed once per process, so that no planning time includes it."""
     arm = load(name, scene, seed, user_files)
-    try:
+    with contextlib.suppress(LieEDNNError):  # reported where it is needed
         reference_network(arm)
         plan(arm, arm.keyframe("home"), planner="minimum-jerk", duration=100 * arm.timestep)
-    except LieEDNNError:
-        pass  # reported where it is needed
     return arm
 
 
@@ -125,7 +124,9 @@ def run_case(
             error.add_note(f"while planning the case {case}")
             raise
         planned = {"planning_s": cpu_time() - start, **_stability(plan.network)}
-        planned |= {"tube_mm": _tube_mm(arm, plan), **_measured(motion_metrics(arm, plan.motion))}
+        planned |= _measured(motion_metrics(arm, plan.motion))
+        with contextlib.suppress(LieEDNNError):  # the plan has no tube
+            planned["tube_mm"] = 1e3 * find_tube(arm, plan).size
         rows = []
         for name in controllers:
             try:
@@ -171,14 +172,6 @@ def _stability(network: Any) -> dict[str, Any]:
     verdict = network.assess()
     local = "local" if verdict.level == "local" else "none"
     return {"stability": "global" if verdict.globally_stable else local, "stability_level": verdict.level}
-
-
-def _tube_mm(arm: Arm, result: Plan) -> float | None:
-    """Size of the plan's tube [mm]; None if it has none."""
-    try:
-        return 1e3 * find_tube(arm, result).size
-    except LieEDNNError:
-        return None
 
 
 def _measured(metrics: MotionMetrics | Evaluation) -> dict[str, Any]:

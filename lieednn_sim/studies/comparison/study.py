@@ -147,27 +147,21 @@ class Comparison(Study[Row]):
     def cases(self) -> list[Case]:
         """The cases of the shard, or all, but for those of `absent` planners."""
         usable = [name for name in self.planners if name not in self.absent]
-        few = self.seeds if self.slow_seeds is None else self.slow_seeds
-        combinations = itertools.product(
-            self.arms, self.scenes, usable, range(self.first_seed, self.first_seed + self.seeds)
-        )
-        every = itertools.starmap(Case, combinations)
-        cases = [case for case in every if case.seed < self.first_seed + few or PLANNERS[case.planner].cost <= SLOW]
-        part = self.shard
-        return [case for case in cases if part is None or part.holds(case)]
+        few = self.first_seed + (self.seeds if self.slow_seeds is None else self.slow_seeds)
+        seeds = range(self.first_seed, self.first_seed + self.seeds)
+        every = itertools.starmap(Case, itertools.product(self.arms, self.scenes, usable, seeds))
+        cases = [case for case in every if case.seed < few or PLANNERS[case.planner].cost <= SLOW]
+        return [case for case in cases if self.shard is None or self.shard.holds(case)]
 
     def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
         """See `Study`."""
-        target = [(case, self._missing(table, case), self.common) for case in self.cases()]
-        return sorted(
-            (job for job in target if job[1]),
-            key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -PLANNERS[job[0].planner].cost),
-        )
-
-    def _missing(self, table: Table[Row], case: Case) -> list[str]:
-        """The controllers for which a case has no row yet."""
-        keys = {name: (case.arm, case.scene, case.planner, name, case.seed) for name in self.controllers}
-        return [name for name, key in keys.items() if key not in table.rows]
+        cases = sorted(self.cases(), key=lambda case: (case.arm, case.scene, case.seed, -PLANNERS[case.planner].cost))
+        jobs = []
+        for case in cases:
+            keys = {name: (case.arm, case.scene, case.planner, name, case.seed) for name in self.controllers}
+            if missing := [name for name, key in keys.items() if key not in table.rows]:
+                jobs.append((case, missing, self.common))
+        return jobs
 
 
 def settings_of(table: Table[Row]) -> Settings:

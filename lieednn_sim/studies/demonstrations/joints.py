@@ -123,7 +123,11 @@ def motion_to(model: JointMotion, demonstrations: JointDemonstrations, goal: Flo
 
 def joint_errors(arm: Arm, result: Floats, shown: Floats, gap: tuple[float, float] = (0.0, 0.0)) -> JointErrors:
     """Compare joint positions ``(K, n)`` and ``(L, n)``; ``gap`` [m, rad] is the mechanism gap of the former."""
-    effector = [_effector(arm, q) for q in (result, shown)]
+    poses = [arm.link_poses(q).as_matrix()[:, -1] for q in (result, shown)]
+    effector = [
+        Demonstration(np.arange(len(pose), dtype=float), pose[:, :3, 3], pose[:, :3, :3], 6, "the end effector")
+        for pose in poses
+    ]
     pairs = warp(result / arm.ranges, shown / arm.ranges).pairs
     rms = np.sqrt(np.mean((result[pairs[:, 0]] - shown[pairs[:, 1]]) ** 2, axis=0))
     return JointErrors(
@@ -160,8 +164,3 @@ def _errors(model: JointMotion, shown: Floats) -> JointErrors:
     motion = model.run(shown[0])
     gap = float(motion.gap_translation.max()), float(motion.gap_rotation.max())
     return joint_errors(model.arm, motion.q, shown, gap)
-
-
-def _effector(arm: Arm, q: Floats) -> Demonstration:
-    pose = arm.link_poses(q).as_matrix()[:, -1]
-    return Demonstration(np.arange(len(q), dtype=float), pose[:, :3, 3], pose[:, :3, :3], 6, "the end effector")

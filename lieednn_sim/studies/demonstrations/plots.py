@@ -121,7 +121,8 @@ def plot_joint_paths(
             if joint >= arm.n_joints:
                 axis.set_axis_off()
                 continue
-            _draw_paths(axis, groups, partial(_over_length, demonstrations, joint), joint == 0)
+            seen = partial(lambda joint, q: (demonstrations.length_fractions(q), q[:, joint]), joint)
+            _draw_paths(axis, groups, seen, joint == 0)
             axis.set(title=arm.joint_names[joint], ylabel=f"[{arm.unit(joint)}]")
             if joint + _IN_ROW >= arm.n_joints:
                 axis.set_xlabel("fraction of the path")
@@ -202,11 +203,6 @@ def _draw_band(axis: Any, path: Floats, covariance: Floats, view: list[int], lab
 def _seen(displaced: Floats, view: list[int]) -> tuple[Floats, Floats]:
     """Two coordinates of a path [mm]."""
     return 1e3 * displaced[:, view[0]], 1e3 * displaced[:, view[1]]
-
-
-def _over_length(demonstrations: JointDemonstrations, joint: int, q: Floats) -> tuple[Floats, Floats]:
-    """A joint over the fraction of the path's length."""
-    return demonstrations.length_fractions(q), q[:, joint]
 
 
 def _over_path(displaced: Floats, lever: float, c: int) -> tuple[Floats, Floats]:

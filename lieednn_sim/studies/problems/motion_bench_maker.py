@@ -153,7 +153,10 @@ class ProblemSets:
             for old in [*spec.excludes, *spec.pairs]:
                 spec.delete(old)
             bodies = {body.name for body in spec.bodies}
-            for first, second in _never_colliding(self.semantics):
+            with _malformed(self.semantics):
+                disabled = ElementTree.parse(self.semantics).getroot().iterfind("disable_collisions")
+                pairs = [(item.attrib["link1"], item.attrib["link2"]) for item in disabled]
+            for first, second in pairs:
                 if {first, second} <= bodies:
                     spec.add_exclude(bodyname1=first, bodyname2=second)
         return replace(Arm.from_spec(spec, self.model, self.robot, report), clearance=0.0)
@@ -238,10 +241,3 @@ def _pose(pose: Mapping[str, Any]) -> RigidTransform:
     """The pose in a message; its quaternions are scalar-last."""
     position, orientation = ([float(value) for value in pose[name]] for name in ("position", "orientation"))
     return RigidTransform.from_components(position, Rotation.from_quat(orientation))
-
-
-def _never_colliding(semantics: Path) -> list[tuple[str, str]]:
-    """Pairs of links whose collisions an SRDF disables."""
-    with _malformed(semantics):
-        root = ElementTree.parse(semantics).getroot()
-        return [(item.attrib["link1"], item.attrib["link2"]) for item in root.iterfind("disable_collisions")]

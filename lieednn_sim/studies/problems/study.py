@@ -145,9 +145,7 @@ def failed(_folder: str, name: str, number: int, planner: str, _budget: float, r
 
 
 # Cached, since a process solves the problems of one robot.
-@lru_cache(maxsize=1)
-def _sets(folder: str) -> ProblemSets:
-    return ProblemSets(folder)
+_sets = lru_cache(maxsize=1)(ProblemSets)
 
 
 def measured(arm: Arm, result: Plan) -> dict[str, Any]:
