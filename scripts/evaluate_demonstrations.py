@@ -19,7 +19,7 @@ from rich.console import Console
 
 from lieednn_sim import io
 from lieednn_sim.studies import markdown
-from lieednn_sim.studies.demonstrations.study import DemonstrationSets, ModelScore, models
+from lieednn_sim.studies.demonstrations.models import DemonstrationSets, ModelScore, models
 from lieednn_sim.studies.statistics import grouped
 from lieednn_sim.studies.study import compute
 

@@ -19,8 +19,7 @@ import robustness
 import shaped
 
 from lieednn_sim.evaluation.paths import PathErrors
-from lieednn_sim.studies.demonstrations.models import Attraction, ModelRow
-from lieednn_sim.studies.demonstrations.study import scored
+from lieednn_sim.studies.demonstrations.models import Attraction, ModelRow, scored
 from lieednn_sim.studies.problems.study import Solution
 
 

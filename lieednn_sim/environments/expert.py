@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim.environments.base import ArmTask
-from lieednn_sim.environments.tasks import Track
-from lieednn_sim.environments.trajectories import planned
+from lieednn_sim.environments.tasks import Track, planned
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import OBSTACLE_PLANNER
 from lieednn_sim.policies import MotionTracker, Policy, make_policy

@@ -14,8 +14,7 @@ from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.registry import Entry, Registry
 from lieednn_sim.studies.demonstrations import models as compared
-from lieednn_sim.studies.demonstrations.models import compare_models
-from lieednn_sim.studies.demonstrations.study import DemonstrationSets, models
+from lieednn_sim.studies.demonstrations.models import DemonstrationSets, compare_models, models
 from lieednn_sim.studies.study import compute
 from lieednn_sim.synthesis import ShapingOptions
 

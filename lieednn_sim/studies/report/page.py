@@ -28,8 +28,7 @@ from lieednn_sim.studies.comparison.summary import (
     shown,
     verdict,
 )
-from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
-from lieednn_sim.studies.reactions.study import METHOD, groups
+from lieednn_sim.studies.reactions.study import MEASURED, METHOD, Reaction, groups
 from lieednn_sim.studies.report.figures import marks, plots
 from lieednn_sim.studies.rows import Column
 from lieednn_sim.studies.statistics import Group, grouped
