@@ -274,11 +274,7 @@ def purpose(library: str) -> str:
 
 
 def optional_module(name: str) -> Any:
-    """Import a module of an optional library.
-
-    Raises:
-        LieEDNNError: it is not installed; the message names the extra.
-    """
+    """Import a module of an optional library; `LieEDNNError`, which names the extra, if it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError:

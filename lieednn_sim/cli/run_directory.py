@@ -104,12 +104,7 @@ class Task:
 
 
 class RunDirectory:
-    """The files of one run; writes them, reads them, and checks that they belong together.
-
-    Args:
-        path: path of the directory.
-        plots: format of plots, one of `PLOT_KINDS`.
-    """
+    """The files of one run, with plots in one of `PLOT_KINDS`; writes and reads them, and checks that they match."""
 
     def __init__(self, path: str | os.PathLike[str], plots: str = PLOT_KINDS[0]) -> None:
         self._plots = as_choice("plots", plots, PLOT_KINDS)
@@ -146,10 +141,9 @@ class RunDirectory:
         return [self.path / f"{name}.{kind}" for name in names for kind in PLOT_KINDS]
 
     def at_work(self, *, shared: bool = False) -> AbstractContextManager[Path]:
-        """Create the directory if needed, and lock the run against other commands; raises as `io.output_folder`.
+        """The directory, locked against other commands, but for shared ones, which only write results.
 
-        Args:
-            shared: let other commands in that only write results, as this one does.
+        It is created if it is missing; raises as `io.output_folder`.
         """
         return io.output_folder(self.path, "run", shared=shared)
 
@@ -204,10 +198,7 @@ class RunDirectory:
         """Write the task and the results for it, and remove all other files of the run.
 
         The task is the first to go and the last to appear: a process that is killed in between leaves no run, rather
-        than a mixture of two.
-
-        Returns:
-            The files written.
+        than a mixture of two. Returns the files written.
         """
         if motion is not None:
             task = replace(task, motion=task.fingerprint(motion))

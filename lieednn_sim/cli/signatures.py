@@ -20,12 +20,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 
 class Definition(NamedTuple):
-    """A name that a module defines: a function, a class or a constant.
-
-    Attributes:
-        module: the module.
-        node: what the module says there.
-    """
+    """A name that a module defines: a function, a class or a constant; ``node`` is what the module says there."""
 
     module: str
     node: ast.FunctionDef | ast.ClassDef | ast.expr

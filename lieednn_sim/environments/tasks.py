@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.frames import goal_frames
 from lieednn_sim.environments.observations import Bounds, Target, reach
 from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError
-from lieednn_sim.planning import CertifiedOptions, Plan, plan
+from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import Seed, as_choice, as_count, as_floats, as_positive, quoted
@@ -250,27 +249,23 @@ def planned(arm: Arm, target: ArrayLike | str, *, planner: str | None = None, se
         NotCertifiedError: no network could be certified.
         PlanError: every motion breaks a limit.
     """
-    if planner is None:
-        result = _patient_plan(arm, target, seed)
+    common: dict[str, Any] = {"duration": _PLANNING_DURATION, "seed": seed}
+    if planner is not None:
+        result = plan(arm, target, planner=planner, **common)
     else:
-        result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
+        # Few networks suffice for most targets, and each takes time.
+        for count in (2, 8, 32):
+            options = CertifiedOptions(n_networks=count)
+            try:
+                result = plan(arm, target, max_time_scale=1.0, options=options, **common)
+                break
+            except (PlanError, NotCertifiedError):
+                if count == 32:
+                    raise
     motion, certificate = result.motion, "" if result.network is None else str(result.network.certificate)
     # The rest of the limits is left to the servos. Nothing moves if it is already there.
     pace = _pace(arm, motion.t, motion.qd, 0.9) or 1.0
     return JointTrajectory(CubicHermiteSpline(motion.t * pace, motion.q, motion.qd / pace), certificate)
-
-
-def _patient_plan(arm: Arm, target: ArrayLike | str, seed: Seed) -> Plan:
-    # Few networks suffice for most targets, and each takes time.
-    for count in (2, 8):
-        with contextlib.suppress(PlanError, NotCertifiedError):
-            return _certified_plan(arm, target, seed, count)
-    return _certified_plan(arm, target, seed, 32)
-
-
-def _certified_plan(arm: Arm, target: ArrayLike | str, seed: Seed, count: int) -> Plan:
-    options = CertifiedOptions(n_networks=count)
-    return plan(arm, target, duration=_PLANNING_DURATION, max_time_scale=1.0, seed=seed, options=options)
 
 
 def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTrajectory:

@@ -88,11 +88,7 @@ def samples(rollout: Rollout, rate: float | None) -> slice:
 
 @contextmanager
 def exporting(directory: str | os.PathLike[str]) -> Iterator[tuple[Path, list[Path]]]:
-    """Yield a folder for files, and the list to which their final paths are added when the block succeeds.
-
-    Raises:
-        FileError: the files cannot be written, or the directory holds anything but exports of this package.
-    """
+    """Yield a folder for files, and the list to which their final paths are added when the block succeeds."""
     written: list[Path] = []
     # Libraries choose names in a folder of their own; only complete files are moved to where they are asked for.
     with io.output_folder(directory, "export") as target, tempfile.TemporaryDirectory() as scratch:

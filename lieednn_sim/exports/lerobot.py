@@ -56,18 +56,12 @@ def state_names(joints: Sequence[str], *parts: str) -> list[str]:
 def write_dataset(
     folder: Path, episodes: Sequence[Episode], names: Mapping[str, Sequence[str]], *, fps: float, task: str, robot: str
 ) -> None:
-    """Write a data set into a folder.
+    """Write a data set of episodes with the same features into a folder; numbers are stored with 32 bits.
 
-    Args:
-        folder: the data set's directory.
-        episodes: its episodes, all with the same features; numbers are stored with 32 bits.
-        names: names of the components of features, by the names of the features.
-        fps: frames per second [Hz].
-        task: what is done in all episodes, in words.
-        robot: name of the robot.
+    ``names`` are those of the components, by feature; ``task`` says in words what is done in all episodes.
 
     Raises:
-        InputError: the number of frames per second is no whole number, which the format demands.
+        InputError: ``fps`` [Hz] is no whole number, which the format demands.
     """
     if abs(fps - round(fps)) > 1e-6:
         raise InputError(f"LeRobot's format has a whole number of frames per second, got {fps:g}")

@@ -54,12 +54,7 @@ def is_file(path: Path) -> bool:
 
 @contextlib.contextmanager
 def opened(path: str | os.PathLike[str], largest: int = LARGEST_FILE) -> Iterator[IO[bytes]]:
-    """Open a file for reading.
-
-    Raises:
-        FileError: there is none, or the system cannot read it, or it is no regular file, as a device or a pipe, or has
-            more than ``largest`` bytes.
-    """
+    """Open a regular file of at most ``largest`` bytes for reading; `FileError` says what is wrong with it."""
     with raising_file_error(f"cannot read {path}"):
         try:
             result = Path(path).stat()
@@ -141,10 +136,7 @@ def _load_object(path: str | os.PathLike[str], what: str, parse: Callable[[bytes
 
 
 class Archive:
-    """The arrays of an ``.npz`` file, each checked before memory is taken for it.
-
-    Args:
-        stream: the open file.
+    """The arrays of an open ``.npz`` file, each checked before memory is taken for it.
 
     Raises:
         ValueError: the arrays would take too much memory.

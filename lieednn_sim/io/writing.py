@@ -162,10 +162,6 @@ def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iter
     When the block succeeds, the outdated files are removed first, then the new ones appear in the given order. So a
     process that is killed in between leaves fewer files, but never old ones beside new ones. The content is on the disk
     before it gets its name, so that a power failure leaves no file that is empty or cut off.
-
-    Args:
-        targets: the files to write.
-        outdated: files to remove.
     """
     temporaries: list[Path] = []
     target = targets[0]

@@ -44,10 +44,7 @@ def resolve(
 ) -> tuple[list[str], list[UserFile]]:
     """The names under which arms or scenes appear in tables, and those of them that come from files.
 
-    Args:
-        kind: `ARM` or `SCENE`.
-        values: names, or files as `Arm.load` takes them.
-        known: names in the package.
+    Values are names, ``known`` in the package, or files as `Arm.load` takes them.
 
     Raises:
         FileError: a file is missing or cannot be read.

@@ -112,12 +112,11 @@ _Outcome = tuple[tuple[Any, ...], Any, Exception | None]
 
 def _here(run: Callable[..., Any], todo: Sequence[tuple[Any, ...]]) -> Iterator[_Outcome]:
     for task in todo:
-        result = error = None
         try:
-            result = released(run, *task)
-        except Exception as caught:
-            error = caught
-        yield task, result, error
+            ended: _Outcome = task, released(run, *task), None
+        except Exception as error:
+            ended = task, None, error
+        yield ended
 
 
 def _on_workers(

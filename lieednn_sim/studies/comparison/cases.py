@@ -64,12 +64,6 @@ def load_arm(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] 
 def arm_and_target(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] = ()) -> tuple[Arm, Floats]:
     """The arm, and a random target ``(n,)`` for its scene; the same for every planner.
 
-    Args:
-        name: name of the arm.
-        scene: name of the scene.
-        seed: seed of obstacles and target.
-        user_files: arms and scenes from files, by their names.
-
     Raises:
         FileError: a file no longer exists.
         InputError: the arm or scene is unknown, or they do not fit together.

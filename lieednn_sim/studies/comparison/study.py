@@ -28,11 +28,7 @@ DEFAULT_SCENES = (FREE, "window")
 class Shard:
     """A part of a comparison's cases, for a machine that shares only a disk with the others.
 
-    The shard of a case depends on the name of the case alone.
-
-    Attributes:
-        number: its number, starting at 1.
-        of: the number of shards.
+    The shard of a case depends on the name of the case alone; numbers start at 1.
 
     Raises:
         InputError: there is no such shard.

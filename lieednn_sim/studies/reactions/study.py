@@ -41,13 +41,7 @@ from lieednn_sim.values import Floats, check_fields, frozen
 
 
 class ComparedPolicy(NamedTuple):
-    """A policy of the benchmark.
-
-    Attributes:
-        policy: a name of `POLICIES`.
-        options: its options.
-        filtered: whether it needs the safety filter among obstacles.
-    """
+    """A policy of the benchmark: a name of `POLICIES`, and whether it needs the safety filter among obstacles."""
 
     policy: str
     options: PlannerOptions | None = None
