@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 from lieednn_sim import io
@@ -56,14 +55,12 @@ def export(
         name = path.resolve().name
         if name in sources:
             raise InputError(f"two of the directories are called {name!r}; export them into different directories")
-        sources[name] = path if chosen.of_comparison else _rollout(path)
+        if chosen.of_comparison:
+            sources[name] = path
+            continue
+        run = RunDirectory(path).existing()
+        with io.locked(run.path, shared=True):
+            sources[name] = run.load_rollout(*run.load_task())
     with progress("export"):
         written = export_sources(sources, output, format=format, rate=rate)
     wrote(*written)
-
-
-def _rollout(path: Path) -> Any:
-    run = RunDirectory(path).existing()
-    with io.locked(run.path, shared=True):
-        task, arm = run.load_task()
-        return run.load_rollout(task, arm)

@@ -106,12 +106,10 @@ def make_parser(source: Definition) -> argparse.ArgumentParser:
 
 def _add(parser: argparse.ArgumentParser, group: Any, taken: Iterable[Parameter]) -> None:
     for each in taken:
-        if each.kind == "CommandLine":
-            continue
-        if each.kind:
-            _add_option(group, each)
-        else:
+        if not each.kind:
             _add(parser, parser.add_argument_group(each.help), each.group)
+        elif each.kind != "CommandLine":
+            _add_option(group, each)
 
 
 def _add_option(group: Any, taken: Parameter) -> None:

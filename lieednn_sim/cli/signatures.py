@@ -95,11 +95,8 @@ def parameters(source: Definition) -> list[Parameter]:
     return list(result.values())
 
 
-class _Entry(NamedTuple):
-    name: str
-    annotation: ast.expr
-    default: ast.expr | None
-    positional: bool = False
+# Name, annotation and default, and whether it is given by its place.
+_Entry = tuple[str, ast.expr, ast.expr | None, bool]
 
 
 def _entries(node: ast.AST) -> Iterator[_Entry]:
@@ -112,21 +109,19 @@ def _entries(node: ast.AST) -> Iterator[_Entry]:
         ]
         for argument, default, positional in pairs:
             if argument.annotation is not None:
-                yield _Entry(argument.arg, argument.annotation, default, positional)
+                yield argument.arg, argument.annotation, default, positional
     elif isinstance(node, ast.ClassDef):
         for line in node.body:
             if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name):
-                yield _Entry(line.target.id, line.annotation, line.value)
+                yield line.target.id, line.annotation, line.value, False
 
 
 def _parameter(module: str, entry: _Entry, texts: dict[str, str]) -> Parameter | None:
-    name, annotation, help_text = entry.name, entry.annotation, texts.get(entry.name, "")
-    option = name.replace("_", "-")
-    kind = kind_of(ast.unparse(annotation))
-    if kind:
-        required = entry.default is None
-        default = None if entry.default is None else _value(module, entry.default)
-        return Parameter(name, kind, help_text, option, entry.positional, required, default)
+    name, annotation, default, positional = entry
+    help_text, option = texts.get(name, ""), name.replace("_", "-")
+    if kind := kind_of(ast.unparse(annotation)):
+        value = None if default is None else _value(module, default)
+        return Parameter(name, kind, help_text, option, positional, default is None, value)
     if isinstance(annotation, ast.Name) and (alias := find(module, annotation.id)) and isinstance(alias.node, ast.expr):
         module, annotation = alias.module, alias.node
     chosen: list[str] = []
@@ -141,7 +136,7 @@ def _parameter(module: str, entry: _Entry, texts: dict[str, str]) -> Parameter |
                 chosen.append(ast.literal_eval(part))
     if isinstance(annotation, ast.Name):
         makes = find(module, annotation.id)
-    source = makes if source is None else source
+    source = source or makes
     if source is None or not isinstance(source.node, ast.FunctionDef | ast.ClassDef):
         return None
     return Parameter(name, "", help_text, option, group=tuple(_chosen(source, chosen)), makes=makes)
