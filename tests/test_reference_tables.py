@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 import robustness
 import shaped
+from demonstration_sets import scored
 
 from lieednn_sim.evaluation.paths import PathErrors
-from lieednn_sim.studies.demonstrations.models import Attraction, ModelRow, scored
+from lieednn_sim.studies.demonstrations.models import Attraction, ModelRow
 from lieednn_sim.studies.problems.study import Solution
 
 

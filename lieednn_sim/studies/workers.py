@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
 from functools import cache
 from multiprocessing.context import SpawnContext, SpawnProcess
-from pathlib import Path
 from time import monotonic
 from typing import Any
 
@@ -167,21 +166,6 @@ def _trim() -> Callable[[int], Any]:
         return getattr(ctypes.CDLL(None), "malloc_trim", lambda _: 0)
     except TypeError:  # Windows gives no handle of the program itself
         return lambda _: 0
-
-
-def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:
-    """Run ``work`` and print the path that it returns; returns 0, 130 when interrupted, or 1 with the error printed."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        path = work()
-    except KeyboardInterrupt:
-        console.print(f"stopped; finished {kept} are kept, the same command continues from there")
-        return 130
-    except (LieEDNNError, OSError) as error:
-        console.print(f"error: {error}", markup=False, emoji=False, highlight=False)
-        return 1
-    print(path)
-    return 0
 
 
 def _modules() -> list[str]:
