@@ -141,13 +141,9 @@ def _statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
 def _write_task(path: Path, task: str) -> None:
     """The table of tasks; its index, in pandas' words, is the text, as LeRobot reads it."""
     index = "__index_level_0__"
-    columns = [
-        {"name": name, "field_name": field, "pandas_type": kind, "numpy_type": numpy_kind, "metadata": None}
-        for name, field, kind, numpy_kind in (
-            ("task_index", "task_index", "int64", "int64"),
-            (None, index, "unicode", "object"),
-        )
-    ]
+    named = {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"}
+    unnamed = {"name": None, "field_name": index, "pandas_type": "unicode", "numpy_type": "object"}
+    columns = [column | {"metadata": None} for column in (named, unnamed)]
     told = {"index_columns": [index], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
     table = pa.table({"task_index": [0], index: [task]})
     parquet.write_table(table.replace_schema_metadata({"pandas": json.dumps(told)}), path)

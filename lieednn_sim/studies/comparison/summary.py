@@ -136,10 +136,7 @@ def verdict(rows: Iterable[Row]) -> str:
 
 def seeds_by_planner(rows: Iterable[Row]) -> dict[str, int]:
     """Number of seeds of each planner."""
-    result: dict[str, set[int]] = {}
-    for row in rows:
-        result.setdefault(row.planner, set()).add(row.seed)
-    return {planner: len(seeds) for planner, seeds in result.items()}
+    return {group.key[0]: len({row.seed for row in group.rows}) for group in grouped(rows, ("planner",))}
 
 
 def in_order(names: Iterable[str], known: Iterable[str]) -> list[str]:

@@ -91,7 +91,11 @@ class ProblemSets:
         """Fingerprint of all files that the problems are read from."""
         files = {f"{key}": path for key, path in self._files.items()}
         files |= {path.suffix: path for path in (self.model, self.semantics) if path}
-        return io.fingerprint({key: np.frombuffer(_content(path), np.uint8) for key, path in files.items()}, {})
+        contents = {}
+        for key, path in files.items():
+            with io.opened(path, 10**8) as stream:  # spherised models have megabytes
+                contents[key] = np.frombuffer(stream.read(), np.uint8)
+        return io.fingerprint(contents, {})
 
     def selection(self, count: int | None = None) -> list[tuple[str, int]]:
         """Choose ``count`` problems, by default all, from each set in turn and spread evenly over it.
@@ -189,12 +193,6 @@ class ProblemSets:
         if (name, number, kind) not in self._files:
             raise FileError(f"{self.folder} has no {kind} {number} in the problem set {name!r}")
         return io.load_description(self._files[name, number, kind], kind)
-
-
-def _content(path: Path) -> bytes:
-    # Spherised models have megabytes.
-    with io.opened(path, 10**8) as stream:
-        return stream.read()
 
 
 @contextlib.contextmanager
