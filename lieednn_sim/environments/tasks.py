@@ -207,11 +207,9 @@ def _refuse(options: dict[str, Any], *known: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class JointTrajectory:
-    """A joint trajectory that begins at t = 0; before and after it, the joints rest.
+    """A joint trajectory [rad, m] that begins at t = 0; before and after it, the joints rest.
 
-    Attributes:
-        spline: positions ``(n,)`` [rad, m] over time [s].
-        certificate: the proof of stability of the network that it comes from, in words; empty without one.
+    The certificate is the proof of stability of the network that it comes from, in words; empty without one.
     """
 
     spline: CubicHermiteSpline
@@ -237,12 +235,8 @@ class JointTrajectory:
 def planned(arm: Arm, target: ArrayLike | str, *, planner: str | None = None, seed: Seed = 0) -> JointTrajectory:
     """A planned motion from the keyframe ``home``, as fast as 90 % of the velocity and acceleration limits allow.
 
-    Args:
-        arm: the arm.
-        target: joint target ``(n,)``, or a keyframe's name.
-        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, of which two networks are drawn at
-            first; if their motions break limits, four times as many are drawn, and then sixteen times as many.
-        seed: seed of the draws.
+    The planner is by default a certified LieEDNN, of which two networks are drawn at first; if their motions break
+    limits, four times as many are drawn, and then sixteen times as many.
 
     Raises:
         InputError: an unknown planner, or the target is out of the arm's reach.

@@ -185,14 +185,7 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
 
 
 def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read a file of `save_arrays`.
-
-    Args:
-        path: the file.
-        kinds: what it may hold.
-
-    Returns:
-        The arrays by name, and the metadata, with the ``kind``.
+    """Read the arrays by name and the metadata, with the ``kind``, of a file of `save_arrays`.
 
     Raises:
         FileError: the file is missing, invalid, damaged, or of another kind or format.

@@ -229,13 +229,9 @@ def save_json(path: str | os.PathLike[str], value: Any) -> None:
 def save_arrays(
     path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]
 ) -> None:
-    """Write arrays and JSON metadata into one ``.npz``.
+    """Write named arrays, also of strings but not of objects, and JSON metadata into one ``.npz``.
 
-    Args:
-        path: file to write; the suffix must be ``.npz``.
-        kind: what the file holds (``"network"``, ``"motion"`` ...), checked by `load_arrays`.
-        arrays: named arrays; string arrays are allowed, object arrays are not.
-        meta: JSON-serialisable values.
+    Its ``kind`` says what it holds (``"network"``, ``"motion"`` ...), and is checked by `load_arrays`.
     """
     target = as_path("path", path)
     if target.suffix != ".npz":

@@ -102,13 +102,9 @@ def shown(value: float | None, column: str = "_mm") -> str:
 
 @dataclass(frozen=True)
 class Failure:
-    """Failures whose reasons differ only in names and numbers.
+    """Failures at one step whose reasons differ only in names and numbers, which an ellipsis replaces in the pattern.
 
-    Attributes:
-        step: where it failed: "problem", "plan", "simulation", "contact", "arrival" or "error".
-        pattern: the reason with names and numbers replaced by an ellipsis.
-        example: one reason in full.
-        counts: number of rows by planner, largest first.
+    The example is one reason in full; the counts are numbers of rows by planner, largest first.
     """
 
     step: str

@@ -48,15 +48,7 @@ class JointErrors:
 
 @dataclass(frozen=True)
 class JointStudy:
-    """A network of joints against its demonstrations.
-
-    Attributes:
-        mean: errors against the mean demonstration, from its start.
-        training: errors against each demonstration, from its start, on average.
-        left_out: the same for networks shaped without that demonstration; None with a single one, or if not requested.
-        starts: number of random starts.
-        arrived: how many of them arrived.
-    """
+    """A network of joints against its demonstrations, as in `ModelRow`, and how many of random starts arrived."""
 
     mean: JointErrors
     training: JointErrors
@@ -74,18 +66,11 @@ def study_joints(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[JointStudy, list[Floats]]:
-    """Measure a network shaped by demonstrations.
+    """Measure a network shaped by demonstrations, also from random configurations free of contact (`draw_target`).
 
-    Args:
-        demonstrations: the demonstrations.
-        learned: the network.
-        starts: number of random configurations free of contact (`draw_target`) from which it is run.
-        leave_one_out: shape again without each of the demonstrations, with as many hidden neurons.
-        seed: seed of the starts.
-        progress: called with the steps done and their total.
-
-    Returns:
-        The study, and the joints' paths ``(K, n)`` from the starts that arrive.
+    Those left out are compared with networks that are shaped without them, with as many hidden neurons. ``progress`` is
+    called with the steps done and their total. Returns the study, and the joints' paths ``(K, n)`` from the starts that
+    arrive.
     """
     arm, n = demonstrations.arm, len(demonstrations)
     folds = n if leave_one_out and n > 1 else 0

@@ -36,12 +36,9 @@ _BATCH = 500
 
 @dataclass(frozen=True)
 class Attraction:
-    """Where random starts ended, after `HORIZON` durations.
+    """How many random starts arrived after `HORIZON` durations, within a hundredth of the demonstrations' extent.
 
-    Attributes:
-        starts: number of starts.
-        arrived: number of them that ended within a hundredth of the demonstrations' extent from the goal.
-        spurious: number of spurious attractors, places other than the goal at which starts came to rest.
+    Spurious attractors are places other than the goal at which starts came to rest.
     """
 
     starts: int

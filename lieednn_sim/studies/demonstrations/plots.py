@@ -97,14 +97,10 @@ def plot_joint_paths(
     elsewhere: Sequence[Floats] = (),
     fan: Sequence[Floats] = (),
 ) -> None:
-    """Plot each joint over the fraction of the path.
+    """Plot each joint over the fraction of the path; all joint positions are ``(K, n)``.
 
-    Args:
-        demonstrations: the demonstrations.
-        reproduction: ``(K, n)`` joint positions from the start of their mean.
-        path: of the file.
-        elsewhere: ``(K, n)`` joint positions from other starts, of which the first few are shown.
-        fan: ``(K, n)`` joint positions from the demonstrations' own starts.
+    The reproduction is from the start of the mean, the fan from the demonstrations' own starts; of the paths from
+    elsewhere the first few are shown.
     """
     arm = demonstrations.arm
     rows = -(-arm.n_joints // _IN_ROW)

@@ -33,13 +33,7 @@ _SIZES = {"sphere": ("radius",), "cylinder": ("length", "radius")}
 
 
 class PublishedProblem(NamedTuple):
-    """A published planning problem.
-
-    Attributes:
-        arm: the arm among the obstacles.
-        start: ``(n,)`` joint position [rad, m].
-        goal: ``(n,)`` joint position [rad, m].
-    """
+    """A published planning problem: an arm among obstacles, and joint positions ``(n,)`` [rad, m]."""
 
     arm: Arm
     start: Floats

@@ -76,11 +76,8 @@ def pushing_force(deviation_under: Callable[[float], float]) -> float:
 
     It must be found in the run itself. Drives resist a growing force almost rigidly up to their limits, then yield
     suddenly: half as much force again throws the arm ten times as far. Where that begins depends on the configuration,
-    on the forces that the motion itself takes, and on the policy.
-
-    Args:
-        deviation_under: maps a force to the largest deviation of a joint from the undisturbed path in units of its
-            range.
+    on the forces that the motion itself takes, and on the policy. ``deviation_under`` maps a force to the largest
+    deviation of a joint from the undisturbed path in units of its range.
     """
     # A guess [N], largest force [N], and the brackets: force and deviation.
     force, most, low, high = 300.0, 2e4, (0.0, 0.0), (np.inf, np.inf)
@@ -116,13 +113,8 @@ def walking_pole(arm: Arm, t: Floats, q: Floats, gone: Floats, begin: float, rng
     It waits clear of the whole way, keeps clear of where the arm is while it walks, and has been since ``begin``, and
     stands clear of the arm's last posture.
 
-    Args:
-        arm: the arm, in its scene.
-        t: ``(K,)`` times of the undisturbed motion [s].
-        q: ``(K, n)`` its joint coordinates.
-        gone: ``(K,)`` the fraction of the path gone at these times.
-        begin: when it begins to walk [s].
-        rng: draws places.
+    The undisturbed motion has times ``t`` ``(K,)`` [s], joint coordinates ``q`` ``(K, n)`` and fractions of the path
+    ``gone`` ``(K,)``.
 
     Raises:
         PlanError: no such place was found.

@@ -116,14 +116,9 @@ MEASURED = columns_of(Reaction)
 
 @frozen
 class Task:
-    """An arm among its obstacles, a target, and the motion to it that imitating policies learn from.
+    """An arm among its obstacles, a joint target ``(n,)``, and the guide's motion to it that imitating policies learn.
 
-    Attributes:
-        arm: the arm.
-        scene: name of its scene.
-        target: ``(n,)`` joint position.
-        motion: the guide's motion from home to the target.
-        seed: of target, obstacles, disturbances and policies.
+    The seed is that of target, obstacles, disturbances and policies.
     """
 
     arm: Arm

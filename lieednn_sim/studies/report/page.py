@@ -6,8 +6,7 @@ import base64
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import jinja2
 
@@ -36,7 +35,8 @@ from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_count
 
 
-class View(NamedTuple):
+@dataclass(frozen=True)
+class View:
     """One problem solved by several planners.
 
     Attributes:
