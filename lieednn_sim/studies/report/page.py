@@ -15,18 +15,10 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.rendering.page import player
 from lieednn_sim.rendering.recording import Recording, record
+from lieednn_sim.studies.comparison import summary
 from lieednn_sim.studies.comparison.cases import replay
 from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Case, Row
 from lieednn_sim.studies.comparison.study import settings_of
-from lieednn_sim.studies.comparison.summary import (
-    controllers_of,
-    failures,
-    in_order,
-    method,
-    seeds_by_planner,
-    shown,
-    verdict,
-)
 from lieednn_sim.studies.reactions.study import MEASURED, METHOD, Reaction, groups
 from lieednn_sim.studies.report.figures import marks, plots
 from lieednn_sim.studies.rows import Column
@@ -64,7 +56,7 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
     """
     most = as_count("the number of problems", count, least=0)
     solved = [row for row in table.sorted_rows() if row.success and row.controller == controller]
-    names = in_order((row.planner for row in solved), PLANNERS)
+    names = summary.in_order((row.planner for row in solved), PLANNERS)
     totals = {name: sum(row.planner == name for row in solved) for name in names}
     best = max((name for name in totals if name.startswith("lieednn")), key=lambda name: totals[name], default=None)
     # Of each arm in each scene, the seed that the most planners solved; the first of several.
@@ -79,7 +71,7 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
     for rows in problems[:most]:
         by_name = {row.planner: row.case for row in rows}
         # More would be too small to see.
-        some = sorted(in_order(by_name, PLANNERS), key=lambda name: (name != best, shown[name]))[:4]
+        some = sorted(summary.in_order(by_name, PLANNERS), key=lambda name: (name != best, shown[name]))[:4]
         for name in some:
             shown[name] += 1
         chosen.append([by_name[name] for name in some])
@@ -134,10 +126,10 @@ def write_page(
         raise InputError(f"the table {table.path} is empty; there is nothing to show")
     if not all(isinstance(row, Reaction) for row in reacted):
         raise InputError("reactions must be a table of the reactive benchmark, got one of another kind")
-    names = in_order((row.planner for row in rows), PLANNERS)
-    controllers = controllers_of(rows)
+    names = summary.in_order((row.planner for row in rows), PLANNERS)
+    controllers = summary.controllers_of(rows)
     arms = sorted({row.arm for row in rows})
-    columns, counts = _columns(), seeds_by_planner(rows).values()
+    columns, counts = _columns(), summary.seeds_by_planner(rows).values()
     lines = grouped(rows, ("arm", "scene", "planner", "controller"))
     lines.sort(key=lambda group: (*group.key[:2], names.index(group.key[2]), group.key[3]))
     environment = jinja2.Environment(
@@ -147,10 +139,10 @@ def write_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"rounded": shown, "violations": _violations, "verdict": verdict}
+    environment.filters |= {"rounded": summary.shown, "violations": _violations, "verdict": summary.verdict}
     # Heads are the text, its explanation, and whether the column is numeric.
     page = environment.get_template("page.html").render(
-        method=method(table),
+        method=summary.method(table),
         date=date,
         command=command,
         arms=arms,
@@ -173,7 +165,7 @@ def write_page(
         ],
         groups=lines,
         plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
-        failures=failures(rows),
+        failures=summary.failures(rows),
         views=views,
         # What ends a script element must not be in the text of one.
         player=json.dumps(player("RECORDING")).replace("</", "<\\/") if views else "",
