@@ -10,7 +10,7 @@ from lieednn_sim.cli.kinds import Directory, File
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError
 from lieednn_sim.exports import export as export_sources
-from lieednn_sim.exports.recording import record
+from lieednn_sim.exports.formats import record
 from lieednn_sim.registry import FORMATS
 from lieednn_sim.validation import as_path
 
