@@ -27,7 +27,7 @@ from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies import FilterOptions, Policy, make_policy
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
-from lieednn_sim.studies.comparison.cases import FREE, arm_and_target
+from lieednn_sim.studies.comparison.study import FREE, arm_and_target
 from lieednn_sim.studies.markdown import escaped
 from lieednn_sim.studies.markdown import table as markdown_table
 from lieednn_sim.studies.reactions.disturbing import PUSH_TIME, UndisturbedPath, pushing_force, walking_pole

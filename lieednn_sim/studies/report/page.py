@@ -16,9 +16,8 @@ from lieednn_sim.registry import PLANNERS
 from lieednn_sim.rendering.page import player
 from lieednn_sim.rendering.recording import Recording, record
 from lieednn_sim.studies.comparison import summary
-from lieednn_sim.studies.comparison.cases import replay
 from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Case, Row
-from lieednn_sim.studies.comparison.study import settings_of
+from lieednn_sim.studies.comparison.study import replay, settings_of
 from lieednn_sim.studies.reactions.study import MEASURED, METHOD, Reaction, groups
 from lieednn_sim.studies.report.figures import marks, plots
 from lieednn_sim.studies.rows import Column
