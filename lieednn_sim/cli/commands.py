@@ -254,8 +254,7 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
 def _evaluate(run: RunDirectory) -> None:
     from lieednn_sim.evaluation import plots
 
-    task, arm = run.load_task()
-    rollout = run.load_rollout(task, arm)
+    rollout = run.load_rollout(*run.load_task())
     evaluation = evaluate_rollout(rollout)
     console.print(evaluation)
     drawn: dict[Path, Callable[[Rollout, Path], None]] = {

@@ -141,9 +141,9 @@ class RunDirectory:
         return [self.path / f"{name}.{kind}" for name in names for kind in PLOT_KINDS]
 
     def at_work(self, *, shared: bool = False) -> AbstractContextManager[Path]:
-        """The directory, locked against other commands, but for shared ones, which only write results.
+        """The directory, created if needed and locked against other commands; raises as `io.output_folder`.
 
-        It is created if it is missing; raises as `io.output_folder`.
+        If it is shared, others may come in that only write results, as this one does.
         """
         return io.output_folder(self.path, "run", shared=shared)
 

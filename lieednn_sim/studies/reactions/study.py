@@ -27,9 +27,8 @@ from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies import FilterOptions, Policy, make_policy
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
+from lieednn_sim.studies import markdown
 from lieednn_sim.studies.comparison.study import FREE, arm_and_target
-from lieednn_sim.studies.markdown import escaped
-from lieednn_sim.studies.markdown import table as markdown_table
 from lieednn_sim.studies.reactions.disturbing import PUSH_TIME, UndisturbedPath, pushing_force, walking_pole
 from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
 from lieednn_sim.studies.statistics import Group, grouped
@@ -370,25 +369,25 @@ def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> Non
         "",
         METHOD,
         "",
-        f"Arms: {escaped(', '.join(arms))}; {seeds} seed{'s' if seeds != 1 else ''}; medians.",
+        f"Arms: {markdown.escaped(', '.join(arms))}; {seeds} seed{'s' if seeds != 1 else ''}; medians.",
     ]
     medians = []
     for group in groups(rows):
         counts = [f"{group.successes} of {group.total}", str(group.touched)]
         counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
         cells = ["-" if value is None else f"{value:.3g}" for value in group.medians]
-        medians.append([*map(escaped, group.key), *counts, *cells])
+        medians.append([*map(markdown.escaped, group.key), *counts, *cells])
     heads = ["scene", "disturbance", "policy", "arrived", "touched", "back", *(column.heading for column in MEASURED)]
-    lines += markdown_table(heads, medians)
+    lines += markdown.table(heads, medians)
     unposed = Counter((row.scene, row.disturbance, row.policy, row.reason) for row in rows if not row.posed)
     failed = [row for row in rows if row.reason.startswith(("plan", "simulation", "error"))]
     lines += ["", "## Could not be run", ""] if failed or unposed else []
     lines += [
-        escaped(f"- {', '.join(key)}, {count} case{'s' if count != 1 else ''}: {reason}")
+        markdown.escaped(f"- {', '.join(key)}, {count} case{'s' if count != 1 else ''}: {reason}")
         for (*key, reason), count in sorted(unposed.items())
     ]
     lines += [
-        escaped(f"- {row.policy}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}")
+        markdown.escaped(f"- {row.policy}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}")
         for row in failed
     ]
     with io.atomic_text(path) as stream:
