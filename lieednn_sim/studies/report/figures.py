@@ -72,12 +72,7 @@ _LOGARITHMIC = ("tracking_rms_mm", "planning_s", "jerk_effector")
 
 
 def plots(rows: Sequence[Row], controller: str) -> list[Plot]:
-    """Plot distributions of measured columns by planner and scene, for one arm.
-
-    Args:
-        rows: rows of one arm.
-        controller: the controller whose rollouts are shown.
-    """
+    """Plot distributions of measured columns by planner and scene, for the rows of one arm and one controller."""
     chosen = [row for row in rows if row.controller == controller]
     return [_distribution(chosen, BY_NAME[name], controller) for name in _DRAWN if numbers(chosen, name)]
 
