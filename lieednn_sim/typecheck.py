@@ -81,10 +81,11 @@ def _check_methods(cls: type) -> None:
         kind = type(value) if isinstance(value, classmethod | staticmethod) else None
         function = value if kind is None else value.__func__
         public = name in ("__init__", "__call__", "__getitem__") or not name.startswith("_")
-        # A module's own function that is a method as well stays where pickle finds it.
-        if public and isinstance(function, types.FunctionType) and "." in function.__qualname__:
+        if public and isinstance(function, types.FunctionType):
             checked = typechecked(function, cls)
             if checked is not function:
+                # Where pickle finds it, also if it was a module's own function.
+                checked.__module__, checked.__qualname__ = cls.__module__, f"{cls.__qualname__}.{name}"
                 setattr(cls, name, checked if kind is None else kind(checked))
 
 
