@@ -1,4 +1,4 @@
-"""Models of the same demonstrations compared, on one set or many: reproduction, generalisation, and other starts."""
+"""Comparison of models of the same demonstrations: reproduction, generalisation, and attraction from other starts."""
 
 from __future__ import annotations
 
