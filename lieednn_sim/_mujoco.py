@@ -28,7 +28,7 @@ class QuietWarnings:
 
     def __enter__(self) -> None:
         self._before = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(_ignore)
+        mujoco.set_mju_user_warning(lambda _: None)
 
     def __exit__(self, *_: object) -> None:
         mujoco.set_mju_user_warning(self._before)
@@ -49,7 +49,3 @@ def geom_colours(model: Any) -> Any:
     of_material = (model.geom_matid >= 0) & (colours == (0.5, 0.5, 0.5, 1.0)).all(axis=1)
     colours[of_material] = model.mat_rgba[model.geom_matid[of_material]]
     return colours
-
-
-def _ignore(_: str) -> None:
-    pass

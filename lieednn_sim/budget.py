@@ -51,11 +51,7 @@ def out_of_time() -> bool:
 
 
 def check_time() -> None:
-    """Check the budget; to be called in loops.
-
-    Raises:
-        OutOfTimeError: the budget of the present work is spent.
-    """
+    """Raise `OutOfTimeError` if the budget of the present work is spent; to be called in loops."""
     limit = _LIMIT.get()
     if limit is not None and cpu_time() > limit[0]:
         raise OutOfTimeError(

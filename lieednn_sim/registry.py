@@ -14,6 +14,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -218,16 +219,18 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         """Names of those whose library is not installed, with the commands that install them."""
         return {name: entry.install for name, entry in self.entries.items() if entry.install}
 
-    def require(self, name: str) -> None:
-        """Raise `LieEDNNError` if the library that one needs is not installed; the message says what to do.
+    def require(self, name: str) -> _Entry:
+        """As `find`; `LieEDNNError` if the library that it needs is not installed, which says what to do.
 
         No other one is taken instead, since results must not depend on what is installed.
         """
-        if command := self.find(name).install:
-            others = ", ".join(other for other, entry in self.entries.items() if not entry.library)
+        entry = self.find(name)
+        if command := entry.install:
+            others = ", ".join(other for other, row in self.entries.items() if not row.library)
             raise LieEDNNError(
                 f"{self.kind} {name!r} is not installed: {command}; or name another one, which needs no extra: {others}"
             )
+        return entry
 
     def origins(self, names: Iterable[str]) -> list[str]:
         """Where those that others have added come from, a line for each."""
@@ -238,12 +241,9 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         ]
 
     def _all(self) -> dict[str, _Entry]:
-        if not self._searched:
-            self._searched = True
-            self._load_entry_points()
-        return self.entries
-
-    def _load_entry_points(self) -> None:
+        if self._searched:
+            return self.entries
+        self._searched = True
         from importlib import metadata  # slow to import
 
         for point in metadata.entry_points(group=self._group):
@@ -255,7 +255,8 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
                     self.register(point.name)(given)
             except Exception as error:
                 text = f"{self.kind} {point.name!r} of package {package!r} ({point.value}) is left out: {error}"
-                warnings.warn(text, RuntimeWarning, stacklevel=5)
+                warnings.warn(text, RuntimeWarning, stacklevel=4)
+        return self.entries
 
 
 def install_command(library: str) -> str:
@@ -273,11 +274,7 @@ def purpose(library: str) -> str:
 
 
 def optional_module(name: str) -> Any:
-    """Import a module of an optional library.
-
-    Raises:
-        LieEDNNError: it is not installed; the message names the extra.
-    """
+    """Import a module of an optional library; `LieEDNNError`, which names the extra, if it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -285,223 +282,201 @@ def optional_module(name: str) -> Any:
         raise LieEDNNError(f"{library} is not installed (for {purpose(library)}): {install_command(library)}") from None
 
 
-def _added_planner(place: Any, takes: type | None = None) -> PlannerEntry:
-    return PlannerEntry(place, takes=takes, path_constraints=True)
-
-
+_PLANNERS = {
+    "minimum-jerk": PlannerEntry("planning.baselines.interpolation:minimum_jerk", "straight in joint space"),
+    "se3-geodesic": PlannerEntry(
+        "planning.baselines.interpolation:se3_geodesic", "compound joints on geodesics of SE(3)"
+    ),
+    "dmp": PlannerEntry("planning.baselines.primitives:dmp", "a dynamic movement primitive", "DmpOptions"),
+    "rrt-connect": PlannerEntry(
+        "planning.baselines.sampling:rrt_connect", "OMPL's RRT-Connect", "RrtConnectOptions", "ompl"
+    ),
+    "rrt-star": PlannerEntry("planning.baselines.sampling:rrt_star", "OMPL's RRT*", "RrtStarOptions", "ompl", cost=1.3),
+    "informed-rrt-star": PlannerEntry(
+        "planning.baselines.sampling:informed_rrt_star", "OMPL's Informed RRT*", "InformedRrtStarOptions", "ompl"
+    ),
+    "bit-star": PlannerEntry("planning.baselines.sampling:bit_star", "OMPL's BIT*", "BitStarOptions", "ompl"),
+    "aorrtc": PlannerEntry("planning.baselines.sampling:aorrtc", "OMPL's AORRTC", "RrtStarOptions", "ompl"),
+    "mjpl": PlannerEntry("planning.baselines.cbirrt:mjpl", "the bidirectional RRT of mjpl", "PathOptions", "mjpl"),
+    "sscbirrt": PlannerEntry(
+        "planning.baselines.cbirrt:sscbirrt", "the bidirectional RRT of sscbirrt", "PathOptions", "sscbirrt"
+    ),
+    "trajectory-optimisation": PlannerEntry(
+        "planning.baselines.optimisation:trajectory_optimisation",
+        "a spline of least jerk",
+        "OptimisationOptions",
+        cost=1.6,
+    ),
+    "stomp": PlannerEntry("planning.baselines.stomp:stomp", "stochastic trajectory optimisation", "StompOptions"),
+    "qshnn": PlannerEntry(
+        "planning.baselines.qshnn:qshnn", "the quaternion Hopfield network that the paper starts from", "QshnnOptions"
+    ),
+    "linear-attractor": PlannerEntry(
+        "planning.network_planners:linear_attractor", "a network without weights", network=True
+    ),
+    "lieednn-certified": PlannerEntry(
+        "planning.certified:certified", "a certified network for the target", "CertifiedOptions", network=True
+    ),
+    "lieednn-retargeted": PlannerEntry(
+        "planning.network_planners:retargeted",
+        "one certified network for all targets, retargeted by its bias",
+        "RetargetedOptions",
+        network=True,
+    ),
+    "lieednn-trained": PlannerEntry(
+        "planning.network_planners:trained", "a learned network", "TrainedOptions", cost=2.7, network=True
+    ),
+    "lieednn-shaped": PlannerEntry(
+        "planning.shaped:shaped",
+        "a certified network along the motion of a guide, around obstacles",
+        "ShapedOptions",
+        network=True,
+        path_constraints=True,
+    ),
+}
 #: All planners by name; a comparison's table is in this order.
-PLANNERS: Registry[PlannerEntry] = Registry(
+PLANNERS = Registry(
     "planner",
-    {
-        "minimum-jerk": PlannerEntry("planning.baselines.interpolation:minimum_jerk", "straight in joint space"),
-        "se3-geodesic": PlannerEntry(
-            "planning.baselines.interpolation:se3_geodesic", "compound joints on geodesics of SE(3)"
-        ),
-        "dmp": PlannerEntry("planning.baselines.primitives:dmp", "a dynamic movement primitive", "DmpOptions"),
-        "rrt-connect": PlannerEntry(
-            "planning.baselines.sampling:rrt_connect", "OMPL's RRT-Connect", "RrtConnectOptions", "ompl"
-        ),
-        "rrt-star": PlannerEntry(
-            "planning.baselines.sampling:rrt_star", "OMPL's RRT*", "RrtStarOptions", "ompl", cost=1.3
-        ),
-        "informed-rrt-star": PlannerEntry(
-            "planning.baselines.sampling:informed_rrt_star", "OMPL's Informed RRT*", "InformedRrtStarOptions", "ompl"
-        ),
-        "bit-star": PlannerEntry("planning.baselines.sampling:bit_star", "OMPL's BIT*", "BitStarOptions", "ompl"),
-        "aorrtc": PlannerEntry("planning.baselines.sampling:aorrtc", "OMPL's AORRTC", "RrtStarOptions", "ompl"),
-        "mjpl": PlannerEntry("planning.baselines.cbirrt:mjpl", "the bidirectional RRT of mjpl", "PathOptions", "mjpl"),
-        "sscbirrt": PlannerEntry(
-            "planning.baselines.cbirrt:sscbirrt", "the bidirectional RRT of sscbirrt", "PathOptions", "sscbirrt"
-        ),
-        "trajectory-optimisation": PlannerEntry(
-            "planning.baselines.optimisation:trajectory_optimisation",
-            "a spline of least jerk",
-            "OptimisationOptions",
-            cost=1.6,
-        ),
-        "stomp": PlannerEntry("planning.baselines.stomp:stomp", "stochastic trajectory optimisation", "StompOptions"),
-        "qshnn": PlannerEntry(
-            "planning.baselines.qshnn:qshnn",
-            "the quaternion Hopfield network that the paper starts from",
-            "QshnnOptions",
-        ),
-        "linear-attractor": PlannerEntry(
-            "planning.network_planners:linear_attractor", "a network without weights", network=True
-        ),
-        "lieednn-certified": PlannerEntry(
-            "planning.certified:certified", "a certified network for the target", "CertifiedOptions", network=True
-        ),
-        "lieednn-retargeted": PlannerEntry(
-            "planning.network_planners:retargeted",
-            "one certified network for all targets, retargeted by its bias",
-            "RetargetedOptions",
-            network=True,
-        ),
-        "lieednn-trained": PlannerEntry(
-            "planning.network_planners:trained", "a learned network", "TrainedOptions", cost=2.7, network=True
-        ),
-        "lieednn-shaped": PlannerEntry(
-            "planning.shaped:shaped",
-            "a certified network along the motion of a guide, around obstacles",
-            "ShapedOptions",
-            network=True,
-            path_constraints=True,
-        ),
-    },
-    make=_added_planner,
+    _PLANNERS,
+    make=partial(PlannerEntry, path_constraints=True),
     wanted="a function of a PlanningProblem",
     group="lieednn_sim.planners",
 )
 
+_POLICIES = {
+    "lieednn-shaped": PolicyEntry(
+        "policies.networks:shaped", "a certified network shaped for the path of a guide", "ShapedOptions"
+    ),
+    "lieednn-certified": PolicyEntry(
+        "policies.networks:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
+    ),
+    "lieednn-replanning": PolicyEntry(
+        "policies.replanning:replanning",
+        "a certified network that takes new targets and new paths, among obstacles that move",
+        "ReplanningOptions",
+    ),
+    "linear-attractor": PolicyEntry("policies.networks:linear", "the network without weights: straight in se(3)"),
+    "dmp": PolicyEntry(
+        "policies.primitive:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"
+    ),
+    "fabric": PolicyEntry("policies.fabric:fabric", "an attractor, and obstacles that repel", "FabricOptions"),
+    "mppi": PolicyEntry(
+        "policies.path_integral:path_integral",
+        "model-predictive path integral control, with a model of its own",
+        "PathIntegralOptions",
+    ),
+    "tracker": PolicyEntry("policies.tracker:tracker", "a planned motion, whatever the arm does"),
+}
 #: All policies by name.
-POLICIES: Registry[PolicyEntry] = Registry(
-    "policy",
-    {
-        "lieednn-shaped": PolicyEntry(
-            "policies.networks:shaped", "a certified network shaped for the path of a guide", "ShapedOptions"
-        ),
-        "lieednn-certified": PolicyEntry(
-            "policies.networks:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
-        ),
-        "lieednn-replanning": PolicyEntry(
-            "policies.replanning:replanning",
-            "a certified network that takes new targets and new paths, among obstacles that move",
-            "ReplanningOptions",
-        ),
-        "linear-attractor": PolicyEntry("policies.networks:linear", "the network without weights: straight in se(3)"),
-        "dmp": PolicyEntry(
-            "policies.primitive:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"
-        ),
-        "fabric": PolicyEntry("policies.fabric:fabric", "an attractor, and obstacles that repel", "FabricOptions"),
-        "mppi": PolicyEntry(
-            "policies.path_integral:path_integral",
-            "model-predictive path integral control, with a model of its own",
-            "PathIntegralOptions",
-        ),
-        "tracker": PolicyEntry("policies.tracker:tracker", "a planned motion, whatever the arm does"),
-    },
-    make=PolicyEntry,
-    wanted="a function of a PolicyTask",
-    group="lieednn_sim.policies",
+POLICIES = Registry(
+    "policy", _POLICIES, make=PolicyEntry, wanted="a function of a PolicyTask", group="lieednn_sim.policies"
 )
 
+_CONTROLLERS = {
+    "position-servo": Entry(
+        "simulation.controllers.base:PositionServo", "sends positions and velocities to the arm's position servos"
+    ),
+    "inverse-dynamics": Entry(
+        "simulation.controllers.base:InverseDynamicsServo",
+        "adds the forces that the motion needs according to the model",
+    ),
+    "computed-torque": Entry(
+        "simulation.controllers.base:ComputedTorque",
+        "feedback from the measured state through the model, instead of servos",
+    ),
+    "feedback-linearisation": Entry(
+        "simulation.controllers.linearisation:feedback_linearisation",
+        "computed torques through whatever actuators a model has; the default for views",
+    ),
+    "mocap": Entry(
+        "simulation.controllers.mocap:MocapWelds",
+        "leads the link frames by bodies that are welded to them; no actuators, hence no noise",
+    ),
+    "mocap-deadbeat": Entry(
+        "simulation.controllers.mocap:DeadbeatWelds",
+        "the same with welds that close the error in one step; needs a reference at every time step",
+    ),
+}
 #: All controllers by name: functions or classes that take an arm and a `Reference`.
-CONTROLLERS: Registry[Entry] = Registry(
+CONTROLLERS = Registry(
     "controller",
-    {
-        "position-servo": Entry(
-            "simulation.controllers.base:PositionServo", "sends positions and velocities to the arm's position servos"
-        ),
-        "inverse-dynamics": Entry(
-            "simulation.controllers.base:InverseDynamicsServo",
-            "adds the forces that the motion needs according to the model",
-        ),
-        "computed-torque": Entry(
-            "simulation.controllers.base:ComputedTorque",
-            "feedback from the measured state through the model, instead of servos",
-        ),
-        "feedback-linearisation": Entry(
-            "simulation.controllers.linearisation:feedback_linearisation",
-            "computed torques through whatever actuators a model has; the default for views",
-        ),
-        "mocap": Entry(
-            "simulation.controllers.mocap:MocapWelds",
-            "leads the link frames by bodies that are welded to them; no actuators, hence no noise",
-        ),
-        "mocap-deadbeat": Entry(
-            "simulation.controllers.mocap:DeadbeatWelds",
-            "the same with welds that close the error in one step; needs a reference at every time step",
-        ),
-    },
+    _CONTROLLERS,
     make=Entry,
     wanted="a Controller, or a function that makes one",
     group="lieednn_sim.controllers",
 )
 
+_ARMS = {
+    "telescopic_compound": Entry(help="four compound joints of six degrees of freedom each"),
+    "telescopic_pr": Entry(help="four sliding and turning links"),
+    "telescopic_rrp": Entry(help="three links that turn twice and slide"),
+}
 #: The arms of the package; each is a folder of that name with a scene.xml in ``assets/mjcf``.
-ARMS: Registry[Entry] = Registry(
-    "arm",
-    {
-        "telescopic_compound": Entry(help="four compound joints of six degrees of freedom each"),
-        "telescopic_pr": Entry(help="four sliding and turning links"),
-        "telescopic_rrp": Entry(help="three links that turn twice and slide"),
-    },
-)
+ARMS = Registry("arm", _ARMS)
 
+_SCENES = {
+    "free": Entry(help="no obstacles"),
+    "window": Entry("arm.scenes:window", "a wall with an opening"),
+    "shelf": Entry("arm.scenes:shelf", "a shelf of two columns and two rows"),
+    "poles": Entry("arm.scenes:poles", "a field of vertical poles"),
+}
 #: Obstacles around an arm, functions of `arm.scenes`. The index of a name is part of the seed of its obstacles.
-SCENES: Registry[Entry] = Registry(
-    "scene",
-    {
-        "free": Entry(help="no obstacles"),
-        "window": Entry("arm.scenes:window", "a wall with an opening"),
-        "shelf": Entry("arm.scenes:shelf", "a shelf of two columns and two rows"),
-        "poles": Entry("arm.scenes:poles", "a field of vertical poles"),
-    },
-)
+SCENES = Registry("scene", _SCENES)
 
+_FORMATS = {
+    "csv": FormatEntry(
+        "exports.csv_table:write", "a table of time, joints and end effector, for a spreadsheet, MATLAB, R or pandas"
+    ),
+    "ros2": FormatEntry(
+        "exports.ros2:write",
+        "a JointTrajectory as YAML, and a bag in MCAP, for a robot's controller or a replay in ROS 2",
+        library="rosbags",
+    ),
+    "plannerarena": FormatEntry(
+        "exports.planner_arena:write",
+        "OMPL's benchmark logs of a comparison, for tools such as Planner Arena",
+        of_comparison=True,
+    ),
+    "lerobot": FormatEntry(
+        "exports.lerobot:write",
+        "a data set of one episode for each run, to train policies by imitation with LeRobot",
+        library="pyarrow",
+    ),
+    "rerun": FormatEntry(
+        "exports.rerun_recording:write",
+        "a recording of the moving arm and of curves over time, for Rerun's viewer",
+        library="rerun",
+    ),
+}
 #: File formats of other tools.
-FORMATS: Registry[FormatEntry] = Registry(
-    "format",
-    {
-        "csv": FormatEntry(
-            "exports.csv_table:write",
-            "a table of time, joints and end effector, for a spreadsheet, MATLAB, R or pandas",
-        ),
-        "ros2": FormatEntry(
-            "exports.ros2:write",
-            "a JointTrajectory as YAML, and a bag in MCAP, for a robot's controller or a replay in ROS 2",
-            library="rosbags",
-        ),
-        "plannerarena": FormatEntry(
-            "exports.planner_arena:write",
-            "OMPL's benchmark logs of a comparison, for tools such as Planner Arena",
-            of_comparison=True,
-        ),
-        "lerobot": FormatEntry(
-            "exports.lerobot:write",
-            "a data set of one episode for each run, to train policies by imitation with LeRobot",
-            library="pyarrow",
-        ),
-        "rerun": FormatEntry(
-            "exports.rerun_recording:write",
-            "a recording of the moving arm and of curves over time, for Rerun's viewer",
-            library="rerun",
-        ),
-    },
-)
+FORMATS = Registry("format", _FORMATS)
 
+_ALGORITHMS = {
+    "literal": Entry("learning.options:TrainingOptions.literal", "as printed in the paper"),
+    "repaired": Entry("learning.options:TrainingOptions", "its equations, repaired"),
+    "tracked": Entry("learning.options:TrainingOptions.tracked", "the same, with the equilibrium tracked"),
+    "riemannian": Entry("learning.options:RiemannianOptions", "on the manifold of scaled adjoints"),
+    "stability-aware": Entry("learning.options:RiemannianOptions.stability_aware", "the same, certified all along"),
+}
 #: Algorithms that learn a network for a target: functions of their options' values, which make these options.
-ALGORITHMS: Registry[Entry] = Registry(
-    "algorithm",
-    {
-        "literal": Entry("learning.options:TrainingOptions.literal", "as printed in the paper"),
-        "repaired": Entry("learning.options:TrainingOptions", "its equations, repaired"),
-        "tracked": Entry("learning.options:TrainingOptions.tracked", "the same, with the equilibrium tracked"),
-        "riemannian": Entry("learning.options:RiemannianOptions", "on the manifold of scaled adjoints"),
-        "stability-aware": Entry("learning.options:RiemannianOptions.stability_aware", "the same, certified all along"),
-    },
-)
+ALGORITHMS = Registry("algorithm", _ALGORITHMS)
 
+_BIAS_RULES = {
+    "uniform": Entry(help="every entry the same, as in the paper"),
+    "sign-matched": Entry(help="with the sign of the target"),
+    "solved": Entry(help="what makes the target the equilibrium of weights drawn without regard to it"),
+}
 #: Rules that choose a network's bias, see `synthesis.bias_for`.
-BIAS_RULES: Registry[Entry] = Registry(
-    "bias rule",
-    {
-        "uniform": Entry(help="every entry the same, as in the paper"),
-        "sign-matched": Entry(help="with the sign of the target"),
-        "solved": Entry(help="what makes the target the equilibrium of weights drawn without regard to it"),
-    },
-)
+BIAS_RULES = Registry("bias rule", _BIAS_RULES)
 
+_RIVALS = {
+    "dmp": Entry("learning.demonstrations.primitive:MovementPrimitive.fit", "a dynamic movement primitive"),
+    "promp": Entry(
+        "learning.demonstrations.probabilistic:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"
+    ),
+    "lpv-ds": Entry("learning.demonstrations.stable_mixture:StableMixture.fit", "a stable mixture of linear ones"),
+    "linear-attractor": Entry("learning.demonstrations.models:LinearAttractor.fit", "the same rate everywhere"),
+}
 #: Models of demonstrations with which a shaped network is compared: functions of demonstrations and of the number of
 #: parameters to have.
-RIVALS: Registry[Entry] = Registry(
-    "rival",
-    {
-        "dmp": Entry("learning.demonstrations.primitive:MovementPrimitive.fit", "a dynamic movement primitive"),
-        "promp": Entry(
-            "learning.demonstrations.probabilistic:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"
-        ),
-        "lpv-ds": Entry("learning.demonstrations.stable_mixture:StableMixture.fit", "a stable mixture of linear ones"),
-        "linear-attractor": Entry("learning.demonstrations.models:LinearAttractor.fit", "the same rate everywhere"),
-    },
-)
+RIVALS = Registry("rival", _RIVALS)

@@ -84,6 +84,8 @@ def _check_methods(cls: type) -> None:
         if public and isinstance(function, types.FunctionType):
             checked = typechecked(function, cls)
             if checked is not function:
+                # Where pickle finds it, also if it was a module's own function.
+                checked.__module__, checked.__qualname__ = cls.__module__, f"{cls.__qualname__}.{name}"
                 setattr(cls, name, checked if kind is None else kind(checked))
 
 

@@ -150,11 +150,7 @@ def as_path(name: str, value: object) -> Path:
 
 
 def as_finite(name: str, result: NDArray[Any]) -> NDArray[Any]:
-    """Return a computed array if all its entries are finite.
-
-    Raises:
-        InputError: they are not, since the input was too large for double precision.
-    """
+    """Return a computed array, or raise `InputError` if the input was too large for double precision."""
     if not np.isfinite(result).all():
         raise InputError(f"{name} is beyond the range of double precision for this input; make the input smaller")
     return result
@@ -210,18 +206,13 @@ def as_count(name: str, value: int, least: int = 1, most: int = 2**53) -> int:
 
 
 def as_workers(name: str, value: int) -> int:
-    """Return a number of threads or processes from 1 to 1024, or raise `InputError`.
-
-    These are more than the cores of any machine, and fewer than a system refuses.
-    """
+    """Return a number of threads or processes from 1 to 1024, or raise `InputError`."""
+    # More than the cores of any machine, and fewer than a system refuses.
     return as_count(name, value, most=1024)
 
 
 def as_seed(name: str, seed: Seed) -> int:
-    """Return ``seed`` as a whole number of at most 128 bits, as NumPy's own, or raise `InputError`.
-
-    A generator draws it.
-    """
+    """Return ``seed``, which a generator draws, as a whole number of at most 128 bits, or raise `InputError`."""
     if isinstance(seed, np.random.Generator | np.random.SeedSequence):
         return int(np.random.default_rng(seed).integers(2**63))
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:

@@ -33,7 +33,7 @@ from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE, save_figure
 from lieednn_sim.planning import PLANNERS
 from lieednn_sim.planning.joint_space import joint_scale
-from lieednn_sim.studies.comparison.cases import arm_and_target
+from lieednn_sim.studies.comparison.study import arm_and_target
 from lieednn_sim.studies.markdown import table
 
 SCENE, FIRST_SEED = "poles", 2000

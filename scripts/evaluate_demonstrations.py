@@ -15,11 +15,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from demonstration_sets import DemonstrationSets, ModelScore, models
 from rich.console import Console
 
 from lieednn_sim import io
 from lieednn_sim.studies import markdown
-from lieednn_sim.studies.demonstrations.study import DemonstrationSets, ModelScore, models
 from lieednn_sim.studies.statistics import grouped
 from lieednn_sim.studies.study import compute
 

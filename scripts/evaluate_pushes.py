@@ -25,7 +25,7 @@ from lieednn_sim.arm import arm_names
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.simulation import Following
 from lieednn_sim.studies.markdown import table
-from lieednn_sim.studies.reactions.recovery import PUSH_DEVIATION, PUSH_TIME, UndisturbedPath, pushing_force
+from lieednn_sim.studies.reactions.disturbing import PUSH_DEVIATION, PUSH_TIME, UndisturbedPath, pushing_force
 
 # Speed of motions [1/s]: rho times the network's own; time simulated [s]; pushes for one target.
 PACE, DURATION, EACH = 2.0, 5.0, 10

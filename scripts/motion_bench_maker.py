@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from exit_code import exit_code
 from rich.console import Console
 
 from lieednn_sim import io
@@ -23,7 +24,6 @@ from lieednn_sim.studies.markdown import table
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.problems.study import PublishedProblems, Solution
 from lieednn_sim.studies.study import compute
-from lieednn_sim.studies.workers import exit_code
 
 ROBOTS = ("panda", "ur5", "fetch")
 PLANNERS = ("rrt-connect", "lieednn-shaped", "minimum-jerk")

@@ -15,13 +15,13 @@ from pathlib import Path
 # Set before NumPy loads, and inherited by the workers: the matrices are far too small for threads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from exit_code import exit_code
 from paper import figures, report
 from paper.plan import FULL, QUICK, Plan, jobs
 from paper.results import Results, load, run_all
 from rich.console import Console
 
 from lieednn_sim import io
-from lieednn_sim.studies.workers import exit_code
 
 
 def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, command: str, console: Console) -> Path:

@@ -8,7 +8,7 @@ import pytest
 import lieednn_sim as ls
 from lieednn_sim import errors, simulation
 from lieednn_sim.arm import Arm, targets
-from lieednn_sim.environments import tasks, trajectories
+from lieednn_sim.environments import tasks
 from lieednn_sim.errors import InputError, NoSolutionError
 
 
@@ -26,13 +26,13 @@ def test_each_error_is_of_one_kind():
     [
         lambda: targets.draw_target(Arm.load("telescopic_pr")),
         lambda: targets.draw_target(Arm.load("telescopic_pr", "window")),
-        lambda: trajectories.band_limited(Arm.load("telescopic_pr"), np.random.default_rng(0), 1.0),
+        lambda: tasks.band_limited(Arm.load("telescopic_pr"), np.random.default_rng(0), 1.0),
         lambda: tasks.make_task("track", reference="plan").begin(np.random.default_rng(0)),
     ],
 )
 def test_what_is_drawn_in_vain_was_no_bad_input(search, monkeypatch):
-    for module in (targets, trajectories, tasks):
-        monkeypatch.setattr(module, "_ATTEMPTS", 0)
+    for module, attempts in ((targets, "_ATTEMPTS"), (tasks, "_ATTEMPTS"), (tasks, "_DRAWS")):
+        monkeypatch.setattr(module, attempts, 0)
     with pytest.raises(NoSolutionError, match=r"^no (target|random trajectory|plan)") as failed:
         search()
     assert not isinstance(failed.value, InputError)

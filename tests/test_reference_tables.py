@@ -17,11 +17,10 @@ import numpy as np
 import pytest
 import robustness
 import shaped
+from demonstration_sets import scored
 
 from lieednn_sim.evaluation.paths import PathErrors
-from lieednn_sim.studies.demonstrations.attraction import Attraction
-from lieednn_sim.studies.demonstrations.models import ModelRow
-from lieednn_sim.studies.demonstrations.study import scored
+from lieednn_sim.studies.demonstrations.models import Attraction, ModelRow
 from lieednn_sim.studies.problems.study import Solution
 
 

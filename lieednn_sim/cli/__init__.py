@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import lieednn_sim
 from lieednn_sim.cli import parser
 from lieednn_sim.cli.interruption import Interruption, say
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
@@ -86,17 +87,11 @@ def bind(words: Sequence[str]) -> Callable[[], Any]:
     if command in ("-h", "--help"):
         return lambda: print(parser.overview(_DESCRIPTION, COMMANDS))
     if command == "--version":
-        return _print_version
+        return lambda: print(f"lieednn-sim {lieednn_sim.__version__}")
     modules = {command: module for members in COMMANDS.values() for command, module in members.items()}
     if command not in modules:
         raise InputError(f"no command {command!r}{parser.near(command, modules)}; commands: {', '.join(modules)}")
     return parser.bind(parser.definition(modules[command], command), words[1:])
-
-
-def _print_version() -> None:
-    import lieednn_sim
-
-    print(f"lieednn-sim {lieednn_sim.__version__}")
 
 
 def _output_failed() -> bool:

@@ -19,7 +19,7 @@ from lieednn_sim.arm.obstacles import is_scene_file
 from lieednn_sim.arm.targets import draw_target, goes_to_extended
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.cli.kinds import KINDS, Force, Joints, Point, Pose, Setting, kind_of, numbers
-from lieednn_sim.cli.task import Task
+from lieednn_sim.cli.run_directory import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
 from lieednn_sim.registry import CONTROLLERS
@@ -121,7 +121,8 @@ class Goal(ChosenArm):
             there = self.position
             return start, TaskSpaceRegion.box(there, there) if place else solve_ik(arm, there, start=start)
         if self.pose:
-            return start, [_transform(pose) for pose in self.pose]
+            transforms, rotation = scipy.spatial.transform.RigidTransform, scipy.spatial.transform.Rotation
+            return start, [transforms.from_components(at[:3], rotation.from_rotvec(at[3:])) for at in self.pose]
         return start, joint_position(arm, self.usual_target(arm) or self.target or "", "target")
 
 
@@ -216,11 +217,6 @@ def joint_position(arm: Arm, text: str, what: str) -> Floats:
         return np.array(numbers(text, arm.n_joints))
     except ArgumentTypeError as error:
         raise InputError(f"{what} {error}") from None
-
-
-def _transform(pose: Pose) -> RigidTransform:
-    rotation = scipy.spatial.transform.Rotation.from_rotvec(pose[3:])
-    return scipy.spatial.transform.RigidTransform.from_components(pose[:3], rotation)
 
 
 def read_options(options: Any, texts: Sequence[str]) -> Any:

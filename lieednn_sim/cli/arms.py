@@ -69,11 +69,12 @@ def farthest(arm: Arm) -> float:
 def _print_summaries(loaded: list[Arm]) -> None:
     rows = table("arms", "arm", "links", "n", "joints", "reach m", "unit m", "keyframes")
     for arm in loaded:
+        kinds = Counter(factor.kind for joint in arm.joints.joints for factor in joint.factors)
         rows.add_row(
             arm.name,
             str(arm.n_links),
             str(arm.n_joints),
-            _kinds(arm),
+            ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in sorted(kinds.items())),
             f"{farthest(arm):.2f}",
             f"{arm.length_scale:g}",
             ", ".join(arm.keyframes),
@@ -83,11 +84,6 @@ def _print_summaries(loaded: list[Arm]) -> None:
         "unit: metres per length unit of the network"
     )
     console.print(rows)
-
-
-def _kinds(arm: Arm) -> str:
-    kinds = Counter(factor.kind for joint in arm.joints.joints for factor in joint.factors)
-    return ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in sorted(kinds.items()))
 
 
 def _coordinates(arm: Arm) -> object:

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
+
 from lieednn_sim import io
-from lieednn_sim.cli.arguments import Look, Planning, Simulating, check_look, still_look
-from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.cli.arguments import RANDOM, Look, Planning, Simulating, check_look, read_options, still_look
+from lieednn_sim.cli.arms import print_import_report
+from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
-from lieednn_sim.cli.planning import make_plan
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError, SimulationError
+from lieednn_sim.evaluation.display import rounded, table
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
+from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner
+from lieednn_sim.planning import plan as plan_motion
+from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.motion import check_motion
+from lieednn_sim.planning.shaped import ShapedDetails
+from lieednn_sim.registry import PLANNERS
 from lieednn_sim.rendering import opengl
 from lieednn_sim.rendering.video import render_video
 from lieednn_sim.simulation import Rollout
@@ -55,7 +65,7 @@ def demo(
     run = RunDirectory(output, plots)
     with run.at_work():
         # The paper's bias leaves more to the weights.
-        make_plan(run, planning, ["bias_magnitudes=0.125"])
+        _plan(run, planning, ["bias_magnitudes=0.125"])
         _simulate(run, simulating)
         _evaluate(run)
         if page:
@@ -82,7 +92,7 @@ def plan(*, planning: Planning, output: Directory = "results/run") -> None:
     """
     run = RunDirectory(output)
     with run.at_work():
-        make_plan(run, planning)
+        _plan(run, planning)
 
 
 def simulate(run: Directory, *, simulating: Simulating) -> None:
@@ -131,6 +141,82 @@ def render(run: Directory, *, output: File | None = None, look: Look) -> None:
         _render(directory, path, look)
 
 
+def _plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) -> None:
+    """Plan, and write what is made; ``usual`` are options of ``lieednn-certified`` if no others are given."""
+    arm = planning.load()
+    # The default does not depend on what is installed: if it cannot run, that is an error.
+    if planning.planner is not None:
+        planner, reason = planning.planner, "asked for"
+    elif planning.path_constraint is not None:
+        planner, reason = OBSTACLE_PLANNER, "the default where a region is kept"
+    else:
+        planner, reason = default_planner(arm)
+    kind = PLANNERS.require(planner).options
+    texts = [*usual, *planning.option] if planner == "lieednn-certified" else planning.option
+    if kind is None and texts:
+        raise InputError(f"the planner {planner} has no options, got {texts[0]!r}")
+    options = None if kind is None else read_options(kind(), texts)
+    console.print(f"planner: {planner} ({reason}), at most {planning.time_budget:g} s of CPU time")
+    target = planning.usual_target(arm)
+    if target is not None and target.startswith(RANDOM):
+        console.print(f"target: {target}")
+    start, goal = planning.start_and_goal(arm, place=planning.path_constraint is not None)
+    path_constraint = planning.constraint_region(arm, start, goal)
+    shown = {
+        # JSON has no infinity.
+        "time_budget": None if planning.time_budget == math.inf else planning.time_budget,
+        "fastest": planning.fastest,
+        "path_constraint": planning.path_constraint,
+        "option": {} if options is None else asdict(options),
+    }
+    about = {"planner": planner, "reason": reason, "options": shown}
+    task = planning.task(arm, start, start, planning.duration, planning.seed, **about)
+    with progress("plan") as report:
+        result = plan_motion(
+            arm,
+            goal,
+            planner=planner,
+            start=start,
+            duration=planning.duration,
+            max_time_scale=1.0 if planner == "lieednn-certified" and not planning.fastest else 3.0,
+            seed=planning.seed,
+            time_budget=planning.time_budget,
+            options=options,
+            fastest=planning.fastest,
+            path_constraint=path_constraint,
+            progress=report,
+        )
+    task = replace(task, target=tuple(result.target.tolist()))
+    written = run.save_network(task, result.network, result.motion)
+    print_import_report(arm)
+    _print_plan(result)
+    wrote(*written)
+
+
+def _print_plan(result: Plan) -> None:
+    """Print a plan's duration, mechanism gap and network, how it was found, and what is proved of it."""
+    network, motion, details = result.network, result.motion, result.details
+    millimetres, degrees = 1e3 * motion.gap_translation.max(), np.rad2deg(motion.gap_rotation.max())
+    rows = table("plan", "quantity", "value")
+    rows.add_row("planner", result.planner)
+    rows.add_row("duration", f"{motion.t[-1]:.2f} s")
+    rows.add_row("mechanism gap", f"{rounded(millimetres)} mm and {rounded(degrees)} degrees at most, 0 at the target")
+    if isinstance(details, CertifiedDetails):
+        rows.add_row("networks", f"{details.n_networks} networks drawn, {details.within_limits} keep the joint limits")
+    if isinstance(details, ShapedDetails) and result.guide is not None:
+        rows.add_row("guide", result.guide.planner)
+        rows.add_row("off its path", f"{1e3 * details.deviation:.2g} mm at the end effector")
+    if network is None:
+        rows.add_row("proof", "none, as this planner makes no network")
+        console.print(rows)
+        return
+    goal = network.goal(motion.xi_target)
+    rows.add_row("largest bias", f"{np.abs(network.bias).max():.3g}")
+    rows.add_row("1-norm of W", one_norm(network, goal))
+    console.print(rows)
+    print_stability(network, goal)
+
+
 def _simulate(run: RunDirectory, simulating: Simulating) -> None:
     task, arm = run.load_task()
     changes = simulating.all_disturbances(arm)
@@ -168,8 +254,7 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
 def _evaluate(run: RunDirectory) -> None:
     from lieednn_sim.evaluation import plots
 
-    task, arm = run.load_task()
-    rollout = run.load_rollout(task, arm)
+    rollout = run.load_rollout(*run.load_task())
     evaluation = evaluate_rollout(rollout)
     console.print(evaluation)
     drawn: dict[Path, Callable[[Rollout, Path], None]] = {

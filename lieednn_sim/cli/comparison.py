@@ -50,18 +50,7 @@ class Shown:
 
 def compare(
     *,
-    cases: Annotated[
-        dict[str, Any],
-        Comparison,
-        "planners",
-        "arms",
-        "scenes",
-        "controllers",
-        "seeds",
-        "first_seed",
-        "slow_seeds",
-        "common",
-    ],
+    cases: Annotated[dict[str, Any], Comparison],
     shard: str | None = None,
     merge: list[File] | None = None,
     output: Directory = "results/comparison",

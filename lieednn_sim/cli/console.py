@@ -39,11 +39,7 @@ def progress(what: str) -> Iterator[Callable[[int, int], None]]:
     stderr = to_stderr()
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
         shown = bar.add_task(what, total=None)
-
-        def update(done: int, total: int) -> None:
-            bar.update(shown, completed=done, total=total)
-
-        yield update
+        yield lambda done, total: bar.update(shown, completed=done, total=total)
 
 
 def print_stability(network: ComponentwiseNetwork, xi: ArrayLike) -> None:

@@ -20,16 +20,7 @@ _PACKAGES = (
     "mujoco",
     # It has no release for Python 3.13.
     *(("dm-control",) if sys.version_info < (3, 13) else ()),
-    "dm-env",
-    "numpy",
-    "scipy",
-    "daqp",
-    "imageio-ffmpeg",
-    "matplotlib",
-    "jinja2",
-    "pillow",
-    "rich",
-    "pyyaml",
+    *("dm-env", "numpy", "scipy", "daqp", "imageio-ffmpeg", "matplotlib", "jinja2", "pillow", "rich", "pyyaml"),
     "threadpoolctl",
 )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 from lieednn_sim import io
@@ -11,7 +10,7 @@ from lieednn_sim.cli.kinds import Directory, File
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError
 from lieednn_sim.exports import export as export_sources
-from lieednn_sim.exports.recording import record
+from lieednn_sim.exports.formats import record
 from lieednn_sim.registry import FORMATS
 from lieednn_sim.validation import as_path
 
@@ -38,8 +37,7 @@ def export(
             instead; for lerobot.
         recorded: the episodes.
     """
-    chosen = FORMATS.find(format)
-    FORMATS.require(format)
+    chosen = FORMATS.require(format)
     if episodes is not None:
         if format != "lerobot" or runs:
             raise InputError("--episodes are recorded in the format lerobot, and of no runs")
@@ -57,14 +55,12 @@ def export(
         name = path.resolve().name
         if name in sources:
             raise InputError(f"two of the directories are called {name!r}; export them into different directories")
-        sources[name] = path if chosen.of_comparison else _rollout(path)
+        if chosen.of_comparison:
+            sources[name] = path
+            continue
+        run = RunDirectory(path).existing()
+        with io.locked(run.path, shared=True):
+            sources[name] = run.load_rollout(*run.load_task())
     with progress("export"):
         written = export_sources(sources, output, format=format, rate=rate)
     wrote(*written)
-
-
-def _rollout(path: Path) -> Any:
-    run = RunDirectory(path).existing()
-    with io.locked(run.path, shared=True):
-        task, arm = run.load_task()
-        return run.load_rollout(task, arm)

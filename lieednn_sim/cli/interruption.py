@@ -15,13 +15,9 @@ class Interruption:
     """Context, for the main thread, in which the first SIGINT or SIGTERM raises `KeyboardInterrupt`.
 
     A second signal ends the process at once. Objects that an interruption leaves half released, such as an OpenGL
-    context, may raise when Python disposes of them; these errors are not printed.
-
-    Args:
-        last: the process ends after the block, and disposes of such objects then.
-
-    Attributes:
-        received: the signal received, if any; libraries may swallow the exception, or make another one of it.
+    context, may raise when Python disposes of them; these errors are not printed in the block, nor after the ``last``
+    one, at whose end the process ends. ``received`` is the signal, if any: libraries may swallow the exception, or make
+    another one of it.
     """
 
     def __init__(self, *, last: bool = False) -> None:

@@ -56,11 +56,8 @@ def view(
     with page:
         console.print(f"view: {page.url} (Ctrl-C ends it)")
         sys.stdout.flush()
-        if browser and _has_display():
+        # Without a window `webbrowser` may start a browser in this terminal.
+        windows = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+        if browser and windows:
             page.open()
         page.wait()
-
-
-def _has_display() -> bool:
-    """Whether a browser would have a window; without one `webbrowser` may start a browser in this terminal."""
-    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,4 +1,4 @@
-"""The directory of a run.
+"""The directory of a run, and its task.
 
 Task, network, motion, rollout and metrics are made from each other in that order. Task, network and motion replace
 those of an older run together, and its other results go. The task knows the motion that was made for it, and a rollout
@@ -8,21 +8,26 @@ the motion that it followed, so that files of different runs are never mixed.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 from lieednn_sim import io
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli.task import Task
+from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.result import History
 from lieednn_sim.network import BlockNetwork
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.validation import as_choice, as_path
+from lieednn_sim.typecheck import typecheck_public
+from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, as_seed
+from lieednn_sim.values import check_fields, set_fields
 from lieednn_sim.versions import versions
+
+__all__ = ["RunDirectory", "Task"]
 
 # Formats of the plots; the first is the default.
 PLOT_KINDS = ("png", "pdf", "svg")
@@ -30,13 +35,76 @@ PLOT_KINDS = ("png", "pdf", "svg")
 _PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints", "channels")
 
 
-class RunDirectory:
-    """The files of one run; writes them, reads them, and checks that they belong together.
+@dataclass(frozen=True)
+class Task:
+    """The task of a run, which makes it reproducible.
 
-    Args:
-        path: path of the directory.
-        plots: format of plots, one of `PLOT_KINDS`.
+    Attributes:
+        arm: name of an arm of the package, or a model file.
+        start: joint position at rest [rad, m].
+        target: joint target [rad, m].
+        duration: duration of the motion [s].
+        scene: the obstacles around the arm, see `Arm.load`.
+        scene_seed: seed of the obstacles' positions.
+        imported: import options of a model file, see `Arm.load`.
+        planner: a name of `planning.PLANNERS`, or ``train`` or ``learn``, the commands.
+        reason: why this planner was chosen.
+        seed: seed of its random draws.
+        options: its other options by name, as JSON values.
+        model: `Arm.fingerprint` of the arm.
+        motion: `fingerprint` with the motion that was made for the task; empty without one.
+        versions: versions of the packages with which the task was made.
     """
+
+    arm: str
+    start: tuple[float, ...]
+    target: tuple[float, ...]
+    duration: float
+    scene: str = "free"
+    scene_seed: int = 0
+    imported: ImportOptions = field(default_factory=ImportOptions)
+    planner: str = "lieednn-certified"
+    reason: str = ""
+    seed: int = 0
+    options: Mapping[str, Any] = field(default_factory=dict)
+    model: str = ""
+    motion: str = ""
+    versions: Mapping[str, str] = field(default_factory=lambda: versions(optional=True))
+
+    def __post_init__(self) -> None:
+        check_fields(self, as_positive, "duration")
+        check_fields(self, as_seed, "scene_seed", "seed")
+        for name in ("start", "target"):
+            set_fields(self, **{name: tuple(as_floats(name, getattr(self, name), ("n",)).tolist())})
+        if unknown := self.imported.keys() - ImportOptions.__optional_keys__:
+            raise InputError(f"no options of an import: {', '.join(sorted(unknown))}")
+
+    def fingerprint(self, motion: Motion) -> str:
+        """Fingerprint of all values and of a motion for them; see `io.fingerprint`."""
+        return io.fingerprint(vars(motion), {**asdict(self), "motion": ""})
+
+    def load_arm(self) -> Arm:
+        """The arm among its obstacles; raises as `Arm.load`."""
+        return Arm.load(self.arm, self.scene, self.scene_seed, **self.imported)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as JSON, atomically."""
+        io.save_json(path, asdict(self))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Task:
+        """Read a file of `save`; `FileError` says what is wrong with it."""
+        value = io.load_json(path, "task")
+        try:
+            return cls(**{entry.name: value[entry.name] for entry in fields(cls)})
+        except KeyError as error:
+            raise FileError(f"{path} is not a valid task (it has no {error}); make the run again") from None
+        except InputError as error:
+            raise FileError(f"{path} is not a valid task: {error}") from None
+
+
+class RunDirectory:
+    """The files of one run, with plots in one of `PLOT_KINDS`; writes and reads them, and checks that they match."""
 
     def __init__(self, path: str | os.PathLike[str], plots: str = PLOT_KINDS[0]) -> None:
         self._plots = as_choice("plots", plots, PLOT_KINDS)
@@ -73,10 +141,9 @@ class RunDirectory:
         return [self.path / f"{name}.{kind}" for name in names for kind in PLOT_KINDS]
 
     def at_work(self, *, shared: bool = False) -> AbstractContextManager[Path]:
-        """Create the directory if needed, and lock the run against other commands; raises as `io.output_folder`.
+        """The directory, created if needed and locked against other commands; raises as `io.output_folder`.
 
-        Args:
-            shared: let other commands in that only write results, as this one does.
+        If it is shared, others may come in that only write results, as this one does.
         """
         return io.output_folder(self.path, "run", shared=shared)
 
@@ -131,10 +198,7 @@ class RunDirectory:
         """Write the task and the results for it, and remove all other files of the run.
 
         The task is the first to go and the last to appear: a process that is killed in between leaves no run, rather
-        than a mixture of two.
-
-        Returns:
-            The files written.
+        than a mixture of two. Returns the files written.
         """
         if motion is not None:
             task = replace(task, motion=task.fingerprint(motion))
@@ -149,3 +213,6 @@ class RunDirectory:
         """Write a rollout, and remove results of an older one."""
         with io.atomic_paths([self.rollout], self.results) as (temporary,):
             rollout.save(temporary)
+
+
+typecheck_public(globals())

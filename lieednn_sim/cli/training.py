@@ -9,13 +9,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from lieednn_sim import io
-from lieednn_sim.arm import Arm
 from lieednn_sim.cli.arguments import Goal
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
 from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.cli.task import Task
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation import plot_training
 from lieednn_sim.evaluation.display import table
@@ -23,7 +21,7 @@ from lieednn_sim.learning import TrainingOptions, TrainingResult
 from lieednn_sim.learning import train as learn
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.planning.goals import candidates
-from lieednn_sim.planning.motion import Motion, check_motion
+from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import make_motion
 from lieednn_sim.registry import ALGORITHMS
 from lieednn_sim.synthesis import bias_for
@@ -91,7 +89,13 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
             result = learner(seed=seed, progress=report)
         # Learning does not need a proof; the network is saved and reported with one where it is found.
         network = result.network.try_certify() if result.success and isinstance(result.network, LieEDNN) else None
-        motion, refusal = (None, None) if network is None else _motion(network, arm, task)
+        motion = refusal = None
+        if network is not None:
+            try:
+                motion = make_motion(arm, network, task.start, task.duration, arm.timestep)
+                check_motion(arm, motion)
+            except PlanError as error:
+                refusal = str(error)
         accepted = network is not None and refusal is None
         if saved is None or accepted:
             outcome, rejected, saved = result, refusal, network
@@ -110,17 +114,6 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
     if rejected is not None:
         console.print(f"the network is learned, but its motion will be rejected: {rejected}")
     return 0
-
-
-def _motion(network: LieEDNN, arm: Arm, task: Task) -> tuple[Motion | None, str | None]:
-    """The motion of a network, if there is one, and why the arm cannot use it, or None."""
-    motion = None
-    try:
-        motion = make_motion(arm, network, task.start, task.duration, arm.timestep)
-        check_motion(arm, motion)
-    except PlanError as error:
-        return motion, str(error)
-    return motion, None
 
 
 def _learner(asked: Learning, xi: Floats) -> Callable[..., TrainingResult]:

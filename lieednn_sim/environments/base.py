@@ -32,15 +32,7 @@ Stepped = tuple[Observation, float, bool, bool, dict[str, Any]]
 
 
 class Commands:
-    """Turns actions into commanded positions, and these into the controls of position servos.
-
-    The commanded position moves at constant velocity for one control step, and the servos have velocity feedforward.
-    An action a moves a joint with a |a| times its limit: slow motions, which a learner must hit precisely, have a wide
-    range of actions.
-
-    Args:
-        arm: the arm, whose limits scale the actions.
-        substeps: number of physics steps in a control step.
+    """Turns actions into commanded positions, and these into the controls of position servos, as `ArmTask` describes.
 
     Raises:
         InputError: the arm is not driven by position actuators on joints or fixed tendons.
@@ -108,10 +100,10 @@ class ArmTask(ABC):
     arrays with any leading axes, so that `vector.VectorEnvironment` can use them for many episodes. With `begin` and
     `step` it runs one episode in its simulation.
 
-    An action a in [-1, 1]^n gives the joint velocities a |a|, as fractions of their limits, so that slow motions have a
-    wide range of actions. It moves the commanded position, which stays within the position limits, at constant velocity
-    for one control step; the arm's position servos follow it, with velocity feedforward, at every physics step. Actions
-    outside this range are clipped.
+    An action a in [-1, 1]^n gives the joint velocities a |a|, as fractions of their limits, so that slow motions, which
+    a learner must hit precisely, have a wide range of actions. It moves the commanded position, which stays within the
+    position limits, at constant velocity for one control step; the arm's position servos follow it, with velocity
+    feedforward, at every physics step. Actions outside this range are clipped.
 
     Observations, which are clipped to finite bounds:
 

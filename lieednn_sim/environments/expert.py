@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim.environments.base import ArmTask
-from lieednn_sim.environments.tasks import Track
-from lieednn_sim.environments.trajectories import planned
+from lieednn_sim.environments.tasks import Track, planned
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import OBSTACLE_PLANNER
 from lieednn_sim.policies import MotionTracker, Policy, make_policy
@@ -44,12 +43,7 @@ class Expert:
     """
 
     def __init__(
-        self,
-        environment: Any,
-        *,
-        policy: str | None = None,
-        planner: str | None = None,
-        seed: Seed = 0,
+        self, environment: Any, *, policy: str | None = None, planner: str | None = None, seed: Seed = 0
     ) -> None:
         inner = getattr(environment, "unwrapped", environment)
         task = inner if isinstance(inner, ArmTask) else getattr(inner, "task", None)
@@ -59,18 +53,15 @@ class Expert:
                 "environment must be an ArmTask, or made by suite.load or gymnasium.make from one of this package's, "
                 f"got {type(environment).__name__}"
             )
-        if policy is not None and planner is not None:
-            raise InputError(f"give a policy or a planner, got {policy!r} and {planner!r}")
-        self._task = task
         if policy is not None:
+            if planner is not None:
+                raise InputError(f"give a policy or a planner, got {policy!r} and {planner!r}")
             POLICIES.find(policy)
-        self._kind = policy
-        if planner is None and task.arm.scene != "free":
+        elif planner is None and task.arm.scene != "free":
             planner = OBSTACLE_PLANNER
-        if planner is not None and policy is None:
+        if planner is not None:
             PLANNERS.require(planner)
-        self._planner = planner
-        self._seed = as_seed("seed", seed)
+        self._task, self._kind, self._planner, self._seed = task, policy, planner, as_seed("seed", seed)
         self._episode, self._periods = 0, 0
         self._policy: Policy
         self.certificate = ""

@@ -98,10 +98,8 @@ class State(NamedTuple):
 class Observations:
     """Computes rows that hold all observations of a task, clipped to their bounds.
 
-    Clipping and copying one row takes as long as it would for one of its arrays alone.
-
-    Args:
-        bounds: bounds by name: those of `common_bounds`, then those of a task's additional observations.
+    Clipping and copying one row takes as long as it would for one of its arrays alone. The bounds are those of
+    `common_bounds`, then those of a task's additional observations.
     """
 
     def __init__(self, bounds: Bounds) -> None:

@@ -1,7 +1,6 @@
 """Motions, comparisons and episodes in the file formats of other tools: `export` in any of `FORMATS`, and `record`."""
 
-from lieednn_sim.exports.formats import export
-from lieednn_sim.exports.recording import record
+from lieednn_sim.exports.formats import export, record
 from lieednn_sim.registry import FORMATS
 from lieednn_sim.typecheck import typecheck_public
 

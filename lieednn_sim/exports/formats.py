@@ -1,23 +1,33 @@
-"""The function that writes any format, and what the writers share."""
+"""The function that writes any format, the one that records an expert's episodes, and what the writers share."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim import io
-from lieednn_sim.errors import InputError
+from lieednn_sim.arm import Arm
+from lieednn_sim.environments.base import ArmTask
+from lieednn_sim.environments.expert import Expert
+from lieednn_sim.environments.tasks import make_task
+from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning.motion import steps_of_rate
 from lieednn_sim.registry import FORMATS
 from lieednn_sim.simulation import Rollout
-from lieednn_sim.validation import as_path, quoted
+from lieednn_sim.validation import Seed, as_count, as_path, as_seed, quoted
+from lieednn_sim.values import Floats
+
+# Seeds tried for each episode that is wanted, before the search is given up.
+_ATTEMPTS = 20
 
 
 class Episode(NamedTuple):
@@ -60,8 +70,7 @@ def export(
         FileError: the files cannot be written, or the directory holds anything but exports of this package.
         LieEDNNError: a library that the format needs is not installed.
     """
-    chosen = FORMATS.find(format)
-    FORMATS.require(format)
+    chosen = FORMATS.require(format)
     kinds: Any
     kinds, expected, alone = Rollout, "a rollout", "motion"
     if chosen.of_comparison:
@@ -89,11 +98,7 @@ def samples(rollout: Rollout, rate: float | None) -> slice:
 
 @contextmanager
 def exporting(directory: str | os.PathLike[str]) -> Iterator[tuple[Path, list[Path]]]:
-    """Yield a folder for files, and the list to which their final paths are added when the block succeeds.
-
-    Raises:
-        FileError: the files cannot be written, or the directory holds anything but exports of this package.
-    """
+    """Yield a folder for files, and the list to which their final paths are added when the block succeeds."""
     written: list[Path] = []
     # Libraries choose names in a folder of their own; only complete files are moved to where they are asked for.
     with io.output_folder(directory, "export") as target, tempfile.TemporaryDirectory() as scratch:
@@ -107,3 +112,104 @@ def exporting(directory: str | os.PathLike[str]) -> Iterator[tuple[Path, list[Pa
             for path, temporary in zip(result, temporaries, strict=True):
                 shutil.copyfile(path, temporary)
         written += paths
+
+
+def record(
+    directory: str | os.PathLike[str],
+    episodes: int,
+    *,
+    arm: str | os.PathLike[str] | Arm = "telescopic_pr",
+    scene: str | os.PathLike[str] = "free",
+    scene_seed: int = 0,
+    planner: str | None = None,
+    seed: Seed = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Path]:
+    """Record successful episodes of `environments.expert.Expert` as a data set of LeRobot, version 3.0.
+
+    An episode of ``LieEDNN/TelescopicReach-v0`` is kept if a motion was planned and the arm rests at its target at the
+    end. It is that of ``reset(seed=seed)`` with the seed that the table of episodes holds, beside the target and, as
+    ``certificate``, the proof of stability of the network that planned it. The features are
+
+    - ``observation.state``: positions, velocities and commanded positions of the joints,
+    - ``observation.environment_state``: what is left to the target, as joint positions, as the action ``approach`` and
+      as the twist ``pose_error``, see `ArmTask`,
+    - ``action``: signed square roots of joint velocities as fractions of their limits,
+    - ``next.reward``, ``next.done``, ``next.success``: what the action led to.
+
+    Args:
+        directory: directory of the data set; it is created if it is missing.
+        episodes: number of episodes.
+        arm: name of an arm of the package, a model file, or an arm.
+        scene: obstacles around it, a name of `arm.scenes.SCENES` or a file, see `Arm.with_scene`.
+        scene_seed: seed of the obstacles' positions.
+        planner: planner of the expert, as there.
+        seed: seed of the first episode that is tried; the others follow one by one.
+        progress: called with the numbers of episodes recorded and wanted.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InputError: an argument is malformed.
+        FileError: the files cannot be written, or the directory holds anything but exports of this package.
+        NoSolutionError: too few episodes succeed.
+        LieEDNNError: pyarrow is not installed.
+    """
+    # Episodes of a data set, which are held in memory: at 300 frames each, 3 GB.
+    most = 50_000
+    count, first = as_count("episodes", episodes, most=most), as_seed("seed", seed)
+    FORMATS.require("lerobot")
+    dataset = importlib.import_module("lieednn_sim.exports.lerobot")
+    task = make_task("reach", arm, scene=scene, scene_seed=scene_seed)
+    expert = Expert(task, planner=planner)
+    result: list[Episode] = []
+    with exporting(directory) as (folder, written):
+        for attempt in range(_ATTEMPTS * count):
+            if (episode := _episode(task, expert, first + attempt)) is not None:
+                result.append(episode)
+                if progress is not None:
+                    progress(len(result), count)
+                if len(result) == count:
+                    break
+        else:
+            raise NoSolutionError(f"only {len(result)} of {_ATTEMPTS * count} episodes succeeded, {count} are wanted")
+        joints = task.arm.joint_names
+        names = {
+            "observation.state": dataset.state_names(joints, "position", "velocity", "command"),
+            "observation.environment_state": [
+                *dataset.state_names(joints, "error", "approach"),
+                *(f"pose_error {part}" for part in ("wx", "wy", "wz", "vx", "vy", "vz")),
+            ],
+            "action": list(joints),
+        }
+        about = {"fps": 1.0 / task.control_timestep, "robot": task.arm.name}
+        dataset.write_dataset(folder, result, names, task="Come to rest at the target.", **about)
+    return written
+
+
+def _episode(task: ArmTask, expert: Expert, seed: int) -> Episode | None:
+    """The episode of a seed; None if no motion is planned, or the arm is not at its target at the end."""
+    observation, steps = task.begin(np.random.default_rng(seed)), []
+    while not task.over:
+        try:
+            action = expert.act()
+        except (PlanError, NotCertifiedError):
+            return None
+        before, (observation, reward, _, _, info) = observation, task.step(action)
+        steps.append((before, action, reward, info["success"]))
+    if not task.state.success:
+        return None
+
+    def joined(*names: str) -> Floats:
+        return np.array([np.concatenate([seen[name].ravel() for name in names]) for seen, *_ in steps])
+
+    frames = {
+        "observation.state": joined("position", "velocity", "command"),
+        "observation.environment_state": joined("position_error", "approach", "pose_error"),
+        "action": np.array([action for _, action, _, _ in steps]),
+        "next.reward": np.array([reward for *_, reward, _ in steps]),
+        "next.done": np.arange(len(steps)) == len(steps) - 1,
+        "next.success": np.array([success for *_, success in steps]),
+    }
+    return Episode(frames, {"seed": seed, "target": task.target(0.0).tolist(), "certificate": expert.certificate})

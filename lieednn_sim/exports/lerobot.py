@@ -54,26 +54,14 @@ def state_names(joints: Sequence[str], *parts: str) -> list[str]:
 
 
 def write_dataset(
-    folder: Path,
-    episodes: Sequence[Episode],
-    names: Mapping[str, Sequence[str]],
-    *,
-    fps: float,
-    task: str,
-    robot: str,
+    folder: Path, episodes: Sequence[Episode], names: Mapping[str, Sequence[str]], *, fps: float, task: str, robot: str
 ) -> None:
-    """Write a data set into a folder.
+    """Write a data set of episodes with the same features into a folder; numbers are stored with 32 bits.
 
-    Args:
-        folder: the data set's directory.
-        episodes: its episodes, all with the same features; numbers are stored with 32 bits.
-        names: names of the components of features, by the names of the features.
-        fps: frames per second [Hz].
-        task: what is done in all episodes, in words.
-        robot: name of the robot.
+    ``names`` are those of the components, by feature; ``task`` says in words what is done in all episodes.
 
     Raises:
-        InputError: the number of frames per second is no whole number, which the format demands.
+        InputError: ``fps`` [Hz] is no whole number, which the format demands.
     """
     if abs(fps - round(fps)) > 1e-6:
         raise InputError(f"LeRobot's format has a whole number of frames per second, got {fps:g}")
@@ -153,13 +141,9 @@ def _statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
 def _write_task(path: Path, task: str) -> None:
     """The table of tasks; its index, in pandas' words, is the text, as LeRobot reads it."""
     index = "__index_level_0__"
-    columns = [
-        {"name": name, "field_name": field, "pandas_type": kind, "numpy_type": numpy_kind, "metadata": None}
-        for name, field, kind, numpy_kind in (
-            ("task_index", "task_index", "int64", "int64"),
-            (None, index, "unicode", "object"),
-        )
-    ]
+    named = {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"}
+    unnamed = {"name": None, "field_name": index, "pandas_type": "unicode", "numpy_type": "object"}
+    columns = [column | {"metadata": None} for column in (named, unnamed)]
     told = {"index_columns": [index], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
     table = pa.table({"task_index": [0], index: [task]})
     parquet.write_table(table.replace_schema_metadata({"pandas": json.dumps(told)}), path)

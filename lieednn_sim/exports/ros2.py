@@ -45,7 +45,8 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
             )
         trajectory, rows, joints = _trajectory(rollout, rate), samples(rollout, rate), list(rollout.arm.joint_names)
         with (folder / f"{name}.yaml").open("w", encoding="utf-8") as stream:
-            yaml.dump(asdict(trajectory, dict_factory=_fields), stream, _Dumper, sort_keys=False)
+            message = asdict(trajectory, dict_factory=lambda items: {k: v for k, v in items if k != "__msgtype__"})
+            yaml.dump(message, stream, _Dumper, sort_keys=False)
         with Writer(folder / f"{name}_bag", version=9, storage_plugin=StoragePlugin.MCAP) as bag:
             planned = bag.add_connection("/joint_trajectory", _TRAJECTORY, typestore=_STORE)
             measured = bag.add_connection("/joint_states", _STATE, typestore=_STORE)
@@ -65,10 +66,6 @@ def _trajectory(rollout: Rollout, rate: float | None) -> Any:
         for row in np.union1d(np.arange(end + 1)[samples(rollout, rate)], [end])
     ]
     return _STORE.types[_TRAJECTORY](_header(0.0), list(rollout.arm.joint_names), points)
-
-
-def _fields(items: list[tuple[str, Any]]) -> dict[str, Any]:
-    return {name: value for name, value in items if name != "__msgtype__"}
 
 
 def _header(t: float) -> Any:

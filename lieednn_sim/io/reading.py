@@ -54,12 +54,7 @@ def is_file(path: Path) -> bool:
 
 @contextlib.contextmanager
 def opened(path: str | os.PathLike[str], largest: int = LARGEST_FILE) -> Iterator[IO[bytes]]:
-    """Open a file for reading.
-
-    Raises:
-        FileError: there is none, or the system cannot read it, or it is no regular file, as a device or a pipe, or has
-            more than ``largest`` bytes.
-    """
+    """Open a regular file of at most ``largest`` bytes for reading; `FileError` says what is wrong with it."""
     with raising_file_error(f"cannot read {path}"):
         try:
             result = Path(path).stat()
@@ -141,10 +136,7 @@ def _load_object(path: str | os.PathLike[str], what: str, parse: Callable[[bytes
 
 
 class Archive:
-    """The arrays of an ``.npz`` file, each checked before memory is taken for it.
-
-    Args:
-        stream: the open file.
+    """The arrays of an open ``.npz`` file, each checked before memory is taken for it.
 
     Raises:
         ValueError: the arrays would take too much memory.
@@ -193,14 +185,7 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
 
 
 def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read a file of `save_arrays`.
-
-    Args:
-        path: the file.
-        kinds: what it may hold.
-
-    Returns:
-        The arrays by name, and the metadata, with the ``kind``.
+    """Read the arrays by name and the metadata, with the ``kind``, of a file of `save_arrays`.
 
     Raises:
         FileError: the file is missing, invalid, damaged, or of another kind or format.
@@ -211,7 +196,14 @@ def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, ND
             archive = Archive(stream)
             # NumPy stores four bytes a character.
             meta = json.loads(str(archive.read(META_KEY, 4 * LARGEST_TEXT)))
-            _check_meta(meta, source, kinds)
+            kind = meta.get("kind") if isinstance(meta, dict) else None
+            if kind not in kinds:
+                raise FileError(f"{source} holds {kind!r}, expected {kinds[0]!r}")
+            if meta.get("format") != FORMAT:
+                raise FileError(
+                    f"{source} was written by another version of this package (format {meta.get('format')!r}, not "
+                    f"{FORMAT}); make it again"
+                )
             return {name: archive.read(name) for name in archive.names if name != META_KEY}, meta
         except FileError:
             raise
@@ -221,17 +213,6 @@ def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, ND
             *(zipfile.BadZipFile, zlib.error),
         ) as error:
             raise FileError(f"{source} is not a readable {kinds[0]} file ({type(error).__name__}: {error})") from None
-
-
-def _check_meta(meta: Any, source: Path, kinds: tuple[str, ...]) -> None:
-    result = meta.get("kind") if isinstance(meta, dict) else None
-    if result not in kinds:
-        raise FileError(f"{source} holds {result!r}, expected {kinds[0]!r}")
-    if meta.get("format") != FORMAT:
-        raise FileError(
-            f"{source} was written by another version of this package (format {meta.get('format')!r}, not {FORMAT}); "
-            "make it again"
-        )
 
 
 def take(arrays: Mapping[str, NDArray[Any]], source: str | os.PathLike[str], *names: str) -> list[NDArray[Any]]:

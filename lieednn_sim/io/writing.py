@@ -162,10 +162,6 @@ def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iter
     When the block succeeds, the outdated files are removed first, then the new ones appear in the given order. So a
     process that is killed in between leaves fewer files, but never old ones beside new ones. The content is on the disk
     before it gets its name, so that a power failure leaves no file that is empty or cut off.
-
-    Args:
-        targets: the files to write.
-        outdated: files to remove.
     """
     temporaries: list[Path] = []
     target = targets[0]
@@ -233,13 +229,9 @@ def save_json(path: str | os.PathLike[str], value: Any) -> None:
 def save_arrays(
     path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]
 ) -> None:
-    """Write arrays and JSON metadata into one ``.npz``.
+    """Write named arrays, also of strings but not of objects, and JSON metadata into one ``.npz``.
 
-    Args:
-        path: file to write; the suffix must be ``.npz``.
-        kind: what the file holds (``"network"``, ``"motion"`` ...), checked by `load_arrays`.
-        arrays: named arrays; string arrays are allowed, object arrays are not.
-        meta: JSON-serialisable values.
+    Its ``kind`` says what it holds (``"network"``, ``"motion"`` ...), and is checked by `load_arrays`.
     """
     target = as_path("path", path)
     if target.suffix != ".npz":

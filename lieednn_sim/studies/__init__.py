@@ -3,9 +3,8 @@
 `compare` is the study that compares planners; `Study` is the base class for studies of one's own.
 """
 
-from lieednn_sim.studies.comparison.cases import Settings, replay, run_case
 from lieednn_sim.studies.comparison.rows import Case, Row
-from lieednn_sim.studies.comparison.study import Comparison, compare
+from lieednn_sim.studies.comparison.study import Comparison, Settings, compare, replay, run_case
 from lieednn_sim.studies.comparison.summary import write_summary
 from lieednn_sim.studies.study import Study, compute
 from lieednn_sim.studies.table import Table

@@ -17,12 +17,7 @@ R = TypeVar("R", bound=TableRow)
 
 @dataclass(frozen=True)
 class Group(Generic[R]):
-    """Rows with equal values in some columns.
-
-    Attributes:
-        key: these values.
-        rows: at least one.
-    """
+    """One row or more with equal values, the key, in some columns."""
 
     key: tuple[str, ...]
     rows: tuple[R, ...]
@@ -53,11 +48,7 @@ class Group(Generic[R]):
 
 
 def wilson(successes: int, total: int) -> tuple[float, float]:
-    """Wilson's 95 % score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927).
-
-    Raises:
-        ValueError: not 0 <= successes <= total, or total is 0.
-    """
+    """Wilson's 95 % score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
     # Slow to import, and asked for at the end of a study.
     from scipy.stats import binomtest
 

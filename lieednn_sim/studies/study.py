@@ -26,12 +26,16 @@ class Study(ABC, Generic[R]):
     Attributes:
         name: name of the table's file without suffix, and of the progress bar.
         kind: class of the rows.
+        run: the function that computes the rows of a case from its arguments in `todo`. It runs in another process, so
+            it must be defined at the top of a module. Where a case fails, its rows carry the reason; an exception
+            counts as a bug.
         failed: the function that makes the rows of a case that raised, from its arguments in `todo` and the reason.
         user_files: the user's arms and scenes; where there are any, `run` gets them as ``user_files``.
     """
 
     name: ClassVar[str]
     kind: type[R]
+    run: Callable[..., list[R]]
     failed: Callable[..., list[R]]
     user_files: tuple[UserFile, ...] = ()
 
@@ -43,15 +47,6 @@ class Study(ABC, Generic[R]):
     def todo(self, table: Table[R]) -> Sequence[tuple[Any, ...]]:
         """Arguments of the cases whose rows the table lacks."""
 
-    @property
-    @abstractmethod
-    def run(self) -> Callable[..., list[R]]:
-        """The function that computes the rows of a case from its arguments in `todo`.
-
-        It runs in another process, so it must be defined at the top of a module. Where a case fails, its rows carry the
-        reason; an exception counts as a bug.
-        """
-
     def open(self, directory: str | os.PathLike[str]) -> Table[R]:
         """The table in a directory, which is created if it is missing; raises as `Table.begin`."""
         path = io.make_directory(directory) / f"{self.name}{SUFFIX}"
@@ -59,11 +54,7 @@ class Study(ABC, Generic[R]):
 
 
 def compute(
-    study: Study[R],
-    directory: str | os.PathLike[str],
-    *,
-    jobs: int = 1,
-    console: Console | None = None,
+    study: Study[R], directory: str | os.PathLike[str], *, jobs: int = 1, console: Console | None = None
 ) -> Table[R]:
     """Compute the rows that a directory's table lacks; finished cases are kept when it is interrupted.
 

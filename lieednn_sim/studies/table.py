@@ -108,14 +108,12 @@ class Table(Generic[R]):
     def rows(self) -> dict[tuple[Any, ...], R]:
         """All rows by their keys, in the order of these."""
         if self._rows is None:
-            key = ", ".join(map(_quoted, self._kind._key))
-            given = {entry.name: entry.init for entry in fields(self._kind)}
-            self._rows = {}
+            given = [entry.name for entry in fields(self._kind) if entry.init]
+            columns, key = (", ".join(map(_quoted, names)) for names in (given, self._kind._key))
             with self._connected() as base:
-                for values in base.execute(f"SELECT * FROM rows ORDER BY {key}"):
-                    named = {name: value for (name, init), value in zip(given.items(), values, strict=True) if init}
-                    row = self._kind(**named)
-                    self._rows[row.key] = row
+                every = base.execute(f"SELECT {columns} FROM rows ORDER BY {key}")
+                rows = (self._kind(**dict(zip(given, values, strict=True))) for values in every)
+                self._rows = {row.key: row for row in rows}
         return self._rows
 
     def sorted_rows(self) -> list[R]:

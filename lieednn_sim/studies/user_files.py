@@ -44,10 +44,7 @@ def resolve(
 ) -> tuple[list[str], list[UserFile]]:
     """The names under which arms or scenes appear in tables, and those of them that come from files.
 
-    Args:
-        kind: `ARM` or `SCENE`.
-        values: names, or files as `Arm.load` takes them.
-        known: names in the package.
+    Values are names, ``known`` in the package, or files as `Arm.load` takes them.
 
     Raises:
         FileError: a file is missing or cannot be read.
@@ -55,6 +52,7 @@ def resolve(
     """
     names: list[str] = []
     user_files: list[UserFile] = []
+    instead = ", or describe the arm in a YAML file" if kind == ARM else ""
     if kind == ARM:
         bare_arm.cache_clear()
     for value in values:
@@ -67,16 +65,12 @@ def resolve(
                 name, fingerprint = scene_label(source), describe(load_obstacles(source))[1]
             file = UserFile(kind, name, source, fingerprint)
             if any(item in name for item in ":/\n"):
-                raise InputError(f"no {kind} in a table can be called {name!r}; rename {value}{_or_describe(kind)}")
+                raise InputError(f"no {kind} in a table can be called {name!r}; rename {value}{instead}")
             if name in known or any(other.name == name and other != file for other in user_files):
-                raise InputError(f"there is another {kind} {name!r}; rename {value}{_or_describe(kind)}")
+                raise InputError(f"there is another {kind} {name!r}; rename {value}{instead}")
             user_files.append(file)
         names.append(name if own else value)  # type: ignore[arg-type]
     return list(dict.fromkeys(names)), list(dict.fromkeys(user_files))
-
-
-def _or_describe(kind: str) -> str:
-    return ", or describe the arm in a YAML file" if kind == ARM else ""
 
 
 def load(name: str, scene: str, seed: int, user_files: Iterable[UserFile]) -> Arm:

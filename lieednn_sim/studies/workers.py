@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
 from functools import cache
 from multiprocessing.context import SpawnContext, SpawnProcess
-from pathlib import Path
 from time import monotonic
 from typing import Any
 
@@ -99,7 +98,9 @@ def run_each(
     """
     workers = min(workers, len(todo))
     pools = worker_pool(workers) if workers > 1 else contextlib.nullcontext()
-    with pools as pool, progress_bar(console) as progress:
+    times = (TimeElapsedColumn(), TextColumn("done, left"), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *times)
+    with pools as pool, Progress(*columns, console=console) as progress:
         ended = _here(run, todo) if pool is None else _on_workers(pool, run, todo, 2 * workers)
         for outcome in progress.track(ended, total=len(todo), description=title):
             done(*outcome)
@@ -110,12 +111,11 @@ _Outcome = tuple[tuple[Any, ...], Any, Exception | None]
 
 def _here(run: Callable[..., Any], todo: Sequence[tuple[Any, ...]]) -> Iterator[_Outcome]:
     for task in todo:
-        result = error = None
         try:
-            result = released(run, *task)
-        except Exception as caught:
-            error = caught
-        yield task, result, error
+            ended: _Outcome = task, released(run, *task), None
+        except Exception as error:
+            ended = task, None, error
+        yield ended
 
 
 def _on_workers(
@@ -166,27 +166,6 @@ def _trim() -> Callable[[int], Any]:
         return getattr(ctypes.CDLL(None), "malloc_trim", lambda _: 0)
     except TypeError:  # Windows gives no handle of the program itself
         return lambda _: 0
-
-
-def progress_bar(console: Console) -> Progress:
-    """The progress bar of a study."""
-    times = (TimeElapsedColumn(), TextColumn("done, left"), TimeRemainingColumn())
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *times, console=console)
-
-
-def exit_code(work: Callable[[], Path], console: Console, kept: str) -> int:
-    """Run ``work`` and print the path that it returns; returns 0, 130 when interrupted, or 1 with the error printed."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        path = work()
-    except KeyboardInterrupt:
-        console.print(f"stopped; finished {kept} are kept, the same command continues from there")
-        return 130
-    except (LieEDNNError, OSError) as error:
-        console.print(f"error: {error}", markup=False, emoji=False, highlight=False)
-        return 1
-    print(path)
-    return 0
 
 
 def _modules() -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from lieednn_sim.cli import main
 from lieednn_sim.studies import Comparison
 from lieednn_sim.studies.reactions import study
-from lieednn_sim.studies.reactions.cases import COMPARED, DISTURBANCES, Reaction
+from lieednn_sim.studies.reactions.study import COMPARED, DISTURBANCES, Reaction
 
 ARGUMENTS = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1"]
 ARGUMENTS += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0.1", "--jobs", "1", "--output"]
@@ -27,7 +27,7 @@ def test_planners_that_react_have_a_table_and_a_section_of_the_page(tmp_path, mo
     def ran(arm, scene, policy, seed):
         return [Reaction(arm, scene, policy, name, seed, step_us=7.25) for name in DISTURBANCES]
 
-    monkeypatch.setattr(study, "run_reactions", ran)
+    monkeypatch.setattr(study.Reactions, "run", staticmethod(ran))
     assert main(["compare", *ARGUMENTS, str(tmp_path), "--reactive", "1"]) == 0
     assert "| free | push | fabric | 1 of 1 | 0 | 0 |" in (tmp_path / "reactions.md").read_text("utf-8")
     page = (tmp_path / "comparison.html").read_text("utf-8")

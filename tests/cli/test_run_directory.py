@@ -15,8 +15,7 @@ import pytest
 from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
-from lieednn_sim.cli.run_directory import RunDirectory
-from lieednn_sim.cli.task import Task
+from lieednn_sim.cli.run_directory import RunDirectory, Task
 from lieednn_sim.errors import FileError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Motion, Plan, plan

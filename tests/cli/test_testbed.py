@@ -8,7 +8,7 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.cli.arms import farthest
-from lieednn_sim.cli.task import Task
+from lieednn_sim.cli.run_directory import Task
 from lieednn_sim.planning import OBSTACLE_PLANNER
 
 # Three hinges; [joint] looks like markup of the terminal.

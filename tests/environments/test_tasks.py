@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lieednn_sim.arm import Arm, arm_names
-from lieednn_sim.environments import trajectories
+from lieednn_sim.environments import tasks
 from lieednn_sim.environments.expert import Expert
-from lieednn_sim.environments.tasks import REST, TASKS, make_task
-from lieednn_sim.environments.trajectories import band_limited, planned
+from lieednn_sim.environments.tasks import REST, TASKS, band_limited, make_task, planned
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.lie import exp
 
@@ -47,7 +46,7 @@ def run(task, seed, steps=5):
 
 def test_expert_reaches_targets_with_every_arm_and_random_actions_do_not(arm, monkeypatch):
     # A plan is made slowly and run faster: of less samples.
-    monkeypatch.setattr(trajectories, "_PLANNING_DURATION", 6.0)
+    monkeypatch.setattr(tasks, "_PLANNING_DURATION", 6.0)
     task = make_task("reach", arm, time_limit=3.5)
     rng = np.random.default_rng(1)
     expert = Expert(task)
@@ -196,7 +195,7 @@ def test_a_random_trajectory_has_its_rates_and_stays_within_the_angle_of_a_ball(
     corner = SimpleNamespace(
         uniform=lambda low, high, size: np.broadcast_to(high, size), dirichlet=lambda _, n: np.full((n, 3), 1.0 / 3.0)
     )
-    trajectory = trajectories._draw(arm, corner, arm.keyframe("home"), 3.0, 0.8)
+    trajectory = tasks._draw(arm, corner, arm.keyframe("home"), 3.0, 0.8)
     t = trajectory.spline.x
     q = trajectory.position(t)
     for ball in arm.space.balls:
@@ -212,7 +211,7 @@ def test_the_pace_is_of_the_hardest_limit_by_hand(gantry):
     # A steady gain of x, whose limits are 1 m/s and 10 m/s^2: to 1.8 m/s in a second, or at 22.5 m/s^2 to 0.225 m/s.
     for duration, gain, expected in ((1.0, 1.8, 2.0), (0.01, 22.5, np.sqrt(2.5))):
         t = np.linspace(0.0, duration, 11)
-        assert trajectories._pace(gantry, t, gain * t[:, None] * np.eye(4)[0], 0.9) == pytest.approx(expected)
+        assert tasks._pace(gantry, t, gain * t[:, None] * np.eye(4)[0], 0.9) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("planner", [None, "minimum-jerk"])
@@ -234,7 +233,7 @@ def test_more_networks_are_drawn_where_few_keep_the_limits(gantry, monkeypatch):
         counts.append(options.n_networks)
         raise PlanError("too fast")
 
-    monkeypatch.setattr(trajectories, "plan", refuse)
+    monkeypatch.setattr(tasks, "plan", refuse)
     with pytest.raises(PlanError, match="too fast"):
         planned(gantry, "home")
     assert counts == [2, 8, 32]

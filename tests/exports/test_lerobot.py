@@ -12,7 +12,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import FileError, InputError, NoSolutionError
-from lieednn_sim.exports import export, record, recording
+from lieednn_sim.exports import export, formats, record
 
 parquet = pytest.importorskip("pyarrow.parquet")
 
@@ -118,7 +118,7 @@ def test_what_makes_no_data_set_is_refused(rollout, tmp_path, monkeypatch):
         export(make_rollout(rollout.arm), tmp_path, format="lerobot", rate=1.0)
     with pytest.raises(InputError, match="whole number of frames per second"):
         export(rollout, tmp_path, format="lerobot", rate=12.5)
-    monkeypatch.setattr(recording, "_episode", lambda *_: None)
+    monkeypatch.setattr(formats, "_episode", lambda *_: None)
     with pytest.raises(NoSolutionError, match="only 0 of 20 episodes succeeded, 1 are wanted"):
         record(tmp_path / "new", 1)
     (tmp_path / "mine" / "meta").mkdir(parents=True)

@@ -7,7 +7,7 @@ import numpy as np
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import LinearAttractor, even_grid, run_field
-from lieednn_sim.studies.demonstrations.attraction import Attraction, attraction, random_starts
+from lieednn_sim.studies.demonstrations.models import Attraction, attraction, random_starts
 
 LINE = align([Demonstration.from_samples([[2.0, 0.0], [0.0, 0.0]], [0.0, 1.0])])
 

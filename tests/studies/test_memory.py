@@ -9,8 +9,8 @@ import weakref
 import pytest
 
 from lieednn_sim.studies import workers
-from lieednn_sim.studies.comparison.cases import Settings, run_case
 from lieednn_sim.studies.comparison.rows import Case
+from lieednn_sim.studies.comparison.study import Settings, run_case
 
 
 @pytest.fixture

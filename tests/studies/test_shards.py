@@ -29,7 +29,7 @@ def invented(monkeypatch):
             for name in controllers
         ]
 
-    monkeypatch.setattr("lieednn_sim.studies.comparison.study.run_case", run)
+    monkeypatch.setattr(Comparison, "run", staticmethod(run))
 
 
 @pytest.fixture

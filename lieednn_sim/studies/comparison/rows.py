@@ -130,10 +130,8 @@ class Row(TableRow):
         """The case of the row."""
         return Case(self.arm, self.scene, self.planner, self.seed)
 
-    @property
-    def motion(self) -> Case:
-        """A motion is planned once for all controllers."""
-        return self.case
+    # It is planned once for all controllers.
+    motion = case
 
     @property
     def planned(self) -> bool:

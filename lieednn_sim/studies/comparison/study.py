@@ -1,38 +1,193 @@
-"""The comparison of planners: arms, scenes, planners, controllers and seeds in one table."""
+"""The comparison of planners: arms, scenes, planners, controllers and seeds in one table.
+
+A case is an arm in a scene, a planner and a seed, planned once and tracked by each controller.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from typing import Any
 
-from lieednn_sim.arm import arm_names
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time
+from lieednn_sim.errors import FileError, InputError, LieEDNNError
+from lieednn_sim.evaluation.evaluation import Evaluation
+from lieednn_sim.evaluation.metrics import evaluate
+from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
+from lieednn_sim.planning import Plan, find_tube, plan, reference_network
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, SCENES, SLOW
-from lieednn_sim.studies.comparison.cases import FREE, Settings, failed_case, run_case
-from lieednn_sim.studies.comparison.rows import Case, Row
+from lieednn_sim.simulation import Disturbances, Rollout, simulate
+from lieednn_sim.simulation.tracking import as_hold
+from lieednn_sim.studies.comparison.rows import BY_NAME, Case, Row
 from lieednn_sim.studies.study import Study, compute
 from lieednn_sim.studies.table import SUFFIX, Table
-from lieednn_sim.studies.user_files import ARM, SCENE, UserFile, resolve
-from lieednn_sim.validation import as_choice, as_count, as_path
-from lieednn_sim.values import check_fields, set_fields
+from lieednn_sim.studies.user_files import ARM, SCENE, UserFile, load, resolve
+from lieednn_sim.validation import as_choice, as_count, as_path, as_positive
+from lieednn_sim.values import Floats, check_fields, set_fields
 
+FREE = "free"
 DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
 DEFAULT_SCENES = (FREE, "window")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings shared by all rows of a table.
+
+    Attributes:
+        duration: duration of every motion [s].
+        hold: time simulated after it [s].
+        mass_scale: true masses relative to those that the controller knows.
+        time_budget: largest CPU time for planning a case [s].
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    duration: float = 4.0
+    hold: float = 1.0
+    mass_scale: float = 1.0
+    time_budget: float = DEFAULT_TIME_BUDGET
+
+    def __post_init__(self) -> None:
+        check_fields(self, as_positive, "duration", "mass_scale", "time_budget")
+        set_fields(self, hold=as_hold(self.hold))
+
+
+@lru_cache(maxsize=4)
+def load_arm(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] = ()) -> Arm:
+    """The arm in its scene; warms up what is computed once per process, so that no planning time includes it."""
+    arm = load(name, scene, seed, user_files)
+    with contextlib.suppress(LieEDNNError):  # reported where it is needed
+        reference_network(arm)
+        plan(arm, arm.keyframe("home"), planner="minimum-jerk", duration=100 * arm.timestep)
+    return arm
+
+
+def arm_and_target(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] = ()) -> tuple[Arm, Floats]:
+    """The arm, and a random target ``(n,)`` for its scene; the same for every planner.
+
+    Raises:
+        FileError: a file no longer exists.
+        InputError: the arm or scene is unknown, or they do not fit together.
+        NoSolutionError: no target was found.
+    """
+    result = _arm_and_target(name, scene, seed, tuple(user_files))
+    if isinstance(result, LieEDNNError):
+        raise result
+    return result
+
+
+@lru_cache(maxsize=4)
+def _arm_and_target(
+    name: str, scene: str, seed: int, user_files: tuple[UserFile, ...]
+) -> tuple[Arm, Floats] | LieEDNNError:
+    """`arm_and_target`, or its error, so that a failed search is not repeated for each planner."""
+    # Without random obstacles the arm does not depend on the seed, and is shared.
+    drawn = scene != FREE and (SCENE, scene) not in {file[:2] for file in user_files}
+    try:
+        arm = load_arm(name, scene, seed if drawn else 0, user_files)
+        return arm, draw_target(arm, seed)
+    except LieEDNNError as error:
+        return error
+
+
+def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
+    return plan(
+        arm, target, planner=case.planner, duration=settings.duration, seed=case.seed, time_budget=settings.time_budget
+    )
+
+
+def run_case(
+    case: Case, controllers: Sequence[str], settings: Settings, *, user_files: tuple[UserFile, ...] = ()
+) -> list[Row]:
+    """Plan once and track with every controller: one row each, with the reason for a failure; bugs are raised.
+
+    Arms and scenes from files are found by their names in ``user_files``. The planning time is CPU time of this
+    thread, with one BLAS thread.
+    """
+    with one_blas_thread():
+        try:
+            arm, target = arm_and_target(case.arm, case.scene, case.seed, user_files)
+        except LieEDNNError as error:
+            return failed_case(case, controllers, settings, f"problem: {error}")
+        start = cpu_time()
+        try:
+            plan = _plan(case, arm, target, settings)
+        except LieEDNNError as error:
+            spent = cpu_time() - start
+            return failed_case(case, controllers, settings, f"plan: {error}", planning_s=spent)
+        except Exception as error:
+            error.add_note(f"while planning the case {case}")
+            raise
+        planned = {"planning_s": cpu_time() - start, **_stability(plan.network)}
+        planned |= _measured(motion_metrics(arm, plan.motion))
+        with contextlib.suppress(LieEDNNError):  # the plan has no tube
+            planned["tube_mm"] = 1e3 * find_tube(arm, plan).size
+        rows = []
+        for name in controllers:
+            try:
+                evaluation = evaluate(_simulate(arm, plan, name, settings))
+            except LieEDNNError as error:
+                rows += failed_case(case, [name], settings, f"simulation: {error}", **planned)
+            else:
+                values = _measured(evaluation) | planned
+                rows.append(_row(case, name, settings, evaluation.shortfall, **values))
+        return rows
+
+
+def failed_case(case: Case, controllers: Sequence[str], settings: Settings, reason: str, **values: Any) -> list[Row]:
+    """Rows of a failed case, with the reason and the values measured before."""
+    return [_row(case, name, settings, reason, **values) for name in controllers]
+
+
+def _row(case: Case, controller: str, settings: Settings, reason: str, **values: Any) -> Row:
+    keys = {**asdict(case), "controller": controller, "mass_scale": settings.mass_scale}
+    return Row(**keys, reason=reason, **values)
+
+
+def replay(case: Case, controller: str, settings: Settings, *, user_files: tuple[UserFile, ...] = ()) -> Rollout:
+    """Plan and simulate a case again, to render or plot it.
+
+    Raises:
+        LieEDNNError: it cannot be planned or simulated.
+    """
+    with one_blas_thread():
+        arm, target = arm_and_target(case.arm, case.scene, case.seed, user_files)
+        return _simulate(arm, _plan(case, arm, target, settings), controller, settings)
+
+
+def _simulate(arm: Arm, result: Plan, controller: str, settings: Settings) -> Rollout:
+    heavier = Disturbances(mass_scale=settings.mass_scale)
+    return simulate(arm, result, controller=controller, hold=settings.hold, disturbances=heavier)
+
+
+def _stability(network: Any) -> dict[str, Any]:
+    """The network's proven stability, global, local or none, and its level; "-" without a network."""
+    if network is None:
+        return {"stability": "-", "stability_level": "-"}
+    verdict = network.assess()
+    local = "local" if verdict.level == "local" else "none"
+    return {"stability": "global" if verdict.globally_stable else local, "stability_level": verdict.level}
+
+
+def _measured(metrics: MotionMetrics | Evaluation) -> dict[str, Any]:
+    return {name: getattr(metrics, name) for name in BY_NAME if hasattr(metrics, name)}
 
 
 @dataclass(frozen=True)
 class Shard:
     """A part of a comparison's cases, for a machine that shares only a disk with the others.
 
-    The shard of a case depends on the name of the case alone.
-
-    Attributes:
-        number: its number, starting at 1.
-        of: the number of shards.
+    The shard of a case depends on the name of the case alone; numbers start at 1.
 
     Raises:
         InputError: there is no such shard.
@@ -92,7 +247,7 @@ class Comparison(Study[Row]):
     """
 
     name, kind = "comparison", Row
-    failed = staticmethod(failed_case)
+    run, failed = staticmethod(run_case), staticmethod(failed_case)
 
     planners: Sequence[str] = ()
     arms: Sequence[str] = ()
@@ -147,32 +302,21 @@ class Comparison(Study[Row]):
     def cases(self) -> list[Case]:
         """The cases of the shard, or all, but for those of `absent` planners."""
         usable = [name for name in self.planners if name not in self.absent]
-        few = self.seeds if self.slow_seeds is None else self.slow_seeds
-        combinations = itertools.product(
-            self.arms, self.scenes, usable, range(self.first_seed, self.first_seed + self.seeds)
-        )
-        every = itertools.starmap(Case, combinations)
-        cases = [case for case in every if case.seed < self.first_seed + few or PLANNERS[case.planner].cost <= SLOW]
-        part = self.shard
-        return [case for case in cases if part is None or part.holds(case)]
+        few = self.first_seed + (self.seeds if self.slow_seeds is None else self.slow_seeds)
+        seeds = range(self.first_seed, self.first_seed + self.seeds)
+        every = itertools.starmap(Case, itertools.product(self.arms, self.scenes, usable, seeds))
+        cases = [case for case in every if case.seed < few or PLANNERS[case.planner].cost <= SLOW]
+        return [case for case in cases if self.shard is None or self.shard.holds(case)]
 
     def todo(self, table: Table[Row]) -> list[tuple[Case, list[str], Settings]]:
         """See `Study`."""
-        target = [(case, self._missing(table, case), self.common) for case in self.cases()]
-        return sorted(
-            (job for job in target if job[1]),
-            key=lambda job: (job[0].arm, job[0].scene, job[0].seed, -PLANNERS[job[0].planner].cost),
-        )
-
-    @property
-    def run(self) -> Callable[..., list[Row]]:
-        """See `Study`."""
-        return run_case
-
-    def _missing(self, table: Table[Row], case: Case) -> list[str]:
-        """The controllers for which a case has no row yet."""
-        keys = {name: (case.arm, case.scene, case.planner, name, case.seed) for name in self.controllers}
-        return [name for name, key in keys.items() if key not in table.rows]
+        cases = sorted(self.cases(), key=lambda case: (case.arm, case.scene, case.seed, -PLANNERS[case.planner].cost))
+        jobs = []
+        for case in cases:
+            keys = {name: (case.arm, case.scene, case.planner, name, case.seed) for name in self.controllers}
+            if missing := [name for name, key in keys.items() if key not in table.rows]:
+                jobs.append((case, missing, self.common))
+        return jobs
 
 
 def settings_of(table: Table[Row]) -> Settings:

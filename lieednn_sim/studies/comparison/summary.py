@@ -1,22 +1,23 @@
-"""The summary of a comparison in Markdown."""
+"""The summary of a comparison in Markdown, and its statistics: proven stability, seeds, and failures by reason."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from lieednn_sim import io
 from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
+from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
-from lieednn_sim.studies.comparison.statistics import failures, seeds_by_planner, verdict
 from lieednn_sim.studies.comparison.study import settings_of
 from lieednn_sim.studies.markdown import escaped
 from lieednn_sim.studies.markdown import table as markdown_table
 from lieednn_sim.studies.rows import Column
-from lieednn_sim.studies.statistics import Group, grouped, motions
+from lieednn_sim.studies.statistics import Group, grouped, motions, pattern_of
 from lieednn_sim.studies.table import Table
 
 _NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")
@@ -97,3 +98,68 @@ def shown(value: float | None, column: str = "_mm") -> str:
     """A measured number for people, by the name of its column; a dash where there is none."""
     # Distances and angles below 1e-6 mm or degrees are rounding.
     return "-" if value is None else rounded(value, 1e-6 if column.endswith(("_mm", "_deg")) else 0.0)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Failures at one step whose reasons differ only in names and numbers, which an ellipsis replaces in the pattern.
+
+    The example is one reason in full; the counts are numbers of rows by planner, largest first.
+    """
+
+    step: str
+    pattern: str
+    example: str
+    counts: tuple[tuple[str, int], ...]
+
+    @property
+    def total(self) -> int:
+        """Number of rows."""
+        return sum(count for _, count in self.counts)
+
+
+def verdict(rows: Iterable[Row]) -> str:
+    """The proven stability of the rows' networks, such as "global 9/10, local 1/10"; "-" without a network."""
+    results = [row.stability for row in motions(rows) if row.stability not in ("", "-")]
+    if not results:
+        return "-"
+    if len(set(results)) == 1:
+        return results[0]
+    return ", ".join(
+        f"{name} {results.count(name)}/{len(results)}" for name in ("global", "local", "none") if name in results
+    )
+
+
+def seeds_by_planner(rows: Iterable[Row]) -> dict[str, int]:
+    """Number of seeds of each planner."""
+    return {group.key[0]: len({row.seed for row in group.rows}) for group in grouped(rows, ("planner",))}
+
+
+def in_order(names: Iterable[str], known: Iterable[str]) -> list[str]:
+    """Each name once, in the order of a registry, unknown ones last."""
+    result, first = set(names), list(known)
+    return [name for name in first if name in result] + sorted(result.difference(first))
+
+
+def controllers_of(rows: Iterable[Row]) -> list[str]:
+    """The controllers of rows, in the order of the registry."""
+    return in_order((row.controller for row in rows), CONTROLLERS)
+
+
+def failures(rows: Iterable[Row]) -> list[Failure]:
+    """Failures grouped by similar reasons, the most frequent first.
+
+    A plan's failure counts once, not once for each controller.
+    """
+    failed = [row for row in rows if row.reason]
+    once = [row for row in motions(failed) if not row.planned] + [row for row in failed if row.planned]
+    result: dict[str, list[Row]] = {}
+    for row in once:
+        result.setdefault(pattern_of(row.reason), []).append(row)
+    created = []
+    for pattern, members in result.items():
+        names = [row.planner for row in members]
+        counts = sorted({name: names.count(name) for name in names}.items(), key=lambda item: (-item[1], item[0]))
+        step, _, rest = pattern.partition(": ")
+        created.append(Failure(step, rest, members[0].reason.partition(": ")[2], tuple(counts)))
+    return sorted(created, key=lambda failure: (-failure.total, failure.step, failure.pattern))

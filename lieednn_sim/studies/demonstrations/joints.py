@@ -48,15 +48,7 @@ class JointErrors:
 
 @dataclass(frozen=True)
 class JointStudy:
-    """A network of joints against its demonstrations.
-
-    Attributes:
-        mean: errors against the mean demonstration, from its start.
-        training: errors against each demonstration, from its start, on average.
-        left_out: the same for networks shaped without that demonstration; None with a single one, or if not requested.
-        starts: number of random starts.
-        arrived: how many of them arrived.
-    """
+    """A network of joints against its demonstrations, as in `ModelRow`, and how many of random starts arrived."""
 
     mean: JointErrors
     training: JointErrors
@@ -74,18 +66,11 @@ def study_joints(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[JointStudy, list[Floats]]:
-    """Measure a network shaped by demonstrations.
+    """Measure a network shaped by demonstrations, also from random configurations free of contact (`draw_target`).
 
-    Args:
-        demonstrations: the demonstrations.
-        learned: the network.
-        starts: number of random configurations free of contact (`draw_target`) from which it is run.
-        leave_one_out: shape again without each of the demonstrations, with as many hidden neurons.
-        seed: seed of the starts.
-        progress: called with the steps done and their total.
-
-    Returns:
-        The study, and the joints' paths ``(K, n)`` from the starts that arrive.
+    Those left out are compared with networks that are shaped without them, with as many hidden neurons. ``progress`` is
+    called with the steps done and their total. Returns the study, and the joints' paths ``(K, n)`` from the starts that
+    arrive.
     """
     arm, n = demonstrations.arm, len(demonstrations)
     folds = n if leave_one_out and n > 1 else 0
@@ -123,7 +108,11 @@ def motion_to(model: JointMotion, demonstrations: JointDemonstrations, goal: Flo
 
 def joint_errors(arm: Arm, result: Floats, shown: Floats, gap: tuple[float, float] = (0.0, 0.0)) -> JointErrors:
     """Compare joint positions ``(K, n)`` and ``(L, n)``; ``gap`` [m, rad] is the mechanism gap of the former."""
-    effector = [_effector(arm, q) for q in (result, shown)]
+    poses = [arm.link_poses(q).as_matrix()[:, -1] for q in (result, shown)]
+    effector = [
+        Demonstration(np.arange(len(pose), dtype=float), pose[:, :3, 3], pose[:, :3, :3], 6, "the end effector")
+        for pose in poses
+    ]
     pairs = warp(result / arm.ranges, shown / arm.ranges).pairs
     rms = np.sqrt(np.mean((result[pairs[:, 0]] - shown[pairs[:, 1]]) ** 2, axis=0))
     return JointErrors(
@@ -160,8 +149,3 @@ def _errors(model: JointMotion, shown: Floats) -> JointErrors:
     motion = model.run(shown[0])
     gap = float(motion.gap_translation.max()), float(motion.gap_rotation.max())
     return joint_errors(model.arm, motion.q, shown, gap)
-
-
-def _effector(arm: Arm, q: Floats) -> Demonstration:
-    pose = arm.link_poses(q).as_matrix()[:, -1]
-    return Demonstration(np.arange(len(q), dtype=float), pose[:, :3, 3], pose[:, :3, :3], 6, "the end effector")

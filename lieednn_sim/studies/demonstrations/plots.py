@@ -18,8 +18,7 @@ from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import MotionModel
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.planning.demonstrated import JointDemonstrations
-from lieednn_sim.studies.demonstrations.attraction import random_starts
-from lieednn_sim.studies.demonstrations.models import reproduction
+from lieednn_sim.studies.demonstrations.models import random_starts, reproduction
 from lieednn_sim.values import Floats
 
 # A name for the legend, paths, and the style of their lines.
@@ -98,14 +97,10 @@ def plot_joint_paths(
     elsewhere: Sequence[Floats] = (),
     fan: Sequence[Floats] = (),
 ) -> None:
-    """Plot each joint over the fraction of the path.
+    """Plot each joint over the fraction of the path; all joint positions are ``(K, n)``.
 
-    Args:
-        demonstrations: the demonstrations.
-        reproduction: ``(K, n)`` joint positions from the start of their mean.
-        path: of the file.
-        elsewhere: ``(K, n)`` joint positions from other starts, of which the first few are shown.
-        fan: ``(K, n)`` joint positions from the demonstrations' own starts.
+    The reproduction is from the start of the mean, the fan from the demonstrations' own starts; of the paths from
+    elsewhere the first few are shown.
     """
     arm = demonstrations.arm
     rows = -(-arm.n_joints // _IN_ROW)
@@ -122,7 +117,8 @@ def plot_joint_paths(
             if joint >= arm.n_joints:
                 axis.set_axis_off()
                 continue
-            _draw_paths(axis, groups, partial(_over_length, demonstrations, joint), joint == 0)
+            seen = partial(lambda joint, q: (demonstrations.length_fractions(q), q[:, joint]), joint)
+            _draw_paths(axis, groups, seen, joint == 0)
             axis.set(title=arm.joint_names[joint], ylabel=f"[{arm.unit(joint)}]")
             if joint + _IN_ROW >= arm.n_joints:
                 axis.set_xlabel("fraction of the path")
@@ -203,11 +199,6 @@ def _draw_band(axis: Any, path: Floats, covariance: Floats, view: list[int], lab
 def _seen(displaced: Floats, view: list[int]) -> tuple[Floats, Floats]:
     """Two coordinates of a path [mm]."""
     return 1e3 * displaced[:, view[0]], 1e3 * displaced[:, view[1]]
-
-
-def _over_length(demonstrations: JointDemonstrations, joint: int, q: Floats) -> tuple[Floats, Floats]:
-    """A joint over the fraction of the path's length."""
-    return demonstrations.length_fractions(q), q[:, joint]
 
 
 def _over_path(displaced: Floats, lever: float, c: int) -> tuple[Floats, Floats]:

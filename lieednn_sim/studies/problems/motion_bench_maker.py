@@ -32,13 +32,7 @@ _SIZES = {"sphere": ("radius",), "cylinder": ("length", "radius")}
 
 
 class PublishedProblem(NamedTuple):
-    """A published planning problem.
-
-    Attributes:
-        arm: the arm among the obstacles.
-        start: ``(n,)`` joint position [rad, m].
-        goal: ``(n,)`` joint position [rad, m].
-    """
+    """A published planning problem: an arm among obstacles, and joint positions ``(n,)`` [rad, m]."""
 
     arm: Arm
     start: Floats
@@ -90,7 +84,11 @@ class ProblemSets:
         """Fingerprint of all files that the problems are read from."""
         files = {f"{key}": path for key, path in self._files.items()}
         files |= {path.suffix: path for path in (self.model, self.semantics) if path}
-        return io.fingerprint({key: np.frombuffer(_content(path), np.uint8) for key, path in files.items()}, {})
+        contents = {}
+        for key, path in files.items():
+            with io.opened(path, 10**8) as stream:  # spherised models have megabytes
+                contents[key] = np.frombuffer(stream.read(), np.uint8)
+        return io.fingerprint(contents, {})
 
     def selection(self, count: int | None = None) -> list[tuple[str, int]]:
         """Choose ``count`` problems, by default all, from each set in turn and spread evenly over it.
@@ -154,7 +152,10 @@ class ProblemSets:
             for old in [*spec.excludes, *spec.pairs]:
                 spec.delete(old)
             bodies = {body.name for body in spec.bodies}
-            for first, second in _never_colliding(self.semantics):
+            with _malformed(self.semantics):
+                disabled = ElementTree.parse(self.semantics).getroot().iterfind("disable_collisions")
+                pairs = [(item.attrib["link1"], item.attrib["link2"]) for item in disabled]
+            for first, second in pairs:
                 if {first, second} <= bodies:
                     spec.add_exclude(bodyname1=first, bodyname2=second)
             arm = arm.recompiled(spec)
@@ -188,12 +189,6 @@ class ProblemSets:
         if (name, number, kind) not in self._files:
             raise FileError(f"{self.folder} has no {kind} {number} in the problem set {name!r}")
         return io.load_description(self._files[name, number, kind], kind)
-
-
-def _content(path: Path) -> bytes:
-    # Spherised models have megabytes.
-    with io.opened(path, 10**8) as stream:
-        return stream.read()
 
 
 @contextlib.contextmanager
@@ -240,10 +235,3 @@ def _pose(pose: Mapping[str, Any]) -> RigidTransform:
     """The pose in a message; its quaternions are scalar-last."""
     position, orientation = ([float(value) for value in pose[name]] for name in ("position", "orientation"))
     return RigidTransform.from_components(position, Rotation.from_quat(orientation))
-
-
-def _never_colliding(semantics: Path) -> list[tuple[str, str]]:
-    """Pairs of links whose collisions an SRDF disables."""
-    with _malformed(semantics):
-        root = ElementTree.parse(semantics).getroot()
-        return [(item.attrib["link1"], item.attrib["link2"]) for item in root.iterfind("disable_collisions")]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -52,11 +52,7 @@ OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
     # Its guide is minimum jerk, or else the same search, for a fair comparison with it. Contacts of a network that
     # deviates a little are found by the check of its motion.
-    "lieednn-shaped": ShapedOptions(
-        guide=GuideOptions(optimised=False, search=_SEARCH),
-        guides=100,
-        deviation=1e-2,
-    ),
+    "lieednn-shaped": ShapedOptions(guide=GuideOptions(optimised=False, search=_SEARCH), guides=100, deviation=1e-2),
 }
 
 
@@ -149,9 +145,7 @@ def failed(_folder: str, name: str, number: int, planner: str, _budget: float, r
 
 
 # Cached, since a process solves the problems of one robot.
-@lru_cache(maxsize=1)
-def _sets(folder: str) -> ProblemSets:
-    return ProblemSets(folder)
+_sets = lru_cache(maxsize=1)(ProblemSets)
 
 
 def measured(arm: Arm, result: Plan) -> dict[str, Any]:
@@ -187,7 +181,7 @@ class PublishedProblems(Study[Solution]):
     """
 
     name, kind = "problems", Solution
-    failed = staticmethod(failed)
+    run, failed = staticmethod(solve), staticmethod(failed)
 
     sets: ProblemSets
     planners: Sequence[str] = DEFAULT_PLANNERS
@@ -210,8 +204,3 @@ class PublishedProblems(Study[Solution]):
         """See `Study`."""
         target = [(*key, name) for key in self.sets.selection(self.problems) for name in self.planners]
         return [(str(self.sets.folder), *key, self.time_budget) for key in target if key not in table.rows]
-
-    @property
-    def run(self) -> Callable[..., list[Solution]]:
-        """See `Study`."""
-        return solve

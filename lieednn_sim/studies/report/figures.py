@@ -5,12 +5,10 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, Locator, LogFormatterMathtext, LogLocator, MaxNLocator, NullLocator
@@ -18,7 +16,7 @@ from matplotlib.ticker import FormatStrFormatter, Locator, LogFormatterMathtext,
 from lieednn_sim.evaluation.figure_layout import COLOURS, fix_layout
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
-from lieednn_sim.studies.comparison.statistics import in_order
+from lieednn_sim.studies.comparison.summary import in_order
 from lieednn_sim.studies.rows import Column
 from lieednn_sim.studies.statistics import grouped, numbers
 
@@ -28,19 +26,11 @@ _STYLE: Any = {
     "font.size": 9,
     "font.family": "sans-serif",
     "svg.fonttype": "none",
-    "text.color": _INK,
-    "axes.labelcolor": _INK,
-    "axes.edgecolor": _FAINT,
-    "xtick.color": _FAINT,
-    "ytick.color": _FAINT,
-    "xtick.labelcolor": _INK,
-    "ytick.labelcolor": _INK,
-    "grid.color": _FAINT,
+    **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor"), _INK),
+    **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color", "grid.color"), _FAINT),
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right", "axes.spines.left"), False),
     "grid.alpha": 0.35,
     "grid.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.spines.left": False,
     "ytick.major.size": 0,
     "legend.frameon": False,
 }
@@ -49,8 +39,7 @@ _SCENE_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _MARKS = 200
 
 
-@dataclass(frozen=True)
-class Mark:
+class Mark(NamedTuple):
     """Colour of a planner in all figures and tables, and the shape of its mark in the page's styles."""
 
     colour: str
@@ -69,8 +58,7 @@ def marks(names: Iterable[str]) -> dict[str, Mark]:
     }
 
 
-@dataclass(frozen=True)
-class Plot:
+class Plot(NamedTuple):
     """A figure of the page."""
 
     title: str
@@ -78,23 +66,13 @@ class Plot:
     svg: str
 
 
-# Columns that are drawn, and whether on a logarithmic axis.
-_DRAWN = {
-    "tracking_rms_mm": True,
-    "clearance_mm": False,
-    "planning_s": True,
-    "path_ranges": False,
-    "jerk_effector": True,
-}
+# Columns that are drawn, and those of them that have a logarithmic axis.
+_DRAWN = ("tracking_rms_mm", "clearance_mm", "planning_s", "path_ranges", "jerk_effector")
+_LOGARITHMIC = ("tracking_rms_mm", "planning_s", "jerk_effector")
 
 
 def plots(rows: Sequence[Row], controller: str) -> list[Plot]:
-    """Plot distributions of measured columns by planner and scene, for one arm.
-
-    Args:
-        rows: rows of one arm.
-        controller: the controller whose rollouts are shown.
-    """
+    """Plot distributions of measured columns by planner and scene, for the rows of one arm and one controller."""
     chosen = [row for row in rows if row.controller == controller]
     return [_distribution(chosen, BY_NAME[name], controller) for name in _DRAWN if numbers(chosen, name)]
 
@@ -109,20 +87,24 @@ def _few_ticks(low: float, high: float) -> Locator:
 
 
 def _distribution(rows: Sequence[Row], column: Column, controller: str) -> Plot:
-    planners, scenes = in_order((row.planner for row in rows), PLANNERS), _scenes(rows)
-    look, thinned, logarithmic = marks(planners), False, _DRAWN[column.name]
+    planners, scenes = in_order((row.planner for row in rows), PLANNERS), sorted({row.scene for row in rows})
+    look, thinned, logarithmic = marks(planners), False, column.name in _LOGARITHMIC
     # Errors below this are rounding; logarithmic axes do not show them [mm].
     floor = 1e-6
     with matplotlib.rc_context(_STYLE | {"svg.hashsalt": column.name}):
-        figure, axes = _panel(planners)
+        figure = Figure(figsize=(4.7, 0.95 + 0.34 * len(planners)), layout="constrained")
+        axes = figure.subplots()
+        axes.set_yticks(range(len(planners)), planners)
+        axes.set_ylim(len(planners) - 0.4, -0.6)
+        axes.grid(axis="x")
         for group in grouped(rows, ("planner", "scene")):
-            planner, scene = group.key
+            planner, place = group.key[0], scenes.index(group.key[1])
             values = np.array(group.values(column.name))
             if logarithmic:
                 values = np.maximum(values, floor)
             if not len(values):
                 continue
-            y, colour = planners.index(planner) + _offset(scenes, scene), look[planner].colour
+            y, colour = planners.index(planner) + 0.42 * ((place + 0.5) / len(scenes) - 0.5), look[planner].colour
             axes.plot(np.percentile(values, [25, 75]), [y, y], color=colour, lw=5, alpha=0.3, solid_capstyle="butt")
             shown = values
             if len(values) > _MARKS:
@@ -130,8 +112,7 @@ def _distribution(rows: Sequence[Row], column: Column, controller: str) -> Plot:
                 shown = np.sort(values)[np.linspace(0, len(values) - 1, _MARKS).astype(int)]
             # Spread by a fixed pattern, so that equal values are distinguishable and every run is the same.
             spread = y + 0.07 * (np.arange(len(shown)) % 3 - 1)
-            marker = _SCENE_MARKERS[scenes.index(scene) % 7]
-            axes.plot(shown, spread, marker, color=colour, ms=2.8, alpha=0.75, mew=0)
+            axes.plot(shown, spread, _SCENE_MARKERS[place % 7], color=colour, ms=2.8, alpha=0.75, mew=0)
             axes.plot([np.median(values)] * 2, [y - 0.16, y + 0.16], color=colour, lw=2.2)
         if logarithmic:
             axes.set_xscale("log")
@@ -146,38 +127,17 @@ def _distribution(rows: Sequence[Row], column: Column, controller: str) -> Plot:
         else:
             axes.set_xlim(left=0.0)
         axes.set_xlabel(column.heading)
-        _legend(figure, scenes)
+        handles = [
+            Line2D([], [], ls="", marker=_SCENE_MARKERS[i % 7], color=_INK, ms=5, label=scene)
+            for i, scene in enumerate(scenes)
+        ]
+        figure.legend(handles=handles, loc="outside upper right", ncols=4, handletextpad=0.1, columnspacing=1.2)
         svg = _svg(figure)
     each = "one mark a motion" if column.of_motion else f"one mark a rollout with {controller}"
     note = "; values below 10⁻⁶ mm are drawn there" if column.name == "tracking_rms_mm" else ""
     if thinned:
         note += f"; at most {_MARKS} in a line are marked, evenly spaced in rank"
     return Plot(column.heading, f"{column.meaning}: {each}, bar: quartiles, line: median{note}", svg)
-
-
-def _panel(planners: Sequence[str]) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(4.7, 0.95 + 0.34 * len(planners)), layout="constrained")
-    axes = figure.subplots()
-    axes.set_yticks(range(len(planners)), planners)
-    axes.set_ylim(len(planners) - 0.4, -0.6)
-    axes.grid(axis="x")
-    return figure, axes
-
-
-def _legend(figure: Figure, scenes: Sequence[str]) -> None:
-    handles = [
-        Line2D([], [], ls="", marker=_SCENE_MARKERS[i % 7], color=_INK, ms=5, label=scene)
-        for i, scene in enumerate(scenes)
-    ]
-    figure.legend(handles=handles, loc="outside upper right", ncols=4, handletextpad=0.1, columnspacing=1.2)
-
-
-def _scenes(rows: Sequence[Row]) -> list[str]:
-    return sorted({row.scene for row in rows})
-
-
-def _offset(scenes: Sequence[str], scene: str) -> float:
-    return 0.42 * ((scenes.index(scene) + 0.5) / len(scenes) - 0.5)
 
 
 def _svg(figure: Figure) -> str:
@@ -192,7 +152,6 @@ def _svg(figure: Figure) -> str:
     used = set(re.findall(r"#([\w-]+)", text))
     text = re.sub(r' id="([\w-]+)"', lambda result: result[0] if result[1] in used else "", text)
     # Size and fonts come from the page.
-    text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
-    text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r' (width|height)="[^"]*"', "", text, count=2)
     text = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
     return text.replace(_INK, "currentColor").replace(_FAINT, "var(--line-strong)").strip()

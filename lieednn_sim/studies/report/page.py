@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import jinja2
 
@@ -13,16 +14,85 @@ from lieednn_sim import io
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.rendering.page import player
-from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Row
-from lieednn_sim.studies.comparison.statistics import controllers_of, failures, in_order, seeds_by_planner, verdict
-from lieednn_sim.studies.comparison.summary import method, shown
-from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
-from lieednn_sim.studies.reactions.study import METHOD, groups
+from lieednn_sim.rendering.recording import Recording, record
+from lieednn_sim.studies.comparison import summary
+from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Case, Row
+from lieednn_sim.studies.comparison.study import replay, settings_of
+from lieednn_sim.studies.reactions.study import MEASURED, METHOD, Reaction, groups
 from lieednn_sim.studies.report.figures import marks, plots
-from lieednn_sim.studies.report.views import View
 from lieednn_sim.studies.rows import Column
 from lieednn_sim.studies.statistics import Group, grouped
 from lieednn_sim.studies.table import Table
+from lieednn_sim.validation import as_count
+
+
+@dataclass(frozen=True)
+class View:
+    """One problem solved by several planners.
+
+    Attributes:
+        rows: their rows in the table, from left to right.
+        recording: their motions.
+    """
+
+    rows: tuple[Row, ...]
+    recording: Recording
+
+    @property
+    def base64(self) -> str:
+        """The recording as text for the page."""
+        return base64.b64encode(self.recording.content).decode("ascii")
+
+
+def choose_problems(table: Table[Row], count: int, controller: str) -> list[list[Case]]:
+    """Choose up to ``count`` problems of a table, and at most four planners that solved each.
+
+    The problems that most planners solved come first, each arm and scene once. The planner of LieEDNN with the most
+    successes in the whole table is the first of every problem where it succeeded; the others take turns.
+
+    Raises:
+        InputError: ``count`` is not a whole number >= 0.
+    """
+    most = as_count("the number of problems", count, least=0)
+    solved = [row for row in table.sorted_rows() if row.success and row.controller == controller]
+    names = summary.in_order((row.planner for row in solved), PLANNERS)
+    totals = {name: sum(row.planner == name for row in solved) for name in names}
+    best = max((name for name in totals if name.startswith("lieednn")), key=lambda name: totals[name], default=None)
+    # Of each arm in each scene, the seed that the most planners solved; the first of several.
+    problems = []
+    for place in grouped(solved, ("arm", "scene")):
+        seeds = sorted({row.seed for row in place.rows})
+        seed = max(seeds, key=lambda seed: sum(row.seed == seed for row in place.rows))
+        problems.append([row for row in place.rows if row.seed == seed])
+    problems.sort(key=lambda rows: (best not in {row.planner for row in rows}, -len(rows)))
+    shown = dict.fromkeys(totals, 0)
+    chosen: list[list[Case]] = []
+    for rows in problems[:most]:
+        by_name = {row.planner: row.case for row in rows}
+        # More would be too small to see.
+        some = sorted(summary.in_order(by_name, PLANNERS), key=lambda name: (name != best, shown[name]))[:4]
+        for name in some:
+            shown[name] += 1
+        chosen.append([by_name[name] for name in some])
+    return chosen
+
+
+def view(
+    table: Table[Row], cases: Sequence[Case], controller: str, *, progress: Callable[[int, int], None] | None = None
+) -> View:
+    """Plan and simulate cases of one problem again, and record them side by side.
+
+    Raises:
+        InputError: the table has no such case, or they are of several problems.
+        LieEDNNError: viser is not installed.
+    """
+    rows = [table.rows.get((case.arm, case.scene, case.planner, controller, case.seed)) for case in cases]
+    result = tuple(row for row in rows if row is not None)
+    if len(result) < len(rows) or len({(row.arm, row.scene, row.seed) for row in result}) != 1:
+        raise InputError("a view is of one problem that the table has, by one planner or more")
+    settings = settings_of(table)
+    rollouts = [replay(case, controller, settings, user_files=table.user_files) for case in cases]
+    return View(result, record(rollouts, [case.planner for case in cases], progress=progress))
 
 
 def write_page(
@@ -55,47 +125,12 @@ def write_page(
         raise InputError(f"the table {table.path} is empty; there is nothing to show")
     if not all(isinstance(row, Reaction) for row in reacted):
         raise InputError("reactions must be a table of the reactive benchmark, got one of another kind")
-    names = in_order((row.planner for row in rows), PLANNERS)
-    controllers = controllers_of(rows)
+    names = summary.in_order((row.planner for row in rows), PLANNERS)
+    controllers = summary.controllers_of(rows)
     arms = sorted({row.arm for row in rows})
-    columns, counts = _columns(), seeds_by_planner(rows).values()
+    columns, counts = _columns(), summary.seeds_by_planner(rows).values()
     lines = grouped(rows, ("arm", "scene", "planner", "controller"))
     lines.sort(key=lambda group: (*group.key[:2], names.index(group.key[2]), group.key[3]))
-    page = (
-        _environment()
-        .get_template("page.html")
-        .render(
-            method=method(table),
-            date=date,
-            command=command,
-            arms=arms,
-            scenes=sorted({row.scene for row in rows}),
-            planners=names,
-            controllers=controllers,
-            seeds=" to ".join(map(str, sorted({min(counts), max(counts)}))),
-            count=len(rows),
-            settings=table.settings,
-            versions=table.versions,
-            missing=dict(sorted((missing or {}).items())),
-            marks=marks(names),
-            columns=columns,
-            heads=_heads(columns),
-            groups=lines,
-            plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
-            failures=failures(rows),
-            views=views,
-            # What ends a script element must not be in the text of one.
-            player=json.dumps(player("RECORDING")).replace("</", "<\\/") if views else "",
-            reactions=groups(reacted) if reacted else [],
-            reaction_heads=_reaction_heads(),
-            reaction_method=METHOD,
-        )
-    )
-    with io.atomic_text(path) as stream:
-        stream.write(page)
-
-
-def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("lieednn_sim.studies.report"),
         autoescape=True,
@@ -103,8 +138,46 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"rounded": shown, "violations": _violations, "verdict": verdict}
-    return environment
+    environment.filters |= {"rounded": summary.shown, "violations": _violations, "verdict": summary.verdict}
+    # Heads are the text, its explanation, and whether the column is numeric.
+    page = environment.get_template("page.html").render(
+        method=summary.method(table),
+        date=date,
+        command=command,
+        arms=arms,
+        scenes=sorted({row.scene for row in rows}),
+        planners=names,
+        controllers=controllers,
+        seeds=" to ".join(map(str, sorted({min(counts), max(counts)}))),
+        count=len(rows),
+        settings=table.settings,
+        versions=table.versions,
+        missing=dict(sorted((missing or {}).items())),
+        marks=marks(names),
+        columns=columns,
+        heads=[
+            *((name, "", False) for name in ("planner", "arm", "scene", "controller")),
+            ("success", "rollouts without contact that end at their target", True),
+            *((column.heading, column.meaning, True) for column in columns),
+            ("with violations", "rollouts with a joint beyond its position, velocity or acceleration limit", True),
+            ("stability", "what is proved of the network", False),
+        ],
+        groups=lines,
+        plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
+        failures=summary.failures(rows),
+        views=views,
+        # What ends a script element must not be in the text of one.
+        player=json.dumps(player("RECORDING")).replace("</", "<\\/") if views else "",
+        reactions=groups(reacted) if reacted else [],
+        reaction_heads=[
+            *((name, "", False) for name in ("policy", "scene", "disturbance")),
+            *((name, "", True) for name in ("arrived", "touched", "back")),
+            *((column.heading, "", True) for column in MEASURED),
+        ],
+        reaction_method=METHOD,
+    )
+    with io.atomic_text(path) as stream:
+        stream.write(page)
 
 
 def _violations(group: Group[Row]) -> int:
@@ -120,20 +193,3 @@ def _columns() -> list[Column]:
         own = column.heading != "[deg]"
         columns.append(column if own else replace(column, heading=columns[-1].heading.replace("[mm]", "[deg]")))
     return columns
-
-
-def _heads(columns: Sequence[Column]) -> list[tuple[str, str, bool]]:
-    """Text of each heading, its explanation, and whether its column is numeric."""
-    return [
-        *((name, "", False) for name in ("planner", "arm", "scene", "controller")),
-        ("success", "rollouts without contact that end at their target", True),
-        *((column.heading, column.meaning, True) for column in columns),
-        ("with violations", "rollouts with a joint beyond its position, velocity or acceleration limit", True),
-        ("stability", "what is proved of the network", False),
-    ]
-
-
-def _reaction_heads() -> list[tuple[str, str, bool]]:
-    """As `_heads`, for the table of the reactive benchmark."""
-    numbers = ("arrived", "touched", "back", *(column.heading for column in MEASURED))
-    return [(name, "", False) for name in ("policy", "scene", "disturbance")] + [(name, "", True) for name in numbers]

@@ -13,8 +13,7 @@ from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.family import RIDGES, one_standard_error, response_to_start
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.studies.demonstrations.attraction import attraction, random_starts
-from lieednn_sim.studies.demonstrations.models import compare_models
+from lieednn_sim.studies.demonstrations.models import attraction, compare_models, random_starts
 from lieednn_sim.synthesis import ShapingOptions, shape
 
 OPTIONS = ShapingOptions(neurons=(16,))

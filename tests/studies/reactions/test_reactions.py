@@ -13,10 +13,9 @@ from lieednn_sim.planning import Plan, plan
 from lieednn_sim.policies import Fabric, FilteredPolicy, make_policy
 from lieednn_sim.simulation import Disturbances, Push
 from lieednn_sim.studies import compute
-from lieednn_sim.studies.reactions import cases, study
-from lieednn_sim.studies.reactions.cases import DISTURBANCES, Reaction, Task
-from lieednn_sim.studies.reactions.recovery import UndisturbedPath, pushing_force
-from lieednn_sim.studies.reactions.walker import walking_pole
+from lieednn_sim.studies.reactions import study
+from lieednn_sim.studies.reactions.disturbing import UndisturbedPath, pushing_force, walking_pole
+from lieednn_sim.studies.reactions.study import DISTURBANCES, Reaction, Task
 
 
 def test_a_recovery_by_hand(gantry):
@@ -70,7 +69,7 @@ def test_a_policy_arrives_also_pushed(name, task):
     push = Disturbances(pushes=(Push("end effector", (0.0, 20.0, 0.0), 0.5, 0.2),))
     policy = task.policy(name)
     for changes in (None, push):
-        following = cases._run(policy, task.target, changes, 6.0)
+        following = study._run(policy, task.target, changes, 6.0)
         np.testing.assert_allclose(following.rollout.q[-1], task.target, atol=5e-3)
         assert len(following.step_time) == 601, "at 100 Hz"
     assert np.abs(following.rollout.q_ref - task.arm.keyframe("home")).max() < 0.7
@@ -78,9 +77,9 @@ def test_a_policy_arrives_also_pushed(name, task):
 
 def test_a_push_throws_a_joint_a_tenth_of_its_range_off_in_the_run_itself(task):
     policy = task.policy("linear-attractor")
-    path = UndisturbedPath(task.arm, cases._run(policy, task.target, None, 2.0).rollout.q)
-    targets, changes, end = cases._disturbed(task, policy, "push", 0.4, path)
-    rollout = cases._run(policy, targets, changes, 2.0).rollout
+    path = UndisturbedPath(task.arm, study._run(policy, task.target, None, 2.0).rollout.q)
+    targets, changes, end = study._disturbed(task, policy, "push", 0.4, path)
+    rollout = study._run(policy, targets, changes, 2.0).rollout
     assert path.recovery(rollout.t, rollout.q, 0.4, end).deviation == pytest.approx(0.1, rel=0.2)
 
 
@@ -91,7 +90,7 @@ def test_a_target_moves_no_nearer_to_limits_than_other_targets_are(name, gantry,
     corner = arm.within_angles(arm.position_limits[:, 1])
     for seed in range(5):
         task = dataclasses.replace(task, arm=arm, target=corner, seed=seed)
-        moved = cases._disturbed(task, None, "target", 0.0, None)[0][-1]
+        moved = study._disturbed(task, None, "target", 0.0, None)[0][-1]
         assert (moved != corner).all()
         low, high = arm.position_limits.T
         assert (high - moved >= 0.05 * (high - low) - 1e-12).all()
@@ -102,19 +101,19 @@ def test_a_target_moves_no_nearer_to_limits_than_other_targets_are(name, gantry,
 def test_a_row_by_hand(task, monkeypatch):
     measured = {"final_worst_mm": 3.0, "final_effector_mm": 1.0, "velocity_fraction": 0.25, "force_fraction": 0.75}
     measured |= {"path_m": 1.5, "settling_s": 2.5}
-    monkeypatch.setattr(cases, "evaluate", lambda rollout, clearance: SimpleNamespace(shortfall="", **measured))
+    monkeypatch.setattr(study, "evaluate", lambda rollout, clearance: SimpleNamespace(shortfall="", **measured))
     # An actuator at half its limit and one at all of it, for three steps of 0.1 s.
     arm = SimpleNamespace(force_limits=np.array([2.0, 10.0]))
     rollout = SimpleNamespace(arm=arm, force=np.tile([1.0, -10.0], (3, 1)), timestep=0.1)
     following = SimpleNamespace(rollout=rollout, step_time=[1e-6, 9e-6, 2e-6])
-    row = cases._row(task, "tracker", "none", following)
+    row = study._row(task, "tracker", "none", following)
     assert (row.final_mm, row.velocity_fraction, row.force_fraction) == (3.0, 0.25, 0.75)
     assert (row.path_m, row.settled_s) == (1.5, 2.5)
     assert (row.effort, row.step_us) == pytest.approx((0.3 * 0.5 * (0.25 + 1.0), 2.0))
 
 
 def test_the_disturbances_of_a_tracker_by_hand(task, monkeypatch):
-    ran, run = {}, cases._run
+    ran, run = {}, study._run
 
     def recorded(policy, targets, changes=None, *duration):
         following = run(policy, targets, changes, *duration)
@@ -124,9 +123,9 @@ def test_the_disturbances_of_a_tracker_by_hand(task, monkeypatch):
         ran[kind] = targets, changes, following.rollout
         return following
 
-    monkeypatch.setattr(cases, "_run", recorded)
-    monkeypatch.setattr(cases, "_task", lambda *case: task)
-    rows = {row.disturbance: row for row in cases.run_reactions("gantry", "free", "tracker", 3)}
+    monkeypatch.setattr(study, "_run", recorded)
+    monkeypatch.setattr(study, "_task", lambda *case: task)
+    rows = {row.disturbance: row for row in study.run_reactions("gantry", "free", "tracker", 3)}
     assert list(rows) == list(DISTURBANCES)
     assert [row.deviation is None for row in rows.values()] == [True, False, False, True, True]
     # Of 2 s of minimum jerk 35 % of the path are gone where 10 s^3 - 15 s^4 + 6 s^5 = 0.35, at s = 0.4186.
@@ -151,13 +150,13 @@ def test_the_disturbances_of_a_tracker_by_hand(task, monkeypatch):
 def test_a_task_shows_the_guides_motion_and_filters_among_obstacles(scene, taught, monkeypatch, gantry, task):
     own, guides = dataclasses.replace(task.motion), task.motion
     made = Plan(own, None, guide=Plan(guides) if taught else None)
-    monkeypatch.setattr(cases, "arm_and_target", lambda *_: (gantry, task.target))
-    monkeypatch.setattr(cases, "plan", lambda *_, **__: made)
-    found = cases._task.__wrapped__("gantry", scene, 3, ())
+    monkeypatch.setattr(study, "arm_and_target", lambda *_: (gantry, task.target))
+    monkeypatch.setattr(study, "plan", lambda *_, **__: made)
+    found = study._task.__wrapped__("gantry", scene, 3, ())
     assert found.seed == 3
     assert found.motion is (guides if taught else own)
     asked = []
-    monkeypatch.setattr(cases, "make_policy", lambda *kind, **how: asked.append(how) or make_policy(*kind, **how))
+    monkeypatch.setattr(study, "make_policy", lambda *kind, **how: asked.append(how) or make_policy(*kind, **how))
     for name in ("linear-attractor", "dmp", "fabric", "mppi", "tracker"):
         policy = found.policy(name)
         assert (policy.rate, asked[-1]["convergence_rate"]) == (100.0, 2.0)
@@ -192,7 +191,7 @@ def test_a_target_does_not_move_into_the_floor(task):
     # By up to half a metre, 5 cm above it.
     low = dataclasses.replace(task, target=np.array([0.3, -0.4, -0.85, 0.6]))
     for seed in range(5):
-        targets, _, _ = cases._disturbed(dataclasses.replace(low, seed=seed), None, "target", 0.0, None)
+        targets, _, _ = study._disturbed(dataclasses.replace(low, seed=seed), None, "target", 0.0, None)
         assert targets[-1][2] > -0.9
 
 
@@ -210,12 +209,12 @@ def test_a_fabric_above_the_floor_by_hand(task):
 def test_a_fabric_is_not_repelled_at_its_target(task):
     # 5 cm above the floor, a third of the distance at which it repels.
     target = np.array([0.3, -0.4, -0.85, 0.6])
-    rollout = cases._run(task.policy("fabric"), target, None, 5.0).rollout
+    rollout = study._run(task.policy("fabric"), target, None, 5.0).rollout
     np.testing.assert_allclose(rollout.q[-1], target, atol=5e-3)
 
 
 def test_a_primitive_goes_the_way_it_was_shown(task):
-    rollout = cases._run(task.policy("dmp"), task.target, None, 2.0).rollout
+    rollout = study._run(task.policy("dmp"), task.target, None, 2.0).rollout
     distance, _ = UndisturbedPath(task.arm, task.motion.q).nearest(rollout.q_ref)
     assert distance.max() < 0.01
     # And when it was there.
@@ -230,7 +229,7 @@ def test_the_table_goes_on_and_the_summary_counts(tmp_path, monkeypatch):
         reason = "contact: up to 1 at a time" if policy == "dmp" else ""
         return [Reaction(arm, scene, policy, name, seed, reason=reason, back_s=0.1 * seed) for name in DISTURBANCES]
 
-    monkeypatch.setattr(study, "run_reactions", ran)
+    monkeypatch.setattr(study.Reactions, "run", staticmethod(ran))
     for seeds in (1, 2):
         table = compute(study.Reactions(["telescopic_pr"], ["free"], seeds, ("dmp", "tracker")), tmp_path)
     assert asked == [("dmp", 0), ("tracker", 0), ("dmp", 1), ("tracker", 1)]

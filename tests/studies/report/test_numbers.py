@@ -11,10 +11,8 @@ import pytest
 
 from lieednn_sim.studies import Comparison, Settings, write_summary
 from lieednn_sim.studies.comparison.rows import BY_NAME, COLUMNS, SHOWN, Row
-from lieednn_sim.studies.comparison.statistics import controllers_of, verdict
-from lieednn_sim.studies.comparison.summary import method
-from lieednn_sim.studies.reactions.cases import MEASURED, Reaction
-from lieednn_sim.studies.reactions.study import Reactions
+from lieednn_sim.studies.comparison.summary import controllers_of, method, verdict
+from lieednn_sim.studies.reactions.study import MEASURED, Reaction, Reactions
 from lieednn_sim.studies.report import figures, page, write_page
 
 # In this order in the registry, and so in what is shown.

@@ -1,18 +1,24 @@
-"""Recovery from a disturbance: deviation from the path and time until the arm is back, and the force of a push."""
+"""How policies are disturbed: the recovery from a push and its force, and a pole that walks into the arm's way."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.errors import PlanError
+from lieednn_sim.policies.surroundings import Surroundings
+from lieednn_sim.simulation import MovingObstacle
 from lieednn_sim.values import Floats
 
 # A push: its duration [s], and the deviation of a joint that it shall cause [ranges].
 PUSH_TIME, PUSH_DEVIATION = 0.2, 0.1
+WALKER = "obstacle_walker"
 
 
 @dataclass(frozen=True)
@@ -70,11 +76,8 @@ def pushing_force(deviation_under: Callable[[float], float]) -> float:
 
     It must be found in the run itself. Drives resist a growing force almost rigidly up to their limits, then yield
     suddenly: half as much force again throws the arm ten times as far. Where that begins depends on the configuration,
-    on the forces that the motion itself takes, and on the policy.
-
-    Args:
-        deviation_under: maps a force to the largest deviation of a joint from the undisturbed path in units of its
-            range.
+    on the forces that the motion itself takes, and on the policy. ``deviation_under`` maps a force to the largest
+    deviation of a joint from the undisturbed path in units of its range.
     """
     # A guess [N], largest force [N], and the brackets: force and deviation.
     force, most, low, high = 300.0, 2e4, (0.0, 0.0), (np.inf, np.inf)
@@ -95,3 +98,58 @@ def pushing_force(deviation_under: Callable[[float], float]) -> float:
             exponent = float(np.clip(np.log(PUSH_DEVIATION / low[1]) / np.log(high[1] / low[1]), 0.1, 0.9))
             force = low[0] * (high[0] / low[0]) ** exponent
     return force
+
+
+class Walk(NamedTuple):
+    """An arm with a pole beside it, and how that walks."""
+
+    arm: Arm
+    obstacle: MovingObstacle
+
+
+def walking_pole(arm: Arm, t: Floats, q: Floats, gone: Floats, begin: float, rng: np.random.Generator) -> Walk:
+    """A pole that walks from ``begin`` on to a place that the arm's end effector would pass later.
+
+    It waits clear of the whole way, keeps clear of where the arm is while it walks, and has been since ``begin``, and
+    stands clear of the arm's last posture.
+
+    The undisturbed motion has times ``t`` ``(K,)`` [s], joint coordinates ``q`` ``(K, n)`` and fractions of the path
+    ``gone`` ``(K,)``.
+
+    Raises:
+        PlanError: no such place was found.
+    """
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name=WALKER.removeprefix("obstacle_"))
+    # Radius and half the height [m].
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.04, 2.0, 0.0], group=2, rgba=(0.9, 0.72, 0.18, 1.0))
+    body.pos = [100.0, 0.0, 0.0]
+    beside = replace(arm.with_obstacles(spec, "walk"), scene=arm.scene, scene_seed=arm.scene_seed)
+    # It keeps 4 cm from the arm until it stands, and leaves 6 cm at the target.
+    before, after, touching = (Surroundings(beside, margin) for margin in (0.04, 0.06, 1e-3))
+    tips = np.asarray(arm.link_poses(q).translation)[:, -1]
+    # The arm would meet it on the second half of the path. It walks for 0.6 s, or that share of the time until the last
+    # place where it may stand.
+    stands = begin + min(0.6, 0.6 * (float(t[np.argmax(gone >= 0.95)]) - begin))
+    stride = 10
+    walking = np.flatnonzero((t >= begin) & (t <= stands))[::stride]
+    later = np.flatnonzero((gone >= 0.5) & (gone <= 0.95) & (t > stands))
+    if not len(later):
+        raise PlanError("the arm is past every place where a pole could stand in its way in time")
+    for _ in range(400):
+        tip, turn = tips[rng.choice(later)], rng.uniform(-np.pi, np.pi)
+        first = tip + 0.6 * np.array([np.cos(turn), np.sin(turn), 0.0])
+        obstacle = MovingObstacle(WALKER, (begin, stands), (tuple(first.tolist()), tuple(tip.tolist())))
+        meets = _blocks(touching, tip, q[later[::stride]])
+        if not meets or _blocks(after, tip, q[-1:]) or _blocks(after, first, q[::stride]):
+            continue
+        # It walks into no arm, not even into one that has slowed down since it began.
+        if not any(_blocks(before, obstacle.at(t[k]), q[walking[walking <= k]]) for k in walking):
+            return Walk(beside.with_moved_bodies({WALKER: first}), obstacle)
+    raise PlanError("no place was found where a pole can stand in the arm's way")
+
+
+def _blocks(look: Surroundings, place: Floats, q: Floats) -> bool:
+    """Whether the pole at a place is in the way at one of the configurations ``(K, n)``."""
+    look.see({WALKER: place})
+    return look.blocked(q, only_moving=True) is not None

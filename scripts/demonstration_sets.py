@@ -1,8 +1,8 @@
-"""The comparison of models on many sets of recorded demonstrations."""
+"""The comparison of models on many sets of recorded demonstrations, as a study that can be continued."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -100,7 +100,7 @@ class DemonstrationSets(Study[ModelScore]):
     """
 
     name, kind = "demonstrations", ModelScore
-    failed = staticmethod(failed)
+    run, failed = staticmethod(score), staticmethod(failed)
 
     files: Sequence[tuple[str, Path, str]]
     starts: int = 1000
@@ -116,8 +116,3 @@ class DemonstrationSets(Study[ModelScore]):
             for kind, path, unit in self.files
             if any((kind, path.stem, model) not in table.rows for model in models())
         ]
-
-    @property
-    def run(self) -> Callable[..., list[ModelScore]]:
-        """See `Study`."""
-        return score
