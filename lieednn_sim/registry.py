@@ -408,6 +408,7 @@ CONTROLLERS = Registry(
 
 _ARMS = {
     "telescopic_compound": Entry(help="four compound joints of six degrees of freedom each"),
+    "telescopic_crane": Entry(help="a truck crane whose boom a cylinder lifts, with a hook that swings"),
     "telescopic_pr": Entry(help="four sliding and turning links"),
     "telescopic_rrp": Entry(help="three links that turn twice and slide"),
 }
