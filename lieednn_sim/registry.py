@@ -358,17 +358,19 @@ POLICIES: Registry[PolicyEntry] = Registry(
     "policy",
     {
         "lieednn-shaped": PolicyEntry(
-            "policies.networks:shaped", "a certified network shaped for the path of a guide", "ShapedOptions"
+            "policies.network_policy:shaped", "a certified network shaped for the path of a guide", "ShapedOptions"
         ),
         "lieednn-certified": PolicyEntry(
-            "policies.networks:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
+            "policies.network_policy:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
         ),
         "lieednn-replanning": PolicyEntry(
             "policies.replanning:replanning",
             "a certified network that takes new targets and new paths, among obstacles that move",
             "ReplanningOptions",
         ),
-        "linear-attractor": PolicyEntry("policies.networks:linear", "the network without weights: straight in se(3)"),
+        "linear-attractor": PolicyEntry(
+            "policies.network_policy:linear", "the network without weights: straight in se(3)"
+        ),
         "dmp": PolicyEntry(
             "policies.primitive:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"
         ),

@@ -50,11 +50,7 @@ class ApproachBounds:
 
     A degree of freedom that moves both geoms of a pair does not change their distance. A unit velocity of a slide joint
     moves the points of a geom at a speed of 1; that of a rotation, at most at the distance of its anchor from the
-    geom's centre plus the geom's radius.
-
-    Args:
-        arm: the arm.
-        pairs: ``(P, 2)`` geom ids.
+    geom's centre plus the geom's radius. The pairs are geom ids ``(P, 2)``.
     """
 
     def __init__(self, arm: Arm, pairs: NDArray[np.int_]) -> None:
@@ -82,17 +78,11 @@ class ApproachBounds:
 
 
 class ClearanceBarrier:
-    """Distances of pairs of geoms, minus their margins.
+    """Distances of pairs of geoms, minus their margins, for finite acceleration limits ``(n,)`` and a time step h [s].
 
     Attributes:
         collisions: the pairs.
         cutoffs: ``(P,)`` distances beyond which pairs are ignored [m].
-
-    Args:
-        arm: the arm, with its obstacles.
-        acceleration_limits: ``(n,)``, finite.
-        timestep: h [s].
-        options: settings of the filter.
     """
 
     # Several constraints may need the joints' accelerations to brake, and normals turn.

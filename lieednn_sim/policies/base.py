@@ -32,8 +32,7 @@ class Policy(ABC):
         rate: control rate [Hz].
 
     Attributes:
-        arm: the arm.
-        rate: control rate [Hz].
+        arm, rate: as given.
         period: control period [s].
         q: ``(n,)`` reference at the end of the last period, where the arm should be now [rad, m].
         qd: ``(n,)`` rates of this reference [rad/s, m/s].
@@ -144,7 +143,5 @@ def has_jumped(arm: Arm, velocity: Floats) -> Floats:
 
     It has jumped if a joint is faster than its limit, or than 10 rad/s or m/s where there is no limit.
     """
-    # For joints without limits, a target faster than this has jumped [rad/s, m/s].
-    max_target_speed = 10.0
-    limits = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, max_target_speed)
+    limits = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
     return np.asarray((np.abs(velocity) > limits).any(axis=-1))

@@ -45,11 +45,6 @@ class CodedPolicy(FeedbackPolicy):
 
     A subclass defines `decide`, which may `take` another motion.
 
-    Args:
-        arm: the arm.
-        rate: control rate [Hz].
-        feedback: settings of the feedback from the measured joints; None for no feedback.
-
     Attributes:
         network: the certified network with its present code and bias.
         changes: number of codes taken since the reset.
@@ -57,7 +52,6 @@ class CodedPolicy(FeedbackPolicy):
         time: time of the present motion [s].
         rest_at: t_r, infinite while the arm need not rest.
         pace: factor p of the last period.
-        behind: error e of `feedback` at the beginning of the last period.
     """
 
     certified = True
@@ -68,7 +62,7 @@ class CodedPolicy(FeedbackPolicy):
     _velocity: Floats
 
     def __init__(self, arm: Arm, rate: float = 100.0, *, feedback: Feedback | None = FEEDBACK) -> None:
-        super().__init__(arm, rate, feedback)
+        super().__init__(arm, rate, feedback=feedback)
         self._encoder = CurveEncoder(arm.n_links)
 
     def begin(self, q: Floats) -> None:

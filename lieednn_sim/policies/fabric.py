@@ -10,9 +10,8 @@ import numpy as np
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.policies.feedback import FEEDBACK, Feedback
-from lieednn_sim.policies.joint_policy import JointPolicy
-from lieednn_sim.policies.task import PolicyTask
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback, JointPolicy
+from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.values import Floats
 
 

@@ -21,8 +21,6 @@ from lieednn_sim.policies.base import Policy
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, frozen
 
-# Steps before the first period, after which nothing is done for the first time.
-_WARM_UP = 3
 _MAX_PERIODS = 10**7
 
 
@@ -87,7 +85,8 @@ def control_loop(
     first = read()
     if first is None:
         raise InputError("read must return measured joints the first time: the policy begins there")
-    for _ in range(_WARM_UP):
+    # After three steps nothing is done for the first time.
+    for _ in range(3):
         policy.reset(first)
         policy.step(first, aim(0.0))
     policy.reset(first)

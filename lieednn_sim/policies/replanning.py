@@ -26,8 +26,8 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.transition import along, straight
 from lieednn_sim.policies.coded_policy import RESTS, CodedPolicy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
+from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.surroundings import Surroundings, search_path
-from lieednn_sim.policies.task import PolicyTask
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
 

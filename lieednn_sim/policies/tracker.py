@@ -9,7 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.policies.base import Policy
-from lieednn_sim.policies.task import PolicyTask
+from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.values import Floats
 
 
