@@ -12,7 +12,6 @@ from rich.table import Table
 
 from lieednn_sim import io
 from lieednn_sim.evaluation.display import as_text, rounded, table
-from lieednn_sim.evaluation.motion_metrics import MotionMetrics
 from lieednn_sim.simulation import Disturbances
 from lieednn_sim.values import set_fields
 from lieednn_sim.versions import versions
@@ -76,6 +75,27 @@ class Recovery:
     peak_deviation_mm: float
     peak_deviation_deg: float
     recovery_s: float | None
+
+
+@dataclass(frozen=True)
+class MotionMetrics:
+    """Metrics of a planned motion before it is simulated; those not listed here are explained in `studies.Row`.
+
+    Attributes:
+        curvature: see `rms_curvature`; None where the end effector does not move.
+        network_residual: distance from the equilibrium at the end of the motion [network coordinates].
+    """
+
+    motion_s: float
+    gap_mm: float
+    gap_deg: float
+    gap_end_mm: float
+    gap_end_deg: float
+    path_ranges: float
+    jerk_joints: float
+    jerk_effector: float
+    curvature: float | None
+    network_residual: float
 
 
 @dataclass(frozen=True)

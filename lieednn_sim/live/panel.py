@@ -31,13 +31,7 @@ _STRONGEST, _STRETCH = 500.0, 0.3
 
 
 class Panel:
-    """The controls of one page.
-
-    Args:
-        server: a `viser.ViserServer`.
-        session: the session that they control.
-        scene: the scene beside them.
-    """
+    """The controls of one page of a `viser.ViserServer`, beside the scene, for the session."""
 
     def __init__(self, server: Any, session: Session, scene: ArmScene) -> None:
         self._server, self._session, self._scene, self._draws = server, session, scene, 0
@@ -126,11 +120,7 @@ class Panel:
 
 
 class Plots:
-    """Three plots: the distance from the target, the network's own under its bound, tracking error and clearance.
-
-    Args:
-        gui: viser's ``server.gui``; the plots are placed where its present container is.
-    """
+    """Three plots, in the present container of viser's gui: how far from the target, from the network's, and behind."""
 
     def __init__(self, gui: Any) -> None:
         self._uplot = optional_module("viser.uplot")

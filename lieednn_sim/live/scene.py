@@ -26,10 +26,7 @@ _RATIO = 1.0
 class ArmScene:
     """An arm in the scene of a `viser.ViserServer`, with its target as a handle.
 
-    Args:
-        server: the server.
-        arm: the arm; it is not changed.
-        pose: position ``(3,)`` and quaternion ``(4,)`` of the target.
+    The target's pose is its position ``(3,)`` and quaternion ``(4,)``.
 
     Attributes:
         handle: viser's transform controls at the target; the mouse moves them.
@@ -63,12 +60,7 @@ class ArmScene:
             if body in moving and model.body(body).name and model.body_mocapid[model.body_rootid[body]] < 0
         ]
         self.handle = scene.add_transform_controls(
-            "/target handle",
-            scale=0.28 * self._scale,
-            line_width=3.0,
-            depth_test=False,
-            position=pose[0],
-            wxyz=pose[1],
+            "/target handle", scale=0.28 * self._scale, line_width=3.0, depth_test=False, position=pose[0], wxyz=pose[1]
         )
         # Seen through what the target may be in.
         self._refusal = scene.add_label("/refused", "cannot be reached", visible=False, anchor="bottom-left")

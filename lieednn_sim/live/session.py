@@ -23,8 +23,7 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, SimulationError
-from lieednn_sim.live.engine import Engine
-from lieednn_sim.live.making import Made, foreseen, make_for
+from lieednn_sim.live.engine import Engine, Made, foreseen, make_for
 from lieednn_sim.live.settings import Settings
 from lieednn_sim.live.worker import Worker
 from lieednn_sim.policies import Policy
@@ -40,17 +39,11 @@ _MEASURED, _PAUSED_WAIT = 50, 0.02
 
 
 class Aim(NamedTuple):
-    """The latest target that was asked for.
+    """The latest target that was asked for."""
 
-    Attributes:
-        position: ``(3,)`` of the end effector, world [m].
-        quaternion: ``(4,)`` its orientation (w, x, y, z).
-        problem: why the arm is not sent there; empty if it is, or if that is not known yet.
-    """
-
-    position: Floats
-    quaternion: Floats
-    problem: str = ""
+    position: Floats  # (3,) of the end effector, world [m]
+    quaternion: Floats  # (4,) its orientation (w, x, y, z)
+    problem: str = ""  # why the arm is not sent there; empty if it is, or if that is not known yet
 
 
 class Session:

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.live.engine import Tick
-from lieednn_sim.live.making import certificate_of, network_policy
+from lieednn_sim.live.engine import Tick, certificate_of, network_policy
 from lieednn_sim.live.session import Aim, Session
 from lieednn_sim.values import Floats
 
@@ -22,33 +21,19 @@ _VALUE = '<td style="overflow-wrap:anywhere">'
 
 
 class Snapshot(NamedTuple):
-    """One instant of a session.
-
-    Attributes:
-        session: the session.
-        tick: state of the loop.
-        aimed: the target that was asked for last.
-        frames: link frames, poses of shape ``(N,)``.
-        planned: link frames of the reference.
-        distance: of the end effector from the target [m].
-        angle: the same as an angle [rad].
-        tracking: distance of the end effector from its reference [m].
-        gap: ``(2,)`` largest mechanism gap of a link as an angle [rad] and as a distance [m]; None without a network.
-        clearance: least distance of two geoms whose distance the joints can change [m]; infinite beyond 0.6 m.
-        nearest: their names; empty beyond.
-    """
+    """One instant of a session."""
 
     session: Session
-    tick: Tick
-    aimed: Aim
-    frames: RigidTransform
-    planned: RigidTransform
-    distance: float
-    angle: float
-    tracking: float
-    gap: Floats | None
-    clearance: float
-    nearest: tuple[str, str]
+    tick: Tick  # state of the loop
+    aimed: Aim  # the target that was asked for last
+    frames: RigidTransform  # link frames, poses of shape (N,)
+    planned: RigidTransform  # link frames of the reference
+    distance: float  # of the end effector from the target [m]
+    angle: float  # the same as an angle [rad]
+    tracking: float  # distance of the end effector from its reference [m]
+    gap: Floats | None  # (2,) largest mechanism gap of a link [rad, m]; None without a network
+    clearance: float  # least distance of two geoms whose distance the joints can change [m]; infinite beyond 0.6 m
+    nearest: tuple[str, str]  # their names; empty beyond
 
     @property
     def arrived(self) -> bool:

@@ -11,11 +11,9 @@ class Superseded(Exception):
 
 
 class Worker:
-    """Does jobs one after another in a thread; of those that wait only the newest is done.
+    """Does jobs one after another in a thread of its own; of those that wait only the newest is done.
 
-    Args:
-        name: name of the thread.
-        failed: called in the thread with an exception of a job other than `Superseded`.
+    ``failed`` is called in the thread with an exception of a job other than `Superseded`.
     """
 
     def __init__(self, name: str, failed: Callable[[Exception], object]) -> None:

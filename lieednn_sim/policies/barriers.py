@@ -33,9 +33,6 @@ class FilterOptions(PlannerOptions):
         approach: upper bound on the rate c [1/s]: geoms at a distance d may approach each other at c d.
         cutoff: distance beyond which pairs are ignored [m].
         smoothing: s, the weight of the change of velocity in the quadratic program of `safety_filter`.
-
-    Raises:
-        InputError: a value is not positive.
     """
 
     margin: float = 0.01

@@ -32,7 +32,6 @@ class Policy(ABC):
         rate: control rate [Hz].
 
     Attributes:
-        arm, rate: as given.
         period: control period [s].
         q: ``(n,)`` reference at the end of the last period, where the arm should be now [rad, m].
         qd: ``(n,)`` rates of this reference [rad/s, m/s].
@@ -45,14 +44,14 @@ class Policy(ABC):
 
     certified = False
     channel_units: Mapping[str, str] = MappingProxyType({})
+    q: Floats
+    qd: Floats
 
     def __init__(self, arm: Arm, rate: float) -> None:
         self.arm, self.rate = arm, as_positive("rate", rate)
         self.period = 1.0 / self.rate
         self._max_gain = arm.acceleration_limits * self.period
         self._target: Floats | None = None
-        self.q: Floats
-        self.qd: Floats
 
     def reset(self, q: ArrayLike | str) -> None:
         """Start again at rest from joint coordinates ``(n,)``, or from a keyframe, given by its name.

@@ -25,9 +25,6 @@ class FabricOptions(PlannerOptions):
         near: d_0, distance within which geoms repel [m].
         margin: distance to keep where start and target allow it [m].
         strength: r, strength of the repulsion.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     stiffness: float = 16.0

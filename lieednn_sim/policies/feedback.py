@@ -129,8 +129,6 @@ class JointPolicy(FeedbackPolicy):
 
     Attributes:
         y: ``(n,)`` state y, joint coordinates [rad, m].
-        pace: factor l s of the last period.
-        behind: error e of `feedback` at the beginning of the last period.
     """
 
     def begin(self, q: Floats) -> None:

@@ -26,17 +26,7 @@ _Make = TypeVar("_Make", bound=Callable[..., Policy])
 
 @dataclass(frozen=True, eq=False)
 class PolicyTask:
-    """The task for which a policy is made; the arguments are those of `make_policy`.
-
-    Attributes:
-        arm: the arm, in its scene.
-        start: ``(n,)`` joint position at the beginning.
-        target: ``(n,)`` the first target.
-        rate: control rate [Hz].
-        feedback: settings of the feedback from the measured joints; None for no feedback.
-        convergence_rate: rate at which a policy without a motion approaches the target [1/s].
-        seed: seed of random draws.
-        given: the motion or plan given to track or to imitate, or None.
+    """The task for which a policy is made: the arguments of `make_policy`, with ``given`` for its ``motion``.
 
     Raises:
         InputError: a value is malformed.
@@ -64,9 +54,7 @@ class PolicyTask:
 
 
 def register_policy(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Make], _Make]:
-    """Decorator that registers a function that makes policies, for `make_policy`.
-
-    The function takes a `PolicyTask` and returns a `Policy`.
+    """Decorator that registers a function of a `PolicyTask` that makes a `Policy`, for `make_policy`.
 
     An installed package declares its policies as entry points::
 

@@ -213,9 +213,6 @@ class CertifiedPolicyOptions(NetworkOptions):
 
     Attributes:
         bias_magnitude: magnitude of the network's bias [gamma/mu].
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     bias_magnitude: float = 0.25

@@ -43,9 +43,6 @@ class PathIntegralOptions(PlannerOptions):
         temperature: lambda, as a fraction of the median cost minus the least cost.
         near: distance kept from the surroundings where the target allows it [m].
         nearness: cost rate where the arm is nearer than `near` [1/s].
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     pairs: int = field(default=12, metadata={"range": (1, 10_000)})

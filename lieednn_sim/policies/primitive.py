@@ -28,9 +28,6 @@ class PrimitiveOptions(PlannerOptions):
         decay: b; at a third of the spring, the forces vanish when the motion ends.
         basis_functions: number of radial functions.
         ridge: weight of the squared weights in their regression.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     spring: float = 25.0

@@ -25,10 +25,7 @@ from lieednn_sim.errors import FileError
 def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
     """Yield a function that appends an RGB picture ``(height, width, 3)``; the file is complete after the block.
 
-    Args:
-        path: the file; an existing one is overwritten, and a failing block leaves it unfinished.
-        size: (width, height) in pixels, both even.
-        fps: frames per second.
+    An existing file is overwritten, and a failing block leaves it unfinished. Width and height must be even.
 
     Raises:
         FileError: the encoder stopped; the message has its first line of output.

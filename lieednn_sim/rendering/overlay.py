@@ -29,17 +29,11 @@ _NOWHERE, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 
 @frozen
 class Overlay:
-    """Geometry to add to each frame.
+    """Geometry to add to each frame."""
 
-    Attributes:
-        planned_frames: ``(K, N, 4, 4)`` planned link frames, the last one being the end effector.
-        traced_tip: ``(K, 3)`` simulated end effector positions.
-        scale: scale of lengths and widths, 1 for an arm of two metres.
-    """
-
-    planned_frames: Floats
-    traced_tip: Floats
-    scale: float = 1.0
+    planned_frames: Floats  # (K, N, 4, 4) planned link frames, the last one being the end effector
+    traced_tip: Floats  # (K, 3) simulated end effector positions
+    scale: float = 1.0  # of lengths and widths, 1 for an arm of two metres
 
     @classmethod
     def of(cls, rollout: Rollout, scale: float) -> Overlay:

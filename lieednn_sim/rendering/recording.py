@@ -23,15 +23,10 @@ _MARGIN = 1.2  # room around what a view contains, as a factor
 
 @dataclass(frozen=True)
 class Recording:
-    """Motions for viser's player.
+    """Motions for viser's player."""
 
-    Attributes:
-        content: the recording, a ``.viser`` file.
-        ratio: least width / height of the picture in which all is seen, 1 to 16/9.
-    """
-
-    content: bytes
-    ratio: float
+    content: bytes  # a .viser file
+    ratio: float  # least width / height of the picture in which all is seen, 1 to 16/9
 
 
 def record(

@@ -8,8 +8,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,30 +42,20 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
             server.stop()
 
 
-@dataclass(frozen=True)
-class Shape:
-    """Surfaces of one colour, or one textured surface, of a body, in the frame of the body.
+class Shape(NamedTuple):
+    """Surfaces of one colour, or one textured surface, of a body, in the frame of the body."""
 
-    Attributes:
-        body: id of the body.
-        mesh: a `trimesh.Trimesh`.
-        rgba: its colour, four numbers from 0 to 1; None where the mesh has a texture.
-    """
-
-    body: int
-    mesh: Any
-    rgba: tuple[float, ...] | None
+    body: int  # its id
+    mesh: Any  # a `trimesh.Trimesh`
+    rgba: tuple[float, ...] | None  # four numbers from 0 to 1; None where the mesh has a texture
 
 
 class Shapes:
     """The geometry of a model that a film shows: groups, colours and transparency are as MuJoCo renders them.
 
-    Args:
-        model: the model; its planes are floors of unlimited size.
-
     Attributes:
         shapes: surfaces of all bodies.
-        floors: ids of the geoms that are planes.
+        floors: ids of the geoms that are planes, which are floors of unlimited size.
         tendons: ids of the tendons by their colour, four numbers from 0 to 1, and radius [m].
         extent: ``(2, 3)`` smallest and largest coordinates of what does not move, without the floors; ``(0, 3)`` if
             there is nothing.
@@ -120,13 +109,9 @@ def _parted(mesh: Any, trimesh_graph: Any) -> tuple[Floats, Any]:
 
 
 class ModelNodes:
-    """The bodies of a model as nodes of a viser scene; several may share the same `Shapes`.
+    """The bodies of a model as nodes of a viser scene, translated by an offset ``(3,)`` [m].
 
-    Args:
-        scene: the scene, such as ``viser.ViserServer.scene``.
-        shapes: the model's geometry.
-        root: name of the node above all others, such as ``/arm``.
-        offset: ``(3,)`` translation of everything [m].
+    Several may share the same `Shapes`. The node above all others has the name ``root``, such as ``/arm``.
 
     Attributes:
         model: the model.
