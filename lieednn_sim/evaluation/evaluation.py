@@ -233,13 +233,9 @@ def _frames(evaluation: Evaluation) -> Table:
     rows.caption = (
         f"the end effector moves {evaluation.displacement_m:.2f} m (path {evaluation.path_m:.2f} m) in "
         f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}; "
-        + (
-            f"mechanism gap of the plan: {rounded(evaluation.plan.gap_mm)} mm, "
-            f"{rounded(evaluation.plan.gap_deg)} degrees"
-            if evaluation.plan
-            else ""
-        )
     )
+    if plan := evaluation.plan:
+        rows.caption += f"mechanism gap of the plan: {rounded(plan.gap_mm)} mm, {rounded(plan.gap_deg)} degrees"
     return rows
 
 

@@ -22,7 +22,7 @@ from lieednn_sim.evaluation.evaluation import (
     Recovery,
 )
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, rms_jerk
-from lieednn_sim.simulation import Following, Push, Rollout
+from lieednn_sim.simulation import Following, Rollout
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
@@ -43,6 +43,8 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
     arrival = pose_errors(simulated, arm.link_poses(rollout.target))
     tip = rollout.link_position[:, -1]
     least = least_clearance(rollout) if clearance else np.inf
+    weld_force, weld_torque = (rollout.channels.get(f"weld_{load}", np.zeros(1)) for load in ("force", "torque"))
+    speeds, forces, held = (np.abs(x).max(axis=0) for x in (rollout.qd, rollout.force, rollout.constraint_force))
     frames = tuple(frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names))
     arrived = all(frame.arrived for frame in frames)
     return Evaluation(
@@ -57,57 +59,42 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         plan=None if motion is None else motion_metrics(arm, motion),
         frames=frames,
         joints=tuple(
-            JointUse(
-                name=name,
-                peak_velocity=float(np.abs(rollout.qd[:, j]).max()),
-                velocity_limit=float(arm.velocity_limits[j]),
-                peak_force=float(np.abs(rollout.force[:, j]).max()),
-                force_limit=float(arm.force_limits[j]),
-                peak_constraint_force=float(np.abs(rollout.constraint_force[:, j]).max()),
+            JointUse(name, *map(float, numbers))
+            for name, *numbers in zip(
+                arm.joint_names, speeds, arm.velocity_limits, forces, arm.force_limits, held, strict=True
             )
-            for j, name in enumerate(arm.joint_names)
         ),
         path_m=float(np.linalg.norm(np.diff(tip, axis=0), axis=1).sum()),
         displacement_m=float(np.linalg.norm(tip[-1] - tip[0])),
         clearance_mm=1e3 * least if np.isfinite(least) else None,
         contacts=int(rollout.contacts.max()),
         peak_contact_force_n=float(rollout.contact_force.max()),
-        peak_weld_force_n=_peak(rollout, "weld_force"),
-        peak_weld_torque_n_m=_peak(rollout, "weld_torque"),
+        peak_weld_force_n=float(weld_force.max()),
+        peak_weld_torque_n_m=float(weld_torque.max()),
         recoveries=_recoveries(rollout, tracking),
         causes=() if arrived else error_causes(rollout, SETTLED_TRANSLATION, SETTLED_ROTATION),
         **violations(rollout),
     )
 
 
-def _peak(rollout: Rollout, channel: str) -> float:
-    return float(rollout.channels.get(channel, np.zeros(1)).max())
-
-
 def _recoveries(rollout: Rollout, tracking: tuple[Floats, Floats]) -> tuple[Recovery, ...]:
     """The effect of each push; a push that begins at the end of the rollout or later is left out."""
+    t, (distance, angle) = rollout.t, tracking
     # No step begins at the last sample; times are rounded to the nearest step.
-    end = 0.5 * (rollout.t[-2] + rollout.t[-1])
-    pushes = [push for push in rollout.disturbances.pushes if push.start < end]
-    # Pushes that begin together share what follows.
-    untils = [min((other.start for other in pushes if other.start > push.start), default=np.inf) for push in pushes]
-    return tuple(_recovery(push, until, rollout.t, tracking) for push, until in zip(pushes, untils, strict=True))
-
-
-def _recovery(push: Push, until: float, t: Floats, tracking: tuple[Floats, Floats]) -> Recovery:
+    pushes = [push for push in rollout.disturbances.pushes if push.start < 0.5 * (t[-2] + t[-1])]
     # Samples belong to a push by the step that begins there, whatever the rounding of the times.
     half = 0.5 * float(t[1] - t[0])
-    since, after = ((t > begin - half) & (t < until - half) for begin in (push.start, push.end))
-    distance, angle = tracking
-    recovered = settled(t[after], distance[after], angle[after]) if after.any() else None
-    return Recovery(
-        body=push.body,
-        start_s=push.start,
-        end_s=push.end,
-        peak_deviation_mm=float(1e3 * distance[since].max(initial=0.0)),
-        peak_deviation_deg=float(np.rad2deg(angle[since].max(initial=0.0))),
-        recovery_s=None if recovered is None else max(recovered - push.end, 0.0),
-    )
+    result = []
+    for push in pushes:
+        # Pushes that begin together share what follows.
+        until = min((other.start for other in pushes if other.start > push.start), default=np.inf)
+        since, after = ((t > begin - half) & (t < until - half) for begin in (push.start, push.end))
+        recovered = settled(t[after], distance[after], angle[after]) if after.any() else None
+        peak_mm = float(1e3 * distance[since].max(initial=0.0))
+        peak_deg = float(np.rad2deg(angle[since].max(initial=0.0)))
+        wait = None if recovered is None else max(recovered - push.end, 0.0)
+        result.append(Recovery(push.body, push.start, push.end, peak_mm, peak_deg, wait))
+    return tuple(result)
 
 
 @dataclass(frozen=True)

@@ -89,14 +89,10 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
                 if i >= n:
                     axis.set_visible(False)
                     continue
-                for c, coordinate in enumerate("xyz"):
-                    axis.plot(
-                        motion.t,
-                        scale * motion.xi[:, i, first + c],
-                        color=COLOURS[c],
-                        label=f"$\\omega_{coordinate}$ / $v_{coordinate}$",
-                    )
-                    axis.axhline(scale * motion.xi_target[i, first + c], color=COLOURS[c], ls="--", lw=0.9)
+                for c, colour, name in zip(range(first, first + 3), COLOURS, "xyz", strict=False):
+                    label = f"$\\omega_{name}$ / $v_{name}$"
+                    axis.plot(motion.t, scale * motion.xi[:, i, c], color=colour, label=label)
+                    axis.axhline(scale * motion.xi_target[i, c], color=colour, ls="--", lw=0.9)
                 _label(axis, unit, f"{arm.link_names[i]} (neuron {i + 1}): {title}", fontsize=9)
                 if i % rows == rows - 1 or i == n - 1:
                     axis.set_xlabel("time [s]")
@@ -129,15 +125,8 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
             _label(upper, unit, f"tracking error, {what}: planned to simulated frame")
             lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), color=COLOURS[3])
             lower.axhline(settled, color="0.4", ls="--", lw=0.9)
-            lower.annotate(
-                f"settled: below {settled:g} {unit[1:-1]}",
-                (0.0, settled),
-                xytext=(4, 3),
-                xycoords=("axes fraction", "data"),
-                textcoords="offset points",
-                color="0.3",
-                fontsize=8,
-            )
+            place = {"xytext": (4, 3), "xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+            lower.annotate(f"settled: below {settled:g} {unit[1:-1]}", (0.0, settled), color="0.3", fontsize=8, **place)
             lower.set_ylim(1e-2 * settled, 2.0 * max(float(distance.max()), settled))
             _label(lower, unit, f"end effector to target, {what}")
             lower.set_xlabel("time [s]")
@@ -158,14 +147,13 @@ def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequenc
     Raises:
         InputError: the rollout has no channels, or none of such a name.
     """
-    chosen = (
-        list(rollout.channels) if names is None else [as_choice("channel", name, rollout.channels) for name in names]
-    )
+    chosen = list(rollout.channels) if names is None else names
     if not chosen:
         raise InputError("there are no channels to plot; see the argument log of simulate")
     lines: dict[str, dict[str, Floats]] = {}
     for name in chosen:
-        values, of_unit = rollout.channels[name], lines.setdefault(rollout.channel_units[name], {})
+        values = rollout.channels[as_choice("channel", name, rollout.channels)]
+        of_unit = lines.setdefault(rollout.channel_units[name], {})
         for index in np.ndindex(values.shape[1:]):
             of_unit[name + (f"[{', '.join(map(str, index))}]" if index else "")] = values[:, *index]
     legend = 0.25 + 0.18 * -(-max(map(len, lines.values())) // _LABELS_IN_ROW)
@@ -325,10 +313,8 @@ def plot_training(history: History, target: ArrayLike, tolerance: float, path: s
         spatial = goal.shape[-1] == 6
         kinds = (("rotation $\\omega$", slice(0, 3)), ("translation $v$", slice(3, 6)))
         for colour, (name, chosen) in zip(COLOURS, kinds if spatial else [("coordinates", slice(None))], strict=False):
-            lines = equilibrium.plot(
-                history.epoch, history.equilibrium[..., chosen].reshape(len(history), -1), color=colour, ls="-", lw=0.9
-            )
-            lines[0].set_label(name)
+            values = history.equilibrium[..., chosen].reshape(len(history), -1)
+            equilibrium.plot(history.epoch, values, color=colour, ls="-", lw=0.9)[0].set_label(name)
             for value in goal[..., chosen].ravel():
                 equilibrium.axhline(value, color=colour, ls="--", lw=0.6)
         equilibrium.plot([], [], color="0.3", ls="--", lw=0.9, label="target")

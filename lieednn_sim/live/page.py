@@ -98,7 +98,7 @@ class Page:
         # Not in the server's pool of threads, where the last two of these calls might change places.
         self._dragged = time.monotonic() if event.phase != "end" else -_DRAG_ENDS
         target = event.target
-        turn = Rotation.from_quat(target.wxyz, scalar_first=True) if self._panel.holds_direction else None
+        turn = Rotation.from_quat(target.wxyz, scalar_first=True) if self._panel.direction_counts.value else None
         if event.phase != "start":
             self.session.aim(target.position.copy(), turn)
 
@@ -117,7 +117,7 @@ class Page:
                 self._scene.show(snapshot, self.session.path)
                 if snapshot.aimed is not aimed and time.monotonic() - self._dragged > _DRAG_ENDS:
                     aimed = snapshot.aimed
-                    self._scene.place_handle(aimed.position, aimed.quaternion)
+                    self._scene.handle.position, self._scene.handle.wxyz = aimed.position, aimed.quaternion
                 if count % _TABLE == 0:
                     self._panel.show(snapshot)
             count += 1

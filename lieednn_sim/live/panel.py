@@ -16,12 +16,9 @@ from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, optional_modul
 from lieednn_sim.values import Floats
 
 _DIRECTIONS = {
-    "+x": (1.0, 0.0, 0.0),
-    "-x": (-1.0, 0.0, 0.0),
-    "+y": (0.0, 1.0, 0.0),
-    "-y": (0.0, -1.0, 0.0),
-    "+z": (0.0, 0.0, 1.0),
-    "-z": (0.0, 0.0, -1.0),
+    sign + axis: factor * unit
+    for axis, unit in zip("xyz", np.eye(3), strict=True)
+    for sign, factor in (("+", 1.0), ("-", -1.0))
 }
 # Time that the plots show [s], and the least time between two samples.
 _SPAN, _STEP = 10.0, 0.1
@@ -31,7 +28,10 @@ _STRONGEST, _STRETCH = 500.0, 0.3
 
 
 class Panel:
-    """The controls of one page of a `viser.ViserServer`, beside the scene, for the session."""
+    """The controls of one page of a `viser.ViserServer`, beside the scene, for the session.
+
+    The value of `direction_counts` is whether the target's direction counts, besides its position.
+    """
 
     def __init__(self, server: Any, session: Session, scene: ArmScene) -> None:
         self._server, self._session, self._scene, self._draws = server, session, scene, 0
@@ -44,7 +44,7 @@ class Panel:
         self._run.on_click(lambda event: self._clicked(event.target.value))
         self._targets = gui.add_button_group("target", ("home", "random"))
         self._targets.on_click(lambda event: self._clicked(event.target.value))
-        self._direction_counts = gui.add_checkbox(
+        self.direction_counts = gui.add_checkbox(
             "hold its direction", True, hint="otherwise the end effector may turn as it likes"
         )
         speed = gui.add_slider("speed", *SPEEDS, step=0.1, initial_value=1.0)
@@ -60,14 +60,9 @@ class Panel:
             self._plots = Plots(gui)
         with gui.add_folder("View", expand_by_default=False):
             frames = gui.add_checkbox("link frames", True, hint="of the reference")
-            frames.on_update(lambda _: scene.show_frames(frames.value))
+            frames.on_update(lambda _: setattr(scene.frames, "visible", frames.value))
             shade = gui.add_checkbox("dark", False)
             shade.on_update(lambda _: self._theme(dark=shade.value))
-
-    @property
-    def holds_direction(self) -> bool:
-        """Whether the target's direction counts, besides its position."""
-        return bool(self._direction_counts.value)
 
     def spring(self, grabbed: Sequence[float], mouse: Sequence[float]) -> Floats:
         """The force ``(3,)`` [N] of a spring from a grabbed point to the mouse, at most that of the slider."""
@@ -102,7 +97,7 @@ class Panel:
             menu.on_update(lambda event, name=name: self._session.choose(**{name: event.target.value}))
 
     def _push(self) -> None:
-        force = float(self._force.value) * np.array(_DIRECTIONS[self._along.value])
+        force = float(self._force.value) * _DIRECTIONS[self._along.value]
         self._session.push(self._link.value, force)
 
     def _clicked(self, what: str) -> None:
@@ -110,7 +105,7 @@ class Panel:
         if what == "pause":
             session.paused = not session.paused
         elif what == "reset":
-            self._scene.forget_path()
+            self._scene.trace.clear()
             session.reset()
         elif what == "home":
             session.aim_at("home")

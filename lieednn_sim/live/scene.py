@@ -30,6 +30,8 @@ class ArmScene:
 
     Attributes:
         handle: viser's transform controls at the target; the mouse moves them.
+        frames: viser's node of the reference's link frames.
+        trace: the path travelled so far.
         surfaces: viser's nodes of the arm's moving surfaces, with the names of their bodies.
     """
 
@@ -67,10 +69,10 @@ class ArmScene:
         blank = np.zeros((2, 3))
         self._planned = viser_scene.add_path(scene, "/planned", blank, PLANNED_COLOUR, PLANNED_RADIUS * self._scale)
         self._travelled = viser_scene.add_path(scene, "/travelled", blank, TRACED_COLOUR, TRACED_RADIUS * self._scale)
-        self._trace: deque[Floats] = deque(maxlen=_TRAVELLED)
+        self.trace: deque[Floats] = deque(maxlen=_TRAVELLED)
         self._path: Floats | None = blank
         axes = {"axes_length": 0.2 * self._scale, "axes_radius": 0.006 * self._scale}
-        self._frames = scene.add_batched_axes(
+        self.frames = scene.add_batched_axes(
             "/frames", batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (arm.n_links, 1)),
             batched_positions=np.zeros((arm.n_links, 3)), **axes,
         )  # fmt: skip
@@ -104,30 +106,18 @@ class ArmScene:
             self._refusal.visible = refused
         if refused:
             self._refusal.position = aimed.position
-        self._frames.batched_positions = np.asarray(snapshot.planned.translation, dtype=np.float32)
-        self._frames.batched_wxyzs = snapshot.planned.rotation.as_quat(scalar_first=True).astype(np.float32)
+        self.frames.batched_positions = np.asarray(snapshot.planned.translation, dtype=np.float32)
+        self.frames.batched_wxyzs = snapshot.planned.rotation.as_quat(scalar_first=True).astype(np.float32)
         tip = np.asarray(snapshot.frames[-1].translation)
-        if not self._trace or np.linalg.norm(tip - self._trace[-1]) > _SPACING:
-            self._trace.append(tip)
-            self._travelled.points = _segments(self._trace)
+        if not self.trace or np.linalg.norm(tip - self.trace[-1]) > _SPACING:
+            self.trace.append(tip)
+            self._travelled.points = _segments(self.trace)
         if path is not self._path:
             self._path = path
             self._planned.visible = path is not None
             if path is not None:
                 self._planned.points = _segments(path)
         self._show_force(tick.force, tick.pushed)
-
-    def forget_path(self) -> None:
-        """Forget the path travelled so far."""
-        self._trace.clear()
-
-    def show_frames(self, visible: bool) -> None:
-        """Show or hide the link frames of the reference."""
-        self._frames.visible = visible
-
-    def place_handle(self, position: Floats, quaternion: Floats) -> None:
-        """Move the handle to where somebody else put the target."""
-        self.handle.position, self.handle.wxyz = position, quaternion
 
     def _show_force(self, force: Floats, place: Floats) -> None:
         if not force.any():

@@ -84,6 +84,7 @@ class ClearanceBarrier:
 
     # Several constraints may need the joints' accelerations to brake, and normals turn.
     braking_fraction = 0.15
+    _near: Distances
 
     def __init__(self, arm: Arm, acceleration_limits: Floats, timestep: float, options: FilterOptions) -> None:
         self._acceleration, self._timestep, self._options = acceleration_limits, timestep, options
@@ -98,15 +99,11 @@ class ClearanceBarrier:
         beside[tuple(self.collisions.distances(arm.keyframe("home"), 0.15).pairs.T)] = True
         self.cutoffs[own & beside[pairs]] = min(0.04, options.cutoff)
         self._approach = ApproachBounds(arm, self.collisions.pairs)
-        self._near: Distances
 
     def values(self, q: Floats, velocity: Floats, speeds: Floats) -> tuple[Floats, Floats]:
         """Values ``(m,)`` [m] and gradients ``(m, n)`` of the pairs that matter in a step.
 
-        Args:
-            q: ``(n,)`` joint positions at its beginning.
-            velocity: ``(n,)`` joint velocities there.
-            speeds: ``(n,)`` bounds of the joints' speeds at its end.
+        It begins at ``q`` with ``velocity``, and ends with joint speeds of at most ``speeds``, all ``(n,)``.
         """
         near = self._near = self.collisions.distances(q, self.needed(q, velocity, speeds))
         return near.distance - self._margins[tuple(near.pairs.T)], near.jacobian

@@ -100,10 +100,8 @@ class Policy(ABC):
     def see(self, places: Mapping[str, Floats]) -> None:
         """Inform the policy of the places where all moving obstacles are now; most policies ignore them.
 
-        `reset` puts the obstacles back where the scene has them.
-
-        Args:
-            places: positions ``(3,)`` of bodies of the arm's scene, in the frames of their parents [m], by name.
+        These are positions ``(3,)`` of bodies of the arm's scene, in the frames of their parents [m], by name. `reset`
+        puts the obstacles back where the scene has them.
 
         Raises:
             InputError: the policy was never reset.

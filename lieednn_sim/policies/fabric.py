@@ -43,10 +43,8 @@ class Fabric(JointPolicy):
     of its distance at the start and at the target.
 
     Args:
-        arm: the arm, in its scene.
-        rate: control rate [Hz].
+        arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
         options: settings.
-        feedback: settings of the feedback from the measured joints; None for no feedback.
     """
 
     def __init__(

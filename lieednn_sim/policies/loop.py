@@ -7,11 +7,10 @@ the loop, which hold the last reference, or stop, when the next one is late.
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -91,7 +90,11 @@ def control_loop(
         policy.step(first, aim(0.0))
     policy.reset(first)
     lateness, step_time = np.empty(total), np.empty(total)
-    with _without_collections():
+    collects = gc.isenabled()
+    gc.collect()
+    # Python's search for reference cycles can take longer than a period.
+    gc.disable()
+    try:
         started = start = time.perf_counter()
         for k in range(total):
             measured, goal = read() if k else first, aim(start - started)
@@ -106,21 +109,11 @@ def control_loop(
                 on_late(k, now - end)
             time.sleep(max(end - time.perf_counter(), 0.0))
             start = max(end, now)
+    finally:
+        if collects:
+            gc.enable()
     return LoopReport(lateness, step_time, policy.message)
 
 
 def _held(target: Floats) -> Callable[[float], Floats]:
     return lambda _: target
-
-
-@contextlib.contextmanager
-def _without_collections() -> Iterator[None]:
-    """Keep Python from searching for reference cycles, which can take longer than a period."""
-    enabled = gc.isenabled()
-    gc.collect()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()

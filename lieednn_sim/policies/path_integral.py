@@ -62,8 +62,7 @@ class VelocityRollouts:
     """
 
     def __init__(self, arm: Arm, step: float, near: float) -> None:
-        self._arm, self._near = arm, near
-        self._model = _kinematic(arm, step, near)
+        self._arm, self._model = arm, _kinematic(arm, step, near)
         self._data = mujoco.MjData(self._model)
         self._scene = self._model.body_pos.copy()
         self._kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -110,10 +109,8 @@ def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
     # The sensor reports one contact: that of the least distance.
     spec.add_sensor(name="nearest", type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=[fields, 1, 1])
     model = spec.compile()
-    off = mujoco.mjtDisableBit
-    model.opt.disableflags |= int(
-        off.mjDSBL_GRAVITY | off.mjDSBL_EQUALITY | off.mjDSBL_LIMIT | off.mjDSBL_FRICTIONLOSS | off.mjDSBL_SPRING
-    )
+    for off in ("GRAVITY", "EQUALITY", "LIMIT", "FRICTIONLOSS", "SPRING"):
+        model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{off}"))
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # With the gain, so far above the arm's own inertia that joints take their commanded velocities at once.
     model.opt.timestep, model.dof_armature[:] = step, 1e4
@@ -135,11 +132,9 @@ class PathIntegral(JointPolicy):
     so that the arm comes to rest there.
 
     Args:
-        arm: the arm, in its scene.
-        rate: control rate [Hz].
+        arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
         convergence_rate: c [1/s].
         options: options of the policy.
-        feedback: settings of the feedback from the measured joints; None for no feedback.
         seed: seed of the noise.
     """
 

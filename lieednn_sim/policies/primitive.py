@@ -44,11 +44,9 @@ class MovementPrimitive(JointPolicy):
     moves, so does the attractor, but not the forces. During a push the phase waits too.
 
     Args:
-        arm: the arm.
+        arm, rate, feedback: as of `JointPolicy`.
         motion: motion to imitate.
-        rate: control rate [Hz].
         options: options of the policy.
-        feedback: settings of the feedback from the measured joints; None for no feedback.
     """
 
     def __init__(

@@ -212,9 +212,7 @@ class ReplanningPolicy(CodedPolicy):
         InputError: the motion is of another arm, or a value is malformed.
     """
 
-    channel_units: Mapping[str, str] = MappingProxyType(
-        {"pace": "1", "behind": "ranges", "changes": "1", "blocked": "1"}
-    )
+    channel_units: Mapping[str, str] = MappingProxyType({**CodedPolicy.channel_units, "changes": "1", "blocked": "1"})
 
     def __init__(
         self,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
 TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
 # Radii of the paths [m]; the travelled one is thicker, since it usually covers the planned one.
 PLANNED_RADIUS, TRACED_RADIUS = 0.008, 0.011
+_font = functools.cache(ImageFont.load_default)
 # Position and orientation of a geom before its ends are known.
 _NOWHERE, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 
@@ -110,8 +110,3 @@ def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.
         draw.text((x + 1.6 * size, y), text, font=font, fill=_INK)
         x += font.getlength(text) + 3.0 * size
     return np.asarray(picture)
-
-
-@functools.cache
-def _font(size: int) -> Any:
-    return ImageFont.load_default(size)

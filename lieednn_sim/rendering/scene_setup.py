@@ -35,20 +35,15 @@ def planned_frames(run: Rollout) -> Floats:
 def occupied(run: Rollout) -> Floats:
     """Points ``(P, 3)`` that a picture must contain: the base, the target, and all that the links pass.
 
-    In the model of a view, which may hold more than an arm, it is what moves, and the bodies that carry the end
-    effector.
+    In the model of a view, which may hold more than an arm, these are around the geoms of what moves by a millimetre at
+    some instants, and of the bodies that carry the end effector.
     """
-    if run.arm.state is not None:
-        return _occupied_in(run)
-    ends = [run.arm.base.translation, run.arm.link_poses(run.target).translation[-1]]
-    return np.vstack([*ends, run.link_position.reshape(-1, 3)])
-
-
-def _occupied_in(run: Rollout) -> Floats:
-    """Points around the geoms of the bodies in question, at some instants; what moves by a millimetre counts."""
-    model, data = run.arm.model, mujoco.MjData(run.arm.model)
-    shown = np.zeros(model.ngeom, dtype=bool)
-    body = int(run.arm.frames.bodies[-1])
+    arm, model = run.arm, run.arm.model
+    if arm.state is None:
+        ends = [arm.base.translation, arm.link_poses(run.target).translation[-1]]
+        return np.vstack([*ends, run.link_position.reshape(-1, 3)])
+    data, shown = mujoco.MjData(model), np.zeros(model.ngeom, dtype=bool)
+    body = int(arm.frames.bodies[-1])
     while body > 0:
         shown |= model.geom_bodyid == body
         body = int(model.body_parentid[body])
@@ -85,31 +80,28 @@ def cameras(arm: Arm) -> list[str]:
 
 
 def camera(arm: Arm, name: str | None, points: Floats) -> mujoco.MjvCamera:
-    """A camera of the scene by its name; by default ``overview`` if there is one, else one that frames the points."""
+    """A camera of the scene by its name; by default ``overview`` if there is one, else one that frames the points.
+
+    That one has room for a hand beyond the points ``(P, 3)``, unless the arm is a view.
+    """
     name = name or (_OVERVIEW if _OVERVIEW in cameras(arm) else None)
-    if name is None:
-        return framing(arm, points)
-    fixed = mujoco.MjvCamera()
-    fixed.type, fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, arm.model.camera(name).id
-    return fixed
-
-
-def scale(arm: Arm, points: Floats) -> float:
-    """Scale of lengths and widths that are drawn around an arm: 1 in the package's scenes and from 1.3 m on."""
-    return 1.0 if _OVERVIEW in cameras(arm) else min(1.0, float(np.linalg.norm(np.ptp(points, axis=0))) / 1.3)
-
-
-def framing(arm: Arm, points: Floats) -> mujoco.MjvCamera:
-    """A camera that frames the points ``(P, 3)`` of an arm, with room for a hand beyond them unless it is a view."""
+    camera = mujoco.MjvCamera()
+    if name is not None:
+        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, arm.model.camera(name).id
+        return camera
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = 1.15 * float(np.linalg.norm(points - centre, axis=1).max())
     radius += _hand(arm) if arm.state is None else 0.0
-    camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = centre
     camera.distance = radius / np.sin(0.5 * np.deg2rad(arm.model.vis.global_.fovy))
     camera.azimuth, camera.elevation = 125.0, -20.0
     return camera
+
+
+def scale(arm: Arm, points: Floats) -> float:
+    """Scale of lengths and widths that are drawn around an arm: 1 in the package's scenes and from 1.3 m on."""
+    return 1.0 if _OVERVIEW in cameras(arm) else min(1.0, float(np.linalg.norm(np.ptp(points, axis=0))) / 1.3)
 
 
 def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import PLANNERS
-from lieednn_sim.rendering.recording import Recording, record
+from lieednn_sim.rendering.page import Recording, record
 from lieednn_sim.studies.comparison.cases import replay
 from lieednn_sim.studies.comparison.rows import Case, Row
 from lieednn_sim.studies.comparison.statistics import in_order
