@@ -65,8 +65,7 @@ class Recovery:
     """The effect of a push, up to the next push or the end of the rollout.
 
     ``peak_deviation_*`` is the largest error of any link frame against its reference since the push began.
-    ``recovery_s`` is the time from the push's end until all frames stay within 1 mm and 0.1 deg of their reference;
-    None when they do not.
+    ``recovery_s`` is the time from its end until all frames stay within 1 mm and 0.1 deg of it, None if they do not.
     """
 
     body: str

@@ -72,7 +72,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         peak_weld_force_n=float(weld_force.max()),
         peak_weld_torque_n_m=float(weld_torque.max()),
         recoveries=_recoveries(rollout, tracking),
-        causes=() if arrived else error_causes(rollout, SETTLED_TRANSLATION, SETTLED_ROTATION),
+        causes=() if arrived else error_causes(rollout),
         **violations(rollout),
     )
 

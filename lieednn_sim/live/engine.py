@@ -25,24 +25,23 @@ from lieednn_sim.stability import Certificate
 from lieednn_sim.stability.decay import Decay
 from lieednn_sim.values import Floats, frozen
 
-# Network time for which a path is foreseen, its tolerance, and the number of its points.
-_HORIZON, _TOLERANCE, _POINTS = 12.0, 1e-4, 60
+# Network time for which a path is foreseen, and the number of its points.
+_HORIZON, _POINTS = 12.0, 60
 
 
-def unfiltered(policy: Policy) -> Policy:
-    """The policy itself, without a safety filter around it."""
+def _unfiltered(policy: Policy) -> Policy:
     return policy.inner if isinstance(policy, FilteredPolicy) else policy
 
 
 def network_policy(policy: Policy) -> NetworkPolicy | None:
     """The network policy in a policy, which may be behind a safety filter; None if there is none."""
-    inner = unfiltered(policy)
+    inner = _unfiltered(policy)
     return inner if isinstance(inner, NetworkPolicy) else None
 
 
 def certificate_of(policy: Policy) -> Certificate | None:
     """The certificate of the network of a policy, whatever class the policy has; None without one."""
-    inner = unfiltered(policy)
+    inner = _unfiltered(policy)
     network = getattr(inner, "network", None) if inner.certified else None
     return network.certificate if isinstance(network, BlockNetwork) else None
 
@@ -63,8 +62,8 @@ class Progress:
     time: float = 0.0  # network time since then
 
     @classmethod
-    def of(cls, policy: NetworkPolicy, target: Floats) -> Progress:
-        """The beginning of the way of a policy to a joint target ``(n,)``."""
+    def of(cls, policy: NetworkPolicy) -> Progress:
+        """What is proved about a policy, before it goes `towards` a target."""
         network, certificate = policy.network, policy.network.certificate
         assert certificate is not None
         try:
@@ -72,9 +71,7 @@ class Progress:
             decay: Decay | None = Decay(bounds, 6 * network.n_visible)
         except NotCertifiedError:
             decay = None
-        rate = certificate.rate * policy.speed
-        blank = cls(rate, decay, policy.xi, policy.xi, np.empty(0))
-        return blank.towards(policy, target)
+        return cls(certificate.rate * policy.speed, decay, policy.xi, policy.xi, np.empty(0))
 
     def towards(self, policy: Policy, target: Floats) -> Progress:
         """The way begins again: the policy has another joint target ``(n,)``, or another state."""
@@ -134,7 +131,7 @@ def make_for(
     )
     check()
     inner = network_policy(policy)
-    return Made(settings, policy, motion, None if inner is None else Progress.of(inner, target))
+    return Made(settings, policy, motion, None if inner is None else Progress.of(inner))
 
 
 def foreseen(
@@ -144,16 +141,14 @@ def foreseen(
 
     Of a network it is its own orbit from the present state, which limits and a slow arm only slow down.
     """
-    if motion is not None and isinstance(unfiltered(policy), MotionTracker):
+    if motion is not None and isinstance(_unfiltered(policy), MotionTracker):
         rows = np.linspace(0, len(motion.q) - 1, _POINTS).astype(int)
         return arm.tip(motion.q[rows])
     inner = network_policy(policy)
     if progress is None or inner is None:
         return None
     network = inner.network.retarget(arm.encode(target))
-    run = network.trajectory(
-        progress.xi, _HORIZON, until=progress.goal, distance=1e-3, rtol=_TOLERANCE, atol=_TOLERANCE
-    )
+    run = network.trajectory(progress.xi, _HORIZON, until=progress.goal, distance=1e-3, rtol=1e-4, atol=1e-4)
     decoded = arm.decode(network.visible(run(np.linspace(0.0, run.t[-1], _POINTS))), start=q).q
     return arm.tip(np.vstack([decoded, target]))
 
@@ -266,17 +261,9 @@ class Engine:
 
     def look(self, spent: float = 0.0) -> Tick:
         """The present state, after a step of the policy that took some CPU time [s]."""
-        return Tick(
-            self._periods * self.policy.period,
-            self._loop.simulation.q,
-            self.policy.q,
-            self.target,
-            *self._force,
-            self._name,
-            self.policy.message,
-            self.progress,
-            spent,
-        )
+        policy, time = self.policy, self._periods * self.policy.period
+        loop = self._loop.simulation.q, policy.q, self.target
+        return Tick(time, *loop, *self._force, self._name, policy.message, self.progress, spent)
 
     def _go_on_with(self, policy: Policy) -> None:
         q, qd = self.policy.q, self.policy.qd
@@ -296,11 +283,8 @@ class Engine:
     def _apply_forces(self) -> None:
         data, model = self._loop.simulation.data, self._loop.simulation.model
         self._pushes = [push for push in self._pushes if push[1] > self._periods]
-        acting: list[tuple[Push, Floats | None]] = [(push, None) for push, _ in self._pushes]
-        if self.pull is not None:
-            acting.append(self.pull)
         data.xfrc_applied[:], self._force = 0.0, (np.zeros(3), np.zeros(3))
-        for push, point in acting:
+        for push, point in [*((push, None) for push, _ in self._pushes), *([self.pull] if self.pull else [])]:
             body = push.body_id(self._arm, model)
             force, centre = np.array(push.force), data.xipos[body].copy()
             where = centre if point is None else point

@@ -49,8 +49,7 @@ class Aim(NamedTuple):
 class Session:
     """The live view without a page: a simulated arm that follows a target which may be moved, and yields to pushes.
 
-    It begins at rest; `aim` and `aim_at` move the target. The policy is made at once, in a worker; until then the arm
-    stays where it is.
+    `aim` and `aim_at` move the target. The arm rests at first, until a worker has made the policy.
 
     Args:
         arm: the arm, in its scene.
@@ -61,9 +60,7 @@ class Session:
         seed: seed of random draws.
 
     Attributes:
-        arm: the arm; nobody changes it.
         start: ``(n,)`` joint coordinates at the beginning.
-        seed: seed of random draws.
         tick: state after the last control period.
         aimed: the latest target that was asked for.
         path: ``(P, 3)`` positions of the end effector on the way to the target, or None if they are not known.
@@ -148,9 +145,7 @@ class Session:
 
     def push(self, link: str, force: ArrayLike, duration: float = 0.2) -> None:
         """Push a link, or another body, by a force ``(3,)`` [N], along the world's axes, for a time [s]."""
-        value = as_floats("force", force, (3,))
-        push = Push(link, tuple(value), 0.0, duration)
-        push.body_id(self.arm, self.arm.model)
+        push = self._push(link, force, duration)
         self._requests.put(lambda: self._engine.push(push))
 
     def pull(self, link: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
@@ -161,11 +156,15 @@ class Session:
             force: along the world's axes.
             point: ``(3,)`` where it acts, world [m]; by default the body's centre of mass.
         """
-        push = Push(link, tuple(as_floats("force", force, (3,))), 0.0, 1.0)
-        push.body_id(self.arm, self.arm.model)
+        push = self._push(link, force, 1.0)
         where = None if point is None else as_floats("point", point, (3,))
         held = (push, where) if any(push.force) else None
         self._requests.put(lambda: setattr(self._engine, "pull", held))
+
+    def _push(self, link: str, force: ArrayLike, duration: float) -> Push:
+        push = Push(link, tuple(as_floats("force", force, (3,))), 0.0, duration)
+        push.body_id(self.arm, self.arm.model)
+        return push
 
     def choose(self, **settings: Any) -> None:
         """Change fields of `Settings`; what that takes is made by a worker, and meanwhile the arm goes on.

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.live.engine import Tick, certificate_of, network_policy
 from lieednn_sim.live.session import Aim, Session
 from lieednn_sim.values import Floats
@@ -55,7 +56,7 @@ class Observer:
         tick = session.tick
         poses = arm.link_poses(np.stack([tick.q, tick.q_ref, tick.target]))
         frames, planned, goals = poses[0], poses[1], poses[2]
-        places: Floats = np.asarray(poses.translation)[:, -1]
+        distance, angle = pose_errors(frames[-1], goals[-1])
         near = self._collisions.distances(tick.q, 0.6)
         changing = np.flatnonzero(np.abs(near.jacobian).max(axis=1, initial=0.0) > 1e-6)
         first = int(changing[0]) if len(changing) else None
@@ -66,9 +67,9 @@ class Observer:
             session.aimed,
             frames,
             planned,
-            float(np.linalg.norm(places[0] - places[2])),
-            float((frames[-1].rotation.inv() * goals[-1].rotation).magnitude()),
-            float(np.linalg.norm(places[0] - places[1])),
+            float(distance),
+            float(angle),
+            float(pose_errors(frames[-1], planned[-1])[0]),
             None if inner is None else inner.gap.max(axis=0),
             np.inf if first is None else float(near.distance[first]),
             ("", "") if first is None else self._collisions.names(near.pairs[first]),

@@ -1,7 +1,6 @@
 """Policies, which run an arm online: from measured joints and the present target to the next reference.
 
-`make_policy` makes one by its name; `lieednn_sim.follow` runs it behind a simulated arm, and `control_loop` behind a
-real one.
+`make_policy` makes one by name; `lieednn_sim.follow` runs it behind a simulated arm, `control_loop` behind a real one.
 """
 
 from lieednn_sim.policies.barriers import FilterOptions

@@ -1,7 +1,6 @@
 """The base class of policies, which map the measured joints and the present target to the next reference.
 
-A policy knows joints and targets but no simulator. `simulation.follow` runs one behind a simulated arm, `control_loop`
-runs one behind anything else.
+It knows no simulator: `simulation.follow` runs it behind a simulated arm, `control_loop` behind anything else.
 """
 
 from __future__ import annotations
@@ -72,8 +71,7 @@ class Policy(ABC):
             target: ``(n,)`` joint coordinates wanted now.
 
         Returns:
-            Read-only joint coordinates and rates ``(n,)``. A controller may interpolate between the references of two
-            periods by a cubic polynomial.
+            Read-only joint coordinates and rates ``(n,)``, between which a controller may interpolate by a cubic.
 
         Raises:
             InputError: a value is malformed, the target is beyond the position limits, or the policy was never reset

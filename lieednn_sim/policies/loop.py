@@ -28,8 +28,7 @@ class LoopReport:
     """Report of `control_loop`: its timing.
 
     Attributes:
-        lateness: ``(L,)`` time from the deadline of each reference, the end of its period, until it was sent [s];
-            negative if it was in time.
+        lateness: ``(L,)`` time from the end of each period until its reference was sent [s]; negative if in time.
         step_time: ``(L,)`` wall time that the policy took in each period [s].
         message: the policy's last message.
     """
@@ -67,8 +66,7 @@ def control_loop(
 
     Args:
         policy: the policy.
-        read: called once in each period; returns the measured joint coordinates ``(n,)``, or, after the first call,
-            None if nothing was measured.
+        read: called once a period; returns the measured joints ``(n,)``, or, not at first, None if there are none.
         write: called with the reference q and qd ``(n,)`` for the end of the period.
         target: joint coordinates ``(n,)``, a keyframe's name, or a function of the time since the beginning [s].
         duration: [s], rounded up to a whole number of periods.

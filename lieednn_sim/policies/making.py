@@ -92,8 +92,7 @@ def make_policy(
     Args:
         name: a name of `POLICIES`.
         arm: the arm, in its scene.
-        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made. The target given in each
-            step may differ.
+        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; a step's may differ.
         rate: control rate [Hz].
         start: joint coordinates ``(n,)`` at the beginning, or a keyframe's name.
         motion: what ``tracker`` tracks and ``dmp`` imitates, from start to target; by default a planned one.

@@ -9,16 +9,14 @@ and k = 0 without it), the state x = (visible, hidden and clock) obeys
 where F is the field of the network retargeted to the present target, xi the arm's encoding, q the measured joints, q_r
 the reference of the same instant, x'_ff the target's velocity in the network's coordinates, and l <= 1 keeps the joints
 within their limits of velocity and, while speeding up, of acceleration. Behind a target that moves with velocity v a
-state near it lags by (-c J)^-1 v, with the Jacobian J of the field at the target; the feedforward x'_ff = v removes
-that.
+state near it lags by (-c J)^-1 v, with the field's Jacobian J at the target; the feedforward x'_ff = v removes that.
 
 The proof is kept. Without the coupling (k d = 0) and behind a target at rest x' = r(t) F(x) with a factor
 r = l s c > 0: in the time integral of r it is the network itself, so x runs along the same orbits, and the network's
 Lyapunov function V decreases, dV/dt = r grad V . F < 0, until the target is reached, since s and l never vanish for
 good. The whole field must be scaled: slowing the hidden neurons or the clock alone would give another system, which no
-certificate covers. The coupling is an input of the visible neurons. It vanishes when the arm comes within the tolerance
-of its reference; from then on the certified network runs from whatever state it was pulled to. The hidden neurons of a
-cascade have no input from it.
+certificate covers. The coupling is an input of the visible neurons, not of a cascade's hidden ones. It vanishes when
+the arm comes within the tolerance of its reference; then the certified network runs from wherever it was pulled to.
 """
 
 from __future__ import annotations

@@ -76,8 +76,7 @@ class VelocityRollouts:
     def __call__(self, q: Floats, velocities: Floats) -> tuple[Floats, Floats]:
         """Configurations ``(S, H, n)`` after each step, and clearances ``(S, H)`` [m] before it.
 
-        Clearances are infinite where nothing is near. All samples start at ``q`` ``(n,)``, and have joint velocities
-        ``(S, H, n)``.
+        These are infinite where nothing is near. All samples start at ``q`` ``(n,)``; velocities are ``(S, H, n)``.
         """
         model, data, first = self._model, self._data, self._arm.qpos(q)
         mujoco.mj_resetData(model, data)
@@ -126,10 +125,9 @@ def weights(costs: Floats, temperature: float) -> Floats:
 class PathIntegral(JointPolicy):
     """Model predictive path integral control (MPPI) in joint space, which reaches a target and avoids obstacles.
 
-    With joints in units of their range and e = g - y, the cost of a sample is the integral of
-    |e|^2 + |u|^2 / c^2 + near + touching over time, plus |e|^2 / c at its end,
-    which the linear attractor u = c e minimises where nothing is near. Noise shrinks with the distance from the target,
-    so that the arm comes to rest there.
+    With joints in units of their range and e = g - y, the cost of a sample is the integral over time of
+    |e|^2 + |u|^2 / c^2 + near + touching, plus |e|^2 / c at its end. Where nothing is near, the linear attractor
+    u = c e minimises it. Noise shrinks with the distance from the target, so that the arm comes to rest there.
 
     Args:
         arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.

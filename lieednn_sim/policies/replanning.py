@@ -12,20 +12,17 @@ What is proved: the certificate covers every code and every bias. After the last
 and no pull) and need not rest (p > 0), x' = p r F(x) has the network's orbits, which all end at the target. That a
 transition keeps limits is only checked, at samples.
 
-Before a time t_r of the motion at which the arm must rest, p <= (2 c (t_r - t))^(1/2), where c is the deceleration of
-the pace that the limits allow.
+Before a time t_r at which the arm must rest, p <= (2 c (t_r - t))^(1/2), with the deceleration c that limits allow.
 
 To a new target it goes straight if that is clear. Where something is in the way, on the path ahead or on the way to a
 new target, the arm slows down so as to rest before the first blocked sample, while RRT-Connect searches for a path from
 where it can rest. If there is none, the arm waits there, and the search is made again. Obstacles are where they were
-last seen, or where they will be soon if they go on as they move: that nothing touches is only checked, at samples of
-the path.
+last seen, or where they soon will be as they move: that nothing touches is only checked, at samples of the path.
 """
 
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
@@ -57,10 +54,41 @@ _RESTS = 1e-3
 _SOONEST = 0.25
 
 
-class CodedPolicy(FeedbackPolicy):
-    """Base class of policies that run the universal network along coded motions.
+@dataclass(frozen=True)
+class ReplanningOptions(PlannerOptions):
+    """Options of the policy ``lieednn-replanning``.
 
-    A subclass defines `decide`, which may `take` another motion.
+    Attributes:
+        least_duration: shortest motion to a new target [s].
+        margin: distance that new paths keep from moving obstacles where that is possible [m]; a path is blocked where
+            one of them is nearer than half of it.
+        look_every: control periods from one look at the path ahead to the next.
+        search_periods: control periods after which a new path is taken; the policy waits for the search if it is not
+            over then, so that results do not depend on the machine.
+        at_once: take a new path as soon as it is there, and never wait for it: for real robots.
+        search: options of RRT-Connect, which searches for new paths.
+    """
+
+    least_duration: float = 0.5
+    margin: float = 0.06
+    look_every: int = 5
+    search_periods: int = 20
+    at_once: bool = False
+    search: RrtConnectOptions = field(default=RrtConnectOptions(max_collision_checks=(20_000,), fastest=True))
+
+
+class ReplanningPolicy(FeedbackPolicy):
+    """A policy of one certified network, which plans again whenever the target or the obstacles move.
+
+    It logs ``changes``, how often it took a new code, and ``blocked``, 1 while a moving obstacle is in the way.
+
+    Args:
+        arm: the arm, in its scene.
+        rate: control rate [Hz].
+        motion: motion for the first target, from start to target; by default, and from elsewhere, it goes straight.
+        options: settings.
+        feedback: settings of the feedback from the measured joints; None for no feedback.
+        seed: seed of the searches.
 
     Attributes:
         network: the certified network with its present code and bias.
@@ -69,18 +97,37 @@ class CodedPolicy(FeedbackPolicy):
         time: time of the present motion [s].
         rest_at: t_r, infinite while the arm need not rest.
         pace: factor p of the last period.
+
+    Raises:
+        InputError: the motion is of another arm, or a value is malformed.
     """
 
     certified = True
+    channel_units = MappingProxyType({**FeedbackPolicy.channel_units, "changes": "1", "blocked": "1"})
     # Set with every motion taken: t_r, the network's time z, c, and the velocity of the motion itself.
     rest_at: float
     _z: float
     _braking: float
     _velocity: Floats
 
-    def __init__(self, arm: Arm, rate: float = 100.0, *, feedback: Feedback | None = FEEDBACK) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        rate: float = 100.0,
+        *,
+        motion: Motion | None = None,
+        options: ReplanningOptions | None = None,
+        feedback: Feedback | None = FEEDBACK,
+        seed: Seed = 0,
+    ) -> None:
         super().__init__(arm, rate, feedback=feedback)
+        if motion is not None and motion.q.shape[1] != arm.n_joints:
+            raise InputError(
+                f"the motion has {motion.q.shape[1]} joint coordinates, arm {arm.name!r} has {arm.n_joints}"
+            )
         self._encoder = CurveEncoder(arm.n_links)
+        self._given, self._seed = motion, as_seed("seed", seed)
+        self._options = ReplanningOptions() if options is None else options
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
@@ -91,10 +138,33 @@ class CodedPolicy(FeedbackPolicy):
         stay = transition(self.arm, rest, straight(self.arm, q, q, _SOONEST))
         self.changes = -1
         self._follow(TimedPath(self.arm, self._encoder, stay, self.arm.encode(q)))
+        self._surroundings = Surroundings(self.arm, 0.5 * self._options.margin)
+        self._periods = self._searches = 0
+        self._goal: Floats | None = None
+        self._search: tuple[Future[Motion], int] | None = None
+        self._path: PPoly | None = None
+        self._last_places: dict[str, Floats] = {}
+        self._clear_way()
 
-    @abstractmethod
-    def decide(self, target: Floats) -> None:
-        """Take another motion, or set when to rest, as the target ``(n,)`` requires; called in each period."""
+    def see(self, places: Mapping[str, Floats]) -> None:
+        """See `Policy`; raises `InputError` for names of no obstacles."""
+        super().see(places)
+        self._surroundings.see(places)
+
+    @property
+    def message(self) -> str:
+        """See `Policy`."""
+        if math.isinf(self.rest_at):
+            return super().message
+        does = "waits" if self.pace < _RESTS else "slows down"
+        why = f" for {self._blocker!r}" if self._blocker else " to turn"
+        return f"{does}{why}{f'; {self._reason}' if self._reason else ''}"
+
+    def channels(self) -> Floats:
+        """See `Policy`."""
+        return np.array([self.pace, self.behind, self.changes, math.isfinite(self._blocked_at)])
+
+    # How it goes along its present motion.
 
     @property
     def state(self) -> Floats:
@@ -103,7 +173,7 @@ class CodedPolicy(FeedbackPolicy):
 
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""
-        self.decide(target)
+        self._decide(target)
         self._waiting, pulled = self._listen(measured, self.drawn)
         pull, pull_rate = pulled or (0.0, np.zeros_like(self.drawn))
         course, ahead = self.course, self.rest_at - self.time
@@ -170,99 +240,10 @@ class CodedPolicy(FeedbackPolicy):
         # The pace falls by a fraction of the accelerations' limits.
         self._braking = 0.35 / max(float(swift.max()), 0.35 * _SOONEST)
 
+    # Where it goes.
 
-@dataclass(frozen=True)
-class ReplanningOptions(PlannerOptions):
-    """Options of the policy ``lieednn-replanning``.
-
-    Attributes:
-        least_duration: shortest motion to a new target [s].
-        margin: distance that new paths keep from moving obstacles where that is possible [m]; a path is blocked where
-            one of them is nearer than half of it.
-        look_every: control periods from one look at the path ahead to the next.
-        search_periods: control periods after which a new path is taken; the policy waits for the search if it is not
-            over then, so that results do not depend on the machine.
-        at_once: take a new path as soon as it is there, and never wait for it: for real robots.
-        search: options of RRT-Connect, which searches for new paths.
-    """
-
-    least_duration: float = 0.5
-    margin: float = 0.06
-    look_every: int = 5
-    search_periods: int = 20
-    at_once: bool = False
-    search: RrtConnectOptions = field(default=RrtConnectOptions(max_collision_checks=(20_000,), fastest=True))
-
-
-class ReplanningPolicy(CodedPolicy):
-    """A policy of one certified network, which plans again whenever the target or the obstacles move.
-
-    It logs ``changes``, the number of times it took a new code, and ``blocked``, which is 1 while a moving obstacle is
-    in the way.
-
-    Args:
-        arm: the arm, in its scene.
-        rate: control rate [Hz].
-        motion: motion for the first target, from start to target; by default, and from elsewhere, it goes straight.
-        options: settings.
-        feedback: settings of the feedback from the measured joints; None for no feedback.
-        seed: seed of the searches.
-
-    Raises:
-        InputError: the motion is of another arm, or a value is malformed.
-    """
-
-    channel_units: Mapping[str, str] = MappingProxyType({**CodedPolicy.channel_units, "changes": "1", "blocked": "1"})
-
-    def __init__(
-        self,
-        arm: Arm,
-        rate: float = 100.0,
-        *,
-        motion: Motion | None = None,
-        options: ReplanningOptions | None = None,
-        feedback: Feedback | None = FEEDBACK,
-        seed: Seed = 0,
-    ) -> None:
-        super().__init__(arm, rate, feedback=feedback)
-        if motion is not None and motion.q.shape[1] != arm.n_joints:
-            raise InputError(
-                f"the motion has {motion.q.shape[1]} joint coordinates, arm {arm.name!r} has {arm.n_joints}"
-            )
-        self._given, self._seed = motion, as_seed("seed", seed)
-        self._options = ReplanningOptions() if options is None else options
-
-    def begin(self, q: Floats) -> None:
-        """See `Policy`; unchecked."""
-        super().begin(q)
-        self._surroundings = Surroundings(self.arm, 0.5 * self._options.margin)
-        self._periods = self._searches = 0
-        self._goal: Floats | None = None
-        self._search: tuple[Future[Motion], int] | None = None
-        self._path: PPoly | None = None
-        self._last_places: dict[str, Floats] = {}
-        self._clear_way()
-
-    def see(self, places: Mapping[str, Floats]) -> None:
-        """See `Policy`; raises `InputError` for names of no obstacles."""
-        super().see(places)
-        self._surroundings.see(places)
-
-    @property
-    def message(self) -> str:
-        """See `Policy`."""
-        if math.isinf(self.rest_at):
-            return super().message
-        does = "waits" if self.pace < _RESTS else "slows down"
-        why = f" for {self._blocker!r}" if self._blocker else " to turn"
-        return f"{does}{why}{f'; {self._reason}' if self._reason else ''}"
-
-    def channels(self) -> Floats:
-        """See `Policy`."""
-        return np.array([self.pace, self.behind, self.changes, math.isfinite(self._blocked_at)])
-
-    def decide(self, target: Floats) -> None:
-        """See `CodedPolicy`; unchecked."""
+    def _decide(self, target: Floats) -> None:
+        """Take another motion, or set when to rest, as the target ``(n,)`` requires; in each period."""
         self._surroundings.leave(self.drawn)
         if target is not self._goal:
             self._goal, self._search, self._path, self._reason = target, None, None, ""

@@ -15,8 +15,7 @@ The braking rule is v'^2 / (2 a) + h (v + v') / 2 <= d for the distance d to a p
 still stop before its limit. The rule is an upper bound of v'; if v satisfies it, braking does, too, so it never
 contradicts the limits of velocity and acceleration. Such bounds, which make position limits viable under bounded
 accelerations, are due to Flacco, De Luca and Khatib (ICRA 2012; IEEE Transactions on Robotics 31(3), 2015), and in
-discrete time to Del Prete (Joint position and velocity bounds in discrete-time acceleration/torque control of robot
-manipulators, IEEE Robotics and Automation Letters 3(1), 2018).
+discrete time to Del Prete (IEEE Robotics and Automation Letters 3(1), 2018).
 """
 
 from __future__ import annotations

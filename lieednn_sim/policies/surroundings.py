@@ -99,16 +99,8 @@ def search_path(
 ) -> Future[Motion]:
     """Search for a path by RRT-Connect in a thread of its own; the result depends on the arguments alone.
 
-    Args:
-        arm: the arm, in its scene.
-        places: where the moving obstacles are.
-        ends: start and target ``(n,)``.
-        margin: distance to keep from moving obstacles where start and target allow it [m].
-        options: options of the search.
-        seed: its seed.
-
-    Returns:
-        The motion; asked for its result, it raises `LieEDNNError` if there is no path, or OMPL is not installed.
+    It keeps the margin [m] from moving obstacles, in their places, where its ends, start and target ``(n,)``, allow it.
+    Asked for its result, the motion raises `LieEDNNError` if there is no path, or OMPL is not installed.
     """
     seen = dict(places)
 

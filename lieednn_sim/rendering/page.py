@@ -44,16 +44,9 @@ header i { display: inline-block; width: 1.3em; height: .3em; margin-right: .45e
 
 
 def player(recording: str, *, title: str = "Motion", style: str = "", header: str = "") -> str:
-    """A page with viser's player.
+    """A page with viser's player, the HTML ``header`` above it, and the HTML ``style`` in its head.
 
-    Args:
-        recording: a recording in base64, or what a script replaces by one.
-        title: the page's title.
-        style: HTML for its head.
-        header: HTML above the player.
-
-    Raises:
-        LieEDNNError: viser is not installed.
+    The recording is in base64, or what a script replaces by it. `LieEDNNError` if viser is not installed.
     """
     viser = optional_module("viser")
     page = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8")
@@ -130,13 +123,8 @@ def record(
     """Record rollouts of one arm on one clock.
 
     A single one is seen from the camera of its film; several stand in a row, seen from the same direction. Each has its
-    target, the planned path, and the path that the end effector has travelled so far.
-
-    Args:
-        rollouts: one or more rollouts of the same arm in the same scene.
-        labels: a text above each arm; none by default.
-        camera: name of a camera of the scene, as for `render_video`.
-        progress: called with (done, total) after every instant.
+    target, the planned path, the path that the end effector has travelled so far, and a label above it, if there are
+    some. Camera and progress are as for `render_page`.
 
     Raises:
         InputError: the rollouts are of several arms or scenes, or the labels are not as many.

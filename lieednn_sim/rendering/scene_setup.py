@@ -107,11 +107,8 @@ def scale(arm: Arm, points: Floats) -> float:
 def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     """A copy of the arm's model, completed for rendering, and the mocap id of its target marker.
 
-    That of a view gets no marker, and a brighter headlight if it has no other lights.
-
-    Args:
-        arm: the arm; joints and their order are the same in the copy.
-        points: ``(P, 3)`` points that determine the size of the marker.
+    Joints and their order are the same in the copy. The points ``(P, 3)`` determine the size of the marker. The model
+    of a view gets no marker, and a brighter headlight if it has no other lights.
     """
     model = arm.model
     if arm.spec is None:

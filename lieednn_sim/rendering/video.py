@@ -80,8 +80,7 @@ class Camera:
         camera: name of a camera of its scene; by default ``overview`` if there is one, else a view of ``points``.
         size: (width, height) in pixels, both even, at most 3840x2160.
         preset: a name of `PRESETS`.
-        target: joint target ``(n,)`` for the marker, the scene's own or an added one (`scene_setup.staged`); a view has
-            no marker.
+        target: joint target ``(n,)`` for the marker, the scene's own or an added one; a view has no marker.
         points: points ``(P, 3)`` that the view must contain; by default those of `scene_setup.reached`.
 
     Raises:

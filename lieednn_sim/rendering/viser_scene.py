@@ -27,11 +27,7 @@ _FLOOR, _FLOOR_CELL = (158, 162, 168), 0.5
 
 @contextlib.contextmanager
 def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
-    """A `viser.ViserServer` without its messages, by default at a free port of this machine.
-
-    Raises:
-        LieEDNNError: viser is not installed.
-    """
+    """A `viser.ViserServer` without its messages, by default at a free port; `LieEDNNError` if viser is not there."""
     viser = optional_module("viser")
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, verbose=False)
@@ -57,8 +53,7 @@ class Shapes:
         shapes: surfaces of all bodies.
         floors: ids of the geoms that are planes, which are floors of unlimited size.
         tendons: ids of the tendons by their colour, four numbers from 0 to 1, and radius [m].
-        extent: ``(2, 3)`` smallest and largest coordinates of what does not move, without the floors; ``(0, 3)`` if
-            there is nothing.
+        extent: ``(2, 3)`` least and largest coordinates of what does not move, but floors; ``(0, 3)`` of nothing.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
