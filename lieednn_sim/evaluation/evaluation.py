@@ -185,8 +185,7 @@ class Evaluation:
         )
 
     def __rich__(self) -> Group:
-        tables = [_frames(self), _joints(self), *([_recoveries(self)] if self.recoveries else [])]
-        return Group(*tables, *(line for line in (_conditions(self), _forces(self), *_causes(self)) if line))
+        return Group(_frames(self), _joints(self), *([_recoveries(self)] if self.recoveries else []), *_notes(self))
 
     def __str__(self) -> str:
         return as_text(self)
@@ -269,27 +268,20 @@ def _seconds(time: float | None) -> str:
     return "never" if time is None else f"{time:.2f}"
 
 
-def _conditions(evaluation: Evaluation) -> str:
-    """Disturbances unknown to the controller, and the rate of its reference; empty if there is nothing to report."""
-    rate = evaluation.reference_rate
-    said = [*([f"reference held at {rate:g} Hz"] if rate else []), *evaluation.disturbances.conditions]
-    return f"conditions: {', '.join(said)}" if said else ""
-
-
-def _forces(evaluation: Evaluation) -> str:
-    said = []
+def _notes(evaluation: Evaluation) -> list[str]:
+    """Lines below the tables: conditions unknown to the controller, forces and clearance, causes of a final error."""
+    rate, force, torque = evaluation.reference_rate, evaluation.peak_weld_force_n, evaluation.peak_weld_torque_n_m
+    conditions = [*([f"reference held at {rate:g} Hz"] if rate else []), *evaluation.disturbances.conditions]
+    notes = [f"conditions: {', '.join(conditions)}"] if conditions else []
+    extremes = []
     if evaluation.contacts:
-        said.append(f"contact force up to {rounded(evaluation.peak_contact_force_n)} N")
-    force, torque = evaluation.peak_weld_force_n, evaluation.peak_weld_torque_n_m
+        extremes.append(f"contact force up to {rounded(evaluation.peak_contact_force_n)} N")
     if force or torque:
-        said.append(f"welds up to {rounded(force)} N and {rounded(torque)} N m")
+        extremes.append(f"welds up to {rounded(force)} N and {rounded(torque)} N m")
     if evaluation.scene != "free" and evaluation.clearance_mm is not None:
-        said.append(f"least clearance {rounded(evaluation.clearance_mm)} mm")
-    return "; ".join(said)
-
-
-def _causes(evaluation: Evaluation) -> tuple[str, ...]:
-    if not evaluation.causes:
-        return ()
-    error = f"final error {evaluation.final_worst_mm:.3g} mm and {evaluation.final_worst_deg:.3g} degrees"
-    return (f"{error}:", *(f"- {cause}" for cause in evaluation.causes))
+        extremes.append(f"least clearance {rounded(evaluation.clearance_mm)} mm")
+    if extremes:
+        notes.append("; ".join(extremes))
+    if evaluation.causes:
+        notes.append(f"final error {evaluation.final_worst_mm:.3g} mm and {evaluation.final_worst_deg:.3g} degrees:")
+    return notes + [f"- {cause}" for cause in evaluation.causes]

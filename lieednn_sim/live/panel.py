@@ -13,6 +13,7 @@ from lieednn_sim.live.session import SPEEDS, Session
 from lieednn_sim.live.settings import PLANNED
 from lieednn_sim.live.snapshot import Snapshot, status
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, optional_module
+from lieednn_sim.rendering import scene_setup
 from lieednn_sim.values import Floats
 
 _DIRECTIONS = {
@@ -37,16 +38,13 @@ class Panel:
         self._server, self._session, self._scene, self._draws = server, session, scene, 0
         gui = server.gui
         gui.main_panel.dock_right()
-        gui.set_panel_label(f"{session.arm.name}" + ("" if session.arm.scene == "free" else f", {session.arm.scene}"))
+        gui.set_panel_label(scene_setup.place(session.arm))
         self._theme(dark=False)
         self._status = gui.add_html("")
-        self._run = gui.add_button_group("", ("pause", "reset"))
-        self._run.on_click(lambda event: self._clicked(event.target.value))
-        self._targets = gui.add_button_group("target", ("home", "random"))
-        self._targets.on_click(lambda event: self._clicked(event.target.value))
-        self.direction_counts = gui.add_checkbox(
-            "hold its direction", True, hint="otherwise the end effector may turn as it likes"
-        )
+        for name, buttons in (("", ("pause", "reset")), ("target", ("home", "random"))):
+            gui.add_button_group(name, buttons).on_click(lambda event: self._clicked(event.target.value))
+        hint = "otherwise the end effector may turn as it likes"
+        self.direction_counts = gui.add_checkbox("hold its direction", True, hint=hint)
         speed = gui.add_slider("speed", *SPEEDS, step=0.1, initial_value=1.0)
         speed.on_update(lambda _: setattr(session, "speed", float(speed.value)))
         with gui.add_folder("Push"):
@@ -79,14 +77,11 @@ class Panel:
 
     def _menus(self) -> None:
         gui, settings = self._server.gui, self._session.wanted
+        planners = tuple(name for name, entry in PLANNERS.items() if not entry.install)
+        hint = f"for the policies {' and '.join(PLANNED)}"
         menus = {
             "policy": gui.add_dropdown("policy", tuple(POLICIES), initial_value=settings.policy),
-            "planner": gui.add_dropdown(
-                "planner",
-                tuple(name for name, entry in PLANNERS.items() if not entry.install),
-                initial_value=settings.planner,
-                hint=f"for the policies {' and '.join(PLANNED)}",
-            ),
+            "planner": gui.add_dropdown("planner", planners, initial_value=settings.planner, hint=hint),
             "rho": gui.add_slider("rho", 0.05, 1.0, step=0.05, initial_value=settings.rho, hint="of lieednn-shaped"),
             "filtered": gui.add_checkbox("safety filter", settings.filtered),
             "controller": gui.add_dropdown("controller", tuple(CONTROLLERS), initial_value=settings.controller),

@@ -3,7 +3,6 @@
 `make_policy` makes one by name; `lieednn_sim.follow` runs it behind a simulated arm, `control_loop` behind a real one.
 """
 
-from lieednn_sim.policies.barriers import FilterOptions
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.fabric import Fabric, FabricOptions
 from lieednn_sim.policies.feedback import Feedback, JointPolicy
@@ -13,7 +12,7 @@ from lieednn_sim.policies.network_policy import CertifiedPolicyOptions, NetworkP
 from lieednn_sim.policies.path_integral import PathIntegral, PathIntegralOptions
 from lieednn_sim.policies.primitive import MovementPrimitive, PrimitiveOptions
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
-from lieednn_sim.policies.safety_filter import FilteredPolicy, FilterStep, SafetyFilter
+from lieednn_sim.policies.safety_filter import FilteredPolicy, FilterOptions, FilterStep, SafetyFilter
 from lieednn_sim.policies.tracker import MotionTracker
 from lieednn_sim.registry import POLICIES
 from lieednn_sim.typecheck import typecheck_public

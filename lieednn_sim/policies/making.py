@@ -13,10 +13,9 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import Motion, Plan, plan
 from lieednn_sim.planning.options import PlannerOptions, given_options
-from lieednn_sim.policies.barriers import FilterOptions
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
-from lieednn_sim.policies.safety_filter import FilteredPolicy
+from lieednn_sim.policies.safety_filter import FilteredPolicy, FilterOptions
 from lieednn_sim.registry import POLICIES
 from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields
