@@ -54,6 +54,7 @@ class Progress:
     own: a policy that slows down is slower on the same orbit.
     """
 
+    policy: NetworkPolicy  # whose way it is
     rate: float  # proved rate of convergence at full speed [1/s]
     decay: Decay | None  # the proved bound on the distance of the visible neurons; None if none was found
     xi: Floats  # (N, 6) present state
@@ -71,24 +72,21 @@ class Progress:
             decay: Decay | None = Decay(bounds, 6 * network.n_visible)
         except NotCertifiedError:
             decay = None
-        return cls(certificate.rate * policy.speed, decay, policy.xi, policy.xi, np.empty(0))
+        return cls(policy, certificate.rate * policy.speed, decay, policy.xi, policy.xi, np.empty(0))
 
-    def towards(self, policy: Policy, target: Floats) -> Progress:
+    def towards(self, target: Floats) -> Progress:
         """The way begins again: the policy has another joint target ``(n,)``, or another state."""
-        inner = network_policy(policy)
-        assert inner is not None
-        goal = inner.network.goal(inner.arm.encode(target))
-        return self._begun(inner.xi, goal)
+        return self._begun(self.policy.network.goal(self.policy.arm.encode(target)))
 
-    def after(self, policy: Policy) -> Progress:
+    def after(self) -> Progress:
         """The way after one more control period."""
-        inner = network_policy(policy)
-        assert inner is not None
-        if inner.pulled:
-            return self._begun(inner.xi, self.goal)
-        return replace(self, xi=inner.xi, time=self.time + inner.pace * inner.speed * inner.period)
+        policy = self.policy
+        if policy.pulled:
+            return self._begun(self.goal)
+        return replace(self, xi=policy.xi, time=self.time + policy.pace * policy.speed * policy.period)
 
-    def _begun(self, xi: Floats, goal: Floats) -> Progress:
+    def _begun(self, goal: Floats) -> Progress:
+        xi = self.policy.xi
         start = np.empty(0) if self.decay is None else self.decay.begin((xi - goal).ravel())
         return replace(self, xi=xi, goal=goal, begun=start, time=0.0)
 
@@ -144,10 +142,9 @@ def foreseen(
     if motion is not None and isinstance(_unfiltered(policy), MotionTracker):
         rows = np.linspace(0, len(motion.q) - 1, _POINTS).astype(int)
         return arm.tip(motion.q[rows])
-    inner = network_policy(policy)
-    if progress is None or inner is None:
+    if progress is None:
         return None
-    network = inner.network.retarget(arm.encode(target))
+    network = progress.policy.network.retarget(arm.encode(target))
     run = network.trajectory(progress.xi, _HORIZON, until=progress.goal, distance=1e-3, rtol=1e-4, atol=1e-4)
     decoded = arm.decode(network.visible(run(np.linspace(0.0, run.t[-1], _POINTS))), start=q).q
     return arm.tip(np.vstack([decoded, target]))
@@ -215,7 +212,7 @@ class Engine:
         """Move the target to joint coordinates ``(n,)``."""
         self.target = q
         if self.progress is not None:
-            self.progress = self.progress.towards(self.policy, q)
+            self.progress = self.progress.towards(q)
 
     def push(self, push: Push) -> None:
         """Begin a push now; its own start does not count."""
@@ -238,7 +235,7 @@ class Engine:
         self._go_on_with(result.policy)
         self._name, self.motion = result.settings.policy, result.motion
         if result.progress is not None:
-            self.progress = result.progress.towards(self.policy, self.target)
+            self.progress = result.progress.towards(self.target)
 
     def equip(self, plant: ClosedLoop, settings: Settings) -> None:
         """Let another plant and controller take over from the present state of the arm."""
@@ -256,7 +253,7 @@ class Engine:
         spent = self._loop.advance(self.target)
         self._periods += 1
         if self.progress is not None:
-            self.progress = self.progress.after(self.policy)
+            self.progress = self.progress.after()
         return self.look(spent)
 
     def look(self, spent: float = 0.0) -> Tick:

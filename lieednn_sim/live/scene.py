@@ -36,8 +36,7 @@ class ArmScene:
     """
 
     def __init__(self, server: Any, arm: Arm, pose: tuple[Floats, Floats]) -> None:
-        self._scene, self._arm = server.scene, arm
-        scene = self._scene
+        scene, self._arm = server.scene, arm
         points = scene_setup.reached(arm)
         model, self._marker = scene_setup.staged(arm, points)
         shapes = viser_scene.Shapes(model)
@@ -51,9 +50,7 @@ class ArmScene:
         self._nodes = viser_scene.ModelNodes(scene, shapes, "/arm")
         self._data = mujoco.MjData(model)
         marked = int(np.flatnonzero(model.body_mocapid == self._marker)[0])
-        self._glass = [
-            (node, node.color) for body, nodes in self._nodes.surfaces.items() for node in nodes if body == marked
-        ]
+        self._glass = [(node, node.color) for node in self._nodes.surfaces.get(marked, [])]
         moving = set(model.geom_bodyid[moving_geoms(model)].tolist()) - {marked}
         self.surfaces = [
             (node, model.body(body).name)
@@ -76,8 +73,9 @@ class ArmScene:
             "/frames", batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (arm.n_links, 1)),
             batched_positions=np.zeros((arm.n_links, 3)), **axes,
         )  # fmt: skip
-        self._arrow: Any = None
-        self._refused: bool | None = None
+        size = {"shaft_radius": 0.012, "head_radius": 0.03, "head_length": 0.06}
+        size = {name: value * self._scale for name, value in size.items()}
+        self._arrow = scene.add_arrows("/force", np.array([[np.zeros(3), np.ones(3)]]), _RED, visible=False, **size)
 
     async def _make_room(self, client: Any) -> None:
         """On a narrow screen, where the controls take the lower part, show the arm in the upper one."""
@@ -99,8 +97,7 @@ class ArmScene:
         mujoco.mj_kinematics(self._nodes.model, self._data)
         self._nodes.show(self._data)
         refused = bool(aimed.problem)
-        if refused != self._refused:
-            self._refused = refused
+        if refused != self._refusal.visible:
             for node, colour in self._glass:
                 node.color = _RED if refused else colour
             self._refusal.visible = refused
@@ -117,25 +114,13 @@ class ArmScene:
             self._planned.visible = path is not None
             if path is not None:
                 self._planned.points = _segments(path)
-        self._show_force(tick.force, tick.pushed)
-
-    def _show_force(self, force: Floats, place: Floats) -> None:
-        if not force.any():
-            if self._arrow is not None:
-                self._arrow.remove()
-                self._arrow = None
-            return
-        length = float(np.linalg.norm(force))
-        # 3 mm for a newton, and 0.8 m at most.
-        end = place + force * min(3e-3, 0.8 / length) * self._scale
-        points = np.array([[place, end]], dtype=np.float32)
-        if self._arrow is None:
-            size = {"shaft_radius": 0.012, "head_radius": 0.03, "head_length": 0.06}
-            self._arrow = self._scene.add_arrows(
-                "/force", points, _RED, **{name: value * self._scale for name, value in size.items()}
-            )
-        else:
-            self._arrow.points = points
+        pushed = bool(tick.force.any())
+        if pushed != self._arrow.visible:
+            self._arrow.visible = pushed
+        if pushed:
+            # 3 mm for a newton, and 0.8 m at most.
+            length = min(3e-3, 0.8 / float(np.linalg.norm(tick.force))) * self._scale
+            self._arrow.points = np.array([[tick.pushed, tick.pushed + length * tick.force]], dtype=np.float32)
 
 
 def _segments(points: Any) -> Floats:

@@ -67,8 +67,6 @@ class NetworkPolicy(FeedbackPolicy):
         network: the network.
         speed: its speed c [1/s].
         xi: ``(N, 6)`` state of all neurons.
-        pace: factor l s of the last period.
-        behind: error e of `feedback` at the beginning of the last period.
         pulled: whether measured joints pulled the state in the last period, which is then no orbit of the network.
         gap: ``(N, 2)`` mechanism gap of each link in the last period: angle [rad] and distance [m].
 

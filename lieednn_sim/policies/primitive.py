@@ -65,7 +65,7 @@ class MovementPrimitive(JointPolicy):
         speed = self._time * motion.qd
         bend = np.gradient(speed, t, axis=0, edge_order=2)
         force = bend - spring * (0.25 * spring * (motion.q[-1] - motion.q) - speed)
-        features = self._features(np.exp(-options.decay * t))
+        features = forcing(options.basis_functions, np.exp(-options.decay * t), options.decay)
         normal = features.T @ features + options.ridge * len(t) * np.eye(options.basis_functions)
         self._weights = np.linalg.solve(normal, features.T @ force)
 
@@ -76,19 +76,16 @@ class MovementPrimitive(JointPolicy):
 
     def velocity(self, target: Floats, waiting: float) -> Floats:
         """See `JointPolicy`; unchecked."""
-        h, spring = waiting * self.period / self._time, self._options.spring
-        force = self._features(np.array([self._x]))[0] @ self._weights
+        options, h = self._options, waiting * self.period / self._time
+        force = forcing(options.basis_functions, np.array([self._x]), options.decay)[0] @ self._weights
         # Implicit in z, so that a stiff spring stays stable at a low control rate.
-        pull = self._z + h * (spring * 0.25 * spring * (target - self.y) + force)
-        self._z = pull / (1.0 + h * spring)
+        pull = self._z + h * (options.spring * 0.25 * options.spring * (target - self.y) + force)
+        self._z = pull / (1.0 + h * options.spring)
         return np.asarray(self._z / self._time)
 
     def elapse(self, time: float) -> None:
         """See `JointPolicy`; unchecked."""
         self._x *= float(np.exp(-self._options.decay * time / self._time))
-
-    def _features(self, x: Floats) -> Floats:
-        return forcing(self._options.basis_functions, x, self._options.decay)
 
 
 def primitive(task: PolicyTask, options: PrimitiveOptions) -> MovementPrimitive:
