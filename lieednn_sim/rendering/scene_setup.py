@@ -85,18 +85,18 @@ def camera(arm: Arm, name: str | None, points: Floats) -> mujoco.MjvCamera:
     That one has room for a hand beyond the points ``(P, 3)``, unless the arm is a view.
     """
     name = name or (_OVERVIEW if _OVERVIEW in cameras(arm) else None)
-    camera = mujoco.MjvCamera()
+    result = mujoco.MjvCamera()
     if name is not None:
-        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, arm.model.camera(name).id
-        return camera
+        result.type, result.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, arm.model.camera(name).id
+        return result
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = 1.15 * float(np.linalg.norm(points - centre, axis=1).max())
     radius += _hand(arm) if arm.state is None else 0.0
-    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.lookat[:] = centre
-    camera.distance = radius / np.sin(0.5 * np.deg2rad(arm.model.vis.global_.fovy))
-    camera.azimuth, camera.elevation = 125.0, -20.0
-    return camera
+    result.type = mujoco.mjtCamera.mjCAMERA_FREE
+    result.lookat[:] = centre
+    result.distance = radius / np.sin(0.5 * np.deg2rad(arm.model.vis.global_.fovy))
+    result.azimuth, result.elevation = 125.0, -20.0
+    return result
 
 
 def scale(arm: Arm, points: Floats) -> float:

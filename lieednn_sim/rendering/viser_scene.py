@@ -64,20 +64,25 @@ class Shapes:
         self.model, self.shapes, self.floors = model, [], []
         self.tendons: dict[tuple[tuple[float, ...], float], list[int]] = {}
         parts: dict[tuple[int, tuple[float, ...] | None, int], list[int]] = {}
-        for geom in _drawn(model, data):
+        # As MuJoCo would render them, with colours resolved from materials.
+        scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + 1000)
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
+        for geom in scene.geoms[: scene.ngeom]:
+            number, colour = int(geom.objid), tuple(np.round(geom.rgba.astype(float), 3))
+            if geom.rgba[3] <= 0.0 or geom.objtype not in (mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOBJ_TENDON):
+                continue
             if geom.objtype == mujoco.mjtObj.mjOBJ_TENDON:
-                look = tuple(np.round(geom.rgba.astype(float), 3)), float(geom.size[0])
-                alike = self.tendons.setdefault(look, [])
+                alike = self.tendons.setdefault((colour, float(geom.size[0])), [])
                 # A tendon is drawn in pieces.
-                if int(geom.objid) not in alike:
-                    alike.append(int(geom.objid))
-                continue
-            if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
-                self.floors.append(int(geom.objid))
-                continue
-            texture = conversions.get_geom_texture_id(model, geom.objid)
-            rgba = tuple(np.round(geom.rgba.astype(float), 3)) if texture < 0 else None
-            parts.setdefault((int(model.geom_bodyid[geom.objid]), rgba, texture), []).append(int(geom.objid))
+                if number not in alike:
+                    alike.append(number)
+            elif geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+                self.floors.append(number)
+            else:
+                texture = conversions.get_geom_texture_id(model, number)
+                look = int(model.geom_bodyid[number]), colour if texture < 0 else None, texture
+                parts.setdefault(look, []).append(number)
         still: list[Floats] = [np.zeros((0, 3))]
         for (body, rgba, _), geoms in parts.items():
             mesh = conversions.merge_geoms(model, geoms)
@@ -241,13 +246,3 @@ def _pieces(data: mujoco.MjData, tendon: int) -> Floats:
     rows = slice(first := data.ten_wrapadr[tendon], first + data.ten_wrapnum[tendon])
     pulley = data.wrap_obj.ravel()[rows] == -2
     return segments(data.wrap_xpos.reshape(-1, 3)[rows])[~(pulley[:-1] | pulley[1:])]
-
-
-def _drawn(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:
-    """The model's geoms and tendons as MuJoCo would render them, with colours resolved from materials."""
-    scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + 1000)
-    everything = mujoco.mjtCatBit.mjCAT_ALL
-    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
-    for geom in scene.geoms[: scene.ngeom]:
-        if geom.objtype in (mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOBJ_TENDON) and geom.rgba[3] > 0.0:
-            yield geom
