@@ -372,7 +372,7 @@ POLICIES: Registry[PolicyEntry] = Registry(
             "policies.network_policy:linear", "the network without weights: straight in se(3)"
         ),
         "dmp": PolicyEntry(
-            "policies.primitive:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"
+            "policies.planned:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"
         ),
         "fabric": PolicyEntry("policies.fabric:fabric", "an attractor, and obstacles that repel", "FabricOptions"),
         "mppi": PolicyEntry(
@@ -380,7 +380,7 @@ POLICIES: Registry[PolicyEntry] = Registry(
             "model-predictive path integral control, with a model of its own",
             "PathIntegralOptions",
         ),
-        "tracker": PolicyEntry("policies.tracker:tracker", "a planned motion, whatever the arm does"),
+        "tracker": PolicyEntry("policies.planned:tracker", "a planned motion, whatever the arm does"),
     },
     make=PolicyEntry,
     wanted="a function of a PolicyTask",

@@ -53,17 +53,14 @@ def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...
     Raises:
         FileError: the directory cannot be written.
     """
-    folder = io.make_directory(directory)
-    result = [folder / "tracking.png", folder / "joints.png"]
-    plot_tracking(rollout, result[0])
-    plot_joints(rollout, result[1])
+    folder, drawn = io.make_directory(directory), {"tracking": plot_tracking, "joints": plot_joints}
     if rollout.motion is not None:
-        result.append(folder / "network.png")
-        plot_network(rollout, result[-1])
+        drawn["network"] = plot_network
     if rollout.channels:
-        result.append(folder / "channels.png")
-        plot_channels(rollout, result[-1])
-    return tuple(result)
+        drawn["channels"] = plot_channels
+    for name, draw in drawn.items():
+        draw(rollout, folder / f"{name}.png")
+    return tuple(folder / f"{name}.png" for name in drawn)
 
 
 def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:

@@ -168,24 +168,14 @@ class Tick(NamedTuple):
 class Engine:
     """A simulated arm behind a policy, both of which may be exchanged between control periods.
 
-    Start and first target ``(n,)`` are unchecked.
-
-    Attributes:
-        policy: the policy in use.
-        target: ``(n,)`` joint target.
-        motion: the planned motion that the policy follows or imitates; None if there is none.
-        progress: what is proved about the way to the target; None for a policy without a network.
-        equipped: the settings for which controller and plant were made.
-        pull: a push that acts until it is taken away, with the point where it acts, None for the centre of mass.
-
-    Raises:
-        InputError: the controller cannot drive the arm.
+    Start and first target ``(n,)`` are unchecked. `InputError` if the controller cannot drive the arm.
     """
+
+    policy: Policy
 
     def __init__(self, arm: Arm, settings: Settings, start: Floats, target: Floats, rate: float) -> None:
         self._arm, self._start, self._first, self._rate = arm, start, target, rate
-        self.equipped = settings
-        self.policy: Policy
+        self.equipped = settings  # for which controller and plant were made
         self.begin()
         self._loop = ClosedLoop(self.policy, settings.controller, settings.disturbances)
         self._loop.begin(start)
@@ -195,9 +185,10 @@ class Engine:
         self._periods, self._force = 0, (np.zeros(3), np.zeros(3))
         # With the periods in which they end.
         self._pushes: list[tuple[Push, int]] = []
+        # A push that acts until it is taken away, with the point where it acts, None for the centre of mass.
         self.pull: tuple[Push, Floats | None] | None = None
-        self.motion: Motion | None = None
-        self.progress: Progress | None = None
+        self.motion: Motion | None = None  # that the policy follows or imitates
+        self.progress: Progress | None = None  # of a policy with a network
         self._name, self.target = "", self._first
         self.policy = self._stopping(self._start, np.zeros_like(self._start))
         self.policy.reset(self._start)

@@ -10,10 +10,9 @@ from lieednn_sim.policies.loop import LoopReport, control_loop
 from lieednn_sim.policies.making import PolicyTask, make_policy, register_policy
 from lieednn_sim.policies.network_policy import CertifiedPolicyOptions, NetworkPolicy
 from lieednn_sim.policies.path_integral import PathIntegral, PathIntegralOptions
-from lieednn_sim.policies.primitive import MovementPrimitive, PrimitiveOptions
+from lieednn_sim.policies.planned import MotionTracker, MovementPrimitive, PrimitiveOptions
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
 from lieednn_sim.policies.safety_filter import FilteredPolicy, FilterOptions, FilterStep, SafetyFilter
-from lieednn_sim.policies.tracker import MotionTracker
 from lieednn_sim.registry import POLICIES
 from lieednn_sim.typecheck import typecheck_public
 

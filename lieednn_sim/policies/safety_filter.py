@@ -99,12 +99,7 @@ class ApproachBounds:
 
 
 class ClearanceBarrier:
-    """Distances of pairs of geoms, minus their margins, for finite acceleration limits ``(n,)`` and a time step h [s].
-
-    Attributes:
-        collisions: the pairs.
-        cutoffs: ``(P,)`` distances beyond which pairs are ignored [m].
-    """
+    """Distances of pairs of geoms minus their margins, for finite acceleration limits ``(n,)`` and steps of h [s]."""
 
     # Several constraints may need the joints' accelerations to brake, and normals turn.
     braking_fraction = 0.15
@@ -117,7 +112,7 @@ class ClearanceBarrier:
         self._margins = np.zeros((arm.model.ngeom, arm.model.ngeom))
         own, pairs = self.collisions.own, tuple(self.collisions.pairs.T)
         self._margins[pairs] = np.where(own, options.own_margin, options.margin)
-        self.cutoffs = np.full(len(own), options.cutoff)
+        self.cutoffs = np.full(len(own), options.cutoff)  # distances beyond which pairs are ignored [m]
         # Parts of the arm within 0.15 m at home are taken for neighbours, which approach slowly.
         beside = np.zeros_like(self._margins, dtype=bool)
         beside[tuple(self.collisions.distances(arm.keyframe("home"), 0.15).pairs.T)] = True
@@ -166,11 +161,7 @@ class ClearanceBarrier:
 
 
 class AngleBarrier:
-    """Angles by which ball joints are below their limits, which bound the norm of their three coordinates.
-
-    Attributes:
-        limits: ``(B,)`` angle limits in use [rad].
-    """
+    """Angles by which ball joints are below their limits in use, which bound the norm of their three coordinates."""
 
     # Staying inside while moving along the limit takes most of the acceleration.
     braking_fraction = 0.05

@@ -163,10 +163,9 @@ def render_video(
 ) -> int:
     """Render a video of a rollout, with planned link frames and the end effector's path drawn over the arm.
 
-    Frame k shows the time k / fps.
-
-    A caption in a corner has the time, the names of arm, scene and controller, and a colour legend. The model of
-    a view is shown as it is, with all that moves in it, and the caption names the step of a sequence.
+    Frame k shows the time k / fps. A caption in a corner has the time, the names of arm, scene and controller, and a
+    colour legend. The model of a view is shown as it is, with all that moves in it, and the caption names the step of a
+    sequence.
 
     Args:
         rollout: the rollout, whose target the marker shows.
@@ -196,9 +195,8 @@ def render_video(
         with _writer(temporary, size, rate) as append, ThreadPoolExecutor(1) as encoder:
 
             def write(picture: Image, now: float) -> None:
-                append(
-                    write_caption(picture, [*names, *scene_setup.caption(rollout, now), f"{now:.2f} s of {end:.2f} s"])
-                )
+                lines = [*names, *scene_setup.caption(rollout, now), f"{now:.2f} s of {end:.2f} s"]
+                append(write_caption(picture, lines))
 
             written: Future[None] | None = None
             for done, k in enumerate(samples, start=1):

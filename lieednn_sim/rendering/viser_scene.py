@@ -47,21 +47,17 @@ class Shape(NamedTuple):
 
 
 class Shapes:
-    """The geometry of a model that a film shows: groups, colours and transparency are as MuJoCo renders them.
-
-    Attributes:
-        shapes: surfaces of all bodies.
-        floors: ids of the geoms that are planes, which are floors of unlimited size.
-        tendons: ids of the tendons by their colour, four numbers from 0 to 1, and radius [m].
-        extent: ``(2, 3)`` least and largest coordinates of what does not move, but floors; ``(0, 3)`` of nothing.
-    """
+    """The geometry of a model that a film shows: groups, colours and transparency are as MuJoCo renders them."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         conversions, trimesh_graph = optional_module("mjviser.conversions"), optional_module("trimesh.graph")
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         _find_tendons(model, data)
-        self.model, self.shapes, self.floors = model, [], []
+        self.model = model
+        self.shapes: list[Shape] = []
+        # Ids of planes, which are floors of unlimited size, and of tendons by their colour and radius [m].
+        self.floors: list[int] = []
         self.tendons: dict[tuple[tuple[float, ...], float], list[int]] = {}
         parts: dict[tuple[int, tuple[float, ...] | None, int], list[int]] = {}
         # As MuJoCo would render them, with colours resolved from materials.
@@ -93,6 +89,7 @@ class Shapes:
                 mesh = type(mesh)(*_parted(mesh, trimesh_graph), process=False)
             self.shapes.append(Shape(body, mesh, rgba))
         points = np.vstack(still)
+        # (2, 3) least and largest coordinates of what does not move, but floors; (0, 3) if there is nothing.
         self.extent = np.array([points.min(axis=0), points.max(axis=0)]) if len(points) else points
 
 
@@ -112,17 +109,12 @@ class ModelNodes:
     """The bodies of a model as nodes of a viser scene, translated by an offset ``(3,)`` [m].
 
     Several may share the same `Shapes`. The node above all others has the name ``root``, such as ``/arm``.
-
-    Attributes:
-        model: the model.
-        bodies: the node of each body that has a geometry, by its id; nodes of the target and others can be moved alone.
-        surfaces: the nodes of surfaces by the id of their body, whose ``color`` can be set.
-        tendons: the nodes of tendons, which are lines, with the tendons' ids.
     """
 
     def __init__(self, scene: Any, shapes: Shapes, root: str, *, offset: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         self.model = model = shapes.model
         scene.add_frame(root, show_axes=False, position=np.asarray(offset))
+        # Nodes by the ids of bodies: each body's that has a geometry, and of its surfaces, whose `color` can be set.
         self.bodies: dict[int, Any] = {}
         self.surfaces: dict[int, list[Any]] = {}
         for shape in shapes.shapes:
@@ -138,6 +130,7 @@ class ModelNodes:
             solid = alpha >= 1.0
             given = {"color": tuple(colour), "opacity": None if solid else alpha, "cast_shadow": solid}
             result.append(scene.add_mesh_simple(name, shape.mesh.vertices, shape.mesh.faces, **given))
+        # Nodes of tendons, which are lines, with the tendons' ids.
         self.tendons: list[tuple[Any, list[int]]] = []
         for (rgba, radius), tendons in shapes.tendons.items():
             name = f"{root}/tendons {len(self.tendons)}"
