@@ -87,10 +87,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
 
 
 def _pace(rollout: Rollout) -> Floats:
-    """Decay rate ``(n,)`` [1/s] of each coordinate's error under its servo, with the others held.
-
-    The slower root of M r^2 + (kv + D) r + kp = 0.
-    """
+    """Decay rates ``(n,)`` [1/s] of errors under servos, others held: slower roots of M r^2 + (kv + D) r + kp = 0."""
     model, basis = rollout.arm.model, tangent_basis(rollout.arm.space)
     data = mujoco.MjData(model)
     data.qpos[:] = rollout.qpos[-1]

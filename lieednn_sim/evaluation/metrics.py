@@ -195,15 +195,7 @@ def motion_metrics(arm: Arm, motion: Motion) -> MotionMetrics:
 def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
     """Root mean square of kappa = |p' x p''| / |p'|^3 along the arc [1/m], where |p'| exceeds 5 % of its peak.
 
-    Args:
-        path: ``(K, 3)`` positions [m] at constant time steps.
-        timestep: [s].
-
-    Returns:
-        None for a path that does not move.
-
-    Raises:
-        InputError: the path is malformed or the timestep is not positive.
+    The path ``(K, 3)`` [m] has constant time steps [s]. None if it does not move; `InputError` if it is malformed.
     """
     points, step = as_floats("path", path, ("K", 3)), as_positive("timestep", timestep)
     if len(points) < 3:
@@ -225,9 +217,8 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
 def least_clearance(rollout: Rollout) -> float:
     """Least clearance along the simulated motion [m]; negative in penetration, infinite where nothing can collide.
 
-    In a view, everything is where the simulation had it; a free body between fingers is touched.
-
-    It is measured at every fifth sample (10 ms at the arms' step), and at all samples with a contact.
+    It is measured at every fifth sample (10 ms at the arms' step), and at all samples with a contact. In a view,
+    everything is where the simulation had it; a free body between fingers is touched.
     """
     chosen = np.union1d(np.arange(0, len(rollout.t), 5), np.flatnonzero(rollout.contacts))
     return Collisions(rollout.arm).least_clearance_at(rollout.qpos[chosen])

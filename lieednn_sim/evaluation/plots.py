@@ -64,11 +64,7 @@ def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...
 
 
 def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
-    """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
-
-    Raises:
-        InputError: the rollout followed no plan.
-    """
+    """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed."""
     arm, motion = rollout.arm, rollout.motion
     if motion is None:
         raise InputError("the rollout followed no plan, so there are no states to plot")
@@ -134,16 +130,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
 
 
 def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequence[str] | None = None) -> None:
-    """Plot channels of a rollout over time: a subplot for each unit, and a line for each component of a channel.
-
-    Args:
-        rollout: the rollout.
-        path: of the file.
-        names: the channels to plot, all by default.
-
-    Raises:
-        InputError: the rollout has no channels, or none of such a name.
-    """
+    """Plot the named channels, or all: a subplot for each unit, a line for each component; `InputError` if none."""
     chosen = list(rollout.channels) if names is None else names
     if not chosen:
         raise InputError("there are no channels to plot; see the argument log of simulate")

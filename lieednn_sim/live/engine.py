@@ -218,11 +218,7 @@ class Engine:
         return stopping.end
 
     def put_in(self, result: Made) -> None:
-        """Let another policy take over from the reference of the present one.
-
-        Raises:
-            InputError: it cannot start there; then the present one goes on.
-        """
+        """Let another policy take over from the present reference; after `InputError` the present one goes on."""
         self._go_on_with(result.policy)
         self._name, self.motion = result.settings.policy, result.motion
         if result.progress is not None:
@@ -235,11 +231,7 @@ class Engine:
         plant.begin(before.q, before.qd)
 
     def advance(self) -> Tick:
-        """Do a control period.
-
-        Raises:
-            SimulationError: the simulation failed; `restart` begins again.
-        """
+        """Do a control period; after a `SimulationError`, `restart` begins again."""
         self._apply_forces()
         spent = self._loop.advance(self.target)
         self._periods += 1

@@ -41,7 +41,6 @@ class Page:
         port: port to listen at; 0 for a free one.
 
     Attributes:
-        session: the session.
         url: the page's address.
 
     Raises:

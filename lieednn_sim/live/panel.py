@@ -29,10 +29,7 @@ _STRONGEST, _STRETCH = 500.0, 0.3
 
 
 class Panel:
-    """The controls of one page of a `viser.ViserServer`, beside the scene, for the session.
-
-    The value of `direction_counts` is whether the target's direction counts, besides its position.
-    """
+    """The controls of one page of a `viser.ViserServer`, beside the scene, for the session."""
 
     def __init__(self, server: Any, session: Session, scene: ArmScene) -> None:
         self._server, self._session, self._scene, self._draws = server, session, scene, 0
@@ -43,6 +40,7 @@ class Panel:
         self._status = gui.add_html("")
         for name, buttons in (("", ("pause", "reset")), ("target", ("home", "random"))):
             gui.add_button_group(name, buttons).on_click(lambda event: self._clicked(event.target.value))
+        # Whether the target's direction counts, besides its position.
         hint = "otherwise the end effector may turn as it likes"
         self.direction_counts = gui.add_checkbox("hold its direction", True, hint=hint)
         speed = gui.add_slider("speed", *SPEEDS, step=0.1, initial_value=1.0)

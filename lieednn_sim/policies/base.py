@@ -134,9 +134,6 @@ class Policy(ABC):
 
 
 def has_jumped(arm: Arm, velocity: Floats) -> Floats:
-    """Whether a target that moved at velocities ``(..., n)`` over a control period has jumped, ``(...)``.
-
-    It has jumped if a joint is faster than its limit, or than 10 rad/s or m/s where there is no limit.
-    """
+    """Whether targets at velocities ``(..., n)`` jump: beyond a joint's limit, or without one 10 rad/s or m/s."""
     limits = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
     return np.asarray((np.abs(velocity) > limits).any(axis=-1))

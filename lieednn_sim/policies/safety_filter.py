@@ -142,11 +142,7 @@ class ClearanceBarrier:
         return np.minimum(margins + times * self._approach(q, speeds) + 1e-3, self.cutoffs)
 
     def allow(self, q: Floats) -> None:
-        """Reduce the margins of pairs that are closer at ``q`` ``(n,)`` to a fraction of their distance there.
-
-        Raises:
-            InputError: something touches there.
-        """
+        """Reduce margins of pairs closer at ``q`` ``(n,)`` to a part of their distance; `InputError` if some touch."""
         near = self.collisions.distances(q, max(self._options.margin, self._options.own_margin) / _MARGIN_FRACTION)
         if len(near.distance) and near.distance[0] <= 0.0:
             first, second = self.collisions.names(near.pairs[0])

@@ -85,10 +85,7 @@ def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset
 
 
 def instants(path: Floats, count: int) -> list[int]:
-    """Indices of ``count`` samples that divide a path ``(K, 3)`` into equal lengths, from the first to its end.
-
-    If the path has no length, they are at equal times.
-    """
+    """Indices of ``count`` samples that divide a path ``(K, 3)`` into equal lengths, or times if it has no length."""
     travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     if travelled[-1] < 1e-6:
         travelled = np.linspace(0.0, 1.0, len(path))
