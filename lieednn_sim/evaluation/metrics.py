@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -130,8 +131,7 @@ def evaluate_following(following: Following) -> FollowingErrors:
         recent = slice(max(begin - following.period, 0), begin)
         steady[recent.start + int(np.linalg.norm(velocity[recent], axis=1).argmax())] = False
     moved = float((velocity[steady] ** 2).sum())
-    ends = [*starts[1:], len(t)][: len(starts)]
-    spans = zip(starts, ends, strict=True)
+    spans = pairwise([*starts, len(t)])
     spans_settled = [(begin, settled(t[begin:end], distance[begin:end], angle[begin:end])) for begin, end in spans]
     return FollowingErrors(
         rms_mm=float(1e3 * np.sqrt(np.mean(distance[:, -1] ** 2))),

@@ -53,8 +53,7 @@ class Page:
         self._server: Any = self._resources.enter_context(server)
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         self.url = f"http://{shown}:{self._server.get_port()}"
-        aimed = session.aimed
-        self._scene = ArmScene(self._server, session.arm, (aimed.position, aimed.quaternion))
+        self._scene = ArmScene(self._server, session.arm, session.aimed)
         self._panel = Panel(self._server, session, self._scene)
         self._dragged = -_DRAG_ENDS
         self._scene.handle.on_update(self._drag)

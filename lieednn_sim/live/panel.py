@@ -141,9 +141,8 @@ class Plots:
             return
         network = (np.nan, np.nan) if progress is None else (progress.distance, progress.bound)
         values = (1e3 * snapshot.distance, *network, 1e3 * snapshot.tracking)
-        # Least value on a logarithmic scale [mm], [1].
-        least = 1e-3
-        self._rows.append((tick.time, *(max(value, least) for value in values)))
+        # On a logarithmic scale.
+        self._rows.append((tick.time, *(max(value, 1e-3) for value in values)))
         while tick.time - self._rows[0][0] > _SPAN:
             self._rows.popleft()
         if len(self._rows) > 1:

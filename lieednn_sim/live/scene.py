@@ -10,6 +10,7 @@ import numpy as np
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import moving_geoms
+from lieednn_sim.live.session import Aim
 from lieednn_sim.live.snapshot import Snapshot
 from lieednn_sim.rendering import scene_setup, viser_scene
 from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
@@ -26,8 +27,6 @@ _RATIO = 1.0
 class ArmScene:
     """An arm in the scene of a `viser.ViserServer`, with its target as a handle.
 
-    The target's pose is its position ``(3,)`` and quaternion ``(4,)``.
-
     Attributes:
         handle: viser's transform controls at the target; the mouse moves them.
         frames: viser's node of the reference's link frames.
@@ -35,7 +34,7 @@ class ArmScene:
         surfaces: viser's nodes of the arm's moving surfaces, with the names of their bodies.
     """
 
-    def __init__(self, server: Any, arm: Arm, pose: tuple[Floats, Floats]) -> None:
+    def __init__(self, server: Any, arm: Arm, aimed: Aim) -> None:
         scene, self._arm = server.scene, arm
         points = scene_setup.reached(arm)
         model, self._marker = scene_setup.staged(arm, points)
@@ -58,9 +57,8 @@ class ArmScene:
             for node in nodes
             if body in moving and model.body(body).name and model.body_mocapid[model.body_rootid[body]] < 0
         ]
-        self.handle = scene.add_transform_controls(
-            "/target handle", scale=0.28 * self._scale, line_width=3.0, depth_test=False, position=pose[0], wxyz=pose[1]
-        )
+        place = {"position": aimed.position, "wxyz": aimed.quaternion, "depth_test": False}
+        self.handle = scene.add_transform_controls("/target handle", scale=0.28 * self._scale, line_width=3.0, **place)
         # Seen through what the target may be in.
         self._refusal = scene.add_label("/refused", "cannot be reached", visible=False, anchor="bottom-left")
         blank = np.zeros((2, 3))

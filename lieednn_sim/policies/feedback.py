@@ -51,9 +51,8 @@ class Feedback:
 
     def response(self, behind: float) -> tuple[float, float]:
         """The policy's speed s and the pull k d [1/s] for an error e, a fraction of the joints' ranges; unchecked."""
-        # s_0: a policy that stopped would never arrive.
-        min_speed = 0.01
-        waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), min_speed)
+        # With s_0 = 0.01: a policy that stopped would never arrive.
+        waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), 0.01)
         return waiting, self.rate * max(0.0, 1.0 - self.tolerance / max(behind, 1e-300))
 
 

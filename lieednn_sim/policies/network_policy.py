@@ -232,11 +232,7 @@ def certified(task: PolicyTask, options: CertifiedPolicyOptions) -> NetworkPolic
     """A certified network for the target."""
     xi = task.arm.encode(task.target)
     network = synthesize(
-        xi,
-        bias="sign-matched",
-        bias_magnitude=options.bias_magnitude,
-        activation=options.activation,
-        seed=task.seed,
+        xi, bias="sign-matched", bias_magnitude=options.bias_magnitude, activation=options.activation, seed=task.seed
     ).unwrap()
     slowest = -float(np.linalg.eigvals(network.jacobian(xi)).real.max())
     return _policy(task, network, task.convergence_rate / slowest)

@@ -52,9 +52,8 @@ class MotionTracker(Policy):
         """See `Policy`; unchecked."""
         away = np.abs(self._rows[0][0] - q)
         joint = int((away / self.arm.ranges).argmax())
-        # Largest distance of a motion's beginning from where the arm is, as a fraction of a joint's range.
-        max_start_distance = 0.02
-        if away[joint] > max_start_distance * self.arm.ranges[joint]:
+        # A motion may begin within 2 % of a joint's range from where the arm is.
+        if away[joint] > 0.02 * self.arm.ranges[joint]:
             raise InputError(
                 f"the motion begins {away[joint]:.3g} {self.arm.unit(joint)} from where joint "
                 f"{self.arm.joint_names[joint]!r} is; plan it from there"

@@ -262,10 +262,8 @@ class SafetyFilter:
         """
         n, options = self.arm.n_joints, self.options
         # No arm has larger values; with them the quadratic program could not tell its bounds apart.
-        position, old, goal = (
-            as_floats(name, value, (n,), largest=1e9)
-            for name, value in (("q", q), ("velocity", velocity), ("wanted", wanted))
-        )
+        given = {"q": q, "velocity": velocity, "wanted": wanted}
+        position, old, goal = (as_floats(name, value, (n,), largest=1e9) for name, value in given.items())
         low, high, of_position = self._bounds(position, old)
         rows, floors, names = self._rows(position, old, low, high)
         scale = self.velocity_limits
@@ -325,9 +323,8 @@ class SafetyFilter:
         rooms, slopes = (np.concatenate(parts) for parts in zip(distances, self.angles.values(q), strict=True))
         count = len(distances[0])
         # Decelerations along each gradient: the fraction of the joints' accelerations available to brake.
-        fractions = np.where(
-            np.arange(len(rooms)) < count, ClearanceBarrier.braking_fraction, AngleBarrier.braking_fraction
-        )
+        of_pairs = np.arange(len(rooms)) < count
+        fractions = np.where(of_pairs, ClearanceBarrier.braking_fraction, AngleBarrier.braking_fraction)
         brakes = fractions * (np.abs(slopes) @ self.acceleration_limits)
         rates = np.minimum(rate, np.sqrt(2.0 * brakes / np.maximum(rooms, 1e-6)))
         rows = (1.0 + 0.5 * h * rates[:, None]) * slopes

@@ -21,9 +21,7 @@ from lieednn_sim.errors import RenderingUnavailableError
 
 # What MuJoCo and dm_control understand; MuJoCo ignores case and blanks, dm_control does not.
 _SYNONYMS: Mapping[str, str] = {
-    "egl": "egl",
-    "osmesa": "osmesa",
-    "cgl": "cgl",
+    **{name: name for name in ("egl", "osmesa", "cgl")},
     **dict.fromkeys(("glfw", "glx", "wgl", "enable", "enabled", "on", "true", "1"), "glfw"),
     **dict.fromkeys(("disable", "disabled", "off", "false", "0"), "disable"),
 }

@@ -133,15 +133,9 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
         light = spec.worldbody.add_light(pos=-4.0 * np.array(direction), dir=direction, castshadow=shadow)
         light.type, light.diffuse = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, [diffuse] * 3
     if not (model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any():
-        spec.add_texture(
-            name=unused("sky", names),
-            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-            rgb1=[0.26, 0.44, 0.68],
-            rgb2=[0.90, 0.93, 0.95],
-            width=256,
-            height=1536,
-        )
+        sky = {"type": mujoco.mjtTexture.mjTEXTURE_SKYBOX, "builtin": mujoco.mjtBuiltin.mjBUILTIN_GRADIENT}
+        look = {"rgb1": [0.26, 0.44, 0.68], "rgb2": [0.90, 0.93, 0.95], "width": 256, "height": 1536}
+        spec.add_texture(name=unused("sky", names), **sky, **look)
     name = "target" if marked else unused("target", names)
     # Colours of the target marker: the ball, and the axes in it.
     glass = (0.08, 0.75, 0.70, 0.35)

@@ -150,22 +150,11 @@ class ModelNodes:
 
 def add_floor(scene: Any, shapes: Shapes) -> None:
     """Draw a grid in place of each plane of the model, with shadows on it."""
-    model = shapes.model
+    line = {"size": _FLOOR_CELL, "color": _FLOOR, "thickness": 0.6}
+    lines = {f"{which}_{what}": value for which in ("cell", "section") for what, value in line.items()}
     for geom in shapes.floors:
-        scene.add_grid(
-            f"/floor/{geom}",
-            infinite_grid=True,
-            cell_size=_FLOOR_CELL,
-            section_size=_FLOOR_CELL,
-            cell_color=_FLOOR,
-            section_color=_FLOOR,
-            cell_thickness=0.6,
-            section_thickness=0.6,
-            fade_distance=25.0,
-            shadow_opacity=0.3,
-            position=model.geom_pos[geom],
-            wxyz=model.geom_quat[geom],
-        )
+        pose = {"position": shapes.model.geom_pos[geom], "wxyz": shapes.model.geom_quat[geom]}
+        scene.add_grid(f"/floor/{geom}", infinite_grid=True, fade_distance=25.0, shadow_opacity=0.3, **lines, **pose)
 
 
 def segments(points: Floats) -> Floats:
