@@ -24,7 +24,7 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     feedforward pulls it off by load / kp. A servo that still moves at the speed v, with an error
     that decays as exp(-r t), has v / r to go. Mocap bodies, which lead the arm without servos, have no such causes.
 
-    A joint is reported if its error alone displaces a link beyond what counts as settled, or if no joint's is worse.
+    A joint is reported if its error alone displaces a link beyond what counts as settled, or if it is the worst.
     """
     arm, target, error = rollout.arm, rollout.target, rollout.q[-1] - rollout.target
     if rollout.controller not in (*_SERVO_CONTROLLERS, "computed-torque", "feedback-linearisation"):

@@ -47,7 +47,6 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
     weld_force, weld_torque = (rollout.channels.get(f"weld_{load}", np.zeros(1)) for load in ("force", "torque"))
     speeds, forces, held = (np.abs(x).max(axis=0) for x in (rollout.qd, rollout.force, rollout.constraint_force))
     frames = tuple(frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names))
-    arrived = all(frame.arrived for frame in frames)
     return Evaluation(
         arm=arm.name,
         scene=arm.scene,
@@ -73,7 +72,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         peak_weld_force_n=float(weld_force.max()),
         peak_weld_torque_n_m=float(weld_torque.max()),
         recoveries=_recoveries(rollout, tracking),
-        causes=() if arrived else error_causes(rollout),
+        causes=() if all(frame.arrived for frame in frames) else error_causes(rollout),
         **violations(rollout),
     )
 

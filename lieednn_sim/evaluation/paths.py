@@ -21,7 +21,7 @@ SAMPLES = 1000
 class PathErrors:
     """Errors of a path against the one it should follow, both sampled at `SAMPLES` equal steps of their length.
 
-    Samples are paired by dynamic time warping (`warping.warp`), in which a radian counts as the lever, and no timing.
+    Samples are paired by dynamic time warping (`warping.warp`), whatever the timing; a radian counts as the lever.
 
     Attributes:
         rms_mm: root mean square distance of the pairs' positions.

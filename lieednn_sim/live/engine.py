@@ -263,8 +263,10 @@ class Engine:
     def _apply_forces(self) -> None:
         data, model = self._loop.simulation.data, self._loop.simulation.model
         self._pushes = [push for push in self._pushes if push[1] > self._periods]
+        acting: list[tuple[Push, Floats | None]] = [(push, None) for push, _ in self._pushes]
+        acting += [self.pull] if self.pull else []
         data.xfrc_applied[:], self._force = 0.0, (np.zeros(3), np.zeros(3))
-        for push, point in [*((push, None) for push, _ in self._pushes), *([self.pull] if self.pull else [])]:
+        for push, point in acting:
             body = push.body_id(self._arm, model)
             force, centre = np.array(push.force), data.xipos[body].copy()
             where = centre if point is None else point

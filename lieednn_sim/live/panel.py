@@ -90,8 +90,7 @@ class Panel:
             menu.on_update(lambda event, name=name: self._session.choose(**{name: event.target.value}))
 
     def _push(self) -> None:
-        force = float(self._force.value) * _DIRECTIONS[self._along.value]
-        self._session.push(self._link.value, force)
+        self._session.push(self._link.value, float(self._force.value) * _DIRECTIONS[self._along.value])
 
     def _clicked(self, what: str) -> None:
         session = self._session

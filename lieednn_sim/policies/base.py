@@ -71,7 +71,7 @@ class Policy(ABC):
             target: ``(n,)`` joint coordinates wanted now.
 
         Returns:
-            Read-only joint coordinates and rates ``(n,)``, between which a controller may interpolate by a cubic.
+            Read-only joint coordinates and rates ``(n,)``; between two periods a controller may interpolate by a cubic.
 
         Raises:
             InputError: a value is malformed, the target is beyond the position limits, or the policy was never reset

@@ -25,7 +25,10 @@ _Make = TypeVar("_Make", bound=Callable[..., Policy])
 
 @dataclass(frozen=True, eq=False)
 class PolicyTask:
-    """The task for which a policy is made: the arguments of `make_policy`, with ``given`` for its ``motion``.
+    """The task for which a policy is made.
+
+    Its fields are the arguments of `make_policy`, with joint coordinates ``(n,)`` for start and first target, and
+    ``given`` for what was given as ``motion``.
 
     Raises:
         InputError: a value is malformed.
@@ -91,7 +94,7 @@ def make_policy(
     Args:
         name: a name of `POLICIES`.
         arm: the arm, in its scene.
-        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; a step's may differ.
+        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; a step may have another.
         rate: control rate [Hz].
         start: joint coordinates ``(n,)`` at the beginning, or a keyframe's name.
         motion: what ``tracker`` tracks and ``dmp`` imitates, from start to target; by default a planned one.

@@ -75,9 +75,7 @@ class ApproachBounds:
     """
 
     def __init__(self, arm: Arm, pairs: NDArray[np.int_]) -> None:
-        self._arm = arm
-        self._data = mujoco.MjData(arm.model)
-        model = arm.model
+        self._arm, self._data, model = arm, mujoco.MjData(arm.model), arm.model
         self._geoms, index = np.unique(pairs, return_inverse=True)
         self._first, self._second = index.reshape(-1, 2).T
         self._moves = np.array([arm.moved_by(int(model.geom_bodyid[geom])) for geom in self._geoms])

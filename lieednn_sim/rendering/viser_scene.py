@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats, frozen
 
@@ -51,8 +51,7 @@ class Shapes:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         conversions, trimesh_graph = optional_module("mjviser.conversions"), optional_module("trimesh.graph")
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
+        data = kinematics_at(model, model.qpos0)
         _find_tendons(model, data)
         self.model = model
         self.shapes: list[Shape] = []
