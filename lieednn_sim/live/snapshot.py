@@ -46,8 +46,7 @@ class Observer:
     """Takes snapshots of a session, all in one thread."""
 
     def __init__(self, session: Session) -> None:
-        self._session = session
-        self._arm = copy.deepcopy(session.arm)
+        self._session, self._arm = session, copy.deepcopy(session.arm)
         self._collisions = Collisions(self._arm)
 
     def look(self) -> Snapshot:

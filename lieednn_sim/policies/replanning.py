@@ -83,11 +83,9 @@ class ReplanningPolicy(FeedbackPolicy):
     It logs ``changes``, how often it took a new code, and ``blocked``, 1 while a moving obstacle is in the way.
 
     Args:
-        arm: the arm, in its scene.
-        rate: control rate [Hz].
+        arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
         motion: motion for the first target, from start to target; by default, and from elsewhere, it goes straight.
         options: settings.
-        feedback: settings of the feedback from the measured joints; None for no feedback.
         seed: seed of the searches.
 
     Attributes:

@@ -107,10 +107,15 @@ def render_page(
 
 
 class Recording(NamedTuple):
-    """Motions for viser's player."""
+    """Motions for viser's player.
 
-    content: bytes  # a .viser file
-    ratio: float  # least width / height of the picture in which all is seen, 1 to 16/9
+    Attributes:
+        content: the recording, a ``.viser`` file.
+        ratio: least width / height of the picture in which all is seen, 1 to 16/9.
+    """
+
+    content: bytes
+    ratio: float
 
 
 def record(
