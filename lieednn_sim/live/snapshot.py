@@ -51,8 +51,7 @@ class Observer:
 
     def look(self) -> Snapshot:
         """The present instant."""
-        session, arm = self._session, self._arm
-        tick = session.tick
+        session, arm, tick = self._session, self._arm, self._session.tick
         poses = arm.link_poses(np.stack([tick.q, tick.q_ref, tick.target]))
         frames, planned, goals = poses[0], poses[1], poses[2]
         distance, angle = pose_errors(frames[-1], goals[-1])
