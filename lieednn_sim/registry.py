@@ -345,27 +345,25 @@ PLANNERS = Registry(
 
 _POLICIES = {
     "lieednn-shaped": PolicyEntry(
-        "policies.networks:shaped", "a certified network shaped for the path of a guide", "ShapedOptions"
+        "policies.network_policy:shaped", "a certified network shaped for the path of a guide", "ShapedOptions"
     ),
     "lieednn-certified": PolicyEntry(
-        "policies.networks:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
+        "policies.network_policy:certified", "a certified network, made in milliseconds", "CertifiedPolicyOptions"
     ),
     "lieednn-replanning": PolicyEntry(
         "policies.replanning:replanning",
         "a certified network that takes new targets and new paths, among obstacles that move",
         "ReplanningOptions",
     ),
-    "linear-attractor": PolicyEntry("policies.networks:linear", "the network without weights: straight in se(3)"),
-    "dmp": PolicyEntry(
-        "policies.primitive:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"
-    ),
+    "linear-attractor": PolicyEntry("policies.network_policy:linear", "the network without weights: straight in se(3)"),
+    "dmp": PolicyEntry("policies.planned:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"),
     "fabric": PolicyEntry("policies.fabric:fabric", "an attractor, and obstacles that repel", "FabricOptions"),
     "mppi": PolicyEntry(
         "policies.path_integral:path_integral",
         "model-predictive path integral control, with a model of its own",
         "PathIntegralOptions",
     ),
-    "tracker": PolicyEntry("policies.tracker:tracker", "a planned motion, whatever the arm does"),
+    "tracker": PolicyEntry("policies.planned:tracker", "a planned motion, whatever the arm does"),
 }
 #: All policies by name.
 POLICIES = Registry(

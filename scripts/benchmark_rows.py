@@ -36,9 +36,8 @@ from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.policies import POLICIES, NetworkPolicy, make_policy
-from lieednn_sim.rendering import ffmpeg
 from lieednn_sim.rendering.overlay import Overlay
-from lieednn_sim.rendering.video import Camera, render_video
+from lieednn_sim.rendering.video import Camera, mp4_writer, render_video
 from lieednn_sim.simulation import Disturbances, Rollout, Simulation, follow, simulate, simulate_many
 from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.plant import make_plant
@@ -414,7 +413,7 @@ def render_then_encode(run: Rollout, path: Path, fps: int, frames: int) -> None:
     with Camera(run.arm, size=FRAME_SIZE, preset="draft", target=run.target) as camera:
         shown = np.linspace(0, len(run.t) - 1, frames).astype(int)
         pictures = [camera.picture(run.q[k], partial(overlay.draw, k=int(k))) for k in shown]
-    with ffmpeg.mp4_writer(path, FRAME_SIZE, fps) as append:
+    with mp4_writer(path, FRAME_SIZE, fps) as append:
         for picture in pictures:
             append(picture)
 

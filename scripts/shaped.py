@@ -22,7 +22,7 @@ from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import arm_names
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.evaluation.motion_metrics import motion_metrics
+from lieednn_sim.evaluation.metrics import motion_metrics
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.studies.markdown import table
 

@@ -252,13 +252,10 @@ def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
 
     For tests in which plots are by the way; `test_cli.test_the_demo_without_video_meets_its_bounds` draws them.
     """
-    from lieednn_sim.evaluation import plot_training, plots
+    from lieednn_sim.evaluation import plots
 
-    for module, name in (
-        *((plots, f"plot_{what}") for what in ("network", "tracking", "joints", "channels")),
-        (plot_training, "plot_training"),
-    ):
-        monkeypatch.setattr(module, name, lambda *given, **_: Path(given[-1]).write_bytes(b"a picture"))
+    for what in ("network", "tracking", "joints", "channels", "training"):
+        monkeypatch.setattr(plots, f"plot_{what}", lambda *given, **_: Path(given[-1]).write_bytes(b"a picture"))
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from lieednn_sim.cli.console import console, one_norm, print_stability, progress
 from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.evaluation import plot_training
+from lieednn_sim.evaluation import plots as figures
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.learning import TrainingOptions, TrainingResult
 from lieednn_sim.learning import train as learn
@@ -102,7 +102,7 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
             if network is not None:
                 written = run.save_network(task, network, motion, result.history)
                 with io.atomic_path(run.plot("training")) as temporary:
-                    plot_training.plot_training(result.history, xi, result.tolerance, temporary)
+                    figures.plot_training(result.history, xi, result.tolerance, temporary)
         if accepted:
             break
     _report(outcome, saved, xi)

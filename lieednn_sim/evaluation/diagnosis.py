@@ -7,6 +7,7 @@ import numpy as np
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import dry_friction, resting_load, servo_gains, tangent_basis
+from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
 
@@ -16,18 +17,14 @@ _LEAST_EXPLAINED = 0.25
 _SERVO_CONTROLLERS = ("position-servo", "inverse-dynamics")
 
 
-def error_causes(rollout: Rollout, translation: float, rotation: float) -> tuple[str, ...]:
+def error_causes(rollout: Rollout) -> tuple[str, ...]:
     """Reasons why joints do not end at their targets, the joint that matters most first, and then remedies.
 
     A servo at rest exerts kp (q_ref - q): dry friction F holds it anywhere within F / kp, and a load without
     feedforward pulls it off by load / kp. A servo that still moves at the speed v, with an error
     that decays as exp(-r t), has v / r to go. Mocap bodies, which lead the arm without servos, have no such causes.
 
-    Args:
-        rollout: a rollout that does not end at its target.
-        translation: a joint is reported if its error alone displaces a link by more than this [m]; if none does, the
-            worst one is reported.
-        rotation: the same as an angle [rad].
+    A joint is reported if its error alone displaces a link beyond what counts as settled, or if it is the worst.
     """
     arm, target, error = rollout.arm, rollout.target, rollout.q[-1] - rollout.target
     if rollout.controller not in (*_SERVO_CONTROLLERS, "computed-torque", "feedback-linearisation"):
@@ -35,7 +32,7 @@ def error_causes(rollout: Rollout, translation: float, rotation: float) -> tuple
     alone = arm.link_poses(target).inv() * arm.link_poses(target + np.diag(error))
     distance = np.linalg.norm(alone.translation, axis=-1).max(axis=1)
     angle = np.asarray(alone.rotation.magnitude()).max(axis=1)
-    matters = np.maximum(distance / translation, angle / rotation)
+    matters = np.maximum(distance / SETTLED_TRANSLATION, angle / SETTLED_ROTATION)
     ranked = np.argsort(-matters, kind="stable")[: max(1, int((matters > 1.0).sum()))]
     result, helpful = _reasons(rollout, error)
     lines = [
@@ -91,10 +88,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
 
 
 def _pace(rollout: Rollout) -> Floats:
-    """Decay rate ``(n,)`` [1/s] of each coordinate's error under its servo, with the others held.
-
-    The slower root of M r^2 + (kv + D) r + kp = 0.
-    """
+    """Decay rates ``(n,)`` [1/s] of errors under servos, others held: slower roots of M r^2 + (kv + D) r + kp = 0."""
     model, basis = rollout.arm.model, tangent_basis(rollout.arm.space)
     data = mujoco.MjData(model)
     data.qpos[:] = rollout.qpos[-1]

@@ -24,14 +24,8 @@ def rounded(value: float, least: float = 1e-4) -> str:
 
 def as_text(shown: RenderableType) -> str:
     """What the terminal shows, without colours."""
-    console = Console(
-        color_system=None,
-        markup=False,
-        emoji=False,
-        highlight=False,
-        soft_wrap=True,
-        force_jupyter=False,  # else rich also displays an empty output in a notebook
-    )
-    with console.capture() as capture:
-        console.print(shown)
+    # In a notebook rich would display an empty output, too.
+    plain = Console(color_system=None, markup=False, emoji=False, highlight=False, soft_wrap=True, force_jupyter=False)
+    with plain.capture() as capture:
+        plain.print(shown)
     return capture.get().rstrip("\n")

@@ -12,7 +12,6 @@ from rich.table import Table
 
 from lieednn_sim import io
 from lieednn_sim.evaluation.display import as_text, rounded, table
-from lieednn_sim.evaluation.motion_metrics import MotionMetrics
 from lieednn_sim.simulation import Disturbances
 from lieednn_sim.values import set_fields
 from lieednn_sim.versions import versions
@@ -66,8 +65,7 @@ class Recovery:
     """The effect of a push, up to the next push or the end of the rollout.
 
     ``peak_deviation_*`` is the largest error of any link frame against its reference since the push began.
-    ``recovery_s`` is the time from the push's end until all frames stay within 1 mm and 0.1 deg of their reference;
-    None when they do not.
+    ``recovery_s`` is the time from its end until all stay within 1 mm and 0.1 deg of theirs, None if they do not.
     """
 
     body: str
@@ -76,6 +74,27 @@ class Recovery:
     peak_deviation_mm: float
     peak_deviation_deg: float
     recovery_s: float | None
+
+
+@dataclass(frozen=True)
+class MotionMetrics:
+    """Metrics of a planned motion before it is simulated; those not listed here are explained in `studies.Row`.
+
+    Attributes:
+        curvature: see `rms_curvature`; None where the end effector does not move.
+        network_residual: distance from the equilibrium at the end of the motion [network coordinates].
+    """
+
+    motion_s: float
+    gap_mm: float
+    gap_deg: float
+    gap_end_mm: float
+    gap_end_deg: float
+    path_ranges: float
+    jerk_joints: float
+    jerk_effector: float
+    curvature: float | None
+    network_residual: float
 
 
 @dataclass(frozen=True)
@@ -166,8 +185,7 @@ class Evaluation:
         )
 
     def __rich__(self) -> Group:
-        tables = [_frames(self), _joints(self), *([_recoveries(self)] if self.recoveries else [])]
-        return Group(*tables, *(line for line in (_conditions(self), _forces(self), *_causes(self)) if line))
+        return Group(_frames(self), _joints(self), *([_recoveries(self)] if self.recoveries else []), *_notes(self))
 
     def __str__(self) -> str:
         return as_text(self)
@@ -213,13 +231,9 @@ def _frames(evaluation: Evaluation) -> Table:
     rows.caption = (
         f"the end effector moves {evaluation.displacement_m:.2f} m (path {evaluation.path_m:.2f} m) in "
         f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}; "
-        + (
-            f"mechanism gap of the plan: {rounded(evaluation.plan.gap_mm)} mm, "
-            f"{rounded(evaluation.plan.gap_deg)} degrees"
-            if evaluation.plan
-            else ""
-        )
     )
+    if plan := evaluation.plan:
+        rows.caption += f"mechanism gap of the plan: {rounded(plan.gap_mm)} mm, {rounded(plan.gap_deg)} degrees"
     return rows
 
 
@@ -254,27 +268,20 @@ def _seconds(time: float | None) -> str:
     return "never" if time is None else f"{time:.2f}"
 
 
-def _conditions(evaluation: Evaluation) -> str:
-    """Disturbances unknown to the controller, and the rate of its reference; empty if there is nothing to report."""
-    rate = evaluation.reference_rate
-    said = [*([f"reference held at {rate:g} Hz"] if rate else []), *evaluation.disturbances.conditions]
-    return f"conditions: {', '.join(said)}" if said else ""
-
-
-def _forces(evaluation: Evaluation) -> str:
-    said = []
+def _notes(evaluation: Evaluation) -> list[str]:
+    """Lines below the tables: conditions unknown to the controller, forces and clearance, causes of a final error."""
+    rate, force, torque = evaluation.reference_rate, evaluation.peak_weld_force_n, evaluation.peak_weld_torque_n_m
+    conditions = [*([f"reference held at {rate:g} Hz"] if rate else []), *evaluation.disturbances.conditions]
+    notes = [f"conditions: {', '.join(conditions)}"] if conditions else []
+    extremes = []
     if evaluation.contacts:
-        said.append(f"contact force up to {rounded(evaluation.peak_contact_force_n)} N")
-    force, torque = evaluation.peak_weld_force_n, evaluation.peak_weld_torque_n_m
+        extremes.append(f"contact force up to {rounded(evaluation.peak_contact_force_n)} N")
     if force or torque:
-        said.append(f"welds up to {rounded(force)} N and {rounded(torque)} N m")
+        extremes.append(f"welds up to {rounded(force)} N and {rounded(torque)} N m")
     if evaluation.scene != "free" and evaluation.clearance_mm is not None:
-        said.append(f"least clearance {rounded(evaluation.clearance_mm)} mm")
-    return "; ".join(said)
-
-
-def _causes(evaluation: Evaluation) -> tuple[str, ...]:
-    if not evaluation.causes:
-        return ()
-    error = f"final error {evaluation.final_worst_mm:.3g} mm and {evaluation.final_worst_deg:.3g} degrees"
-    return (f"{error}:", *(f"- {cause}" for cause in evaluation.causes))
+        extremes.append(f"least clearance {rounded(evaluation.clearance_mm)} mm")
+    if extremes:
+        notes.append("; ".join(extremes))
+    if evaluation.causes:
+        notes.append(f"final error {evaluation.final_worst_mm:.3g} mm and {evaluation.final_worst_deg:.3g} degrees:")
+    return notes + [f"- {cause}" for cause in evaluation.causes]

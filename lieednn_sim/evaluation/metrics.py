@@ -1,12 +1,17 @@
-"""Evaluation of rollouts, and of arms behind moving targets."""
+"""Metrics of rollouts, of arms behind moving targets, and of plans by themselves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.evaluation.diagnosis import error_causes
 from lieednn_sim.evaluation.evaluation import (
     SETTLED_ROTATION,
@@ -14,11 +19,16 @@ from lieednn_sim.evaluation.evaluation import (
     Evaluation,
     FrameErrors,
     JointUse,
+    MotionMetrics,
     Recovery,
 )
-from lieednn_sim.evaluation.motion_metrics import least_clearance, motion_metrics, violations
-from lieednn_sim.simulation import Following, Push, Rollout
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, rms_jerk
+from lieednn_sim.simulation import Following, Rollout
+from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
+
+# Fraction by which a simulated rate may exceed its limit, for the ripple of the control loop.
+RATE_TOLERANCE = 1e-3
 
 
 def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
@@ -34,8 +44,9 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
     arrival = pose_errors(simulated, arm.link_poses(rollout.target))
     tip = rollout.link_position[:, -1]
     least = least_clearance(rollout) if clearance else np.inf
+    weld_force, weld_torque = (rollout.channels.get(f"weld_{load}", np.zeros(1)) for load in ("force", "torque"))
+    speeds, forces, held = (np.abs(x).max(axis=0) for x in (rollout.qd, rollout.force, rollout.constraint_force))
     frames = tuple(frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names))
-    arrived = all(frame.arrived for frame in frames)
     return Evaluation(
         arm=arm.name,
         scene=arm.scene,
@@ -48,57 +59,42 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         plan=None if motion is None else motion_metrics(arm, motion),
         frames=frames,
         joints=tuple(
-            JointUse(
-                name=name,
-                peak_velocity=float(np.abs(rollout.qd[:, j]).max()),
-                velocity_limit=float(arm.velocity_limits[j]),
-                peak_force=float(np.abs(rollout.force[:, j]).max()),
-                force_limit=float(arm.force_limits[j]),
-                peak_constraint_force=float(np.abs(rollout.constraint_force[:, j]).max()),
+            JointUse(name, *map(float, numbers))
+            for name, *numbers in zip(
+                arm.joint_names, speeds, arm.velocity_limits, forces, arm.force_limits, held, strict=True
             )
-            for j, name in enumerate(arm.joint_names)
         ),
         path_m=float(np.linalg.norm(np.diff(tip, axis=0), axis=1).sum()),
         displacement_m=float(np.linalg.norm(tip[-1] - tip[0])),
         clearance_mm=1e3 * least if np.isfinite(least) else None,
         contacts=int(rollout.contacts.max()),
         peak_contact_force_n=float(rollout.contact_force.max()),
-        peak_weld_force_n=_peak(rollout, "weld_force"),
-        peak_weld_torque_n_m=_peak(rollout, "weld_torque"),
+        peak_weld_force_n=float(weld_force.max()),
+        peak_weld_torque_n_m=float(weld_torque.max()),
         recoveries=_recoveries(rollout, tracking),
-        causes=() if arrived else error_causes(rollout, SETTLED_TRANSLATION, SETTLED_ROTATION),
+        causes=() if all(frame.arrived for frame in frames) else error_causes(rollout),
         **violations(rollout),
     )
 
 
-def _peak(rollout: Rollout, channel: str) -> float:
-    return float(rollout.channels.get(channel, np.zeros(1)).max())
-
-
 def _recoveries(rollout: Rollout, tracking: tuple[Floats, Floats]) -> tuple[Recovery, ...]:
     """The effect of each push; a push that begins at the end of the rollout or later is left out."""
+    t, (distance, angle) = rollout.t, tracking
     # No step begins at the last sample; times are rounded to the nearest step.
-    end = 0.5 * (rollout.t[-2] + rollout.t[-1])
-    pushes = [push for push in rollout.disturbances.pushes if push.start < end]
-    # Pushes that begin together share what follows.
-    untils = [min((other.start for other in pushes if other.start > push.start), default=np.inf) for push in pushes]
-    return tuple(_recovery(push, until, rollout.t, tracking) for push, until in zip(pushes, untils, strict=True))
-
-
-def _recovery(push: Push, until: float, t: Floats, tracking: tuple[Floats, Floats]) -> Recovery:
+    pushes = [push for push in rollout.disturbances.pushes if push.start < 0.5 * (t[-2] + t[-1])]
     # Samples belong to a push by the step that begins there, whatever the rounding of the times.
     half = 0.5 * float(t[1] - t[0])
-    since, after = ((t > begin - half) & (t < until - half) for begin in (push.start, push.end))
-    distance, angle = tracking
-    recovered = settled(t[after], distance[after], angle[after]) if after.any() else None
-    return Recovery(
-        body=push.body,
-        start_s=push.start,
-        end_s=push.end,
-        peak_deviation_mm=float(1e3 * distance[since].max(initial=0.0)),
-        peak_deviation_deg=float(np.rad2deg(angle[since].max(initial=0.0))),
-        recovery_s=None if recovered is None else max(recovered - push.end, 0.0),
-    )
+    result = []
+    for push in pushes:
+        # Pushes that begin together share what follows.
+        until = min((other.start for other in pushes if other.start > push.start), default=np.inf)
+        since, after = ((t > begin - half) & (t < until - half) for begin in (push.start, push.end))
+        recovered = settled(t[after], distance[after], angle[after]) if after.any() else None
+        peak_mm = float(1e3 * distance[since].max(initial=0.0))
+        peak_deg = float(np.rad2deg(angle[since].max(initial=0.0)))
+        wait = None if recovered is None else max(recovered - push.end, 0.0)
+        result.append(Recovery(push.body, push.start, push.end, peak_mm, peak_deg, wait))
+    return tuple(result)
 
 
 @dataclass(frozen=True)
@@ -134,8 +130,7 @@ def evaluate_following(following: Following) -> FollowingErrors:
         recent = slice(max(begin - following.period, 0), begin)
         steady[recent.start + int(np.linalg.norm(velocity[recent], axis=1).argmax())] = False
     moved = float((velocity[steady] ** 2).sum())
-    ends = [*starts[1:], len(t)][: len(starts)]
-    spans = zip(starts, ends, strict=True)
+    spans = pairwise([*starts, len(t)])
     spans_settled = [(begin, settled(t[begin:end], distance[begin:end], angle[begin:end])) for begin, end in spans]
     return FollowingErrors(
         rms_mm=float(1e3 * np.sqrt(np.mean(distance[:, -1] ** 2))),
@@ -176,3 +171,74 @@ def settled(t: Floats, distance: Floats, angle: Floats) -> float | None:
     if outside.size == 0:
         return float(t[0])
     return float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
+
+
+def motion_metrics(arm: Arm, motion: Motion) -> MotionMetrics:
+    """Evaluate a plan."""
+    tip = arm.tip(motion.q)
+    tip_jerk = np.diff(tip, n=3, axis=0) / motion.timestep**3
+    return MotionMetrics(
+        motion_s=float(motion.t[-1]),
+        gap_mm=float(1e3 * motion.gap_translation.max()),
+        gap_deg=float(np.rad2deg(motion.gap_rotation.max())),
+        gap_end_mm=float(1e3 * motion.gap_translation[-1].max()),
+        gap_end_deg=float(np.rad2deg(motion.gap_rotation[-1].max())),
+        path_ranges=float(np.linalg.norm(np.diff(motion.q / arm.ranges, axis=0), axis=1).sum()),
+        jerk_joints=rms_jerk(arm, motion),
+        jerk_effector=float(np.sqrt(np.mean(np.sum(tip_jerk**2, axis=1)))) if len(tip_jerk) else 0.0,
+        curvature=rms_curvature(tip, motion.timestep),
+        network_residual=motion.residual,
+    )
+
+
+def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
+    """Root mean square of kappa = |p' x p''| / |p'|^3 along the arc [1/m], where |p'| exceeds 5 % of its peak.
+
+    The path ``(K, 3)`` [m] has constant time steps [s]. None if it does not move; `InputError` if it is malformed.
+    """
+    points, step = as_floats("path", path, ("K", 3)), as_positive("timestep", timestep)
+    if len(points) < 3:
+        return None
+    # Central differences, both at the inner samples, so that both belong to one instant.
+    velocity = (points[2:] - points[:-2]) / (2.0 * step)
+    acceleration = (points[2:] - 2.0 * points[1:-1] + points[:-2]) / step**2
+    speed = np.linalg.norm(velocity, axis=1)
+    # At rest [m/s].
+    if speed.max() < 1e-9:
+        return None
+    # Near rest the direction of the path is noise.
+    moving = speed > 0.05 * speed.max()
+    speed = speed[moving]
+    kappa = np.linalg.norm(np.cross(velocity[moving], acceleration[moving]), axis=1) / speed**3
+    return float(np.sqrt((kappa**2 * speed).sum() / speed.sum()))
+
+
+def least_clearance(rollout: Rollout) -> float:
+    """Least clearance along the simulated motion [m]; negative in penetration, infinite where nothing can collide.
+
+    It is measured at every fifth sample (10 ms at the arms' step), and at all samples with a contact. In a view,
+    everything is where the simulation had it; a free body between fingers is touched.
+    """
+    chosen = np.union1d(np.arange(0, len(rollout.t), 5), np.flatnonzero(rollout.contacts))
+    return Collisions(rollout.arm).least_clearance_at(rollout.qpos[chosen])
+
+
+def violations(rollout: Rollout) -> dict[str, Any]:
+    """Samples at which a joint is beyond its position, velocity or acceleration limit, and the worst excess.
+
+    Positions are in units of the joint's range, velocities and accelerations in units of their limits.
+    """
+    arm = rollout.arm
+    outside = arm.limit_excess(rollout.q)[:, : arm.n_joints]
+    velocity = np.abs(rollout.qd) / arm.velocity_limits - 1.0
+    acceleration = np.abs(np.diff(rollout.qd, axis=0) / rollout.timestep) / arm.acceleration_limits - 1.0
+    excesses = {
+        "position": (outside / arm.ranges, outside > LIMIT_TOLERANCE),
+        "velocity": (velocity, velocity > RATE_TOLERANCE),
+        "acceleration": (acceleration, acceleration > RATE_TOLERANCE),
+    }
+    values: dict[str, Any] = {}
+    for name, (excess, beyond) in excesses.items():
+        values[f"{name}_violations"] = int(beyond.any(axis=1).sum())
+        values[f"{name}_excess"] = float(excess[beyond].max()) if beyond.any() else 0.0
+    return values

@@ -21,8 +21,7 @@ SAMPLES = 1000
 class PathErrors:
     """Errors of a path against the one it should follow, both sampled at `SAMPLES` equal steps of their length.
 
-    Samples are paired by dynamic time warping (`warping.warp`), so timing does not count. In its distances a radian
-    counts as the lever.
+    Samples are paired by dynamic time warping (`warping.warp`), whatever the timing; a radian counts as the lever.
 
     Attributes:
         rms_mm: root mean square distance of the pairs' positions.
@@ -44,10 +43,8 @@ class PathErrors:
 def path_errors(reproduced: ArrayLike, shown: ArrayLike, lever: float = LEVER) -> PathErrors:
     """Compare two paths of twists ``(K, 6)`` and ``(L, 6)`` [rad, m]; a radian counts as ``lever`` metres of length."""
     lever = as_positive("lever", lever)
-    path, reference = (
-        _spaced(displacement(as_floats(name, twists, ("K", 6))), lever)
-        for name, twists in (("reproduced", reproduced), ("shown", shown))
-    )
+    given = {"reproduced": reproduced, "shown": shown}
+    path, reference = (_spaced(displacement(as_floats(name, x, ("K", 6))), lever) for name, x in given.items())
     scale = np.array([lever] * 3 + [1.0] * 3)
     matched = warp(path * scale, reference * scale)
     first, second = path[matched.pairs[:, 0]], reference[matched.pairs[:, 1]]
@@ -66,9 +63,8 @@ def path_errors(reproduced: ArrayLike, shown: ArrayLike, lever: float = LEVER) -
 def _spaced(displaced: Floats, lever: float) -> Floats:
     """Rotation vectors and positions ``(K, 6)`` at `SAMPLES` equal steps of the length."""
     turn = Rotation.from_rotvec(displaced[:, :3])
-    steps = np.hypot(
-        np.linalg.norm(np.diff(displaced[:, 3:], axis=0), axis=1), lever * (turn[1:] * turn[:-1].inv()).magnitude()
-    )
+    turned = lever * (turn[1:] * turn[:-1].inv()).magnitude()
+    steps = np.hypot(np.linalg.norm(np.diff(displaced[:, 3:], axis=0), axis=1), turned)
     length = np.concatenate([[0.0], np.cumsum(steps)])
     at = np.linspace(0.0, length[-1], SAMPLES)
     return np.stack([np.interp(at, length, entry) for entry in displaced.T], axis=-1)

@@ -1,4 +1,4 @@
-"""Plots of a run: network states, tracking error, joint motion; PNG, or by the file's suffix."""
+"""Plots of a run, network states, tracking error and joint motion, and of a training; PNG, or by the file's suffix."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import NullFormatter
+from numpy.typing import ArrayLike
 
 from lieednn_sim import io
 from lieednn_sim.errors import InputError
@@ -19,6 +21,7 @@ from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
 from lieednn_sim.evaluation.metrics import pose_errors
+from lieednn_sim.learning import History
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice
@@ -50,25 +53,18 @@ def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...
     Raises:
         FileError: the directory cannot be written.
     """
-    folder = io.make_directory(directory)
-    result = [folder / "tracking.png", folder / "joints.png"]
-    plot_tracking(rollout, result[0])
-    plot_joints(rollout, result[1])
+    folder, drawn = io.make_directory(directory), {"tracking": plot_tracking, "joints": plot_joints}
     if rollout.motion is not None:
-        result.append(folder / "network.png")
-        plot_network(rollout, result[-1])
+        drawn["network"] = plot_network
     if rollout.channels:
-        result.append(folder / "channels.png")
-        plot_channels(rollout, result[-1])
-    return tuple(result)
+        drawn["channels"] = plot_channels
+    for name, draw in drawn.items():
+        draw(rollout, folder / f"{name}.png")
+    return tuple(folder / f"{name}.png" for name in drawn)
 
 
 def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
-    """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
-
-    Raises:
-        InputError: the rollout followed no plan.
-    """
+    """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed."""
     arm, motion = rollout.arm, rollout.motion
     if motion is None:
         raise InputError("the rollout followed no plan, so there are no states to plot")
@@ -86,14 +82,10 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
                 if i >= n:
                     axis.set_visible(False)
                     continue
-                for c, coordinate in enumerate("xyz"):
-                    axis.plot(
-                        motion.t,
-                        scale * motion.xi[:, i, first + c],
-                        color=COLOURS[c],
-                        label=f"$\\omega_{coordinate}$ / $v_{coordinate}$",
-                    )
-                    axis.axhline(scale * motion.xi_target[i, first + c], color=COLOURS[c], ls="--", lw=0.9)
+                for c, colour, name in zip(range(first, first + 3), COLOURS, "xyz", strict=False):
+                    label = f"$\\omega_{name}$ / $v_{name}$"
+                    axis.plot(motion.t, scale * motion.xi[:, i, c], color=colour, label=label)
+                    axis.axhline(scale * motion.xi_target[i, c], color=colour, ls="--", lw=0.9)
                 _label(axis, unit, f"{arm.link_names[i]} (neuron {i + 1}): {title}", fontsize=9)
                 if i % rows == rows - 1 or i == n - 1:
                     axis.set_xlabel("time [s]")
@@ -126,15 +118,8 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
             _label(upper, unit, f"tracking error, {what}: planned to simulated frame")
             lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), color=COLOURS[3])
             lower.axhline(settled, color="0.4", ls="--", lw=0.9)
-            lower.annotate(
-                f"settled: below {settled:g} {unit[1:-1]}",
-                (0.0, settled),
-                xytext=(4, 3),
-                xycoords=("axes fraction", "data"),
-                textcoords="offset points",
-                color="0.3",
-                fontsize=8,
-            )
+            place = {"xytext": (4, 3), "xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+            lower.annotate(f"settled: below {settled:g} {unit[1:-1]}", (0.0, settled), color="0.3", fontsize=8, **place)
             lower.set_ylim(1e-2 * settled, 2.0 * max(float(distance.max()), settled))
             _label(lower, unit, f"end effector to target, {what}")
             lower.set_xlabel("time [s]")
@@ -145,24 +130,14 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
 
 
 def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequence[str] | None = None) -> None:
-    """Plot channels of a rollout over time: a subplot for each unit, and a line for each component of a channel.
-
-    Args:
-        rollout: the rollout.
-        path: of the file.
-        names: the channels to plot, all by default.
-
-    Raises:
-        InputError: the rollout has no channels, or none of such a name.
-    """
-    chosen = (
-        list(rollout.channels) if names is None else [as_choice("channel", name, rollout.channels) for name in names]
-    )
+    """Plot the named channels, or all: a subplot for each unit, a line for each component; `InputError` if none."""
+    chosen = list(rollout.channels) if names is None else names
     if not chosen:
         raise InputError("there are no channels to plot; see the argument log of simulate")
     lines: dict[str, dict[str, Floats]] = {}
     for name in chosen:
-        values, of_unit = rollout.channels[name], lines.setdefault(rollout.channel_units[name], {})
+        values = rollout.channels[as_choice("channel", name, rollout.channels)]
+        of_unit = lines.setdefault(rollout.channel_units[name], {})
         for index in np.ndindex(values.shape[1:]):
             of_unit[name + (f"[{', '.join(map(str, index))}]" if index else "")] = values[:, *index]
     legend = 0.25 + 0.18 * -(-max(map(len, lines.values())) // _LABELS_IN_ROW)
@@ -294,6 +269,44 @@ def _from_zero(axis: Any, values: Floats, least: float) -> None:
     low, high = min(-least, float(values.min())), max(least, float(values.max()))
     margin = 0.06 * (high - low) or 1.0
     axis.set_ylim(low - margin, high + margin)
+
+
+def plot_training(history: History, target: ArrayLike, tolerance: float, path: str | os.PathLike[str]) -> None:
+    """Error, accuracy and learning rate by epoch, and the equilibrium's distance to the target by coordinate."""
+    goal = np.asarray(target)
+    error = np.abs(history.equilibrium - goal)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(10, 6.4), layout="constrained")
+        axes = figure.subplots(2, 2, sharex=True)
+        distance, accuracy, rate, equilibrium = axes.ravel()
+        distance.semilogy(history.epoch, history.error, lw=1.2, label="$\\Vert\\xi^*-\\xi_d\\Vert_2$ (loss E)")
+        distance.semilogy(history.epoch, error.max(axis=(-2, -1)), lw=1.2, label="largest coordinate")
+        distance.axhline(tolerance, color="0.4", ls="--", lw=0.9, label="tolerance")
+        _label(distance, "[rad, length units]", "distance of the equilibrium to the target")
+        distance.legend()
+        accuracy.plot(history.epoch, 100.0 * history.accuracy)
+        accuracy.set_ylim(-2.0, 102.0)
+        _label(accuracy, "[%]", "accuracy: coordinates within the tolerance")
+        rate.semilogy(history.epoch, history.rate)
+        # Otherwise a range of less than a decade has no tick, or too many.
+        low, high = float(history.rate.min()), float(history.rate.max())
+        rate.set_ylim(10.0 ** np.floor(np.log10(low) - 1e-9), 10.0 ** np.ceil(np.log10(high) + 1e-9))
+        rate.yaxis.set_minor_formatter(NullFormatter())
+        _label(rate, "$\\eta$", "learning rate")
+        # Rotation and translation of SE(3) by colour; other groups have one kind of coordinate.
+        spatial = goal.shape[-1] == 6
+        kinds = (("rotation $\\omega$", slice(0, 3)), ("translation $v$", slice(3, 6)))
+        for colour, (name, chosen) in zip(COLOURS, kinds if spatial else [("coordinates", slice(None))], strict=False):
+            values = history.equilibrium[..., chosen].reshape(len(history), -1)
+            equilibrium.plot(history.epoch, values, color=colour, ls="-", lw=0.9)[0].set_label(name)
+            for value in goal[..., chosen].ravel():
+                equilibrium.axhline(value, color=colour, ls="--", lw=0.6)
+        equilibrium.plot([], [], color="0.3", ls="--", lw=0.9, label="target")
+        _label(equilibrium, "[rad, length units]", "equilibrium $\\xi^*$ by coordinate")
+        equilibrium.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.16))
+        for axis in (rate, equilibrium):
+            axis.set_xlabel("epoch")
+        figure_layout.save_figure(figure, path)
 
 
 typecheck_public(globals())

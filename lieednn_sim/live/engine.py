@@ -1,76 +1,181 @@
-"""The closed loop of a live view: policy, plant and pushes may change while it goes on; without threads or requests."""
+"""The closed loop of a live view: policy, plant and pushes may change while it goes on; without threads or requests.
+
+Its policies are made by workers of the session. What is proved about them is here, too, and the path ahead of one.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.live.making import Made, Progress
-from lieednn_sim.live.settings import Settings
+from lieednn_sim.errors import NotCertifiedError
+from lieednn_sim.live.settings import PLANNED, Settings
+from lieednn_sim.network import BlockNetwork
+from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.policies import MotionTracker, Policy
+from lieednn_sim.policies import FilteredPolicy, FilterOptions, MotionTracker, NetworkPolicy, Policy, make_policy
 from lieednn_sim.simulation.disturbances import Push
 from lieednn_sim.simulation.following import ClosedLoop
-from lieednn_sim.values import Floats
+from lieednn_sim.stability import Certificate
+from lieednn_sim.stability.decay import Decay
+from lieednn_sim.values import Floats, frozen
+
+# Network time for which a path is foreseen, and the number of its points.
+_HORIZON, _POINTS = 12.0, 60
+
+
+def _unfiltered(policy: Policy) -> Policy:
+    return policy.inner if isinstance(policy, FilteredPolicy) else policy
+
+
+def network_policy(policy: Policy) -> NetworkPolicy | None:
+    """The network policy in a policy, which may be behind a safety filter; None if there is none."""
+    inner = _unfiltered(policy)
+    return inner if isinstance(inner, NetworkPolicy) else None
+
+
+def certificate_of(policy: Policy) -> Certificate | None:
+    """The certificate of the network of a policy, whatever class the policy has; None without one."""
+    inner = _unfiltered(policy)
+    network = getattr(inner, "network", None) if inner.certified else None
+    return network.certificate if isinstance(network, BlockNetwork) else None
+
+
+@frozen
+class Progress:
+    """A network's way to its target.
+
+    The bound begins again whenever the target moves, or the measured joints pull the state. Its time is the network's
+    own: a policy that slows down is slower on the same orbit.
+    """
+
+    policy: NetworkPolicy  # whose way it is
+    rate: float  # proved rate of convergence at full speed [1/s]
+    decay: Decay | None  # the proved bound on the distance of the visible neurons; None if none was found
+    xi: Floats  # (N, 6) present state
+    goal: Floats  # (N, 6) state to arrive at
+    begun: Floats  # value of `Decay.begin` when the target last moved
+    time: float = 0.0  # network time since then
+
+    @classmethod
+    def of(cls, policy: NetworkPolicy) -> Progress:
+        """What is proved about a policy, before it goes `towards` a target."""
+        network, certificate = policy.network, policy.network.certificate
+        assert certificate is not None
+        try:
+            bounds = network.robustness(np.arange(len(network.weight)))
+            decay: Decay | None = Decay(bounds, 6 * network.n_visible)
+        except NotCertifiedError:
+            decay = None
+        return cls(policy, certificate.rate * policy.speed, decay, policy.xi, policy.xi, np.empty(0))
+
+    def towards(self, target: Floats) -> Progress:
+        """The way begins again: the policy has another joint target ``(n,)``, or another state."""
+        return self._begun(self.policy.network.goal(self.policy.arm.encode(target)))
+
+    def after(self) -> Progress:
+        """The way after one more control period."""
+        policy = self.policy
+        if policy.pulled:
+            return self._begun(self.goal)
+        return replace(self, xi=policy.xi, time=self.time + policy.pace * policy.speed * policy.period)
+
+    def _begun(self, goal: Floats) -> Progress:
+        xi = self.policy.xi
+        start = np.empty(0) if self.decay is None else self.decay.begin((xi - goal).ravel())
+        return replace(self, xi=xi, goal=goal, begun=start, time=0.0)
+
+    @property
+    def distance(self) -> float:
+        """Distance of the visible neurons from the target [rad, m / unit]."""
+        visible = self.goal.shape[0] if self.decay is None else self.decay.watched // 6
+        return float(np.linalg.norm((self.xi - self.goal)[:visible]))
+
+    @property
+    def bound(self) -> float:
+        """The proved bound on `distance`; infinite if none was found."""
+        return np.inf if self.decay is None else self.decay.bound(self.begun, self.time)
+
+
+class Made(NamedTuple):
+    """A policy and what belongs to it."""
+
+    settings: Settings  # for which it was made
+    policy: Policy
+    motion: Motion | None  # the planned motion that it follows or imitates
+    progress: Progress | None  # what is proved about it; None for a policy without a network
+
+
+def make_for(
+    arm: Arm, settings: Settings, start: Floats, target: Floats, *, rate: float, seed: int, check: Callable[..., None]
+) -> Made:
+    """Make the policy of some settings; raises as `make_policy` and `plan`.
+
+    Nothing else may use the arm. ``check`` is called between the steps of the work; an exception of it ends the work.
+    """
+    motion = None
+    if settings.policy in PLANNED:
+        planned = plan(arm, target, planner=settings.planner, start=start, seed=seed, progress=lambda *_: check())
+        motion = planned.motion
+    options = ShapedOptions(rate=settings.rho) if settings.policy == "lieednn-shaped" else None
+    safety = FilterOptions() if settings.filtered else None
+    policy = make_policy(
+        settings.policy, arm, target, rate=rate, start=start, motion=motion, safety=safety, options=options, seed=seed
+    )
+    check()
+    inner = network_policy(policy)
+    return Made(settings, policy, motion, None if inner is None else Progress.of(inner))
+
+
+def foreseen(
+    arm: Arm, policy: Policy, motion: Motion | None, progress: Progress | None, q: Floats, target: Floats
+) -> Floats | None:
+    """Positions of the end effector ``(P, 3)`` on a policy's way to its target, where that is known; else None.
+
+    Of a network it is its own orbit from the present state, which limits and a slow arm only slow down.
+    """
+    if motion is not None and isinstance(_unfiltered(policy), MotionTracker):
+        rows = np.linspace(0, len(motion.q) - 1, _POINTS).astype(int)
+        return arm.tip(motion.q[rows])
+    if progress is None:
+        return None
+    network = progress.policy.network.retarget(arm.encode(target))
+    run = network.trajectory(progress.xi, _HORIZON, until=progress.goal, distance=1e-3, rtol=1e-4, atol=1e-4)
+    decoded = arm.decode(network.visible(run(np.linspace(0.0, run.t[-1], _POINTS))), start=q).q
+    return arm.tip(np.vstack([decoded, target]))
 
 
 class Tick(NamedTuple):
-    """The state after a control period, with arrays that nobody changes.
+    """The state after a control period, with arrays that nobody changes."""
 
-    Attributes:
-        time: time since the last reset [s].
-        q: ``(n,)`` joint coordinates [rad, m].
-        q_ref: ``(n,)`` their reference.
-        target: ``(n,)`` joint target.
-        force: ``(3,)`` force of the last push or pull that acts [N], world.
-        pushed: ``(3,)`` the point where it acts, world [m].
-        policy: name of the policy in use; empty while the arm only stops.
-        message: what the policy does, in words.
-        progress: what is proved about the way to the target; None for a policy without a network.
-        decision: CPU time of the policy's step [s].
-    """
-
-    time: float
-    q: Floats
-    q_ref: Floats
-    target: Floats
-    force: Floats
-    pushed: Floats
-    policy: str
-    message: str
-    progress: Progress | None
-    decision: float
+    time: float  # since the last reset [s]
+    q: Floats  # (n,) joint coordinates [rad, m]
+    q_ref: Floats  # (n,) their reference
+    target: Floats  # (n,) joint target
+    force: Floats  # (3,) force of the last push or pull that acts [N], world
+    pushed: Floats  # (3,) the point where it acts, world [m]
+    policy: str  # name of the policy in use; empty while the arm only stops
+    message: str  # what the policy does, in words
+    progress: Progress | None  # what is proved about the way to the target; None for a policy without a network
+    decision: float  # CPU time of the policy's step [s]
 
 
 class Engine:
     """A simulated arm behind a policy, both of which may be exchanged between control periods.
 
-    Args:
-        arm: the arm.
-        settings: controller and plant at the beginning.
-        start: ``(n,)`` joint coordinates at the beginning, unchecked.
-        target: ``(n,)`` the first joint target, unchecked.
-        rate: control rate [Hz].
-
-    Attributes:
-        policy: the policy in use.
-        target: ``(n,)`` joint target.
-        motion: the planned motion that the policy follows or imitates; None if there is none.
-        progress: what is proved about the way to the target; None for a policy without a network.
-        equipped: the settings for which controller and plant were made.
-        pull: a push that acts until it is taken away, with the point where it acts, None for the centre of mass.
-
-    Raises:
-        InputError: the controller cannot drive the arm.
+    Start and first target ``(n,)`` are unchecked. `InputError` if the controller cannot drive the arm.
     """
+
+    policy: Policy
 
     def __init__(self, arm: Arm, settings: Settings, start: Floats, target: Floats, rate: float) -> None:
         self._arm, self._start, self._first, self._rate = arm, start, target, rate
-        self.equipped = settings
-        self.policy: Policy
+        self.equipped = settings  # for which controller and plant were made
         self.begin()
         self._loop = ClosedLoop(self.policy, settings.controller, settings.disturbances)
         self._loop.begin(start)
@@ -80,9 +185,10 @@ class Engine:
         self._periods, self._force = 0, (np.zeros(3), np.zeros(3))
         # With the periods in which they end.
         self._pushes: list[tuple[Push, int]] = []
+        # A push that acts until it is taken away, with the point where it acts, None for the centre of mass.
         self.pull: tuple[Push, Floats | None] | None = None
-        self.motion: Motion | None = None
-        self.progress: Progress | None = None
+        self.motion: Motion | None = None  # that the policy follows or imitates
+        self.progress: Progress | None = None  # of a policy with a network
         self._name, self.target = "", self._first
         self.policy = self._stopping(self._start, np.zeros_like(self._start))
         self.policy.reset(self._start)
@@ -97,7 +203,7 @@ class Engine:
         """Move the target to joint coordinates ``(n,)``."""
         self.target = q
         if self.progress is not None:
-            self.progress = self.progress.towards(self.policy, q)
+            self.progress = self.progress.towards(q)
 
     def push(self, push: Push) -> None:
         """Begin a push now; its own start does not count."""
@@ -112,15 +218,11 @@ class Engine:
         return stopping.end
 
     def put_in(self, result: Made) -> None:
-        """Let another policy take over from the reference of the present one.
-
-        Raises:
-            InputError: it cannot start there; then the present one goes on.
-        """
+        """Let another policy take over from the present reference; after `InputError` the present one goes on."""
         self._go_on_with(result.policy)
         self._name, self.motion = result.settings.policy, result.motion
         if result.progress is not None:
-            self.progress = result.progress.towards(self.policy, self.target)
+            self.progress = result.progress.towards(self.target)
 
     def equip(self, plant: ClosedLoop, settings: Settings) -> None:
         """Let another plant and controller take over from the present state of the arm."""
@@ -129,31 +231,19 @@ class Engine:
         plant.begin(before.q, before.qd)
 
     def advance(self) -> Tick:
-        """Do a control period.
-
-        Raises:
-            SimulationError: the simulation failed; `restart` begins again.
-        """
+        """Do a control period; after a `SimulationError`, `restart` begins again."""
         self._apply_forces()
         spent = self._loop.advance(self.target)
         self._periods += 1
         if self.progress is not None:
-            self.progress = self.progress.after(self.policy)
+            self.progress = self.progress.after()
         return self.look(spent)
 
     def look(self, spent: float = 0.0) -> Tick:
         """The present state, after a step of the policy that took some CPU time [s]."""
-        return Tick(
-            self._periods * self.policy.period,
-            self._loop.simulation.q,
-            self.policy.q,
-            self.target,
-            *self._force,
-            self._name,
-            self.policy.message,
-            self.progress,
-            spent,
-        )
+        policy, time = self.policy, self._periods * self.policy.period
+        loop = self._loop.simulation.q, policy.q, self.target
+        return Tick(time, *loop, *self._force, self._name, policy.message, self.progress, spent)
 
     def _go_on_with(self, policy: Policy) -> None:
         q, qd = self.policy.q, self.policy.qd
@@ -174,8 +264,7 @@ class Engine:
         data, model = self._loop.simulation.data, self._loop.simulation.model
         self._pushes = [push for push in self._pushes if push[1] > self._periods]
         acting: list[tuple[Push, Floats | None]] = [(push, None) for push, _ in self._pushes]
-        if self.pull is not None:
-            acting.append(self.pull)
+        acting += [self.pull] if self.pull else []
         data.xfrc_applied[:], self._force = 0.0, (np.zeros(3), np.zeros(3))
         for push, point in acting:
             body = push.body_id(self._arm, model)

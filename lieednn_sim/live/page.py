@@ -41,7 +41,6 @@ class Page:
         port: port to listen at; 0 for a free one.
 
     Attributes:
-        session: the session.
         url: the page's address.
 
     Raises:
@@ -54,8 +53,7 @@ class Page:
         self._server: Any = self._resources.enter_context(server)
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         self.url = f"http://{shown}:{self._server.get_port()}"
-        aimed = session.aimed
-        self._scene = ArmScene(self._server, session.arm, (aimed.position, aimed.quaternion))
+        self._scene = ArmScene(self._server, session.arm, session.aimed)
         self._panel = Panel(self._server, session, self._scene)
         self._dragged = -_DRAG_ENDS
         self._scene.handle.on_update(self._drag)
@@ -98,7 +96,7 @@ class Page:
         # Not in the server's pool of threads, where the last two of these calls might change places.
         self._dragged = time.monotonic() if event.phase != "end" else -_DRAG_ENDS
         target = event.target
-        turn = Rotation.from_quat(target.wxyz, scalar_first=True) if self._panel.holds_direction else None
+        turn = Rotation.from_quat(target.wxyz, scalar_first=True) if self._panel.direction_counts.value else None
         if event.phase != "start":
             self.session.aim(target.position.copy(), turn)
 
@@ -117,7 +115,7 @@ class Page:
                 self._scene.show(snapshot, self.session.path)
                 if snapshot.aimed is not aimed and time.monotonic() - self._dragged > _DRAG_ENDS:
                     aimed = snapshot.aimed
-                    self._scene.place_handle(aimed.position, aimed.quaternion)
+                    self._scene.handle.position, self._scene.handle.wxyz = aimed.position, aimed.quaternion
                 if count % _TABLE == 0:
                     self._panel.show(snapshot)
             count += 1

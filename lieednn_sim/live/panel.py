@@ -13,15 +13,13 @@ from lieednn_sim.live.session import SPEEDS, Session
 from lieednn_sim.live.settings import PLANNED
 from lieednn_sim.live.snapshot import Snapshot, status
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, optional_module
+from lieednn_sim.rendering import scene_setup
 from lieednn_sim.values import Floats
 
 _DIRECTIONS = {
-    "+x": (1.0, 0.0, 0.0),
-    "-x": (-1.0, 0.0, 0.0),
-    "+y": (0.0, 1.0, 0.0),
-    "-y": (0.0, -1.0, 0.0),
-    "+z": (0.0, 0.0, 1.0),
-    "-z": (0.0, 0.0, -1.0),
+    sign + axis: factor * unit
+    for axis, unit in zip("xyz", np.eye(3), strict=True)
+    for sign, factor in (("+", 1.0), ("-", -1.0))
 }
 # Time that the plots show [s], and the least time between two samples.
 _SPAN, _STEP = 10.0, 0.1
@@ -31,28 +29,20 @@ _STRONGEST, _STRETCH = 500.0, 0.3
 
 
 class Panel:
-    """The controls of one page.
-
-    Args:
-        server: a `viser.ViserServer`.
-        session: the session that they control.
-        scene: the scene beside them.
-    """
+    """The controls of one page of a `viser.ViserServer`, beside the scene, for the session."""
 
     def __init__(self, server: Any, session: Session, scene: ArmScene) -> None:
         self._server, self._session, self._scene, self._draws = server, session, scene, 0
         gui = server.gui
         gui.main_panel.dock_right()
-        gui.set_panel_label(f"{session.arm.name}" + ("" if session.arm.scene == "free" else f", {session.arm.scene}"))
+        gui.set_panel_label(scene_setup.place(session.arm))
         self._theme(dark=False)
         self._status = gui.add_html("")
-        self._run = gui.add_button_group("", ("pause", "reset"))
-        self._run.on_click(lambda event: self._clicked(event.target.value))
-        self._targets = gui.add_button_group("target", ("home", "random"))
-        self._targets.on_click(lambda event: self._clicked(event.target.value))
-        self._direction_counts = gui.add_checkbox(
-            "hold its direction", True, hint="otherwise the end effector may turn as it likes"
-        )
+        for name, buttons in (("", ("pause", "reset")), ("target", ("home", "random"))):
+            gui.add_button_group(name, buttons).on_click(lambda event: self._clicked(event.target.value))
+        # Whether the target's direction counts, besides its position.
+        hint = "otherwise the end effector may turn as it likes"
+        self.direction_counts = gui.add_checkbox("hold its direction", True, hint=hint)
         speed = gui.add_slider("speed", *SPEEDS, step=0.1, initial_value=1.0)
         speed.on_update(lambda _: setattr(session, "speed", float(speed.value)))
         with gui.add_folder("Push"):
@@ -66,14 +56,9 @@ class Panel:
             self._plots = Plots(gui)
         with gui.add_folder("View", expand_by_default=False):
             frames = gui.add_checkbox("link frames", True, hint="of the reference")
-            frames.on_update(lambda _: scene.show_frames(frames.value))
+            frames.on_update(lambda _: setattr(scene.frames, "visible", frames.value))
             shade = gui.add_checkbox("dark", False)
             shade.on_update(lambda _: self._theme(dark=shade.value))
-
-    @property
-    def holds_direction(self) -> bool:
-        """Whether the target's direction counts, besides its position."""
-        return bool(self._direction_counts.value)
 
     def spring(self, grabbed: Sequence[float], mouse: Sequence[float]) -> Floats:
         """The force ``(3,)`` [N] of a spring from a grabbed point to the mouse, at most that of the slider."""
@@ -90,14 +75,11 @@ class Panel:
 
     def _menus(self) -> None:
         gui, settings = self._server.gui, self._session.wanted
+        planners = tuple(name for name, entry in PLANNERS.items() if not entry.install)
+        hint = f"for the policies {' and '.join(PLANNED)}"
         menus = {
             "policy": gui.add_dropdown("policy", tuple(POLICIES), initial_value=settings.policy),
-            "planner": gui.add_dropdown(
-                "planner",
-                tuple(name for name, entry in PLANNERS.items() if not entry.install),
-                initial_value=settings.planner,
-                hint=f"for the policies {' and '.join(PLANNED)}",
-            ),
+            "planner": gui.add_dropdown("planner", planners, initial_value=settings.planner, hint=hint),
             "rho": gui.add_slider("rho", 0.05, 1.0, step=0.05, initial_value=settings.rho, hint="of lieednn-shaped"),
             "filtered": gui.add_checkbox("safety filter", settings.filtered),
             "controller": gui.add_dropdown("controller", tuple(CONTROLLERS), initial_value=settings.controller),
@@ -108,15 +90,14 @@ class Panel:
             menu.on_update(lambda event, name=name: self._session.choose(**{name: event.target.value}))
 
     def _push(self) -> None:
-        force = float(self._force.value) * np.array(_DIRECTIONS[self._along.value])
-        self._session.push(self._link.value, force)
+        self._session.push(self._link.value, float(self._force.value) * _DIRECTIONS[self._along.value])
 
     def _clicked(self, what: str) -> None:
         session = self._session
         if what == "pause":
             session.paused = not session.paused
         elif what == "reset":
-            self._scene.forget_path()
+            self._scene.trace.clear()
             session.reset()
         elif what == "home":
             session.aim_at("home")
@@ -126,11 +107,7 @@ class Panel:
 
 
 class Plots:
-    """Three plots: the distance from the target, the network's own under its bound, tracking error and clearance.
-
-    Args:
-        gui: viser's ``server.gui``; the plots are placed where its present container is.
-    """
+    """Three plots, in the present container of viser's gui: how far from the target, from the network's, and behind."""
 
     def __init__(self, gui: Any) -> None:
         self._uplot = optional_module("viser.uplot")
@@ -163,9 +140,8 @@ class Plots:
             return
         network = (np.nan, np.nan) if progress is None else (progress.distance, progress.bound)
         values = (1e3 * snapshot.distance, *network, 1e3 * snapshot.tracking)
-        # Least value on a logarithmic scale [mm], [1].
-        least = 1e-3
-        self._rows.append((tick.time, *(max(value, least) for value in values)))
+        # On a logarithmic scale.
+        self._rows.append((tick.time, *(max(value, 1e-3) for value in values)))
         while tick.time - self._rows[0][0] > _SPAN:
             self._rows.popleft()
         if len(self._rows) > 1:

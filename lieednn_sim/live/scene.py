@@ -10,6 +10,7 @@ import numpy as np
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import moving_geoms
+from lieednn_sim.live.session import Aim
 from lieednn_sim.live.snapshot import Snapshot
 from lieednn_sim.rendering import scene_setup, viser_scene
 from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
@@ -26,19 +27,15 @@ _RATIO = 1.0
 class ArmScene:
     """An arm in the scene of a `viser.ViserServer`, with its target as a handle.
 
-    Args:
-        server: the server.
-        arm: the arm; it is not changed.
-        pose: position ``(3,)`` and quaternion ``(4,)`` of the target.
-
     Attributes:
         handle: viser's transform controls at the target; the mouse moves them.
+        frames: viser's node of the reference's link frames.
+        trace: the path travelled so far.
         surfaces: viser's nodes of the arm's moving surfaces, with the names of their bodies.
     """
 
-    def __init__(self, server: Any, arm: Arm, pose: tuple[Floats, Floats]) -> None:
-        self._scene, self._arm = server.scene, arm
-        scene = self._scene
+    def __init__(self, server: Any, arm: Arm, aimed: Aim) -> None:
+        scene, self._arm = server.scene, arm
         points = scene_setup.reached(arm)
         model, self._marker = scene_setup.staged(arm, points)
         shapes = viser_scene.Shapes(model)
@@ -52,9 +49,7 @@ class ArmScene:
         self._nodes = viser_scene.ModelNodes(scene, shapes, "/arm")
         self._data = mujoco.MjData(model)
         marked = int(np.flatnonzero(model.body_mocapid == self._marker)[0])
-        self._glass = [
-            (node, node.color) for body, nodes in self._nodes.surfaces.items() for node in nodes if body == marked
-        ]
+        self._glass = [(node, node.color) for node in self._nodes.surfaces.get(marked, [])]
         moving = set(model.geom_bodyid[moving_geoms(model)].tolist()) - {marked}
         self.surfaces = [
             (node, model.body(body).name)
@@ -62,28 +57,23 @@ class ArmScene:
             for node in nodes
             if body in moving and model.body(body).name and model.body_mocapid[model.body_rootid[body]] < 0
         ]
-        self.handle = scene.add_transform_controls(
-            "/target handle",
-            scale=0.28 * self._scale,
-            line_width=3.0,
-            depth_test=False,
-            position=pose[0],
-            wxyz=pose[1],
-        )
+        place = {"position": aimed.position, "wxyz": aimed.quaternion, "depth_test": False}
+        self.handle = scene.add_transform_controls("/target handle", scale=0.28 * self._scale, line_width=3.0, **place)
         # Seen through what the target may be in.
         self._refusal = scene.add_label("/refused", "cannot be reached", visible=False, anchor="bottom-left")
         blank = np.zeros((2, 3))
         self._planned = viser_scene.add_path(scene, "/planned", blank, PLANNED_COLOUR, PLANNED_RADIUS * self._scale)
         self._travelled = viser_scene.add_path(scene, "/travelled", blank, TRACED_COLOUR, TRACED_RADIUS * self._scale)
-        self._trace: deque[Floats] = deque(maxlen=_TRAVELLED)
+        self.trace: deque[Floats] = deque(maxlen=_TRAVELLED)
         self._path: Floats | None = blank
         axes = {"axes_length": 0.2 * self._scale, "axes_radius": 0.006 * self._scale}
-        self._frames = scene.add_batched_axes(
+        self.frames = scene.add_batched_axes(
             "/frames", batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (arm.n_links, 1)),
             batched_positions=np.zeros((arm.n_links, 3)), **axes,
         )  # fmt: skip
-        self._arrow: Any = None
-        self._refused: bool | None = None
+        size = {"shaft_radius": 0.012, "head_radius": 0.03, "head_length": 0.06}
+        size = {name: value * self._scale for name, value in size.items()}
+        self._arrow = scene.add_arrows("/force", np.array([[np.zeros(3), np.ones(3)]]), _RED, visible=False, **size)
 
     async def _make_room(self, client: Any) -> None:
         """On a narrow screen, where the controls take the lower part, show the arm in the upper one."""
@@ -105,55 +95,30 @@ class ArmScene:
         mujoco.mj_kinematics(self._nodes.model, self._data)
         self._nodes.show(self._data)
         refused = bool(aimed.problem)
-        if refused != self._refused:
-            self._refused = refused
+        if refused != self._refusal.visible:
             for node, colour in self._glass:
                 node.color = _RED if refused else colour
             self._refusal.visible = refused
         if refused:
             self._refusal.position = aimed.position
-        self._frames.batched_positions = np.asarray(snapshot.planned.translation, dtype=np.float32)
-        self._frames.batched_wxyzs = snapshot.planned.rotation.as_quat(scalar_first=True).astype(np.float32)
+        self.frames.batched_positions = np.asarray(snapshot.planned.translation, dtype=np.float32)
+        self.frames.batched_wxyzs = snapshot.planned.rotation.as_quat(scalar_first=True).astype(np.float32)
         tip = np.asarray(snapshot.frames[-1].translation)
-        if not self._trace or np.linalg.norm(tip - self._trace[-1]) > _SPACING:
-            self._trace.append(tip)
-            self._travelled.points = _segments(self._trace)
+        if not self.trace or np.linalg.norm(tip - self.trace[-1]) > _SPACING:
+            self.trace.append(tip)
+            self._travelled.points = _segments(self.trace)
         if path is not self._path:
             self._path = path
             self._planned.visible = path is not None
             if path is not None:
                 self._planned.points = _segments(path)
-        self._show_force(tick.force, tick.pushed)
-
-    def forget_path(self) -> None:
-        """Forget the path travelled so far."""
-        self._trace.clear()
-
-    def show_frames(self, visible: bool) -> None:
-        """Show or hide the link frames of the reference."""
-        self._frames.visible = visible
-
-    def place_handle(self, position: Floats, quaternion: Floats) -> None:
-        """Move the handle to where somebody else put the target."""
-        self.handle.position, self.handle.wxyz = position, quaternion
-
-    def _show_force(self, force: Floats, place: Floats) -> None:
-        if not force.any():
-            if self._arrow is not None:
-                self._arrow.remove()
-                self._arrow = None
-            return
-        length = float(np.linalg.norm(force))
-        # 3 mm for a newton, and 0.8 m at most.
-        end = place + force * min(3e-3, 0.8 / length) * self._scale
-        points = np.array([[place, end]], dtype=np.float32)
-        if self._arrow is None:
-            size = {"shaft_radius": 0.012, "head_radius": 0.03, "head_length": 0.06}
-            self._arrow = self._scene.add_arrows(
-                "/force", points, _RED, **{name: value * self._scale for name, value in size.items()}
-            )
-        else:
-            self._arrow.points = points
+        pushed = bool(tick.force.any())
+        if pushed != self._arrow.visible:
+            self._arrow.visible = pushed
+        if pushed:
+            # 3 mm for a newton, and 0.8 m at most.
+            length = min(3e-3, 0.8 / float(np.linalg.norm(tick.force))) * self._scale
+            self._arrow.points = np.array([[tick.pushed, tick.pushed + length * tick.force]], dtype=np.float32)
 
 
 def _segments(points: Any) -> Floats:

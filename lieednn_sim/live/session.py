@@ -23,10 +23,8 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, SimulationError
-from lieednn_sim.live.engine import Engine
-from lieednn_sim.live.making import Made, foreseen, make_for
+from lieednn_sim.live.engine import Engine, Made, foreseen, make_for
 from lieednn_sim.live.settings import Settings
-from lieednn_sim.live.worker import Worker
 from lieednn_sim.policies import Policy
 from lieednn_sim.simulation.disturbances import Push
 from lieednn_sim.simulation.following import ClosedLoop
@@ -39,25 +37,84 @@ SPEEDS = (0.1, 4.0)
 _MEASURED, _PAUSED_WAIT = 50, 0.02
 
 
-class Aim(NamedTuple):
-    """The latest target that was asked for.
+class Superseded(Exception):
+    """There is a newer job."""
 
-    Attributes:
-        position: ``(3,)`` of the end effector, world [m].
-        quaternion: ``(4,)`` its orientation (w, x, y, z).
-        problem: why the arm is not sent there; empty if it is, or if that is not known yet.
+
+class Worker:
+    """Does jobs one after another in a thread, for which the loop never waits; of those that wait only the newest.
+
+    ``failed`` is called in the thread with an exception of a job other than `Superseded`.
     """
 
-    position: Floats
-    quaternion: Floats
-    problem: str = ""
+    def __init__(self, name: str, failed: Callable[[Exception], object]) -> None:
+        self._failed, self._changed = failed, threading.Condition()
+        self._next: Callable[[], object] | None = None
+        self._busy = self._closed = False
+        # A job may take seconds: it must not keep the process from ending.
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def submit(self, job: Callable[[], object]) -> None:
+        """Do a job as soon as the present one ends, instead of another one that waits."""
+        with self._changed:
+            self._next = job
+            self._changed.notify_all()
+
+    def check(self, *_: object) -> None:
+        """Within a job: raise `Superseded` if its result is no longer wanted."""
+        with self._changed:
+            if self._next is not None or self._closed:
+                raise Superseded
+
+    @property
+    def busy(self) -> bool:
+        """Whether there is something to do."""
+        with self._changed:
+            return self._busy or self._next is not None
+
+    def wait(self) -> None:
+        """Wait until there is nothing to do."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed or not (self._busy or self._next is not None))
+
+    def close(self) -> None:
+        """Take no more jobs; the present one ends when it looks (`check`), or with the process."""
+        with self._changed:
+            self._closed, self._next = True, None
+            self._changed.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or self._next is not None)
+                if self._closed or self._next is None:
+                    return
+                job, self._next, self._busy = self._next, None, True
+            try:
+                job()
+            except Superseded:
+                pass
+            except Exception as error:
+                self._failed(error)
+            finally:
+                with self._changed:
+                    self._busy = False
+                    self._changed.notify_all()
+
+
+class Aim(NamedTuple):
+    """The latest target that was asked for."""
+
+    position: Floats  # (3,) of the end effector, world [m]
+    quaternion: Floats  # (4,) its orientation (w, x, y, z)
+    problem: str = ""  # why the arm is not sent there; empty if it is, or if that is not known yet
 
 
 class Session:
     """The live view without a page: a simulated arm that follows a target which may be moved, and yields to pushes.
 
-    It begins at rest; `aim` and `aim_at` move the target. The policy is made at once, in a worker; until then the arm
-    stays where it is.
+    `aim` and `aim_at` move the target. The arm rests at first, until a worker has made the policy.
 
     Args:
         arm: the arm, in its scene.
@@ -68,9 +125,7 @@ class Session:
         seed: seed of random draws.
 
     Attributes:
-        arm: the arm; nobody changes it.
         start: ``(n,)`` joint coordinates at the beginning.
-        seed: seed of random draws.
         tick: state after the last control period.
         aimed: the latest target that was asked for.
         path: ``(P, 3)`` positions of the end effector on the way to the target, or None if they are not known.
@@ -155,9 +210,7 @@ class Session:
 
     def push(self, link: str, force: ArrayLike, duration: float = 0.2) -> None:
         """Push a link, or another body, by a force ``(3,)`` [N], along the world's axes, for a time [s]."""
-        value = as_floats("force", force, (3,))
-        push = Push(link, tuple(value), 0.0, duration)
-        push.body_id(self.arm, self.arm.model)
+        push = self._push(link, force, duration)
         self._requests.put(lambda: self._engine.push(push))
 
     def pull(self, link: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
@@ -168,11 +221,15 @@ class Session:
             force: along the world's axes.
             point: ``(3,)`` where it acts, world [m]; by default the body's centre of mass.
         """
-        push = Push(link, tuple(as_floats("force", force, (3,))), 0.0, 1.0)
-        push.body_id(self.arm, self.arm.model)
+        push = self._push(link, force, 1.0)
         where = None if point is None else as_floats("point", point, (3,))
         held = (push, where) if any(push.force) else None
         self._requests.put(lambda: setattr(self._engine, "pull", held))
+
+    def _push(self, link: str, force: ArrayLike, duration: float) -> Push:
+        push = Push(link, tuple(as_floats("force", force, (3,))), 0.0, duration)
+        push.body_id(self.arm, self.arm.model)
+        return push
 
     def choose(self, **settings: Any) -> None:
         """Change fields of `Settings`; what that takes is made by a worker, and meanwhile the arm goes on.

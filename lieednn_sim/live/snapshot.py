@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.live.engine import Tick
-from lieednn_sim.live.making import certificate_of, network_policy
+from lieednn_sim.evaluation.metrics import pose_errors
+from lieednn_sim.live.engine import Tick, certificate_of, network_policy
 from lieednn_sim.live.session import Aim, Session
 from lieednn_sim.values import Floats
 
@@ -22,33 +22,19 @@ _VALUE = '<td style="overflow-wrap:anywhere">'
 
 
 class Snapshot(NamedTuple):
-    """One instant of a session.
-
-    Attributes:
-        session: the session.
-        tick: state of the loop.
-        aimed: the target that was asked for last.
-        frames: link frames, poses of shape ``(N,)``.
-        planned: link frames of the reference.
-        distance: of the end effector from the target [m].
-        angle: the same as an angle [rad].
-        tracking: distance of the end effector from its reference [m].
-        gap: ``(2,)`` largest mechanism gap of a link as an angle [rad] and as a distance [m]; None without a network.
-        clearance: least distance of two geoms whose distance the joints can change [m]; infinite beyond 0.6 m.
-        nearest: their names; empty beyond.
-    """
+    """One instant of a session."""
 
     session: Session
-    tick: Tick
-    aimed: Aim
-    frames: RigidTransform
-    planned: RigidTransform
-    distance: float
-    angle: float
-    tracking: float
-    gap: Floats | None
-    clearance: float
-    nearest: tuple[str, str]
+    tick: Tick  # state of the loop
+    aimed: Aim  # the target that was asked for last
+    frames: RigidTransform  # link frames, poses of shape (N,)
+    planned: RigidTransform  # link frames of the reference
+    distance: float  # of the end effector from the target [m]
+    angle: float  # the same as an angle [rad]
+    tracking: float  # distance of the end effector from its reference [m]
+    gap: Floats | None  # (2,) largest mechanism gap of a link [rad, m]; None without a network
+    clearance: float  # least distance of two geoms whose distance the joints can change [m]; infinite beyond 0.6 m
+    nearest: tuple[str, str]  # their names; empty beyond
 
     @property
     def arrived(self) -> bool:
@@ -60,17 +46,15 @@ class Observer:
     """Takes snapshots of a session, all in one thread."""
 
     def __init__(self, session: Session) -> None:
-        self._session = session
-        self._arm = copy.deepcopy(session.arm)
+        self._session, self._arm = session, copy.deepcopy(session.arm)
         self._collisions = Collisions(self._arm)
 
     def look(self) -> Snapshot:
         """The present instant."""
-        session, arm = self._session, self._arm
-        tick = session.tick
+        session, arm, tick = self._session, self._arm, self._session.tick
         poses = arm.link_poses(np.stack([tick.q, tick.q_ref, tick.target]))
         frames, planned, goals = poses[0], poses[1], poses[2]
-        places: Floats = np.asarray(poses.translation)[:, -1]
+        distance, angle = pose_errors(frames[-1], goals[-1])
         near = self._collisions.distances(tick.q, 0.6)
         changing = np.flatnonzero(np.abs(near.jacobian).max(axis=1, initial=0.0) > 1e-6)
         first = int(changing[0]) if len(changing) else None
@@ -81,9 +65,9 @@ class Observer:
             session.aimed,
             frames,
             planned,
-            float(np.linalg.norm(places[0] - places[2])),
-            float((frames[-1].rotation.inv() * goals[-1].rotation).magnitude()),
-            float(np.linalg.norm(places[0] - places[1])),
+            float(distance),
+            float(angle),
+            float(pose_errors(frames[-1], planned[-1])[0]),
             None if inner is None else inner.gap.max(axis=0),
             np.inf if first is None else float(near.distance[first]),
             ("", "") if first is None else self._collisions.names(near.pairs[first]),

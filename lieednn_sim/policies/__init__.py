@@ -1,25 +1,18 @@
 """Policies, which run an arm online: from measured joints and the present target to the next reference.
 
-`make_policy` makes one by its name; `lieednn_sim.follow` runs it behind a simulated arm, and `control_loop` behind a
-real one.
+`make_policy` makes one by name; `lieednn_sim.follow` runs it behind a simulated arm, `control_loop` behind a real one.
 """
 
-from lieednn_sim.policies.barriers import FilterOptions
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.fabric import Fabric, FabricOptions
-from lieednn_sim.policies.feedback import Feedback
-from lieednn_sim.policies.filtered import FilteredPolicy
-from lieednn_sim.policies.joint_policy import JointPolicy
+from lieednn_sim.policies.feedback import Feedback, JointPolicy
 from lieednn_sim.policies.loop import LoopReport, control_loop
-from lieednn_sim.policies.making import make_policy, register_policy
-from lieednn_sim.policies.network_policy import NetworkPolicy
-from lieednn_sim.policies.networks import CertifiedPolicyOptions
+from lieednn_sim.policies.making import PolicyTask, make_policy, register_policy
+from lieednn_sim.policies.network_policy import CertifiedPolicyOptions, NetworkPolicy
 from lieednn_sim.policies.path_integral import PathIntegral, PathIntegralOptions
-from lieednn_sim.policies.primitive import MovementPrimitive, PrimitiveOptions
+from lieednn_sim.policies.planned import MotionTracker, MovementPrimitive, PrimitiveOptions
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
-from lieednn_sim.policies.safety_filter import FilterStep, SafetyFilter
-from lieednn_sim.policies.task import PolicyTask
-from lieednn_sim.policies.tracker import MotionTracker
+from lieednn_sim.policies.safety_filter import FilteredPolicy, FilterOptions, FilterStep, SafetyFilter
 from lieednn_sim.registry import POLICIES
 from lieednn_sim.typecheck import typecheck_public
 

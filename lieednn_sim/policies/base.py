@@ -1,7 +1,6 @@
 """The base class of policies, which map the measured joints and the present target to the next reference.
 
-A policy knows joints and targets but no simulator. `simulation.follow` runs one behind a simulated arm, `control_loop`
-runs one behind anything else.
+It knows no simulator: `simulation.follow` runs it behind a simulated arm, `control_loop` behind anything else.
 """
 
 from __future__ import annotations
@@ -32,8 +31,6 @@ class Policy(ABC):
         rate: control rate [Hz].
 
     Attributes:
-        arm: the arm.
-        rate: control rate [Hz].
         period: control period [s].
         q: ``(n,)`` reference at the end of the last period, where the arm should be now [rad, m].
         qd: ``(n,)`` rates of this reference [rad/s, m/s].
@@ -46,14 +43,14 @@ class Policy(ABC):
 
     certified = False
     channel_units: Mapping[str, str] = MappingProxyType({})
+    q: Floats
+    qd: Floats
 
     def __init__(self, arm: Arm, rate: float) -> None:
         self.arm, self.rate = arm, as_positive("rate", rate)
         self.period = 1.0 / self.rate
         self._max_gain = arm.acceleration_limits * self.period
         self._target: Floats | None = None
-        self.q: Floats
-        self.qd: Floats
 
     def reset(self, q: ArrayLike | str) -> None:
         """Start again at rest from joint coordinates ``(n,)``, or from a keyframe, given by its name.
@@ -74,8 +71,7 @@ class Policy(ABC):
             target: ``(n,)`` joint coordinates wanted now.
 
         Returns:
-            Read-only joint coordinates and rates ``(n,)``. A controller may interpolate between the references of two
-            periods by a cubic polynomial.
+            Read-only joint coordinates and rates ``(n,)``; between two periods a controller may interpolate by a cubic.
 
         Raises:
             InputError: a value is malformed, the target is beyond the position limits, or the policy was never reset
@@ -102,10 +98,8 @@ class Policy(ABC):
     def see(self, places: Mapping[str, Floats]) -> None:
         """Inform the policy of the places where all moving obstacles are now; most policies ignore them.
 
-        `reset` puts the obstacles back where the scene has them.
-
-        Args:
-            places: positions ``(3,)`` of bodies of the arm's scene, in the frames of their parents [m], by name.
+        These are positions ``(3,)`` of bodies of the arm's scene, in the frames of their parents [m], by name. `reset`
+        puts the obstacles back where the scene has them.
 
         Raises:
             InputError: the policy was never reset.
@@ -140,11 +134,6 @@ class Policy(ABC):
 
 
 def has_jumped(arm: Arm, velocity: Floats) -> Floats:
-    """Whether a target that moved at velocities ``(..., n)`` over a control period has jumped, ``(...)``.
-
-    It has jumped if a joint is faster than its limit, or than 10 rad/s or m/s where there is no limit.
-    """
-    # For joints without limits, a target faster than this has jumped [rad/s, m/s].
-    max_target_speed = 10.0
-    limits = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, max_target_speed)
+    """Whether targets at velocities ``(..., n)`` jump: beyond a joint's limit, or without one 10 rad/s or m/s."""
+    limits = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
     return np.asarray((np.abs(velocity) > limits).any(axis=-1))

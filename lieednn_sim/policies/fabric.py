@@ -10,9 +10,8 @@ import numpy as np
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.policies.feedback import FEEDBACK, Feedback
-from lieednn_sim.policies.joint_policy import JointPolicy
-from lieednn_sim.policies.task import PolicyTask
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback, JointPolicy
+from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.values import Floats
 
 
@@ -26,9 +25,6 @@ class FabricOptions(PlannerOptions):
         near: d_0, distance within which geoms repel [m].
         margin: distance to keep where start and target allow it [m].
         strength: r, strength of the repulsion.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     stiffness: float = 16.0
@@ -47,10 +43,8 @@ class Fabric(JointPolicy):
     of its distance at the start and at the target.
 
     Args:
-        arm: the arm, in its scene.
-        rate: control rate [Hz].
+        arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
         options: settings.
-        feedback: settings of the feedback from the measured joints; None for no feedback.
     """
 
     def __init__(

@@ -5,10 +5,13 @@ as fast, and its state is pulled to q at the rate k d,
 
     s = max(1 / (1 + (e / e_1)^2), s_0)    it waits for an arm that does not keep up,
     d = max(0, 1 - e_0 / e)                errors within the tolerance e_0 are left to the controller.
+
+A policy in joint space with its own velocity v moves by y' = l (s v(y) + k d (q - y)), with l as for networks.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -48,9 +51,8 @@ class Feedback:
 
     def response(self, behind: float) -> tuple[float, float]:
         """The policy's speed s and the pull k d [1/s] for an error e, a fraction of the joints' ranges; unchecked."""
-        # s_0: a policy that stopped would never arrive.
-        min_speed = 0.01
-        waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), min_speed)
+        # With s_0 = 0.01: a policy that stopped would never arrive.
+        waiting = max(1.0 / (1.0 + (behind / self.patience) ** 2), 0.01)
         return waiting, self.rate * max(0.0, 1.0 - self.tolerance / max(behind, 1e-300))
 
 
@@ -69,7 +71,7 @@ class FeedbackPolicy(Policy):
 
     channel_units: Mapping[str, str] = MappingProxyType({"pace": "1", "behind": "ranges"})
 
-    def __init__(self, arm: Arm, rate: float, feedback: Feedback | None) -> None:
+    def __init__(self, arm: Arm, rate: float = 100.0, *, feedback: Feedback | None = FEEDBACK) -> None:
         super().__init__(arm, rate)
         self._feedback, self.range = feedback, arm.ranges
 
@@ -114,3 +116,45 @@ class FeedbackPolicy(Policy):
     def channels(self) -> Floats:
         """See `Policy`."""
         return np.array([self.pace, self.behind])
+
+
+class JointPolicy(FeedbackPolicy):
+    """Base class of policies in joint space; a subclass defines `velocity`.
+
+    Args:
+        arm: the arm.
+        rate: control rate [Hz].
+        feedback: settings of the feedback from the measured joints; None for no feedback.
+
+    Attributes:
+        y: ``(n,)`` state y, joint coordinates [rad, m].
+    """
+
+    def begin(self, q: Floats) -> None:
+        """See `Policy`; unchecked."""
+        super().begin(q)
+        self.y = q
+
+    def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
+        """See `Policy`; unchecked."""
+        waiting, strength = self._response(measured, self.y)
+        desired = waiting * self.velocity(target, waiting)
+        if measured is not None:
+            desired = desired + strength * (measured - self.y)
+        slower = 1.0 / max(1.0, float((np.abs(desired) / self.allowed()).max()))
+        self.pace, self._limited = slower * waiting, slower < 1.0
+        self.elapse(self.pace * self.period)
+        self.y = y = self._within_limits(self.y + self.period * slower * desired)
+        return y, np.where((y[:, None] == self.arm.position_limits).any(axis=1), 0.0, slower * desired)
+
+    @abstractmethod
+    def velocity(self, target: Floats, waiting: float) -> Floats:
+        """The velocity v ``(n,)`` towards a target ``(n,)``, where time runs at the rate s; unchecked."""
+
+    def elapse(self, time: float) -> None:
+        """Advance the policy's own time [s]; unchecked."""
+
+    @property
+    def state(self) -> Floats:
+        """``(n,)``, as `y`."""
+        return self.y

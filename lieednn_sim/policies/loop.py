@@ -7,11 +7,10 @@ the loop, which hold the last reference, or stop, when the next one is late.
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,8 +20,6 @@ from lieednn_sim.policies.base import Policy
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats, frozen
 
-# Steps before the first period, after which nothing is done for the first time.
-_WARM_UP = 3
 _MAX_PERIODS = 10**7
 
 
@@ -31,8 +28,7 @@ class LoopReport:
     """Report of `control_loop`: its timing.
 
     Attributes:
-        lateness: ``(L,)`` time from the deadline of each reference, the end of its period, until it was sent [s];
-            negative if it was in time.
+        lateness: ``(L,)`` time from the end of each period until its reference was sent [s]; negative if in time.
         step_time: ``(L,)`` wall time that the policy took in each period [s].
         message: the policy's last message.
     """
@@ -70,8 +66,7 @@ def control_loop(
 
     Args:
         policy: the policy.
-        read: called once in each period; returns the measured joint coordinates ``(n,)``, or, after the first call,
-            None if nothing was measured.
+        read: called once a period; returns the measured joints ``(n,)``, or, not at first, None if there are none.
         write: called with the reference q and qd ``(n,)`` for the end of the period.
         target: joint coordinates ``(n,)``, a keyframe's name, or a function of the time since the beginning [s].
         duration: [s], rounded up to a whole number of periods.
@@ -87,12 +82,17 @@ def control_loop(
     first = read()
     if first is None:
         raise InputError("read must return measured joints the first time: the policy begins there")
-    for _ in range(_WARM_UP):
+    # After three steps nothing is done for the first time.
+    for _ in range(3):
         policy.reset(first)
         policy.step(first, aim(0.0))
     policy.reset(first)
     lateness, step_time = np.empty(total), np.empty(total)
-    with _without_collections():
+    collects = gc.isenabled()
+    gc.collect()
+    # Python's search for reference cycles can take longer than a period.
+    gc.disable()
+    try:
         started = start = time.perf_counter()
         for k in range(total):
             measured, goal = read() if k else first, aim(start - started)
@@ -107,21 +107,11 @@ def control_loop(
                 on_late(k, now - end)
             time.sleep(max(end - time.perf_counter(), 0.0))
             start = max(end, now)
+    finally:
+        if collects:
+            gc.enable()
     return LoopReport(lateness, step_time, policy.message)
 
 
 def _held(target: Floats) -> Callable[[float], Floats]:
     return lambda _: target
-
-
-@contextlib.contextmanager
-def _without_collections() -> Iterator[None]:
-    """Keep Python from searching for reference cycles, which can take longer than a period."""
-    enabled = gc.isenabled()
-    gc.collect()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()

@@ -1,31 +1,62 @@
-"""Policies by name: `make_policy`, and registering one's own."""
+"""Policies by name: the task that one is made for, `make_policy`, and registering one's own."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning import Motion, Plan
+from lieednn_sim.planning import Motion, Plan, plan
 from lieednn_sim.planning.options import PlannerOptions, given_options
-from lieednn_sim.policies.barriers import FilterOptions
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
-from lieednn_sim.policies.filtered import FilteredPolicy
-from lieednn_sim.policies.task import PolicyTask
+from lieednn_sim.policies.safety_filter import FilteredPolicy, FilterOptions
 from lieednn_sim.registry import POLICIES
-from lieednn_sim.validation import Seed, as_seed
+from lieednn_sim.validation import Seed, as_positive, as_seed
+from lieednn_sim.values import Floats, check_fields
 
 _Make = TypeVar("_Make", bound=Callable[..., Policy])
 
 
-def register_policy(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Make], _Make]:
-    """Decorator that registers a function that makes policies, for `make_policy`.
+@dataclass(frozen=True, eq=False)
+class PolicyTask:
+    """The task for which a policy is made.
 
-    The function takes a `PolicyTask` and returns a `Policy`.
+    Its fields are the arguments of `make_policy`, with joint coordinates ``(n,)`` for start and first target, and
+    ``given`` for what was given as ``motion``.
+
+    Raises:
+        InputError: a value is malformed.
+    """
+
+    arm: Arm
+    start: Floats
+    target: Floats
+    rate: float = 100.0
+    feedback: Feedback | None = FEEDBACK
+    convergence_rate: float = 2.0
+    seed: int = 0
+    given: Motion | Plan | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, lambda name, value: self.arm.check_position(value, name), "start", "target")
+        check_fields(self, as_positive, "rate", "convergence_rate")
+        check_fields(self, as_seed, "seed")
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The motion to track or to imitate: the one that was given, or one that the default planner makes."""
+        given = self.given or plan(self.arm, self.target, start=self.start, seed=self.seed)
+        return given.motion if isinstance(given, Plan) else given
+
+
+def register_policy(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Make], _Make]:
+    """Decorator that registers a function of a `PolicyTask` that makes a `Policy`, for `make_policy`.
 
     An installed package declares its policies as entry points::
 
@@ -63,8 +94,7 @@ def make_policy(
     Args:
         name: a name of `POLICIES`.
         arm: the arm, in its scene.
-        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made. The target given in each
-            step may differ.
+        target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; a step may have another.
         rate: control rate [Hz].
         start: joint coordinates ``(n,)`` at the beginning, or a keyframe's name.
         motion: what ``tracker`` tracks and ``dmp`` imitates, from start to target; by default a planned one.

@@ -9,21 +9,20 @@ and k = 0 without it), the state x = (visible, hidden and clock) obeys
 where F is the field of the network retargeted to the present target, xi the arm's encoding, q the measured joints, q_r
 the reference of the same instant, x'_ff the target's velocity in the network's coordinates, and l <= 1 keeps the joints
 within their limits of velocity and, while speeding up, of acceleration. Behind a target that moves with velocity v a
-state near it lags by (-c J)^-1 v, with the Jacobian J of the field at the target; the feedforward x'_ff = v removes
-that.
+state near it lags by (-c J)^-1 v, with the field's Jacobian J at the target; the feedforward x'_ff = v removes that.
 
 The proof is kept. Without the coupling (k d = 0) and behind a target at rest x' = r(t) F(x) with a factor
 r = l s c > 0: in the time integral of r it is the network itself, so x runs along the same orbits, and the network's
 Lyapunov function V decreases, dV/dt = r grad V . F < 0, until the target is reached, since s and l never vanish for
 good. The whole field must be scaled: slowing the hidden neurons or the clock alone would give another system, which no
-certificate covers. The coupling is an input of the visible neurons. It vanishes when the arm comes within the tolerance
-of its reference; from then on the certified network runs from whatever state it was pulled to. The hidden neurons of a
-cascade have no input from it.
+certificate covers. The coupling is an input of the visible neurons, not of a cascade's hidden ones. It vanishes when
+the arm comes within the tolerance of its reference; then the certified network runs from wherever it was pulled to.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.blas import idamax
@@ -33,9 +32,15 @@ from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.runge_kutta import RungeKuttaStepper
+from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.network_path import require_fit
+from lieednn_sim.planning.network_planners import without_weights
+from lieednn_sim.planning.options import NetworkOptions
+from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.policies.base import has_jumped
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
+from lieednn_sim.policies.making import PolicyTask
+from lieednn_sim.synthesis import ShapingOptions, shape, synthesize
 from lieednn_sim.validation import as_positive
 from lieednn_sim.values import Floats
 
@@ -62,8 +67,6 @@ class NetworkPolicy(FeedbackPolicy):
         network: the network.
         speed: its speed c [1/s].
         xi: ``(N, 6)`` state of all neurons.
-        pace: factor l s of the last period.
-        behind: error e of `feedback` at the beginning of the last period.
         pulled: whether measured joints pulled the state in the last period, which is then no orbit of the network.
         gap: ``(N, 2)`` mechanism gap of each link in the last period: angle [rad] and distance [m].
 
@@ -83,7 +86,7 @@ class NetworkPolicy(FeedbackPolicy):
         feedforward: bool = True,
         feedback: Feedback | None = FEEDBACK,
     ) -> None:
-        super().__init__(arm, rate, feedback)
+        super().__init__(arm, rate, feedback=feedback)
         require_fit(arm, network, certified=True)
         self.network = network
         self.speed, self._feedforward = as_positive("speed", speed), feedforward
@@ -198,3 +201,47 @@ def _certified_norm(network: LieEDNN) -> float:
     # Rows and columns of zeros, most of a cascade's, take most of the time and change nothing.
     acting = weight[weight.any(axis=1)][:, weight.any(axis=0)]
     return float(np.linalg.norm(acting, 2)) if acting.size else 0.0
+
+
+@dataclass(frozen=True)
+class CertifiedPolicyOptions(NetworkOptions):
+    """Options of the policy ``lieednn-certified``.
+
+    Attributes:
+        bias_magnitude: magnitude of the network's bias [gamma/mu].
+    """
+
+    bias_magnitude: float = 0.25
+
+
+def shaped(task: PolicyTask, options: ShapedOptions) -> NetworkPolicy:
+    """A network along the motion of the planner ``lieednn-shaped``."""
+    result = plan(task.arm, task.target, planner="lieednn-shaped", start=task.start, options=options, seed=task.seed)
+    network, motion = result.network, result.motion
+    assert isinstance(network, LieEDNN)
+    if options.rate == 1.0 and network.n_hidden:
+        # A tenth of the universal network's neurons: its steps take less time, and so does the bound on a push.
+        shaping = ShapingOptions(options.rate, options.neurons, options.activation)
+        units = lever_units(task.arm, motion.q)
+        network = shape(motion.xi[::2], 0.2 * options.deviation, units=units, options=shaping).network
+    # Its clock is the slowest.
+    return _policy(task, network, task.convergence_rate / options.rate)
+
+
+def certified(task: PolicyTask, options: CertifiedPolicyOptions) -> NetworkPolicy:
+    """A certified network for the target."""
+    xi = task.arm.encode(task.target)
+    network = synthesize(
+        xi, bias="sign-matched", bias_magnitude=options.bias_magnitude, activation=options.activation, seed=task.seed
+    ).unwrap()
+    slowest = -float(np.linalg.eigvals(network.jacobian(xi)).real.max())
+    return _policy(task, network, task.convergence_rate / slowest)
+
+
+def linear(task: PolicyTask) -> NetworkPolicy:
+    """A network without weights: xi' = -(xi - xi_d)."""
+    return _policy(task, without_weights(task.arm.encode(task.target)), task.convergence_rate)
+
+
+def _policy(task: PolicyTask, network: LieEDNN, speed: float) -> NetworkPolicy:
+    return NetworkPolicy(task.arm, network, task.rate, speed=speed, feedforward=False, feedback=task.feedback)

@@ -21,9 +21,8 @@ from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import move_bodies, moving_geoms
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.policies.feedback import FEEDBACK, Feedback
-from lieednn_sim.policies.joint_policy import JointPolicy
-from lieednn_sim.policies.task import PolicyTask
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback, JointPolicy
+from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats
 
@@ -44,9 +43,6 @@ class PathIntegralOptions(PlannerOptions):
         temperature: lambda, as a fraction of the median cost minus the least cost.
         near: distance kept from the surroundings where the target allows it [m].
         nearness: cost rate where the arm is nearer than `near` [1/s].
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     pairs: int = field(default=12, metadata={"range": (1, 10_000)})
@@ -59,19 +55,14 @@ class PathIntegralOptions(PlannerOptions):
 
 
 class VelocityRollouts:
-    """An arm whose joints have commanded velocities, in its scene, rolled out by `mujoco.rollout`.
+    """An arm whose joints have commanded velocities, in its scene, rolled out by `mujoco.rollout` in steps [s].
 
-    This is the arm as policies see it: under inverse dynamics its actuators follow a reference up to rounding.
-
-    Args:
-        arm: the arm; its model is not changed.
-        step: length of a step [s].
-        near: distance from the surroundings that is detected [m]; parts of the arm are detected when they overlap.
+    This is the arm as policies see it: under inverse dynamics its actuators follow a reference up to rounding. What is
+    nearer than ``near`` [m] is detected in the surroundings; parts of the arm are when they overlap.
     """
 
     def __init__(self, arm: Arm, step: float, near: float) -> None:
-        self._arm, self._near = arm, near
-        self._model = _kinematic(arm, step, near)
+        self._arm, self._model = arm, _kinematic(arm, step, near)
         self._data = mujoco.MjData(self._model)
         self._scene = self._model.body_pos.copy()
         self._kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -83,14 +74,9 @@ class VelocityRollouts:
         move_bodies(self._model, places)
 
     def __call__(self, q: Floats, velocities: Floats) -> tuple[Floats, Floats]:
-        """Configurations after each step, and clearances before it.
+        """Configurations ``(S, H, n)`` after each step, and clearances ``(S, H)`` [m] before it.
 
-        Args:
-            q: ``(n,)`` initial configuration of all samples.
-            velocities: ``(S, H, n)`` joint velocities for each sample and step.
-
-        Returns:
-            Configurations ``(S, H, n)``, and clearances ``(S, H)`` [m], infinite where nothing is near.
+        These are infinite where nothing is near. All samples start at ``q`` ``(n,)``; velocities are ``(S, H, n)``.
         """
         model, data, first = self._model, self._data, self._arm.qpos(q)
         mujoco.mj_resetData(model, data)
@@ -112,25 +98,18 @@ def _kinematic(arm: Arm, step: float, near: float) -> mujoco.MjModel:
             spec.delete(geom)
         elif not moves:
             geom.margin, geom.gap = 0.0, near
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
-    for joint in range(arm.model.njnt):
-        axes = 3 if arm.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL else 1
-        for gear in np.eye(6)[:axes]:
-            actuator = spec.add_actuator(
-                trntype=mujoco.mjtTrn.mjTRN_JOINT, target=arm.model.joint(joint).name, gear=gear.tolist()
-            )
-            actuator.set_to_velocity(kv=1e9)
-    for sensor in list(spec.sensors):
-        spec.delete(sensor)
+    for element in [*spec.actuators, *spec.sensors]:
+        spec.delete(element)
+    for joint, kind in enumerate(arm.model.jnt_type):
+        name = arm.model.joint(joint).name
+        for gear in np.eye(6)[: 3 if kind == mujoco.mjtJoint.mjJNT_BALL else 1].tolist():
+            spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name, gear=gear).set_to_velocity(kv=1e9)
     fields = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND) | 1 << int(mujoco.mjtConDataField.mjCONDATA_DIST)
     # The sensor reports one contact: that of the least distance.
     spec.add_sensor(name="nearest", type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=[fields, 1, 1])
     model = spec.compile()
-    off = mujoco.mjtDisableBit
-    model.opt.disableflags |= int(
-        off.mjDSBL_GRAVITY | off.mjDSBL_EQUALITY | off.mjDSBL_LIMIT | off.mjDSBL_FRICTIONLOSS | off.mjDSBL_SPRING
-    )
+    for off in ("GRAVITY", "EQUALITY", "LIMIT", "FRICTIONLOSS", "SPRING"):
+        model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{off}"))
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # With the gain, so far above the arm's own inertia that joints take their commanded velocities at once.
     model.opt.timestep, model.dof_armature[:] = step, 1e4
@@ -146,17 +125,14 @@ def weights(costs: Floats, temperature: float) -> Floats:
 class PathIntegral(JointPolicy):
     """Model predictive path integral control (MPPI) in joint space, which reaches a target and avoids obstacles.
 
-    With joints in units of their range and e = g - y, the cost of a sample is the integral of
-    |e|^2 + |u|^2 / c^2 + near + touching over time, plus |e|^2 / c at its end,
-    which the linear attractor u = c e minimises where nothing is near. Noise shrinks with the distance from the target,
-    so that the arm comes to rest there.
+    With joints in units of their range and e = g - y, the cost of a sample is the integral over time of
+    |e|^2 + |u|^2 / c^2 + near + touching, plus |e|^2 / c at its end. Where nothing is near, the linear attractor
+    u = c e minimises it. Noise shrinks with the distance from the target, so that the arm comes to rest there.
 
     Args:
-        arm: the arm, in its scene.
-        rate: control rate [Hz].
+        arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
         convergence_rate: c [1/s].
         options: options of the policy.
-        feedback: settings of the feedback from the measured joints; None for no feedback.
         seed: seed of the noise.
     """
 

@@ -1,10 +1,23 @@
-"""A certified network that takes a new target in any control period, and a new path where an obstacle moves in the way.
+"""A certified network along coded motions, which takes new targets and ways around moving obstacles at any time.
 
-It is a `CodedPolicy`, which has the proof. To a new target it goes straight if that is clear. Where something is in the
-way, on the path ahead or on the way to a new target, the arm slows down so as to rest before the first blocked sample,
-while RRT-Connect searches for a path from where it can rest. If there is none, the arm waits there, and the search is
-made again. Obstacles are where they were last seen, or where they will be soon if they go on as they move: that nothing
-touches is only checked, at samples of the path.
+With the universal network's time z, its field F, and the clock's rate r(t) of a coded motion, the visible state obeys
+
+    x_v' = p r(t) F_v(x) + k d (xi(q) - xi(q_r)),    x_h' = p r(t) F_h(x),    t' = p,
+
+with s, k and d of `feedback`, and a pace p <= s that keeps the joints' accelerations within their limits, both while
+speeding up and while slowing down. Another motion changes the code, that is the hidden state, and the bias. The visible
+state stays as it is, and the code is such that its velocity and acceleration do too (`transition`).
+
+What is proved: the certificate covers every code and every bias. After the last change, once the arm keeps up (s > 0
+and no pull) and need not rest (p > 0), x' = p r F(x) has the network's orbits, which all end at the target. That a
+transition keeps limits is only checked, at samples.
+
+Before a time t_r at which the arm must rest, p <= (2 c (t_r - t))^(1/2), with the deceleration c that limits allow.
+
+To a new target it goes straight if that is clear. Where something is in the way, on the path ahead or on the way to a
+new target, the arm slows down so as to rest before the first blocked sample, while RRT-Connect searches for a path from
+where it can rest. If there is none, the arm waits there, and the search is made again. Obstacles are where they were
+last seen, or where they soon will be as they move: that nothing touches is only checked, at samples of the path.
 """
 
 from __future__ import annotations
@@ -19,20 +32,26 @@ import numpy as np
 from scipy.interpolate import PPoly
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.transition import along, straight
-from lieednn_sim.policies.coded_policy import RESTS, CodedPolicy
-from lieednn_sim.policies.feedback import FEEDBACK, Feedback
+from lieednn_sim.planning.timed_path import TimedPath
+from lieednn_sim.planning.transition import JointState, along, straight, transition
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
+from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.surroundings import Surroundings, search_path
-from lieednn_sim.policies.task import PolicyTask
+from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
 
 # Configurations are one if they differ by less than this fraction of the ranges.
 _SAME = 1e-6
+# Below this pace the arm rests.
+_RESTS = 1e-3
+# Time in which the pace may fall to zero where no joint moves fast [s], and duration of the motion of rest at first.
+_SOONEST = 0.25
 
 
 @dataclass(frozen=True)
@@ -48,9 +67,6 @@ class ReplanningOptions(PlannerOptions):
             over then, so that results do not depend on the machine.
         at_once: take a new path as soon as it is there, and never wait for it: for real robots.
         search: options of RRT-Connect, which searches for new paths.
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     least_duration: float = 0.5
@@ -61,27 +77,36 @@ class ReplanningOptions(PlannerOptions):
     search: RrtConnectOptions = field(default=RrtConnectOptions(max_collision_checks=(20_000,), fastest=True))
 
 
-class ReplanningPolicy(CodedPolicy):
+class ReplanningPolicy(FeedbackPolicy):
     """A policy of one certified network, which plans again whenever the target or the obstacles move.
 
-    It logs ``changes``, the number of times it took a new code, and ``blocked``, which is 1 while a moving obstacle is
-    in the way.
+    It logs ``changes``, how often it took a new code, and ``blocked``, 1 while a moving obstacle is in the way.
 
     Args:
-        arm: the arm, in its scene.
-        rate: control rate [Hz].
+        arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
         motion: motion for the first target, from start to target; by default, and from elsewhere, it goes straight.
         options: settings.
-        feedback: settings of the feedback from the measured joints; None for no feedback.
         seed: seed of the searches.
+
+    Attributes:
+        network: the certified network with its present code and bias.
+        changes: number of codes taken since the reset.
+        course: the present motion.
+        time: time of the present motion [s].
+        rest_at: t_r, infinite while the arm need not rest.
+        pace: factor p of the last period.
 
     Raises:
         InputError: the motion is of another arm, or a value is malformed.
     """
 
-    channel_units: Mapping[str, str] = MappingProxyType(
-        {"pace": "1", "behind": "ranges", "changes": "1", "blocked": "1"}
-    )
+    certified = True
+    channel_units = MappingProxyType({**FeedbackPolicy.channel_units, "changes": "1", "blocked": "1"})
+    # Set with every motion taken: t_r, the network's time z, c, and the velocity of the motion itself.
+    rest_at: float
+    _z: float
+    _braking: float
+    _velocity: Floats
 
     def __init__(
         self,
@@ -98,12 +123,19 @@ class ReplanningPolicy(CodedPolicy):
             raise InputError(
                 f"the motion has {motion.q.shape[1]} joint coordinates, arm {arm.name!r} has {arm.n_joints}"
             )
+        self._encoder = CurveEncoder(arm.n_links)
         self._given, self._seed = motion, as_seed("seed", seed)
         self._options = ReplanningOptions() if options is None else options
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
         super().begin(q)
+        self._retraction = LocalRetraction(self.arm, q)
+        self.drawn, self._waiting, self._pace_rate = q, 1.0, 0.0
+        rest = JointState(q, np.zeros_like(q), np.zeros_like(q))
+        stay = transition(self.arm, rest, straight(self.arm, q, q, _SOONEST))
+        self.changes = -1
+        self._follow(TimedPath(self.arm, self._encoder, stay, self.arm.encode(q)))
         self._surroundings = Surroundings(self.arm, 0.5 * self._options.margin)
         self._periods = self._searches = 0
         self._goal: Floats | None = None
@@ -122,7 +154,7 @@ class ReplanningPolicy(CodedPolicy):
         """See `Policy`."""
         if math.isinf(self.rest_at):
             return super().message
-        does = "waits" if self.pace < RESTS else "slows down"
+        does = "waits" if self.pace < _RESTS else "slows down"
         why = f" for {self._blocker!r}" if self._blocker else " to turn"
         return f"{does}{why}{f'; {self._reason}' if self._reason else ''}"
 
@@ -130,8 +162,86 @@ class ReplanningPolicy(CodedPolicy):
         """See `Policy`."""
         return np.array([self.pace, self.behind, self.changes, math.isfinite(self._blocked_at)])
 
-    def decide(self, target: Floats) -> None:
-        """See `CodedPolicy`; unchecked."""
+    # How it goes along its present motion.
+
+    @property
+    def state(self) -> Floats:
+        """``(N, 6)`` state of the visible neurons, one for each link."""
+        return self.course.state.x.reshape(-1, 6)
+
+    def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
+        """See `Policy`; unchecked."""
+        self._decide(target)
+        self._waiting, pulled = self._listen(measured, self.drawn)
+        pull, pull_rate = pulled or (0.0, np.zeros_like(self.drawn))
+        course, ahead = self.course, self.rest_at - self.time
+        wish = self._waiting * min(1.0, math.sqrt(2.0 * self._braking * max(ahead, 0.0)))
+        guess = self._within_acceleration(wish, pull_rate)
+        self.time += 0.5 * self.period * (self.pace + guess)
+        z, rate = course.clock(self.time)
+        course.state.x = course.state.x + self.period * pull
+        course.state.advance(z - self._z)
+        self._z = z
+        self._retraction.q = self.drawn + self.period * (guess * self._velocity + pull_rate)
+        drawn, slope = self._retraction(course.state.x.reshape(-1, 6), course.state.flow.reshape(-1, 6))
+        self._velocity = rate * slope
+        pace = self._within_acceleration(wish, pull_rate)
+        desired = pace * self._velocity + pull_rate
+        slower = 1.0 / max(1.0, float((np.abs(desired) / self.allowed()).max()))
+        self._limited = slower * pace < 0.99 * self._waiting
+        self._pace_rate, self.pace = (slower * pace - self.pace) / self.period, slower * pace
+        self.drawn, inside = drawn, self._within_limits(drawn)
+        return inside, np.where(inside == drawn, slower * desired, 0.0)
+
+    def _within_acceleration(self, wish: float, extra: Floats) -> float:
+        """The pace nearest to a wish with which no joint's velocity changes by more than its limit in a period."""
+        most, change, velocity = 0.85 * self._max_gain, extra - self.qd, self._velocity
+        moving = np.abs(velocity) > 1e-9
+        ends = (np.array([-most, most]) - change)[:, moving] / velocity[moving]
+        low = float(ends.min(axis=0).max(initial=0.0))
+        high = float(ends.max(axis=0).min(initial=math.inf))
+        # Where no pace keeps all limits, since the arm is pulled, one between those that keep some of them.
+        return max(min(wish, max(low, high)), min(low, high, self._waiting))
+
+    def take(self, base: PPoly, clear: Callable[[Floats], str | None]) -> None:
+        """Turn to a base motion, see `transition`; raises `PlanError` if there is no clear transition or no code."""
+        # The state of the joints in the time of a motion that begins now, at this pace.
+        pace = max(self._waiting, self.pace, _RESTS)
+        ratio = self.pace / pace
+        _, _, bend = self.course.transition(np.array([self.time]))
+        most = 0.5 * self.arm.acceleration_limits
+        qdd = ratio**2 * bend[0] + self._pace_rate / pace**2 * self._velocity
+        now = JointState(self.drawn, ratio * self._velocity, np.clip(qdd, -most, most))
+        result = transition(self.arm, now, base, clear)
+        try:
+            course = TimedPath(self.arm, self._encoder, result, self.state)
+        except InputError as error:
+            raise PlanError(f"the network cannot follow the motion: {error}") from None
+        self.pace, self._pace_rate = pace, 0.0
+        self._follow(course)
+
+    @property
+    def stopping(self) -> float:
+        """How far the present motion goes on, in its time, until the arm can rest [s]."""
+        return self.pace**2 / (2.0 * self._braking)
+
+    def _follow(self, course: TimedPath) -> None:
+        """Follow a course from its beginning."""
+        self.course, self.network = course, course.network
+        self.time, self._z, self.rest_at = 0.0, 0.0, math.inf
+        self.changes += 1
+        _, rate = course.clock(0.0)
+        _, slope = self._retraction(self.state, course.state.flow.reshape(-1, 6))
+        self._velocity = rate * slope
+        _, qd, _ = course.transition(np.linspace(0.0, course.transition.duration, 64))
+        swift = np.abs(qd).max(axis=0) / self.arm.acceleration_limits
+        # The pace falls by a fraction of the accelerations' limits.
+        self._braking = 0.35 / max(float(swift.max()), 0.35 * _SOONEST)
+
+    # Where it goes.
+
+    def _decide(self, target: Floats) -> None:
+        """Take another motion, or set when to rest, as the target ``(n,)`` requires; in each period."""
         self._surroundings.leave(self.drawn)
         if target is not self._goal:
             self._goal, self._search, self._path, self._reason = target, None, None, ""
@@ -213,7 +323,7 @@ class ReplanningPolicy(CodedPolicy):
                 self._turn_to(path)
                 self._path = None
         except PlanError as error:
-            self._reason, passable = str(error), self.pace > RESTS
+            self._reason, passable = str(error), self.pace > _RESTS
         # A moving arm slows down, and tries again; otherwise only another path may help.
         if not passable:
             self._path = None

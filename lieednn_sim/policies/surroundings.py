@@ -25,13 +25,8 @@ from lieednn_sim.values import Floats
 class Surroundings:
     """The arm's scene with moving obstacles at their last known places.
 
-    Args:
-        arm: the arm, in its scene.
-        margin: distance from a moving obstacle below which it is in the way [m]. Everything else is in the way if it is
-            nearer than the arm's clearance.
-
-    Attributes:
-        places: positions ``(3,)`` of the moving obstacles' bodies, by name; empty before any was seen.
+    A moving obstacle is in the way if it is nearer than the margin [m], everything else if nearer than the arm's
+    clearance. Positions ``(3,)`` of the moving obstacles' bodies are in `places`, by name; empty before any was seen.
     """
 
     def __init__(self, arm: Arm, margin: float) -> None:
@@ -53,12 +48,7 @@ class Surroundings:
             finder.move(self.places)
 
     def blocked(self, q: Floats, *, only_moving: bool = False) -> tuple[int, str] | None:
-        """Index of the first of the configurations ``(K, n)`` at which something is in the way, and its body's name.
-
-        Args:
-            q: configurations.
-            only_moving: look at moving obstacles alone.
-        """
+        """Index of the first of the configurations ``(K, n)`` at which something is in the way, and its body's name."""
         finders = [each for each in (None if only_moving else self._all, self._near) if each is not None]
         for index, qpos in enumerate(self._arm.qpos(q)):
             for finder in finders:
@@ -109,43 +99,29 @@ def search_path(
 ) -> Future[Motion]:
     """Search for a path by RRT-Connect in a thread of its own; the result depends on the arguments alone.
 
-    Args:
-        arm: the arm, in its scene.
-        places: where the moving obstacles are.
-        ends: start and target ``(n,)``.
-        margin: distance to keep from moving obstacles where start and target allow it [m].
-        options: options of the search.
-        seed: its seed.
-
-    Returns:
-        The motion; asked for its result, it raises `LieEDNNError` if there is no path, or OMPL is not installed.
+    It keeps the margin [m] from moving obstacles, in their places, where its ends, start and target ``(n,)``, allow it.
+    Asked for its result, the motion raises `LieEDNNError` if there is no path, or OMPL is not installed.
     """
-    return _worker(os.getpid()).submit(_path, arm, dict(places), ends, margin, options, seed)
+    seen = dict(places)
+
+    def search() -> Motion:
+        refused: InputError | None = None
+        # With less of the margin where start or target are nearer than that.
+        for share in (1.0, 0.5, 0.0):
+            there = arm.with_moved_bodies(seen, share * margin)
+            try:
+                # Nearly every motion needs more than this, and gets it.
+                problem = PlanningProblem(there, *ends, duration=0.5, seed=seed, max_time_scale=100.0)
+            except InputError as error:
+                refused = error
+                continue
+            return rrt_connect(problem, options)
+        raise PlanError(str(refused))
+
+    return _worker(os.getpid()).submit(search)
 
 
 @cache
 def _worker(_: int) -> ThreadPoolExecutor:
     # One for each process, since threads do not survive a fork; one thread, since OMPL's random numbers are global.
     return ThreadPoolExecutor(1, "replanning")
-
-
-def _path(
-    arm: Arm,
-    places: dict[str, Floats],
-    ends: tuple[Floats, Floats],
-    margin: float,
-    options: RrtConnectOptions,
-    seed: int,
-) -> Motion:
-    refused: InputError | None = None
-    # With less of the margin where start or target are nearer than that.
-    for share in (1.0, 0.5, 0.0):
-        there = arm.with_moved_bodies(places, share * margin)
-        try:
-            # Nearly every motion needs more than this, and gets it.
-            problem = PlanningProblem(there, *ends, duration=0.5, seed=seed, max_time_scale=100.0)
-        except InputError as error:
-            refused = error
-            continue
-        return rrt_connect(problem, options)
-    raise PlanError(str(refused))

@@ -21,9 +21,7 @@ from lieednn_sim.errors import RenderingUnavailableError
 
 # What MuJoCo and dm_control understand; MuJoCo ignores case and blanks, dm_control does not.
 _SYNONYMS: Mapping[str, str] = {
-    "egl": "egl",
-    "osmesa": "osmesa",
-    "cgl": "cgl",
+    **{name: name for name in ("egl", "osmesa", "cgl")},
     **dict.fromkeys(("glfw", "glx", "wgl", "enable", "enabled", "on", "true", "1"), "glfw"),
     **dict.fromkeys(("disable", "disabled", "off", "false", "0"), "disable"),
 }
@@ -95,8 +93,7 @@ def choose_backend() -> Backend:
     """Find a backend that works by trying each once, without importing MuJoCo or changing the environment.
 
     The user's own ``MUJOCO_GL`` is taken if it works. If not, the result is ``disable`` rather than another backend,
-    and ``detail`` says why. Without it the order is EGL, OSMesa on Linux; CGL, GLFW on macOS; GLFW elsewhere; and
-    last ``disable``.
+    and ``detail`` says why. Unset, the order is EGL, OSMesa on Linux; CGL, GLFW on macOS; else GLFW; last ``disable``.
     """
     try:
         inherited = Backend(**json.loads(os.environ[_INHERITED]))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,23 +22,18 @@ PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
 TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
 # Radii of the paths [m]; the travelled one is thicker, since it usually covers the planned one.
 PLANNED_RADIUS, TRACED_RADIUS = 0.008, 0.011
+_font = functools.cache(ImageFont.load_default)
 # Position and orientation of a geom before its ends are known.
 _NOWHERE, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 
 
 @frozen
 class Overlay:
-    """Geometry to add to each frame.
+    """Geometry to add to each frame."""
 
-    Attributes:
-        planned_frames: ``(K, N, 4, 4)`` planned link frames, the last one being the end effector.
-        traced_tip: ``(K, 3)`` simulated end effector positions.
-        scale: scale of lengths and widths, 1 for an arm of two metres.
-    """
-
-    planned_frames: Floats
-    traced_tip: Floats
-    scale: float = 1.0
+    planned_frames: Floats  # (K, N, 4, 4) planned link frames, the last one being the end effector
+    traced_tip: Floats  # (K, 3) simulated end effector positions
+    scale: float = 1.0  # of lengths and widths, 1 for an arm of two metres
 
     @classmethod
     def of(cls, rollout: Rollout, scale: float) -> Overlay:
@@ -116,8 +110,3 @@ def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.
         draw.text((x + 1.6 * size, y), text, font=font, fill=_INK)
         x += font.getlength(text) + 3.0 * size
     return np.asarray(picture)
-
-
-@functools.cache
-def _font(size: int) -> Any:
-    return ImageFont.load_default(size)

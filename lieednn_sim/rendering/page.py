@@ -1,26 +1,38 @@
-"""Pages that show a motion in 3D: one HTML file that opens without a network, to play, scrub and turn."""
+"""Pages that show a motion in 3D: one HTML file that opens without a network, to play, scrub and turn.
+
+A page has viser's player and a recording, of one arm or of several side by side that share their geometry.
+"""
 
 from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
+from itertools import product
 from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from lieednn_sim import io
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import optional_module
-from lieednn_sim.rendering import scene_setup
-from lieednn_sim.rendering.overlay import KEY
-from lieednn_sim.rendering.recording import record
+from lieednn_sim.rendering import scene_setup, viser_scene
+from lieednn_sim.rendering.overlay import KEY, PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
 from lieednn_sim.rendering.video import check_camera
+from lieednn_sim.rendering.viser_scene import Shapes, add_path, segments
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path
+from lieednn_sim.values import Floats
 
 __all__ = ["render_page"]
 
+_RATE = 25  # poses per second
+_WIDE = 16.0 / 9.0  # widest picture that a view is made for: width / height
+_MARGIN = 1.2  # room around what a view contains, as a factor
 # viser's player fills the window below a caption, and on narrow screens is no higher than what it shows is wide.
 _STYLE = """<style>
 body { display: flex; flex-direction: column; background: #fff; color: #1c1f23; }
@@ -32,16 +44,9 @@ header i { display: inline-block; width: 1.3em; height: .3em; margin-right: .45e
 
 
 def player(recording: str, *, title: str = "Motion", style: str = "", header: str = "") -> str:
-    """A page with viser's player.
+    """A page with viser's player, the HTML ``header`` above it, and the HTML ``style`` in its head.
 
-    Args:
-        recording: a recording in base64, or what a script replaces by one.
-        title: the page's title.
-        style: HTML for its head.
-        header: HTML above the player.
-
-    Raises:
-        LieEDNNError: viser is not installed.
+    The recording is in base64, or what a script replaces by it. `LieEDNNError` if viser is not installed.
     """
     viser = optional_module("viser")
     page = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8")
@@ -85,14 +90,15 @@ def render_page(
         raise InputError(f"a page's name must end in .html, got {Path(path).name!r}")
     check_camera(rollout.arm, camera)
     recording = record([rollout], camera=camera, progress=progress)
-    texts = [f"<b>{escape(scene_setup.place(rollout.arm))}</b>"]
-    texts += [escape(word) for word in (title, rollout.controller, _duration(rollout)) if word]
+    place, rest = scene_setup.place(rollout.arm), f", then {rollout.hold:.2f} s at rest" if rollout.hold > 0.005 else ""
+    texts = [f"<b>{escape(place)}</b>"]
+    texts += [escape(word) for word in (title, rollout.controller, f"{rollout.motion_end:.2f} s{rest}") if word]
     for (red, green, blue, _), word in KEY:
         colour = f"rgb({255 * red:.0f} {255 * green:.0f} {255 * blue:.0f})"
         texts.append(f'<i style="background:{colour}"></i>{word} path')
     page = player(
         base64.b64encode(recording.content).decode("ascii"),
-        title=f"{title or 'Motion'} on {scene_setup.place(rollout.arm)}",
+        title=f"{title or 'Motion'} on {place}",
         style=_STYLE.replace("RATIO", f"{recording.ratio:.3f}"),
         header="<header>" + "".join(f"<span>{text}</span>" for text in texts) + "</header>",
     )
@@ -100,9 +106,120 @@ def render_page(
         stream.write(page)
 
 
-def _duration(rollout: Rollout) -> str:
-    held = rollout.hold
-    return f"{rollout.motion_end:.2f} s" + (f", then {held:.2f} s at rest" if held > 0.005 else "")
+class Recording(NamedTuple):
+    """Motions for viser's player.
+
+    Attributes:
+        content: the recording, a ``.viser`` file.
+        ratio: least width / height of the picture in which all is seen, 1 to 16/9.
+    """
+
+    content: bytes
+    ratio: float
+
+
+def record(
+    rollouts: Sequence[Rollout],
+    labels: Sequence[str] = (),
+    *,
+    camera: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Recording:
+    """Record rollouts of one arm on one clock.
+
+    A single one is seen from the camera of its film; several stand in a row, seen from the same direction. Each has its
+    target, the planned path, the path that the end effector has travelled so far, and a label above it, if there are
+    some. Camera and progress are as for `render_page`.
+
+    Raises:
+        InputError: the rollouts are of several arms or scenes, or the labels are not as many.
+        LieEDNNError: viser is not installed.
+    """
+    if not rollouts or len({rollout.arm.fingerprint for rollout in rollouts}) > 1:
+        raise InputError("rollouts side by side must be of one arm in one scene, and there must be one at least")
+    if labels and len(labels) != len(rollouts):
+        raise InputError(f"labels must be one for each of {len(rollouts)} rollouts, got {len(labels)}")
+    arm = rollouts[0].arm
+    points = np.vstack([scene_setup.occupied(rollout) for rollout in rollouts])
+    model, marker = scene_setup.staged(arm, points)
+    shapes = Shapes(model)
+    home = kinematics_at(model, rollouts[0].qpos[0])
+    view = viser_scene.viewpoint(model, home, scene_setup.camera(arm, camera, points), points)
+    offsets, ratio = np.zeros((1, 3)), float(np.clip(_MARGIN * view.ratio(points), 1.0, _WIDE))
+    held = np.vstack([points, *map(_corners, (points, shapes.extent))])
+    if len(rollouts) > 1:
+        right = view.axes[0] * [1.0, 1.0, 0.0]
+        right /= np.linalg.norm(right)
+        # A tenth of its width is left free between one arm and the next.
+        spacing = 1.1 * float(np.ptp(held @ right))
+        offsets = np.outer(np.arange(len(rollouts)) * spacing, right)
+        there = (held + offsets[:, None]).reshape(-1, 3)
+        # Narrow, so that all are seen from the same side.
+        view = viser_scene.Viewpoint(view.position, view.look_at, np.deg2rad(30.0)).back_off(there, _WIDE)
+        ratio = _WIDE
+    with viser_scene.quiet_server() as server:
+        view.place(server)
+        viser_scene.add_floor(server.scene, shapes)
+        scale = scene_setup.scale(arm, points)
+        copies = [
+            _Copy(server.scene, shapes, marker, rollout, f"/{k}", offset, scale)
+            for k, (rollout, offset) in enumerate(zip(rollouts, offsets, strict=True))
+        ]
+        for offset, label in zip(offsets, labels, strict=False):
+            top = np.append(0.5 * (held.min(axis=0) + held.max(axis=0))[:2], _MARGIN * held[:, 2].max())
+            size = {"font_size_mode": "scene", "font_scene_height": spacing / 16.0} if len(rollouts) > 1 else {}
+            server.scene.add_label(f"/label {label}", label, position=top + offset, anchor="bottom-center", **size)
+        recording = server.get_scene_serializer()
+        total = 1 + int(max(rollout.t[-1] - rollout.t[0] for rollout in rollouts) * _RATE + 1e-6)
+        for done in range(total):
+            for copy in copies:
+                copy.show(done / _RATE)
+            recording.insert_sleep(1.0 / _RATE)
+            if progress is not None:
+                progress(done + 1, total)
+        return Recording(recording.serialize(), ratio)
+
+
+class _Copy:
+    """One rollout's arm, target and paths, a translation of those in the model."""
+
+    def __init__(
+        self, scene: Any, shapes: Shapes, marker: int, rollout: Rollout, name: str, offset: Floats, scale: float
+    ) -> None:
+        self._rollout, self._nodes = rollout, viser_scene.ModelNodes(scene, shapes, name, offset=offset)
+        self._way = rollout.link_position[:, -1]
+        self._data = mujoco.MjData(shapes.model)
+        scene_setup.mark(rollout.arm, self._data, marker, rollout.target)
+        self._samples = np.unique(np.linspace(0, len(rollout.t) - 1, 101, dtype=int))
+        self._plan = scene_setup.planned_frames(rollout)[self._samples, -1, :3, 3]
+        off = np.linalg.norm(self._plan - self._way[self._samples], axis=1)
+        self._followed = off < scale * TRACED_RADIUS
+        self._planned = add_path(scene, f"{name}/planned", self._plan, PLANNED_COLOUR, scale * PLANNED_RADIUS)
+        self._tip = [self._way[0]]
+        blank = np.repeat(self._tip, 2, axis=0)
+        self._travelled = add_path(scene, f"{name}/travelled", blank, TRACED_COLOUR, scale * TRACED_RADIUS)
+
+    def show(self, time: float) -> None:
+        """Move to a time [s] after the beginning, or to the end."""
+        rollout = self._rollout
+        k = min(round(time / rollout.timestep), len(rollout.t) - 1)
+        self._data.qpos[:] = rollout.qpos[k]
+        mujoco.mj_kinematics(self._nodes.model, self._data)
+        self._nodes.show(self._data)
+        tip = self._way[k]
+        if np.linalg.norm(tip - self._tip[-1]) > 1e-3:
+            self._tip.append(tip)
+            self._travelled.points = segments(np.array(self._tip))
+            # What the travelled path covers is left out: at the same depth the two lines would flicker.
+            covered = self._followed & (self._samples <= k)
+            self._planned.points = segments(self._plan)[~(covered[:-1] & covered[1:])]
+
+
+def _corners(points: Floats) -> Floats:
+    """The corners ``(8, 3)`` of the box around points ``(P, 3)``; none without points."""
+    if not len(points):
+        return points
+    return np.array(list(product(*zip(points.min(axis=0), points.max(axis=0), strict=True))))
 
 
 typecheck_public(globals())

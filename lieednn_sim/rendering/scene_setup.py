@@ -35,20 +35,15 @@ def planned_frames(run: Rollout) -> Floats:
 def occupied(run: Rollout) -> Floats:
     """Points ``(P, 3)`` that a picture must contain: the base, the target, and all that the links pass.
 
-    In the model of a view, which may hold more than an arm, it is what moves, and the bodies that carry the end
-    effector.
+    In the model of a view, which may hold more than an arm, these are around the geoms of what moves by a millimetre at
+    some instants, and of the bodies that carry the end effector.
     """
-    if run.arm.state is not None:
-        return _occupied_in(run)
-    ends = [run.arm.base.translation, run.arm.link_poses(run.target).translation[-1]]
-    return np.vstack([*ends, run.link_position.reshape(-1, 3)])
-
-
-def _occupied_in(run: Rollout) -> Floats:
-    """Points around the geoms of the bodies in question, at some instants; what moves by a millimetre counts."""
-    model, data = run.arm.model, mujoco.MjData(run.arm.model)
-    shown = np.zeros(model.ngeom, dtype=bool)
-    body = int(run.arm.frames.bodies[-1])
+    arm, model = run.arm, run.arm.model
+    if arm.state is None:
+        ends = [arm.base.translation, arm.link_poses(run.target).translation[-1]]
+        return np.vstack([*ends, run.link_position.reshape(-1, 3)])
+    data, shown = mujoco.MjData(model), np.zeros(model.ngeom, dtype=bool)
+    body = int(arm.frames.bodies[-1])
     while body > 0:
         shown |= model.geom_bodyid == body
         body = int(model.body_parentid[body])
@@ -85,13 +80,23 @@ def cameras(arm: Arm) -> list[str]:
 
 
 def camera(arm: Arm, name: str | None, points: Floats) -> mujoco.MjvCamera:
-    """A camera of the scene by its name; by default ``overview`` if there is one, else one that frames the points."""
+    """A camera of the scene by its name; by default ``overview`` if there is one, else one that frames the points.
+
+    That one has room for a hand beyond the points ``(P, 3)``, unless the arm is a view.
+    """
     name = name or (_OVERVIEW if _OVERVIEW in cameras(arm) else None)
-    if name is None:
-        return framing(arm, points)
-    fixed = mujoco.MjvCamera()
-    fixed.type, fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, arm.model.camera(name).id
-    return fixed
+    result = mujoco.MjvCamera()
+    if name is not None:
+        result.type, result.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, arm.model.camera(name).id
+        return result
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radius = 1.15 * float(np.linalg.norm(points - centre, axis=1).max())
+    radius += _hand(arm) if arm.state is None else 0.0
+    result.type = mujoco.mjtCamera.mjCAMERA_FREE
+    result.lookat[:] = centre
+    result.distance = radius / np.sin(0.5 * np.deg2rad(arm.model.vis.global_.fovy))
+    result.azimuth, result.elevation = 125.0, -20.0
+    return result
 
 
 def scale(arm: Arm, points: Floats) -> float:
@@ -99,27 +104,11 @@ def scale(arm: Arm, points: Floats) -> float:
     return 1.0 if _OVERVIEW in cameras(arm) else min(1.0, float(np.linalg.norm(np.ptp(points, axis=0))) / 1.3)
 
 
-def framing(arm: Arm, points: Floats) -> mujoco.MjvCamera:
-    """A camera that frames the points ``(P, 3)`` of an arm, with room for a hand beyond them unless it is a view."""
-    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    radius = 1.15 * float(np.linalg.norm(points - centre, axis=1).max())
-    radius += _hand(arm) if arm.state is None else 0.0
-    camera = mujoco.MjvCamera()
-    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.lookat[:] = centre
-    camera.distance = radius / np.sin(0.5 * np.deg2rad(arm.model.vis.global_.fovy))
-    camera.azimuth, camera.elevation = 125.0, -20.0
-    return camera
-
-
 def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     """A copy of the arm's model, completed for rendering, and the mocap id of its target marker.
 
-    That of a view gets no marker, and a brighter headlight if it has no other lights.
-
-    Args:
-        arm: the arm; joints and their order are the same in the copy.
-        points: ``(P, 3)`` points that determine the size of the marker.
+    Joints and their order are the same in the copy. The points ``(P, 3)`` determine the size of the marker. The model
+    of a view gets no marker, and a brighter headlight if it has no other lights.
     """
     model = arm.model
     if arm.spec is None:
@@ -144,15 +133,9 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
         light = spec.worldbody.add_light(pos=-4.0 * np.array(direction), dir=direction, castshadow=shadow)
         light.type, light.diffuse = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, [diffuse] * 3
     if not (model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any():
-        spec.add_texture(
-            name=unused("sky", names),
-            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-            rgb1=[0.26, 0.44, 0.68],
-            rgb2=[0.90, 0.93, 0.95],
-            width=256,
-            height=1536,
-        )
+        sky = {"type": mujoco.mjtTexture.mjTEXTURE_SKYBOX, "builtin": mujoco.mjtBuiltin.mjBUILTIN_GRADIENT}
+        look = {"rgb1": [0.26, 0.44, 0.68], "rgb2": [0.90, 0.93, 0.95], "width": 256, "height": 1536}
+        spec.add_texture(name=unused("sky", names), **sky, **look)
     name = "target" if marked else unused("target", names)
     # Colours of the target marker: the ball, and the axes in it.
     glass = (0.08, 0.75, 0.70, 0.35)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from pathlib import Path
 
@@ -61,9 +62,7 @@ def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset
     overlay = Overlay.of(rollout, scene_setup.scale(rollout.arm, points))
     moving = (model.body_weldid[model.geom_bodyid] != 0) & (model.body_mocapid[model.geom_bodyid] < 0)
     chosen = instants(overlay.traced_tip, len(OPACITIES))
-
-    def draw(scene: mujoco.MjvScene) -> None:
-        overlay.draw_paths(scene, len(rollout.t) - 1)
+    draw = functools.partial(overlay.draw_paths, k=len(rollout.t) - 1)
 
     def draw_without_arm(scene: mujoco.MjvScene) -> None:
         # Where no camera and no light sees what is put there [m].
@@ -85,10 +84,7 @@ def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset
 
 
 def instants(path: Floats, count: int) -> list[int]:
-    """Indices of ``count`` samples that divide a path ``(K, 3)`` into equal lengths, from the first to its end.
-
-    If the path has no length, they are at equal times.
-    """
+    """Indices of ``count`` samples that divide a path ``(K, 3)`` into equal lengths, or times if it has no length."""
     travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     if travelled[-1] < 1e-6:
         travelled = np.linspace(0.0, 1.0, len(path))

@@ -5,11 +5,16 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import subprocess
+import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
+import imageio_ffmpeg
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image as Picture
@@ -18,7 +23,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.io import atomic_path
-from lieednn_sim.rendering import ffmpeg, opengl, scene_setup
+from lieednn_sim.rendering import opengl, scene_setup
 from lieednn_sim.rendering.overlay import Overlay, write_caption
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
@@ -80,8 +85,7 @@ class Camera:
         camera: name of a camera of its scene; by default ``overview`` if there is one, else a view of ``points``.
         size: (width, height) in pixels, both even, at most 3840x2160.
         preset: a name of `PRESETS`.
-        target: joint target ``(n,)`` for the marker, the scene's own or an added one (`scene_setup.staged`); a view has
-            no marker.
+        target: joint target ``(n,)`` for the marker, the scene's own or an added one; a view has no marker.
         points: points ``(P, 3)`` that the view must contain; by default those of `scene_setup.reached`.
 
     Raises:
@@ -159,10 +163,8 @@ def render_video(
 ) -> int:
     """Render a video of a rollout, with planned link frames and the end effector's path drawn over the arm.
 
-    Frame k shows the time k / fps.
-
-    A caption in a corner has the time, the names of arm, scene and controller, and a colour legend. The model of
-    a view is shown as it is, with all that moves in it, and the caption names the step of a sequence.
+    Frame k shows the time k / fps. A caption in a corner has the time, the names of arm, scene and controller, and a
+    colour legend. The model of a view is shown as it is, with all that moves; the caption names a sequence's step.
 
     Args:
         rollout: the rollout, whose target the marker shows.
@@ -192,9 +194,8 @@ def render_video(
         with _writer(temporary, size, rate) as append, ThreadPoolExecutor(1) as encoder:
 
             def write(picture: Image, now: float) -> None:
-                append(
-                    write_caption(picture, [*names, *scene_setup.caption(rollout, now), f"{now:.2f} s of {end:.2f} s"])
-                )
+                lines = [*names, *scene_setup.caption(rollout, now), f"{now:.2f} s of {end:.2f} s"]
+                append(write_caption(picture, lines))
 
             written: Future[None] | None = None
             for done, k in enumerate(samples, start=1):
@@ -213,7 +214,7 @@ def render_video(
 def _check_complete(path: Path, total: int) -> None:
     """Check that a video is readable: a disk that fills up with the last frame goes unnoticed by the encoder."""
     if path.suffix == ".mp4":
-        frames = ffmpeg.count_frames(path)
+        frames = count_frames(path)
         if frames != total:
             raise FileError(f"cannot write the video: {frames} of {total} frames arrived; is the disk full?")
 
@@ -221,12 +222,75 @@ def _check_complete(path: Path, total: int) -> None:
 @contextlib.contextmanager
 def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[Image], None]]:
     if path.suffix == ".mp4":
-        with ffmpeg.mp4_writer(path, size, fps) as append:
+        with mp4_writer(path, size, fps) as append:
             yield append
         return
     pictures: list[Picture.Image] = []
     yield lambda image: pictures.append(Picture.fromarray(image).quantize())
     pictures[0].save(path, format="GIF", save_all=True, append_images=pictures[1:], duration=1000.0 / fps, loop=0)
+
+
+@contextlib.contextmanager
+def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[Image], None]]:
+    """Yield a function that appends an RGB picture ``(height, width, 3)``; the file is complete after the block.
+
+    An existing file is overwritten, and a failing block leaves it unfinished. Width and height must be even. ffmpeg is
+    a child process that always ends, with its pipes closed, when the block does: imageio's own writer and reader leave
+    a stopped one running, and its reader gives up after ten seconds, which a busy machine may need.
+
+    Raises:
+        FileError: the encoder stopped; the message has its first line of output.
+    """
+    width, height = size
+    command = ["-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+    command += ["-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"]
+    crf = 10  # constant rate factor of H.264, 0 to 51: nearly lossless
+    command += ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", str(crf), "-preset", "veryfast"]
+    command += ["-movflags", "+faststart", str(path)]
+    with tempfile.TemporaryFile() as words:
+        streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": words}
+        try:
+            # In its own session, so that Ctrl-C does not reach it.
+            encoder = subprocess.Popen([imageio_ffmpeg.get_ffmpeg_exe(), *command], start_new_session=True, **streams)
+        except (OSError, RuntimeError) as error:
+            raise FileError(
+                f"cannot run ffmpeg: {error}; unset IMAGEIO_FFMPEG_EXE to use the bundled one, or write a .gif"
+            ) from None
+        assert encoder.stdin is not None
+        frames = encoder.stdin
+
+        def stopped() -> FileError:
+            words.seek(0)
+            lines = words.read().decode(errors="replace").strip().splitlines()
+            reason = lines[0] if lines else f"status {encoder.wait()}"
+            return FileError(f"cannot write the video, the encoder stopped ({reason}); is the disk full?")
+
+        def append(picture: Image) -> None:
+            try:
+                frames.write(np.ascontiguousarray(picture).data)
+            except OSError:  # on Windows not a broken pipe, but an invalid argument
+                encoder.wait()
+                raise stopped() from None
+
+        try:
+            yield append
+            with contextlib.suppress(OSError):
+                frames.close()
+            if encoder.wait() != 0:
+                raise stopped()
+        finally:
+            encoder.kill()
+            encoder.wait()
+            with contextlib.suppress(OSError):
+                frames.close()
+
+
+def count_frames(path: Path) -> int:
+    """Number of readable frames of a video; 0 if it cannot be read."""
+    try:
+        return int(imageio_ffmpeg.count_frames_and_secs(str(path))[0])
+    except (OSError, RuntimeError):
+        return 0
 
 
 typecheck_public(globals())

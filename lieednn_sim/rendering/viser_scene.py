@@ -8,13 +8,12 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats, frozen
 
@@ -28,11 +27,7 @@ _FLOOR, _FLOOR_CELL = (158, 162, 168), 0.5
 
 @contextlib.contextmanager
 def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
-    """A `viser.ViserServer` without its messages, by default at a free port of this machine.
-
-    Raises:
-        LieEDNNError: viser is not installed.
-    """
+    """A `viser.ViserServer` without its messages, by default at a free port; `LieEDNNError` if viser is not there."""
     viser = optional_module("viser")
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, verbose=False)
@@ -43,57 +38,46 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
             server.stop()
 
 
-@dataclass(frozen=True)
-class Shape:
-    """Surfaces of one colour, or one textured surface, of a body, in the frame of the body.
+class Shape(NamedTuple):
+    """Surfaces of one colour, or one textured surface, of a body, in the frame of the body."""
 
-    Attributes:
-        body: id of the body.
-        mesh: a `trimesh.Trimesh`.
-        rgba: its colour, four numbers from 0 to 1; None where the mesh has a texture.
-    """
-
-    body: int
-    mesh: Any
-    rgba: tuple[float, ...] | None
+    body: int  # its id
+    mesh: Any  # a `trimesh.Trimesh`
+    rgba: tuple[float, ...] | None  # four numbers from 0 to 1; None where the mesh has a texture
 
 
 class Shapes:
-    """The geometry of a model that a film shows: groups, colours and transparency are as MuJoCo renders them.
-
-    Args:
-        model: the model; its planes are floors of unlimited size.
-
-    Attributes:
-        shapes: surfaces of all bodies.
-        floors: ids of the geoms that are planes.
-        tendons: ids of the tendons by their colour, four numbers from 0 to 1, and radius [m].
-        extent: ``(2, 3)`` smallest and largest coordinates of what does not move, without the floors; ``(0, 3)`` if
-            there is nothing.
-    """
+    """The geometry of a model that a film shows: groups, colours and transparency are as MuJoCo renders them."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         conversions, trimesh_graph = optional_module("mjviser.conversions"), optional_module("trimesh.graph")
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
+        data = kinematics_at(model, model.qpos0)
         _find_tendons(model, data)
-        self.model, self.shapes, self.floors = model, [], []
+        self.model = model
+        self.shapes: list[Shape] = []
+        # Ids of planes, which are floors of unlimited size, and of tendons by their colour and radius [m].
+        self.floors: list[int] = []
         self.tendons: dict[tuple[tuple[float, ...], float], list[int]] = {}
         parts: dict[tuple[int, tuple[float, ...] | None, int], list[int]] = {}
-        for geom in _drawn(model, data):
+        # As MuJoCo would render them, with colours resolved from materials.
+        scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + 1000)
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
+        for geom in scene.geoms[: scene.ngeom]:
+            number, colour = int(geom.objid), tuple(np.round(geom.rgba.astype(float), 3))
+            if geom.rgba[3] <= 0.0 or geom.objtype not in (mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOBJ_TENDON):
+                continue
             if geom.objtype == mujoco.mjtObj.mjOBJ_TENDON:
-                look = tuple(np.round(geom.rgba.astype(float), 3)), float(geom.size[0])
-                alike = self.tendons.setdefault(look, [])
+                alike = self.tendons.setdefault((colour, float(geom.size[0])), [])
                 # A tendon is drawn in pieces.
-                if int(geom.objid) not in alike:
-                    alike.append(int(geom.objid))
-                continue
-            if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
-                self.floors.append(int(geom.objid))
-                continue
-            texture = conversions.get_geom_texture_id(model, geom.objid)
-            rgba = tuple(np.round(geom.rgba.astype(float), 3)) if texture < 0 else None
-            parts.setdefault((int(model.geom_bodyid[geom.objid]), rgba, texture), []).append(int(geom.objid))
+                if number not in alike:
+                    alike.append(number)
+            elif geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+                self.floors.append(number)
+            else:
+                texture = conversions.get_geom_texture_id(model, number)
+                look = int(model.geom_bodyid[number]), colour if texture < 0 else None, texture
+                parts.setdefault(look, []).append(number)
         still: list[Floats] = [np.zeros((0, 3))]
         for (body, rgba, _), geoms in parts.items():
             mesh = conversions.merge_geoms(model, geoms)
@@ -104,6 +88,7 @@ class Shapes:
                 mesh = type(mesh)(*_parted(mesh, trimesh_graph), process=False)
             self.shapes.append(Shape(body, mesh, rgba))
         points = np.vstack(still)
+        # (2, 3) least and largest coordinates of what does not move, but floors; (0, 3) if there is nothing.
         self.extent = np.array([points.min(axis=0), points.max(axis=0)]) if len(points) else points
 
 
@@ -120,24 +105,15 @@ def _parted(mesh: Any, trimesh_graph: Any) -> tuple[Floats, Any]:
 
 
 class ModelNodes:
-    """The bodies of a model as nodes of a viser scene; several may share the same `Shapes`.
+    """The bodies of a model as nodes of a viser scene, translated by an offset ``(3,)`` [m].
 
-    Args:
-        scene: the scene, such as ``viser.ViserServer.scene``.
-        shapes: the model's geometry.
-        root: name of the node above all others, such as ``/arm``.
-        offset: ``(3,)`` translation of everything [m].
-
-    Attributes:
-        model: the model.
-        bodies: the node of each body that has a geometry, by its id; nodes of the target and others can be moved alone.
-        surfaces: the nodes of surfaces by the id of their body, whose ``color`` can be set.
-        tendons: the nodes of tendons, which are lines, with the tendons' ids.
+    Several may share the same `Shapes`. The node above all others has the name ``root``, such as ``/arm``.
     """
 
     def __init__(self, scene: Any, shapes: Shapes, root: str, *, offset: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         self.model = model = shapes.model
         scene.add_frame(root, show_axes=False, position=np.asarray(offset))
+        # Nodes by the ids of bodies: each body's that has a geometry, and of its surfaces, whose `color` can be set.
         self.bodies: dict[int, Any] = {}
         self.surfaces: dict[int, list[Any]] = {}
         for shape in shapes.shapes:
@@ -153,6 +129,7 @@ class ModelNodes:
             solid = alpha >= 1.0
             given = {"color": tuple(colour), "opacity": None if solid else alpha, "cast_shadow": solid}
             result.append(scene.add_mesh_simple(name, shape.mesh.vertices, shape.mesh.faces, **given))
+        # Nodes of tendons, which are lines, with the tendons' ids.
         self.tendons: list[tuple[Any, list[int]]] = []
         for (rgba, radius), tendons in shapes.tendons.items():
             name = f"{root}/tendons {len(self.tendons)}"
@@ -172,22 +149,11 @@ class ModelNodes:
 
 def add_floor(scene: Any, shapes: Shapes) -> None:
     """Draw a grid in place of each plane of the model, with shadows on it."""
-    model = shapes.model
+    line = {"size": _FLOOR_CELL, "color": _FLOOR, "thickness": 0.6}
+    lines = {f"{which}_{what}": value for which in ("cell", "section") for what, value in line.items()}
     for geom in shapes.floors:
-        scene.add_grid(
-            f"/floor/{geom}",
-            infinite_grid=True,
-            cell_size=_FLOOR_CELL,
-            section_size=_FLOOR_CELL,
-            cell_color=_FLOOR,
-            section_color=_FLOOR,
-            cell_thickness=0.6,
-            section_thickness=0.6,
-            fade_distance=25.0,
-            shadow_opacity=0.3,
-            position=model.geom_pos[geom],
-            wxyz=model.geom_quat[geom],
-        )
+        pose = {"position": shapes.model.geom_pos[geom], "wxyz": shapes.model.geom_quat[geom]}
+        scene.add_grid(f"/floor/{geom}", infinite_grid=True, fade_distance=25.0, shadow_opacity=0.3, **lines, **pose)
 
 
 def segments(points: Floats) -> Floats:
@@ -261,13 +227,3 @@ def _pieces(data: mujoco.MjData, tendon: int) -> Floats:
     rows = slice(first := data.ten_wrapadr[tendon], first + data.ten_wrapnum[tendon])
     pulley = data.wrap_obj.ravel()[rows] == -2
     return segments(data.wrap_xpos.reshape(-1, 3)[rows])[~(pulley[:-1] | pulley[1:])]
-
-
-def _drawn(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:
-    """The model's geoms and tendons as MuJoCo would render them, with colours resolved from materials."""
-    scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + 1000)
-    everything = mujoco.mjtCatBit.mjCAT_ALL
-    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
-    for geom in scene.geoms[: scene.ngeom]:
-        if geom.objtype in (mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOBJ_TENDON) and geom.rgba[3] > 0.0:
-            yield geom

@@ -95,7 +95,7 @@ def test_angles_are_in_degrees_and_times_at_a_limit_in_percent(gantry):
     force = 0.9 * np.abs(rollout.force)
     force[:, 0] = -np.where(np.arange(len(force)) % 4 == 0, limit, 0.9 * limit)
     off = replace(rollout, force=force, target=rollout.q[-1] - [0.05, 0.0, 0.0, np.deg2rad(7.0)])
-    turn, x, _ = error_causes(off, 1e-3, np.deg2rad(0.1))
+    turn, x, _ = error_causes(off)
     assert turn.startswith("joint 'turn' ends 7 degrees off, which alone moves a link by 0 mm and 7 degrees")
     assert x.startswith("joint 'x' ends 50 mm off, which alone moves a link by 50 mm and 0 degrees")
     assert f"its force limit of {limit:.3g} N is reached in 25 % of the time" in x

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from lieednn_sim.cli.console import console
-from lieednn_sim.evaluation.evaluation import Evaluation, FrameErrors, JointUse, Recovery
-from lieednn_sim.evaluation.motion_metrics import MotionMetrics
+from lieednn_sim.evaluation.evaluation import Evaluation, FrameErrors, JointUse, MotionMetrics, Recovery
 from lieednn_sim.simulation import Disturbances
 
 EVALUATION = Evaluation(

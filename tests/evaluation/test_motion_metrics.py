@@ -8,12 +8,7 @@ from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.motion_metrics import (
-    least_clearance,
-    motion_metrics,
-    rms_curvature,
-    violations,
-)
+from lieednn_sim.evaluation.metrics import least_clearance, motion_metrics, rms_curvature, violations
 from lieednn_sim.planning.motion import Motion
 
 

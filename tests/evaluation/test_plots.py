@@ -13,7 +13,6 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout, plots
 from lieednn_sim.evaluation.figure_layout import fix_layout
-from lieednn_sim.evaluation.plot_training import plot_training
 from lieednn_sim.learning.result import History
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Disturbances, Push
@@ -134,7 +133,7 @@ def test_the_training_s_plot_has_units_and_ticks(drawn):
     epochs = np.arange(1.0, 4.0)
     xi = np.stack([np.full((1, 6), value) for value in (0.5, 0.9, 1.0)])
     history = History(epochs, [3.0, 2.0, 1e-6], [0.0, 0.5, 1.0], [0.5, 0.8, 0.8], epochs, epochs, xi)
-    plot_training(history, np.ones((1, 6)), 1e-5, "training.png")
+    plots.plot_training(history, np.ones((1, 6)), 1e-5, "training.png")
     distance, accuracy, rate, equilibrium = drawn[0].axes
     assert distance.lines[1].get_ydata() == pytest.approx([0.5, 0.1, 0.0])
     assert accuracy.lines[0].get_ydata() == pytest.approx([0.0, 50.0, 100.0])
@@ -155,7 +154,7 @@ def test_the_training_s_plot_can_be_drawn_of_a_single_epoch(tmp_path, monkeypatc
     monkeypatch.setattr(figure_layout, "_DPI", 20)
     one = np.ones(1)
     history = History(one, one, one, one, one, one, np.zeros((1, 1, 6)))
-    plot_training(history, np.ones((1, 6)), 1e-5, tmp_path / "training.png")
+    plots.plot_training(history, np.ones((1, 6)), 1e-5, tmp_path / "training.png")
     assert (tmp_path / "training.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -8,10 +8,9 @@ import pytest
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.live.session import Session
+from lieednn_sim.live.session import Session, Worker
 from lieednn_sim.live.settings import Settings
 from lieednn_sim.live.snapshot import Observer, status
-from lieednn_sim.live.worker import Worker
 from lieednn_sim.planning import plan
 from lieednn_sim.policies import MotionTracker
 

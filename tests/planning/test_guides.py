@@ -12,7 +12,7 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, PlanError
-from lieednn_sim.evaluation.motion_metrics import motion_metrics
+from lieednn_sim.evaluation.metrics import motion_metrics
 from lieednn_sim.planning import PLANNERS, GuideOptions, PlanningProblem, guides, plan
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
 from lieednn_sim.planning.guides import best_guide, shortened

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.evaluation.motion_metrics import motion_metrics
+from lieednn_sim.evaluation.metrics import motion_metrics
 from lieednn_sim.planning import PLANNERS, ShapedOptions, joint_motion, plan, register_planner
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem

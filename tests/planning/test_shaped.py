@@ -9,7 +9,7 @@ import pytest
 
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import PlanError
-from lieednn_sim.evaluation.motion_metrics import motion_metrics
+from lieednn_sim.evaluation.metrics import motion_metrics
 from lieednn_sim.planning import PLANNERS, GuideOptions, ShapedOptions, plan, shaped
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import NetworkPath

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from lieednn_sim.policies import Feedback
-from lieednn_sim.policies.joint_policy import JointPolicy
+from lieednn_sim.policies import Feedback, JointPolicy
 
 STILL = np.zeros(4)
 

@@ -16,8 +16,7 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.rendering import scene_setup, viser_scene
-from lieednn_sim.rendering.page import render_page
-from lieednn_sim.rendering.recording import _Copy, record
+from lieednn_sim.rendering.page import _Copy, record, render_page
 from lieednn_sim.rendering.viser_scene import Viewpoint
 
 

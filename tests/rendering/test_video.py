@@ -13,7 +13,7 @@ from PIL import Image
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.planning import CertifiedOptions, plan
-from lieednn_sim.rendering import ffmpeg, video
+from lieednn_sim.rendering import video
 from lieednn_sim.simulation import simulate
 
 
@@ -146,7 +146,7 @@ def test_a_full_disk_is_an_error_with_the_encoders_words(tmp_path, count):
     pictures = np.random.default_rng(0).integers(0, 255, (count, 90, 160, 3), np.uint8)
 
     def write():
-        with ffmpeg.mp4_writer(path, (160, 90), 10.0) as append:
+        with video.mp4_writer(path, (160, 90), 10.0) as append:
             for picture in pictures:
                 append(picture)
 
@@ -156,12 +156,12 @@ def test_a_full_disk_is_an_error_with_the_encoders_words(tmp_path, count):
 
 def test_frames_are_counted(tmp_path):
     path = tmp_path / "v.mp4"
-    with ffmpeg.mp4_writer(path, (160, 90), 10.0) as append:
+    with video.mp4_writer(path, (160, 90), 10.0) as append:
         for grey in (20, 90, 160, 230):
             append(np.full((90, 160, 3), grey, np.uint8))
-    assert ffmpeg.count_frames(path) == 4
+    assert video.count_frames(path) == 4
     (tmp_path / "junk.mp4").write_bytes(b"junk")
-    assert ffmpeg.count_frames(tmp_path / "junk.mp4") == 0
+    assert video.count_frames(tmp_path / "junk.mp4") == 0
 
 
 def test_a_second_of_frames_lasts_a_second(tmp_path):

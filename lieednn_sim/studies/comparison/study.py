@@ -19,9 +19,8 @@ from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
-from lieednn_sim.evaluation.evaluation import Evaluation
-from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.evaluation.motion_metrics import MotionMetrics, motion_metrics
+from lieednn_sim.evaluation.evaluation import Evaluation, MotionMetrics
+from lieednn_sim.evaluation.metrics import evaluate, motion_metrics
 from lieednn_sim.planning import Plan, find_tube, plan, reference_network
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, SCENES, SLOW
 from lieednn_sim.simulation import Disturbances, Rollout, simulate

@@ -13,8 +13,7 @@ import jinja2
 from lieednn_sim import io
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import PLANNERS
-from lieednn_sim.rendering.page import player
-from lieednn_sim.rendering.recording import Recording, record
+from lieednn_sim.rendering.page import Recording, player, record
 from lieednn_sim.studies.comparison import summary
 from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Case, Row
 from lieednn_sim.studies.comparison.study import replay, settings_of
