@@ -412,6 +412,8 @@ _ARMS = {
 }
 #: The arms of the package; each is a folder of that name with a scene.xml in ``assets/mjcf``.
 ARMS = Registry("arm", _ARMS)
+#: Those that studies take by default, which are alike.
+DEFAULT_ARMS = ("telescopic_compound", "telescopic_pr", "telescopic_rrp")
 
 _SCENES = {
     "free": Entry(help="no obstacles"),

@@ -25,9 +25,10 @@ from threadpoolctl import threadpool_info
 
 from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.planning import PLANNERS
+from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.studies import Comparison, Row, write_summary
 from lieednn_sim.studies.comparison.rows import COLUMNS
 from lieednn_sim.studies.markdown import table
@@ -93,7 +94,7 @@ def synthesis_rows(scale: int) -> list[dict[str, object]]:
         name = f"N = {neurons}, U(-0.8, 0.8), {bias} bias 1/8"
         rows.append(summarise(name, [synthesize(xi, bias=bias, seed=k) for k, xi in enumerate(targets)]))
         print(rows[-1], flush=True)
-    studies = [(name, "mixed", 1000) for name in arm_names()]
+    studies = [(name, "mixed", 1000) for name in DEFAULT_ARMS]
     studies += [("telescopic_pr", "negative", 100), ("telescopic_pr", "zero", 100), ("telescopic_pr", "tiny", 1000)]
     for name, kind, count in studies:
         targets = arm_targets(Arm.load(name), kind, max(count // scale, 1))

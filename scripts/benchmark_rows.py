@@ -24,7 +24,7 @@ from scipy.linalg import lapack
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments.gymnasium import Environment, VectorEnvironment
@@ -36,6 +36,7 @@ from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.policies import POLICIES, NetworkPolicy, make_policy
+from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.rendering.overlay import Overlay
 from lieednn_sim.rendering.video import Camera, mp4_writer, render_video
 from lieednn_sim.simulation import Disturbances, Rollout, Simulation, follow, simulate, simulate_many
@@ -467,7 +468,7 @@ def code_rows(steps: int, neurons: int = 16) -> Iterator[Row]:
 
 def ratio_rows(targets: list[np.ndarray], epochs: dict[str, list[float]], scale: int) -> list[Row]:
     """All rows, with a fraction 1 / ``scale`` of the repetitions; ``epochs`` are the costs of `epoch_costs`."""
-    arms, arm = [Arm.load(name) for name in arm_names()], Arm.load("telescopic_pr")
+    arms, arm = [Arm.load(name) for name in DEFAULT_ARMS], Arm.load("telescopic_pr")
     few, repeats, often = (max(count // scale, 1) for count in (5, 10, 20))
     chosen: Plan = plan(arm, arm.keyframe("extended"))
     assert isinstance(chosen.network, LieEDNN)

@@ -27,12 +27,12 @@ from saved_rows import saved_rows
 
 import lieednn_sim as ls
 from lieednn_sim import io
-from lieednn_sim.arm import arm_names
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE, save_figure
 from lieednn_sim.planning import PLANNERS
 from lieednn_sim.planning.joint_space import joint_scale
+from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.studies.comparison.study import arm_and_target
 from lieednn_sim.studies.markdown import table
 
@@ -131,7 +131,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     able = [name for name in LADDERS if name not in PLANNERS.missing()]
     parser.add_argument("--planners", nargs="+", choices=LADDERS, default=able, metavar="PLANNER")
-    parser.add_argument("--arms", nargs="+", choices=arm_names(), default=arm_names(), metavar="ARM")
+    parser.add_argument("--arms", nargs="+", choices=DEFAULT_ARMS, default=DEFAULT_ARMS, metavar="ARM")
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--output", type=Path, default=Path("results/cost_over_time"))
     options = parser.parse_args(arguments)

@@ -21,8 +21,8 @@ from saved_rows import saved_rows
 
 import lieednn_sim as ls
 from lieednn_sim import io
-from lieednn_sim.arm import arm_names
 from lieednn_sim.planning.shaped import ShapedOptions
+from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.simulation import Following
 from lieednn_sim.studies.markdown import table
 from lieednn_sim.studies.reactions.disturbing import PUSH_DEVIATION, PUSH_TIME, UndisturbedPath, pushing_force
@@ -109,7 +109,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pushes", type=int, default=50, help="for each arm and rho (default: %(default)s)")
     parser.add_argument("--rates", type=float, nargs="+", default=[0.1, 0.3, 1.0], help="rho (default: %(default)s)")
-    parser.add_argument("--arms", nargs="+", default=arm_names(), help="(default: all)")
+    parser.add_argument("--arms", nargs="+", default=DEFAULT_ARMS, help="(default: all but the crane)")
     parser.add_argument("--output", default="results/pushes", help="directory (default: %(default)s)")
     options = parser.parse_args(arguments)
     directory: Path = io.make_directory(options.output)

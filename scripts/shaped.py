@@ -20,10 +20,10 @@ from saved_rows import saved_rows
 import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import arm_names
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.evaluation.metrics import motion_metrics
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.studies.markdown import table
 
 HEADINGS = (
@@ -125,7 +125,7 @@ def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
 def main(arguments: list[str] | None = None) -> None:
     """Measure missing cases, then write the summary."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--arms", nargs="+", default=arm_names())
+    parser.add_argument("--arms", nargs="+", default=DEFAULT_ARMS)
     parser.add_argument("--scenes", nargs="+", default=["window", "shelf", "poles"])
     parser.add_argument("--seeds", type=int, default=50, help="from 0 on")
     parser.add_argument("--output", type=Path, default=Path("results/shaped"))

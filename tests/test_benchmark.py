@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 from benchmark_rows import Row, ratios
 
-from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.arm import Arm
 from lieednn_sim.learning import training
 from lieednn_sim.planning import plan
 from lieednn_sim.policies import POLICIES
+from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.simulation import follow, simulate
 from lieednn_sim.synthesis import attempts
 
@@ -48,7 +49,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
         (("environments at once",), 2),
         (("environment step of ",), 6 if find_spec("dm_control") else 4),
         (("step of policy ",), len(POLICIES)),
-        (("control step of follow",), 2 * len(arm_names())),
+        (("control step of follow",), 2 * len(DEFAULT_ARMS)),
     ):
         assert len([name for name in measured if all(part in name for part in parts)]) == count, parts
     assert all(f"| {name} | " in text for name in measured)
@@ -66,7 +67,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     benchmark.show_rows(tmp_path / "table")
     assert {".md", ".html"} <= {path.suffix for path in (tmp_path / "table").iterdir()}
     studied = [row for row in rows if "angles" in row["targets"]]
-    assert {row["targets"].split(",")[0] for row in studied} == set(arm_names())
+    assert {row["targets"].split(",")[0] for row in studied} == set(DEFAULT_ARMS)
     assert all(row["certified"] == "1 of 1" for row in studied)
 
 

@@ -9,11 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm, arm_names, solve_ik
+from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.errors import FileError, InputError, NoSolutionError
+from lieednn_sim.registry import DEFAULT_ARMS
 
 
-@pytest.fixture(scope="module", params=arm_names())
+@pytest.fixture(scope="module", params=DEFAULT_ARMS)
 def arm(request):
     return Arm.load(request.param)
 
@@ -199,7 +200,9 @@ def test_joints_that_are_no_part_of_the_arm_stay_at_home(tmp_path, keys, rest):
 
 
 def test_errors_name_what_is_allowed(arm, tmp_path):
-    with pytest.raises(InputError, match="no arm 'nonsense'; allowed: telescopic_compound, telescopic_pr"):
+    with pytest.raises(
+        InputError, match="no arm 'nonsense'; allowed: telescopic_compound, telescopic_crane, telescopic_pr"
+    ):
         Arm.load("nonsense")
     with pytest.raises(InputError, match=r"no keyframe 'away'.*home"):
         arm.keyframe("away")

@@ -6,17 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.arm import Arm
 from lieednn_sim.environments import tasks
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.tasks import REST, TASKS, band_limited, make_task, planned
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.lie import exp
+from lieednn_sim.registry import DEFAULT_ARMS
 
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-@pytest.fixture(scope="module", params=arm_names())
+@pytest.fixture(scope="module", params=DEFAULT_ARMS)
 def arm(request):
     """An arm with time steps of 4 ms, which halve the cost of plans and episodes."""
     fine = Arm.load(request.param)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from lieednn_sim import registry
-from lieednn_sim.arm import Arm, arm_names
+from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, LieEDNNError, TooFastError
 from lieednn_sim.planning import plan, retime
@@ -15,6 +15,7 @@ from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_al
 from lieednn_sim.planning.motion import check_motion, least_duration
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.time_laws import eased_law, minimum_jerk_law
+from lieednn_sim.registry import DEFAULT_ARMS
 
 pytest.importorskip("toppra")
 
@@ -68,7 +69,7 @@ def test_a_limit_of_jerk_costs_little_more_than_it_must(gantry, jerk, more):
 
 
 def test_a_network_keeps_its_path_and_every_limit():
-    for name in arm_names():
+    for name in DEFAULT_ARMS:
         arm = Arm.load(name)
         arm = dataclasses.replace(arm, jerk_limits=30.0 * arm.acceleration_limits)
         asked = plan(arm, draw_target(arm, seed=11), planner="lieednn-certified", seed=11)

@@ -22,7 +22,7 @@ from lieednn_sim.errors import FileError, InputError, LieEDNNError
 from lieednn_sim.evaluation.evaluation import Evaluation, MotionMetrics
 from lieednn_sim.evaluation.metrics import evaluate, motion_metrics
 from lieednn_sim.planning import Plan, find_tube, plan, reference_network
-from lieednn_sim.registry import CONTROLLERS, PLANNERS, SCENES, SLOW
+from lieednn_sim.registry import CONTROLLERS, DEFAULT_ARMS, PLANNERS, SCENES, SLOW
 from lieednn_sim.simulation import Disturbances, Rollout, simulate
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.studies.comparison.rows import BY_NAME, Case, Row
@@ -220,7 +220,7 @@ class Shard:
 class Comparison(Study[Row]):
     """The study of `compare`: all combinations of planners, arms, scenes, controllers and seeds.
 
-    An empty list means all; for scenes and controllers, `DEFAULT_SCENES` and `DEFAULT_CONTROLLERS`.
+    An empty list means all planners, `DEFAULT_ARMS`, `DEFAULT_SCENES` and `DEFAULT_CONTROLLERS`.
 
     A case is planned once for all controllers. Cases of one arm among the same obstacles follow each other, slow
     planners first, so that a worker loads the arm once.
@@ -263,7 +263,7 @@ class Comparison(Study[Row]):
         user_files = list(self.user_files)
         for name, known, default in (
             ("planners", list(PLANNERS), list(PLANNERS)),
-            ("arms", arm_names(), arm_names()),
+            ("arms", arm_names(), list(DEFAULT_ARMS)),
             ("scenes", list(SCENES), list(DEFAULT_SCENES)),
             ("controllers", list(CONTROLLERS), list(DEFAULT_CONTROLLERS)),
         ):
