@@ -20,7 +20,7 @@ REFUSED = {
     "simulate none": "holds no run",
     "plan --targt home": "--targt is not understood, did you mean --target? (lieednn-sim plan --help)",
     "plan --duration": "argument --duration: expected one argument",
-    "plan --target extended --arm crane": "no arm 'crane'; allowed: telescopic_compound, telescopic_crane, telescopic_pr",
+    "plan --target extended --arm crane": "no arm 'crane'; allowed: telescopic_compound, telescopic_crane",
     "plan --target nowhere": "no keyframe 'nowhere'",
     "plan --target 1,2,3": "target must be 8 comma-separated numbers, got 3",
     "plan --target 0,nan,0,0,0,0,0,0": "target must be 8 comma-separated numbers, got '0,nan",
