@@ -1,7 +1,9 @@
-"""Time budgets: limits on the CPU time of a piece of work, checked in its loops.
+"""Time budgets and progress: limits on the CPU time of a piece of work, checked in its loops, and who is told of it.
 
     with time_limit(10.0):
         ...  # every loop inside calls `check_time`, which raises `OutOfTimeError` once ten seconds are spent
+    with reporting(print):
+        ...  # work inside that knows how much there is calls `report`
 
 The CPU time is that of the calling thread, so that other load on the machine does not count. Only that error depends on
 the clock: work that ends within its budget has the same result as without one.
@@ -12,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 
 from lieednn_sim.errors import OutOfTimeError
@@ -26,6 +28,7 @@ cpu_time = time.thread_time
 
 # Time at which the present work must end, by `cpu_time`, and its budget [s].
 _LIMIT: ContextVar[tuple[float, float] | None] = ContextVar("lieednn_sim time limit", default=None)
+_REPORT: ContextVar[Callable[[int, int], object] | None] = ContextVar("lieednn_sim report", default=None)
 
 
 def as_time_budget(name: str, value: float) -> float:
@@ -35,13 +38,38 @@ def as_time_budget(name: str, value: float) -> float:
 
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Give the block, in this thread, a budget of CPU time [s]; of nested limits the earlier one counts."""
+    """Give the block, in this thread, a budget of CPU time [s], or infinity; of nested limits the earlier one counts.
+
+    It decides only whether there is a result, never which one.
+    """
+    seconds = as_time_budget("seconds", seconds)
     mine, outer = (cpu_time() + seconds, seconds), _LIMIT.get()
     token = _LIMIT.set(mine if outer is None else min(mine, outer))
     try:
         yield
     finally:
         _LIMIT.reset(token)
+
+
+def default_limit() -> contextlib.AbstractContextManager[None]:
+    """`DEFAULT_TIME_BUDGET`, unless the work has a limit already."""
+    return time_limit(DEFAULT_TIME_BUDGET) if _LIMIT.get() is None else contextlib.nullcontext()
+
+
+@contextlib.contextmanager
+def reporting(progress: Callable[[int, int], object]) -> Iterator[None]:
+    """Have the work of the block, in this thread, call ``progress`` with (done, total); its exceptions end the work."""
+    token = _REPORT.set(progress)
+    try:
+        yield
+    finally:
+        _REPORT.reset(token)
+
+
+def report(done: int, total: int) -> None:
+    """Tell how much of the present work is done, to whom `reporting` names."""
+    if (progress := _REPORT.get()) is not None:
+        progress(done, total)
 
 
 def out_of_time() -> bool:
@@ -56,5 +84,5 @@ def check_time() -> None:
     if limit is not None and cpu_time() > limit[0]:
         raise OutOfTimeError(
             f"out of time: the budget of {limit[1]:g} s of CPU time is spent and the planner is not done; "
-            "allow more (time_budget, --time-budget), or use another planner, target or seed"
+            "allow more (time_limit, --time-budget), or use another planner, target or seed"
         )

@@ -42,7 +42,7 @@ class TooFastError(PlanError):
 
 
 class OutOfTimeError(NoSolutionError):
-    """A planner used up its time budget before it found a motion; see the argument ``time_budget`` of `plan`."""
+    """A planner used up its time budget before it found a motion; see `time_limit`."""
 
 
 class SimulationError(LieEDNNError):

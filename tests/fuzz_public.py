@@ -147,7 +147,7 @@ BY_NAME: dict[str, Callable[[Things], list[Any]]] = {
     "model": _one_of("two.xml", "folder", "gone.xml"),
     "planner": _one_of("minimum-jerk", "se3-geodesic", "lieednn-certified", "nobody"),
     **dict.fromkeys(("duration", "hold", "time_limit"), _one_of(0.1, 0.5, 1.0, 0.0, -1.0, 1e9)),
-    **dict.fromkeys(("max_time_scale", "time_budget"), _one_of(1.0, 3.0)),
+    **dict.fromkeys(("longest", "seconds"), _one_of(1.0, 3.0)),
     **dict.fromkeys(("threads", "num_envs", "samples", "max_attempts"), _one_of(1, 2, 3, 0, 10**9)),
     **dict.fromkeys(("count", "jobs", "episodes"), _one_of(1, 0, -1)),
     "size": _one_of((64, 48), (10**9, 2), (3, 3)),

@@ -116,11 +116,11 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "RiemannianOptions": lambda: learning.RiemannianOptions(max_start_epochs=3, restarts=0),
     "TrainingResult": lambda: learning.train(0.1 * np.ones((1, 6)), thing("TrainingOptions")),
     "History": lambda: thing("TrainingResult").history,
-    "Plan": lambda: ls.plan(thing("Arm"), 0.99 * home(), planner="minimum-jerk", duration=0.5, max_time_scale=20.0),
+    "Plan": lambda: ls.plan(thing("Arm"), 0.99 * home(), planner="minimum-jerk", duration=(0.5, 10.0)),
     "Motion": lambda: thing("Plan").motion,
     "Tube": lambda: planning.find_tube(thing("Arm"), ls.plan(thing("Arm"), home(), planner="linear-attractor")),
     "SafetyFilter": lambda: policies.SafetyFilter(thing("Arm"), 0.01),
-    "Move": lambda: ls.Move([0.1], planner="minimum-jerk", duration=0.5, max_time_scale=20.0),
+    "Move": lambda: ls.Move([0.1], planner="minimum-jerk", duration=(0.5, 10.0)),
     "PlanSequence": lambda: ls.plan_sequence(
         arm.Arm.of(thing("MjModel"), thing("MjData"), ["turn"]), [thing("Move"), ls.Actuate({}, 0.1)]
     ),

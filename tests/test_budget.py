@@ -68,8 +68,8 @@ def test_of_limits_within_each_other_the_earlier_one_counts(monkeypatch):
 
 @pytest.mark.parametrize("name", INSTALLED)
 def test_every_planner_stops_when_its_time_is_over(name, looks):
-    with pytest.raises(OutOfTimeError, match="the budget of 20 s of CPU time is spent"):
-        planned(name, time_budget=20.0)
+    with pytest.raises(OutOfTimeError, match="the budget of 20 s of CPU time is spent"), time_limit(20.0):
+        planned(name)
     # What is made of other libraries' loops looks some times more: at each edge that a tree was about to grow.
     assert 20 < len(looks) < 100
 
@@ -98,8 +98,10 @@ def test_every_planner_looks_at_the_clock_often(name, monkeypatch):
 
 
 def test_a_budget_that_is_not_spent_changes_nothing(looks):
-    without = planned("trajectory-optimisation", time_budget=float("inf"))
-    within = planned("trajectory-optimisation", time_budget=1e9)
+    with time_limit(float("inf")):
+        without = planned("trajectory-optimisation")
+    with time_limit(1e9):
+        within = planned("trajectory-optimisation")
     np.testing.assert_array_equal(without.q, within.q)
 
 
@@ -127,8 +129,8 @@ def test_the_command_stops_with_the_reason_and_leaves_nothing(planner, looks, tm
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), "soon"])
 def test_a_budget_is_a_time(value):
-    with pytest.raises(InputError, match="time_budget must be"):
-        planned(time_budget=value)
+    with pytest.raises(InputError, match="seconds must be"), time_limit(value):
+        planned()
     with pytest.raises(InputError, match="time_budget must be"):
         Settings(time_budget=value)
 

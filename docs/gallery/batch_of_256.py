@@ -21,7 +21,7 @@ import lieednn_sim as ls
 arm = ls.Arm.load("telescopic_pr")
 drawn = np.array([ls.draw_target(arm, seed) for seed in range(32)])
 targets = 0.7 * arm.keyframe("home") + 0.3 * drawn
-how = {"planner": "minimum-jerk", "duration": 0.5, "max_time_scale": 6.0}
+how = {"planner": "minimum-jerk", "duration": (0.5, 3.0)}
 plans = [ls.plan(arm, target, **how) for target in targets]
 payloads = np.sort(np.random.default_rng(0).uniform(0.0, 2.0, 8))
 

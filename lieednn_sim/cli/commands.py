@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lieednn_sim import io
+from lieednn_sim.budget import reporting, time_limit
 from lieednn_sim.cli.arguments import RANDOM, Look, Planning, Simulating, check_look, read_options, still_look
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
@@ -171,20 +172,18 @@ def _plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) -> N
     }
     about = {"planner": planner, "reason": reason, "options": shown}
     task = planning.task(arm, start, start, planning.duration, planning.seed, **about)
-    with progress("plan") as report:
+    own = planner == "lieednn-certified" and not planning.fastest
+    with progress("plan") as report, reporting(report), time_limit(planning.time_budget):
         result = plan_motion(
             arm,
             goal,
             planner=planner,
             start=start,
-            duration=planning.duration,
-            max_time_scale=1.0 if planner == "lieednn-certified" and not planning.fastest else 3.0,
+            duration=(planning.duration, planning.duration) if own else planning.duration,
             seed=planning.seed,
-            time_budget=planning.time_budget,
             options=options,
             fastest=planning.fastest,
             path_constraint=path_constraint,
-            progress=report,
         )
     task = replace(task, target=tuple(result.target.tolist()))
     written = run.save_network(task, result.network, result.motion)

@@ -243,15 +243,14 @@ def planned(arm: Arm, target: ArrayLike | str, *, planner: str | None = None, se
         NotCertifiedError: no network could be certified.
         PlanError: every motion breaks a limit.
     """
-    common: dict[str, Any] = {"duration": _PLANNING_DURATION, "seed": seed}
     if planner is not None:
-        result = plan(arm, target, planner=planner, **common)
+        result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
     else:
         # Few networks suffice for most targets, and each takes time.
         for count in (2, 8, 32):
             options = CertifiedOptions(n_networks=count)
             try:
-                result = plan(arm, target, max_time_scale=1.0, options=options, **common)
+                result = plan(arm, target, duration=(_PLANNING_DURATION,) * 2, options=options, seed=seed)
                 break
             except (PlanError, NotCertifiedError):
                 if count == 32:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import reporting
 from lieednn_sim.errors import NotCertifiedError
 from lieednn_sim.live.settings import PLANNED, Settings
 from lieednn_sim.network import BlockNetwork
@@ -120,8 +121,8 @@ def make_for(
     """
     motion = None
     if settings.policy in PLANNED:
-        planned = plan(arm, target, planner=settings.planner, start=start, seed=seed, progress=lambda *_: check())
-        motion = planned.motion
+        with reporting(lambda *_: check()):
+            motion = plan(arm, target, planner=settings.planner, start=start, seed=seed).motion
     options = ShapedOptions(rate=settings.rho) if settings.policy == "lieednn-shaped" else None
     safety = FilterOptions() if settings.filtered else None
     policy = make_policy(

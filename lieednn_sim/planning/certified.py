@@ -12,7 +12,7 @@ import numpy as np
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
-from lieednn_sim.budget import check_time
+from lieednn_sim.budget import check_time, report
 from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.batch_integration import integrate_batch
@@ -170,9 +170,8 @@ def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
         end = min(drawn + _BATCH_SIZE, few if drawn < few else total)
         results = _drawn(xi, magnitudes[drawn:end], options, rng)
         networks += [result.network for result in results if result.network is not None]
-        if problem.progress is not None:
-            for number in range(drawn + 1, end + 1):
-                problem.progress(number, total)
+        for number in range(drawn + 1, end + 1):
+            report(number, total)
         drawn = end
         if drawn == total and not networks:
             # Only as a last resort: hard candidates cost seconds, and mostly an easy one suffices.

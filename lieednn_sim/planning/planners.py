@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
-from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
+from lieednn_sim.budget import cpu_time, default_limit
 from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning.goals import Goal, candidates
 from lieednn_sim.planning.holding import TooWeakError, check_held, check_held_along
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.path_constraints import check_path_constraint
-from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
+from lieednn_sim.planning.problem import Duration, Plan, PlanningProblem, durations, in_time
 from lieednn_sim.planning.retiming import retime
 from lieednn_sim.registry import PLANNERS, PlannerEntry, optional_module
 from lieednn_sim.validation import Seed, as_seed
@@ -108,16 +108,16 @@ def plan(
     *,
     planner: str | None = None,
     start: ArrayLike | str = "home",
-    duration: float = 4.0,
-    max_time_scale: float = 3.0,
+    duration: Duration = 4.0,
     seed: Seed = 0,
-    time_budget: float = DEFAULT_TIME_BUDGET,
     options: PlannerOptions | None = None,
     fastest: bool = False,
     path_constraint: TaskSpaceRegion | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Plan:
     """Plan a motion from rest to rest within the arm's limits and free of contact.
+
+    It may take a minute of CPU time, or what a surrounding `time_limit` allows. Planners that draw a fixed number of
+    candidates tell those that `reporting` names of each.
 
     Args:
         arm: the arm, in its scene.
@@ -129,19 +129,15 @@ def plan(
         planner: a name of `PLANNERS`; by default the `default_planner`, or ``lieednn-shaped`` where a region is kept.
         start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name; ``home`` of a view is its state. Within
             `Arm.start_tolerance` beyond a limit it is taken as at that.
-        duration: duration of the motion [s], rounded to a whole number of the model's time steps.
-        max_time_scale: largest duration, as a multiple of `duration`, that the motion may take if the arm's limits
-            require it; with 1, a motion that is too fast is refused with a sufficient duration. Learned networks always
-            keep the duration.
+        duration: duration of the motion [s], rounded to a whole number of the model's time steps; or that, and the
+            longest one that the motion may take if the arm's limits require it, by default three times as long. Learned
+            networks always keep the duration.
         seed: seed of randomised planners; the same seed gives the same plan.
-        time_budget: CPU time that planning may take [s]; infinity for no limit. It decides only whether there is a
-            motion, never which one.
         options: options of the planner, of its class in `PLANNERS`; by default that class's defaults.
         fastest: retime the planned path to the arm's limits (`retime`); the duration then applies to planning only.
         path_constraint: region in which the end effector stays on the way, such as a line or an orientation; start and
             target must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only
             some planners can keep one.
-        progress: called with (done, total) after every candidate, by planners that draw a fixed number of them.
 
     Raises:
         InputError: a value is malformed, the planner is unknown, the options are those of another one, or start or
@@ -163,11 +159,12 @@ def plan(
         optional_module("toppra")  # before the work
     begin, number = cpu_time(), as_seed("seed", seed)
     q = arm.check_start(start)
-    # The rest of a bad problem is refused before goals are searched for, which is within the budget.
-    first = PlanningProblem(arm, q, q, duration, number, time_budget, max_time_scale, progress, path_constraint)
+    # The rest of a bad problem is refused before goals are searched for.
+    shortest, longest = durations(duration)
+    first = PlanningProblem(arm, q, q, shortest, number, longest, path_constraint)
     check_held(arm, first.start[None], ["the start"])
     refusal: LieEDNNError = NoSolutionError("there is no goal")
-    with time_limit(first.time_budget):
+    with default_limit():
         for goal in candidates(arm, target, q, number, path_constraint):
             try:
                 check_held(arm, goal[None], ["the target"])

@@ -11,16 +11,30 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
-from lieednn_sim.budget import DEFAULT_TIME_BUDGET, as_time_budget
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planning.motion import Motion, count_steps
 from lieednn_sim.planning.path_constraints import end_outside
-from lieednn_sim.validation import as_positive, as_seed
+from lieednn_sim.validation import as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields, frozen, read_only, set_fields
 
 _Made = TypeVar("_Made")
 _Solve = TypeVar("_Solve", bound=Callable[..., Any])
+
+
+#: The duration of a motion [s], or that and the longest one that it may take.
+Duration = float | tuple[float, float]
+
+
+def durations(value: Duration) -> tuple[float, float]:
+    """A duration and the longest one, by default three times as long; `InputError` for anything else."""
+    if isinstance(value, tuple | list):
+        shortest, longest = as_floats("duration, a pair of it and of the longest,", value, (2,))
+        if longest < shortest:
+            raise InputError(f"the longest duration must be at least the duration, {shortest:g} s, got {longest:g}")
+        return as_positive("duration", float(shortest)), float(longest)
+    shortest = as_positive("duration", value)
+    return shortest, 3.0 * shortest
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +49,8 @@ class PlanningProblem:
         target: ``(n,)`` joint position at rest at the end [rad, m].
         duration: duration of the motion [s].
         seed: seed of randomised planners.
-        time_budget: CPU time that a planner may take [s].
-        max_time_scale: largest duration that the motion may take, as a multiple of `duration`.
-        progress: called with (done, total) after every candidate, by planners that draw a fixed number of them.
+        longest: largest duration that the motion may take if the arm's limits require it [s]; by default three times
+            the duration.
         path_constraint: region in which the end effector stays on the way; none if it may go anywhere.
 
     Raises:
@@ -50,9 +63,7 @@ class PlanningProblem:
     target: Floats
     duration: float = 4.0
     seed: int = 0
-    time_budget: float = DEFAULT_TIME_BUDGET
-    max_time_scale: float = 3.0
-    progress: Callable[[int, int], None] | None = None
+    longest: float = math.nan
     path_constraint: TaskSpaceRegion | None = None
 
     def __post_init__(self) -> None:
@@ -60,11 +71,10 @@ class PlanningProblem:
         for name in ("start", "target"):
             if off := end_outside(self.arm, self.path_constraint, getattr(self, name)):
                 raise InputError(f"at the {name} the end effector is outside the region to keep: by {off}")
-        check_fields(self, as_positive, "duration", "max_time_scale")
-        if self.max_time_scale < 1.0:
-            raise InputError(f"max_time_scale must be at least 1, the duration itself, got {self.max_time_scale:g}")
+        if self.longest != self.longest:
+            set_fields(self, longest=3.0 * as_positive("duration", self.duration))
+        check_fields(self, as_positive, "duration", "longest")
         check_fields(self, as_seed, "seed")
-        check_fields(self, as_time_budget, "time_budget")
         count_steps(self.duration, self.timestep)
 
     @property
@@ -132,9 +142,8 @@ def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any)
     All planners follow this rule, so that a comparison does not depend on the duration asked for.
 
     Raises:
-        TooFastError: even ``problem.max_time_scale`` durations are not enough.
+        TooFastError: even ``problem.longest`` is not enough.
     """
-    latest = problem.max_time_scale * problem.duration
     # Factor on the duration that a too fast motion needs, since that is estimated from samples.
     time_reserve = 1.02
     while True:
@@ -142,9 +151,9 @@ def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any)
             return make(problem, *options)
         except TooFastError as error:
             slower = time_reserve * max(error.duration, problem.duration)
-            if slower > latest:
+            if slower > problem.longest:
                 raise
-            problem = replace(problem, duration=slower, max_time_scale=latest / slower)
+            problem = replace(problem, duration=slower)
 
 
 def made_in_time(make: _Solve) -> _Solve:

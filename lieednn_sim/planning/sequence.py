@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import actuator_moments
-from lieednn_sim.budget import DEFAULT_TIME_BUDGET
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning.goals import resolved
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.planners import OBSTACLE_PLANNER, plan
-from lieednn_sim.planning.problem import Plan
+from lieednn_sim.planning.problem import Duration, Plan
 from lieednn_sim.planning.steps import Actuate, Gripping, Move
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats, frozen
@@ -88,10 +87,8 @@ def plan_sequence(
     steps: Sequence[Move | Actuate],
     *,
     planner: str = OBSTACLE_PLANNER,
-    duration: float = 4.0,
-    max_time_scale: float = 3.0,
+    duration: Duration = 4.0,
     seed: Seed = 0,
-    time_budget: float = DEFAULT_TIME_BUDGET,
     options: PlannerOptions | None = None,
     fastest: bool = False,
 ) -> PlanSequence:
@@ -104,7 +101,7 @@ def plan_sequence(
     Args:
         arm: a view (`Arm.of`), from whose state the first step starts, at rest.
         steps: the steps.
-        planner, duration, max_time_scale, time_budget, options, fastest: as of `plan`, for each move that has no other.
+        planner, duration, options, fastest: as of `plan`, for each move that has no other.
         seed: seed of all moves.
 
     Raises:
@@ -113,10 +110,8 @@ def plan_sequence(
     """
     if not steps or not all(isinstance(step, Move | Actuate) for step in steps):
         raise InputError("steps must be a list of Move and Actuate, with at least one")
-    common = {
-        **{"planner": planner, "duration": duration, "max_time_scale": max_time_scale, "time_budget": time_budget},
-        **{"options": options, "fastest": fastest, "seed": as_seed("seed", seed)},
-    }
+    common = {"planner": planner, "duration": duration, "options": options, "fastest": fastest}
+    common["seed"] = as_seed("seed", seed)
     planned = _Planned(arm)
     # Refused before the work.
     gripping = {k: Gripping(arm, arm.model, step) for k, step in enumerate(steps) if isinstance(step, Actuate)}

@@ -94,7 +94,7 @@ def _following(problem: PlanningProblem, options: ShapedOptions, guide: Plan) ->
     given, arm = guide.motion, problem.arm
     lasts = float(given.t[-1])
     # The guide's duration, which may be longer than the problem's.
-    asked = replace(problem, duration=lasts, max_time_scale=max(1.0, problem.max_time_scale * problem.duration / lasts))
+    asked = replace(problem, duration=lasts, longest=max(lasts, problem.longest))
     if np.abs(given.xi - given.xi[0]).max() == 0.0:
         network = without_weights(given.xi_target)
         path = NetworkPath.integrate(arm, network, problem.start)

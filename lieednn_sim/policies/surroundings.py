@@ -111,7 +111,7 @@ def search_path(
             there = arm.with_moved_bodies(seen, share * margin)
             try:
                 # Nearly every motion needs more than this, and gets it.
-                problem = PlanningProblem(there, *ends, duration=0.5, seed=seed, max_time_scale=100.0)
+                problem = PlanningProblem(there, *ends, duration=0.5, longest=50.0, seed=seed)
             except InputError as error:
                 refused = error
                 continue

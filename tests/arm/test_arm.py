@@ -200,9 +200,7 @@ def test_joints_that_are_no_part_of_the_arm_stay_at_home(tmp_path, keys, rest):
 
 
 def test_errors_name_what_is_allowed(arm, tmp_path):
-    with pytest.raises(
-        InputError, match="no arm 'nonsense'; allowed: telescopic_compound, telescopic_crane"
-    ):
+    with pytest.raises(InputError, match="no arm 'nonsense'; allowed: telescopic_compound, telescopic_crane"):
         Arm.load("nonsense")
     with pytest.raises(InputError, match=r"no keyframe 'away'.*home"):
         arm.keyframe("away")

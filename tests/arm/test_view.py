@@ -150,7 +150,7 @@ def test_a_crane_plans_around_what_is_in_the_way_of_its_cylinder():
     with pytest.raises(InputError, match=r"no proof of clearance: body '(rod|barrel)' is moved by a closed loop"):
         ClearanceBounds(arm, arm.retractor.groups)
     data.qpos[:] = arm.qpos(np.array([0.0, 0.05, 0.5]))
-    found = ls.plan(arm, [-0.7, 0.1, 1.0], duration=6, max_time_scale=5)
+    found = ls.plan(arm, [-0.7, 0.1, 1.0], duration=(6, 30))
     for data.qpos[:] in found.qpos[::50]:
         mujoco.mj_forward(model, data)
         assert np.abs(data.efc_pos[data.efc_type == EQUALITY]).max() < 1e-9

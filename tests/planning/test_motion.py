@@ -10,6 +10,7 @@ from scipy.interpolate import PchipInterpolator
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import reporting
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
@@ -192,7 +193,8 @@ def test_candidates_are_made_a_few_at_a_time_so_that_progress_is_told(arm, monke
     monkeypatch.setattr(certified, "_BATCH_SIZE", 2)
     monkeypatch.setattr(certified, "synthesize_many", lambda xi, **more: parts.append(len(xi)) or made(xi, **more))
     goal, options = arm.keyframe("extended"), CertifiedOptions(n_networks=4)
-    split = plan(arm, goal, options=options, progress=lambda done, total: told.append((done, total, len(parts))))
+    with reporting(lambda done, total: told.append((done, total, len(parts)))):
+        split = plan(arm, goal, options=options)
     assert parts == [2, 2]
     assert told == [(1, 4, 1), (2, 4, 1), (3, 4, 2), (4, 4, 2)]
     monkeypatch.undo()

@@ -81,7 +81,7 @@ def test_a_registered_planner_plans_like_the_others():
     np.testing.assert_allclose(made.motion.q[half], 0.5 * (HOME + TARGET), atol=1e-12)
     np.testing.assert_allclose(made.motion.qd[half], 1.5 * (TARGET - HOME) / made.motion.t[-1], atol=1e-12)
     # One rule for what is too fast.
-    assert plan(ARM, TARGET, planner="my-smoothstep", duration=0.1, max_time_scale=100.0).motion.t[-1] > 0.2
+    assert plan(ARM, TARGET, planner="my-smoothstep", duration=(0.1, 10.0)).motion.t[-1] > 0.2
     with pytest.raises(InputError, match="takes options of class Way"):
         plan(ARM, TARGET, planner="my-smoothstep", options=ShapedOptions())
 

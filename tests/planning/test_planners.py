@@ -60,8 +60,8 @@ def problem(seed: int, margin: float = 0.35, **changes: object) -> PlanningProbl
 
 def planned(name: str, task: PlanningProblem, **more: object) -> Plan:
     """The plan of a planner for a problem."""
-    names = ("start", "duration", "max_time_scale", "seed", "time_budget")
-    return plan(task.arm, task.target, planner=name, **{name: getattr(task, name) for name in names}, **more)
+    given = {"start": task.start, "duration": (task.duration, task.longest), "seed": task.seed}
+    return plan(task.arm, task.target, planner=name, **given, **more)
 
 
 def plan_with(name: str, task: PlanningProblem, **more: object) -> Motion:
@@ -232,18 +232,18 @@ def test_how_much_longer_a_motion_may_take_is_one_rule(name):
     """A motion is refused with the time that it needs, and made where that and the two percent of slack are allowed."""
     few = {"options": CertifiedOptions(n_networks=4)} if name == "lieednn-certified" else {}
     with pytest.raises(TooFastError) as refused:
-        plan_with(name, problem(0, duration=0.5, max_time_scale=1.0), **few)
+        plan_with(name, problem(0, duration=0.5, longest=0.5), **few)
     assert isinstance(refused.value, NoSolutionError)
     share = 1.02 * refused.value.duration / 0.5
     with pytest.raises(TooFastError):
-        plan_with(name, problem(0, duration=0.5, max_time_scale=0.999 * share), **few)
-    motion = plan_with(name, problem(0, duration=0.5, max_time_scale=1.001 * share), **few)
+        plan_with(name, problem(0, duration=0.5, longest=0.999 * 0.5 * share), **few)
+    motion = plan_with(name, problem(0, duration=0.5, longest=1.001 * 0.5 * share), **few)
     assert motion.t[-1] == pytest.approx(0.5 * share, abs=ARM.model.opt.timestep)
     # Hardly longer than it must: at the limit of a velocity or an acceleration, less the slack.
     acceleration = np.abs(np.diff(motion.qd, axis=0) / motion.timestep) / ARM.acceleration_limits
     assert max((np.abs(motion.qd) / ARM.velocity_limits).max(), acceleration.max()) > 0.93
-    with pytest.raises(InputError, match=r"max_time_scale must be at least 1, the duration itself, got 0\.5"):
-        problem(0, max_time_scale=0.5)
+    with pytest.raises(InputError, match="the longest duration must be at least the duration, 4 s, got 2"):
+        plan(ARM, ARM.keyframe("extended"), duration=(4.0, 2.0))
 
 
 def test_a_network_that_ends_elsewhere_is_refused(monkeypatch):

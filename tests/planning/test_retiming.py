@@ -178,9 +178,7 @@ def test_a_straight_way_has_no_turns_however_sharply_it_accelerates(gantry):
 def test_a_sharp_corner_does_not_slow_down_the_whole_motion(gantry):
     start = gantry.keyframe("home")
     corner = start + np.array([0.0, 0.0, 0.8, 0.0])
-    problem = PlanningProblem(
-        gantry, start, corner + np.array([0.0, 0.3, 0.0, 0.0]), duration=0.1, max_time_scale=100.0
-    )
+    problem = PlanningProblem(gantry, start, corner + np.array([0.0, 0.3, 0.0, 0.0]), duration=0.1, longest=10.0)
     corners = np.array([start, corner, problem.target])
     slow, fast = (
         in_time(motion_along, problem, corners, SmoothingOptions(control_points=(224,), fastest=fastest), {})
@@ -198,11 +196,11 @@ def test_a_sharp_corner_does_not_slow_down_the_whole_motion(gantry):
 def test_a_duration_that_was_stretched_leaves_so_much_less_to_stretch():
     """The longest duration that planners may take is that of the problem, however often it is stretched."""
     arm = Arm.load("telescopic_pr")
-    problem = PlanningProblem(arm, arm.keyframe("extended"), arm.keyframe("home"), duration=2.0, max_time_scale=3.0)
+    problem = PlanningProblem(arm, arm.keyframe("extended"), arm.keyframe("home"), duration=2.0, longest=6.0)
     tried = []
 
     def make(problem):
-        tried.append((problem.duration, problem.duration * problem.max_time_scale))
+        tried.append((problem.duration, problem.longest))
         raise TooFastError("too fast", 1.3 * problem.duration)
 
     with pytest.raises(TooFastError):

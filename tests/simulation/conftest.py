@@ -147,7 +147,7 @@ class SeededRuns:
             target = rng.uniform(low + 0.05 * (high - low), high - 0.05 * (high - low))
             if not self.arm.contacts(target):
                 return target, plan(
-                    self.arm, target, seed=seed, max_time_scale=1.0, options=CertifiedOptions(n_networks=6)
+                    self.arm, target, seed=seed, duration=(4.0, 4.0), options=CertifiedOptions(n_networks=6)
                 ).motion
 
     def _run(self, seed: int, controller: str) -> tuple[Rollout, Evaluation]:

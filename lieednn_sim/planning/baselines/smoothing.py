@@ -122,7 +122,7 @@ def motion_along_first(
                 return motion_along(asked, corners, options, curves)
             except PlanError as error:
                 refusal = error
-                if isinstance(error, TooFastError) and error.duration <= asked.max_time_scale * asked.duration:
+                if isinstance(error, TooFastError) and error.duration <= asked.longest:
                     break
         raise refusal or PlanError(f"{name} found no path free of contact; try another seed or target")
 
@@ -131,7 +131,7 @@ def motion_along_first(
 
 def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> Motion:
     """The motion along a smooth curve at the arm's limits, whatever the problem's duration."""
-    slow = replace(problem, duration=_SLOW_DURATIONS * problem.duration)
+    slow = replace(problem, duration=_SLOW_DURATIONS * problem.duration, longest=_SLOW_DURATIONS * problem.longest)
     curve = smoothed(slow, corners, count, bend)
     if any(problem.arm.near_contacts_along(curve[0][::_STRIDE])):
         raise PlanError("the curve touches something")

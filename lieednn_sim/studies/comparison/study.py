@@ -17,7 +17,7 @@ from typing import Any
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time
+from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
 from lieednn_sim.evaluation.evaluation import Evaluation, MotionMetrics
 from lieednn_sim.evaluation.metrics import evaluate, motion_metrics
@@ -100,9 +100,8 @@ def _arm_and_target(
 
 
 def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
-    return plan(
-        arm, target, planner=case.planner, duration=settings.duration, seed=case.seed, time_budget=settings.time_budget
-    )
+    with time_limit(settings.time_budget):
+        return plan(arm, target, planner=case.planner, duration=settings.duration, seed=case.seed)
 
 
 def run_case(

@@ -121,16 +121,11 @@ def solve(folder: str, name: str, number: int, planner: str, budget: float) -> l
 
 def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float) -> Plan:
     """A plan, retimed to the arm's limits where toppra is installed."""
-    result = plan(
-        arm,
-        goal,
-        planner=planner,
-        start=start,
-        duration=max(0.1, least_duration(arm, start, goal)),
-        max_time_scale=100.0,
-        time_budget=budget,
-        options=OPTIONS.get(planner),
-    )
+    least = max(0.1, least_duration(arm, start, goal))
+    with time_limit(budget):
+        result = plan(
+            arm, goal, planner=planner, start=start, duration=(least, 100.0 * least), options=OPTIONS.get(planner)
+        )
     if _TIMED:
         # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
         # its new samples. Then the motion stays as it is.

@@ -75,7 +75,7 @@ def test_a_shaped_network_goes_around_as_its_guide_does(tiny: Path) -> None:
     pytest.importorskip("ompl")
     arm, start, goal = ProblemSets(tiny).problem("post", 1)
     made = plan(
-        arm, goal, start=start, planner="lieednn-shaped", max_time_scale=100.0, options=OPTIONS["lieednn-shaped"]
+        arm, goal, start=start, planner="lieednn-shaped", duration=(4.0, 400.0), options=OPTIONS["lieednn-shaped"]
     )
     assert made.guide is not None
     assert made.guide.planner == "rrt-connect"
