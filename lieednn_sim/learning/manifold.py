@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lieednn_sim.lie import adjoint, project_to_adjoint, project_to_adjoint_exact, project_to_scaled_adjoint
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.base import flatten_blocks
-from lieednn_sim.network.hopfield import HopfieldNetwork
+from lieednn_sim.network.componentwise import HopfieldNetwork
 from lieednn_sim.theory import GroupLieEDNN
 from lieednn_sim.theory.groups import nonzero_quaternion
 from lieednn_sim.theory.matrix_group import MatrixLieGroup

@@ -52,8 +52,6 @@ def project_to_adjoint(matrix: ArrayLike) -> tuple[Floats, Floats]:
 def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
     """The adjoint matrix of SE(3) that is nearest to ``(..., 6, 6)`` in the Frobenius norm.
 
-    It is never further away than the result of `project_to_adjoint`.
-
     With blocks [[A, B], [C, D]] the squared distance is |A - R|^2 + |B|^2 + |C R^T - hat(t)|^2 + |D - R|^2. The best
     hat(t) is the skew part of C R^T, which leaves |A - R|^2 + |D - R|^2 + |sym(C R^T)|^2 to minimise over R in SO(3).
     That function can have several local minima: damped Newton steps run from the block-wise R times each of the 24
@@ -86,7 +84,8 @@ def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
         twisted = n[:, None] @ _SKEW_BASIS
         cross = np.einsum("niab,njba->nij", twisted, twisted)
         trace = (2.0 * _trace(k) - _trace(square))[:, None, None]
-        return value, gradient, cross + _symmetric(square - 2.0 * k) + trace * np.eye(3)
+        rest = square - 2.0 * k
+        return value, gradient, cross + 0.5 * (rest + np.swapaxes(rest, -1, -2)) + trace * np.eye(3)
 
     def move(rotation: Floats, step: Floats) -> Floats:
         # Projected, so that rounding does not add up over the steps.
@@ -182,7 +181,3 @@ def _cube() -> Floats:
 
 def _trace(matrix: Floats) -> Floats:
     return np.trace(matrix, axis1=-2, axis2=-1)
-
-
-def _symmetric(matrix: Floats) -> Floats:
-    return 0.5 * (matrix + np.swapaxes(matrix, -1, -2))

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim import io, stability
 from lieednn_sim.errors import FileError, InputError, LieEDNNError, NotCertifiedError
 from lieednn_sim.network.dynamics import INTEGRATORS, Equilibrium, Trajectory, find_equilibrium, integrate
-from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive
+from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, as_ratio
 from lieednn_sim.values import Floats, read_only
 
 
@@ -38,6 +38,7 @@ class BlockNetwork(ABC):
         start_reference: visible start ``(N - M, d)`` at which the hidden one is `hidden_start`; None without a gain.
         goal_gain: gain L ``(dM, d (N - M))`` from the visible equilibrium to hidden starts, see `retarget`; None for
             zero.
+        lyapunov_diagonal: a diagonal P that certifies `certifiable_weight`, or None. Checked by `certificate`.
     """
 
     bias: Floats
@@ -48,13 +49,14 @@ class BlockNetwork(ABC):
     start_gain: Floats | None = None
     start_reference: Floats | None = None
     goal_gain: Floats | None = None
+    lyapunov_diagonal: Floats | None
 
     # The kind of file that `save` writes.
     _kind: ClassVar[str]
+    # Rows of the certified matrix that share an entry of the stored diagonal.
+    _rows_alike: ClassVar[int] = 1
     # Cached values independent of the visible neurons' bias, which `retarget` hands over.
-    _bias_free: ClassVar[tuple[str, ...]] = (
-        *("blocks", "weight", "certificate", "n_driven", "driven_weight", "_undriven_rest"),
-    )
+    _bias_free: ClassVar[list[str]] = ["blocks", "weight", "certificate", "n_driven", "driven_weight", "_undriven_rest"]
 
     def __repr__(self) -> str:
         n, d = self.bias.shape
@@ -169,9 +171,30 @@ class BlockNetwork(ABC):
         return whole
 
     @property
-    @abstractmethod
+    def certifiable_weight(self) -> Floats:
+        """The matrix that decides stability: W, or a part of it where that is enough."""
+        return self.weight
+
+    @cached_property
     def certificate(self) -> stability.Certificate | None:
         """The stored Lyapunov diagonal, checked against this network's weights; None when there is none."""
+        if self.lyapunov_diagonal is None:
+            return None
+        diagonal = np.repeat(self.lyapunov_diagonal, self._rows_alike)
+        return stability.verify(diagonal, self.certifiable_weight, gamma=self.gamma, mu=self.mu)
+
+    def certify(self) -> Self:
+        """Search for a certificate, and return this network with it.
+
+        Raises:
+            NotCertifiedError: none was found; the network may be unstable.
+        """
+        every = self._rows_alike
+        result = stability.find_certificate(self.certifiable_weight, gamma=self.gamma, mu=self.mu, group_size=every)
+        if not result.valid:
+            raise NotCertifiedError(f"no certificate was found for the weights ({result}); scale alpha or mu down")
+        # mypy cannot know that every subclass is a dataclass, here and below.
+        return replace(self, lyapunov_diagonal=result.lyapunov_diagonal[::every])  # type: ignore[type-var]
 
     @property
     def certified(self) -> bool:
@@ -349,16 +372,7 @@ class BlockNetwork(ABC):
     @cache
     def _kept(cls) -> tuple[str, ...]:
         """Names of the fields, and of cached values independent of the bias."""
-        # mypy cannot know that every subclass is a dataclass, here and below.
         return (*(field.name for field in fields(cls)), *cls._bias_free)  # type: ignore[arg-type]
-
-    def _carrying(self, result: stability.Certificate, every: int = 1) -> Self:
-        """This network with a new certificate, of whose diagonal the entries 0, ``every``, ... are stored."""
-        if not result.valid:
-            raise NotCertifiedError(f"no certificate was found for the weights ({result}); scale alpha or mu down")
-        diagonal = result.lyapunov_diagonal[::every]
-        network: Self = replace(self, lyapunov_diagonal=diagonal)  # type: ignore[type-var]
-        return network
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the network to an ``.npz`` file, atomically."""
@@ -408,6 +422,20 @@ class BlockNetwork(ABC):
     def _from_meta(cls, meta: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the constructor from metadata; raises KeyError or InputError if some are missing."""
         return {field.name: meta[field.name] for field in cls._stored("float", "int", "str")}
+
+
+def as_strengths(alpha: ArrayLike) -> Floats:
+    """Return connection strengths ``(N, N)`` with N >= 1, or raise `InputError`."""
+    checked = as_floats("alpha", alpha, ("N", "N"))
+    if len(checked) == 0:
+        raise InputError("alpha must have shape (N, N) with N >= 1, got (0, 0)")
+    return checked
+
+
+def as_rates(gamma: float, mu: float) -> dict[str, float]:
+    """Return gamma and mu checked, by name."""
+    as_ratio(gamma, mu)
+    return {"gamma": as_positive("gamma", gamma), "mu": as_positive("mu", mu)}
 
 
 def flatten_blocks(blocks: Floats) -> Floats:

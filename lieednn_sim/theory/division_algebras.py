@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import DEFAULT_ACTIVATION
-from lieednn_sim.network.checks import as_rates
+from lieednn_sim.network.base import as_rates
 from lieednn_sim.theory import groups
 from lieednn_sim.theory.group_network import GroupLieEDNN
 from lieednn_sim.theory.matrix_group import MatrixLieGroup, as_numbers

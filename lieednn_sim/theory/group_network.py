@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.network.checks import as_rates, as_strengths
+from lieednn_sim.network.base import as_rates, as_strengths
 from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
 from lieednn_sim.theory import groups
 from lieednn_sim.theory.matrix_group import MatrixLieGroup, as_numbers

@@ -7,7 +7,7 @@ from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.batch_integration import integrate_batch
 from lieednn_sim.network.dynamics import runge_kutta_step
-from lieednn_sim.network.runge_kutta import RungeKuttaStepper
+from lieednn_sim.network.stepping import RungeKuttaStepper
 
 
 def drawn(rng: np.random.Generator, size: float, **rates) -> LieEDNN:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.dynamics import runge_kutta_step
-from lieednn_sim.network.runge_kutta import RungeKuttaStepper
+from lieednn_sim.network.stepping import RungeKuttaStepper
 
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.tuples(st.integers(1, 3), st.integers(0, 3), st.integers(0, 3)).filter(lambda sizes: sizes[2] <= sizes[1])

@@ -35,11 +35,7 @@ _QUATERNION_COLUMNS = tuple(f"q{letter}" for letter in "wxyz")
 
 
 def load_demonstrations(
-    files: Iterable[str | os.PathLike[str]],
-    *,
-    unit: str = "m",
-    quaternion: str = "wxyz",
-    rate: float = 100.0,
+    files: Iterable[str | os.PathLike[str]], *, unit: str = "m", quaternion: str = "wxyz", rate: float = 100.0
 ) -> tuple[Demonstration, ...]:
     """Read demonstrations of one motion, one or several from each file.
 

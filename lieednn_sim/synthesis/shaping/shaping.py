@@ -87,11 +87,7 @@ class Shaping:
 
 
 def shape(
-    curve: ArrayLike,
-    deviation: float = 1e-3,
-    *,
-    units: ArrayLike = 1.0,
-    options: ShapingOptions | None = None,
+    curve: ArrayLike, deviation: float = 1e-3, *, units: ArrayLike = 1.0, options: ShapingOptions | None = None
 ) -> Shaping:
     """Make a certified network whose visible neurons follow a curve from its first point to its last.
 
