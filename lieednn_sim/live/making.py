@@ -16,7 +16,7 @@ from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.policies import FilteredPolicy, FilterOptions, MotionTracker, NetworkPolicy, Policy, make_policy
 from lieednn_sim.stability import Certificate
-from lieednn_sim.stability.decay import Decay
+from lieednn_sim.stability.robustness import Decay
 from lieednn_sim.values import Floats, frozen
 
 # Network time for which a path is foreseen, its tolerance, and the number of its points.

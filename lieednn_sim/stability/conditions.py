@@ -119,12 +119,10 @@ class Verdict:
         Raises:
             InputError: there is no such condition.
         """
-        for condition in self.conditions:
-            if condition.name == name:
-                return condition
-        raise InputError(
-            f"no condition {quoted(name)}; conditions are: {', '.join(condition.name for condition in self.conditions)}"
-        )
+        known = {condition.name: condition for condition in self.conditions}
+        if name not in known:
+            raise InputError(f"no condition {quoted(name)}; conditions are: {', '.join(known)}")
+        return known[name]
 
     def __str__(self) -> str:
         if self.globally_stable:
@@ -212,15 +210,11 @@ def assess(
         rounding = len(slopes) * np.finfo(float).eps * frobenius(slopes)
         abscissa = float(np.linalg.eigvals(slopes).real.max() + rounding)
         conditions.append(Condition("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local"))
-    stiffness = _strongest_coupling(core, 1 if core is matrix else 3) / bound
+    size = 1 if core is matrix else 3
+    blocks = core.reshape(len(core) // size, size, -1, size)
+    # The spectral norm of a block alpha R is |alpha|.
+    stiffness = float(np.linalg.norm(blocks, 2, axis=(1, 3)).max()) / bound
     return Verdict(tuple(conditions), certificate, contraction, stiffness)
-
-
-def _strongest_coupling(core: Floats, size: int) -> float:
-    """Largest spectral norm of the blocks of ``core``, which for a block alpha R is |alpha|."""
-    n = len(core) // size
-    blocks = core.reshape(n, size, n, size).transpose(0, 2, 1, 3)
-    return float(np.linalg.norm(blocks, 2, axis=(-2, -1)).max())
 
 
 def _rotational_part(weight: Floats, rotational_weight: ArrayLike) -> Floats:

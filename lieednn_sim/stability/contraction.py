@@ -1,24 +1,18 @@
 """Contraction: the distance between any two solutions falls at a proven rate in one norm.
 
-Between two solutions of x' = -gamma x + mu W phi(x) + mu b, e' = -gamma e + mu W z with z = D e, where D is diagonal
-and its entries, mean slopes of phi, lie in [0, 1]; so z^T Q (e - z) >= 0 for every positive diagonal Q. Added to the
-derivative of |e|_P^2 = e^T P e, P positive definite and full, it proves that |e|_P falls at the rate gamma - mu v when
+With P positive definite and full, and Q positive and diagonal, the distance |e|_P = (e^T P e)^(1/2) of two solutions
+falls at the rate gamma - mu v when
 
-    [[2 v P, P W + Q], [(P W + Q)^T, 2 Q]] >= 0,
+    [[2 v P, P W + Q], [(P W + Q)^T, 2 Q]] >= 0
 
-a linear matrix inequality in P and Q (sharp conditions of this kind: Gokhale, Proskurnikov, Kawano and Bullo,
-arXiv 2604.15238, 2026). With S = Q^(1/2), P = T^T T and a Schur complement the least v of a pair (P, Q) is
+(sharp conditions of this kind: Gokhale, Proskurnikov, Kawano and Bullo, arXiv 2604.15238, 2026). With S = Q^(1/2) and P
+= T^T T the least v of a pair (P, Q) is |T^-T S + T W S^-1|_2^2 / 4, which `verify_contraction` evaluates, with a bound
+on its rounding. For Q alone, the least v over all P is the largest of
 
-    v = |T^-T S + T W S^-1|_2^2 / 4,
+    cos(a) lambda_max(Herm(exp(i a) S W S^-1)),  |a| < pi/2.
 
-which `verify_contraction` evaluates, with a bound on its rounding. And for Q alone, by the Kalman-Yakubovich-Popov
-lemma, the least v over all P is the largest of
-
-    cos(a) lambda_max(Herm(exp(i a) S W S^-1)),  |a| < pi/2:
-
-the numerical range of S W S^-1, of points alpha + i beta, lies in the parabola beta^2 <= 4 v (v - alpha). At a = 0 this
-is the left side of the diagonal Lyapunov condition with P = Q. So contraction implies that condition, at the same rate
-when no other angle is worse (a symmetric W, for one), and asks in addition that W does not turn too fast.
+At a = 0 this is the left side of the diagonal Lyapunov condition with P = Q, which contraction therefore implies.
+`docs/mathematics/robustness.md` derives all this.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
 On the coordinates considered, e' = -gamma e + mu W f, with f_i between 0 and e_i, has two kinds of proof, in the norm
 |e|_P = |T e|_2.
 
-Contraction (`stability.contraction`), of any two motions: |e(t)|_P <= exp(-c t) |e(0)|_P. If the equilibrium moves at
-the velocity x*', then e = x - x* obeys |e|_P' <= -c |e|_P + |x*'|_P, and the lag is at most |x*'|_P / c.
+Contraction (`stability.contraction`), of any two motions: |e(t)|_P <= exp(-c t) |e(0)|_P, a lag of at most |x*'|_P / c
+behind an equilibrium that moves at the velocity x*', and steps h < h_0 of forward Euler and of Runge-Kutta 4, with the
+largest h_0 for which 2 <e', e>_P <= -h_0 |e'|_P^2; see `docs/mathematics/robustness.md`.
 
 The certificate's own diagonal P = S^2, about the equilibrium, where contraction is not proved: with y = S e, g = S f,
 M = S W S^-1, s = |M|_2 and V of `stability.certificate`, U = eps |y|^2 / 2 + V has
@@ -15,16 +16,10 @@ which is not positive for eps = 4 k (gamma - c/2) / (mu s)^2. As eps |y|^2 <= 2 
 |y(t)| <= sqrt(1 + 1/eps) exp(-c t / 2) |y(0)|. A moving equilibrium adds at most (1 + eps) |y| |S x*'| to U', and the
 lag comes to 2 (1 + 1/eps) / c |S x*'|.
 
-Time steps h. Under contraction, with w = (e, f), the inequality says 2 <e', e>_P <= -w^T N w with N positive definite,
-and |e'|_P^2 = w^T K w. So 2 <e', e>_P <= -h_0 |e'|_P^2 with the largest h_0 for which N - h_0 K >= 0, and a step of
-forward Euler brings two runs closer when h < h_0. A Runge-Kutta method with coefficients a_ij and weights b_i obeys
-|e_new|^2 = |e|^2 + 2 h sum_i b_i <e_i', e_i> - h^2 sum_ij m_ij <e_i', e_j'>, m_ij = b_i a_ij + b_j a_ji - b_i b_j, so
-it does when diag(b) h_0 + h m is positive definite (Dahlquist and Jeltsch, 1979): for the classical method of order 4
-again when h < h_0. The weights of Runge-Kutta 4(5) are not all positive: nothing is proved about it except that its
-error is small. (Lipschitz constants of the stages, as in Kawano and Bullo, arXiv 2603.11349, 2026, prove far smaller
-steps.) Under U, whose second derivative is at most (1 + eps) P, a quadratic form in |y| and |g| tells when U falls. The
-mean of the four fields of Runge-Kutta 4 differs from the first by at most z/2 + z^2/6 + z^3/24 of it, z = h (gamma + mu
-s).
+Time steps h. Under U, whose second derivative is at most (1 + eps) P, a quadratic form in |y| and |g| tells when U
+falls. The mean of the four fields of Runge-Kutta 4 differs from the first by at most z/2 + z^2/6 + z^3/24 of it, z = h
+(gamma + mu s). The weights of the adaptive Runge-Kutta 4(5) are not all positive: nothing is proved about it except
+that its error is small.
 """
 
 from __future__ import annotations
