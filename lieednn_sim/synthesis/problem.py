@@ -184,10 +184,7 @@ class Problem:
 
     def flat_jacobian(self, unknowns: Floats) -> Floats:
         """Derivative of `flat_residual`, ``(3 N K, 4 N^2 + 3N)``."""
-        return self.full_jacobian(self.equation_jacobian(self.evaluate(unknowns)))
-
-    def full_jacobian(self, rows: Floats) -> Floats:
-        """Place the per-neuron Jacobians of `equation_jacobian` in one matrix."""
+        rows = self.equation_jacobian(self.evaluate(unknowns))
         n, height, width = rows.shape
         full = np.zeros((n, height, n, width))
         full[np.arange(n), :, np.arange(n)] = rows
