@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -147,7 +146,11 @@ class EquilibriumSolver:
 
         A network that is far faster than its decay is given up after `_FLOW_STEPS` steps of the integrator.
         """
-        field, speed, left = self._field(weight), np.inf, _FLOW_STEPS
+        coupling, speed, left = self.ratio * weight, np.inf, _FLOW_STEPS
+
+        def field(_: float, state: Floats) -> Floats:
+            return coupling @ self._phi(state) - state + self._drive
+
         horizons = 10
         # Algorithm 1 only says "solve by RK45": we repeat runs of this length until the network rests.
         horizon = 15.0
@@ -161,11 +164,6 @@ class EquilibriumSolver:
                 left -= 1
             x = run.y
         return self.at(x, success=bool(speed < _AT_REST))
-
-    def _field(self, weight: Floats) -> Callable[[float, Floats], Floats]:
-        """The network's vector field, in the time unit 1/gamma."""
-        coupling = self.ratio * weight
-        return lambda _, state: coupling @ self._phi(state) - state + self._drive
 
 
 @functools.cache

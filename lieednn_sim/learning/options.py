@@ -163,10 +163,6 @@ class TrainingOptions(LearningOptions):
         )
 
 
-# Largest rate of gradient steps, which could overflow beyond it.
-_LARGEST_RATE = 1e6
-
-
 @dataclass(frozen=True)
 class RiemannianOptions(LearningOptions):
     """Learning on the manifold, besides `LearningOptions`.

@@ -140,12 +140,8 @@ def synthesize_many(
         xi: ``(B, N, 6)`` targets; equal ones give several networks with one equilibrium.
         bias: a name of `BIAS_RULES` or an array ``(B, N, 6)``.
         bias_magnitude: as in `synthesize`, one number or one for each target ``(B,)``.
-        gamma: decay rate.
-        mu: scale of the interaction.
-        activation: a name of `network.ACTIVATIONS`.
         seed: seed from which a generator for each target's starts is spawned.
-        max_translation: largest |t_ij| allowed.
-        max_attempts: number of starts to try for each target.
+        gamma, mu, activation, max_translation, max_attempts: as in `synthesize`, for each target.
 
     Returns:
         B outcomes, in the order of the targets; a failure does not affect the others.

@@ -1,12 +1,9 @@
 """Complex-valued and quaternion-valued networks as networks on a Lie group.
 
-z_i' = -gamma z_i + mu sum_j w_ij phi(z_j) + mu b_i, with phi on each real component and w_ij from the left.
-
-The paper (Discussion) takes them for its networks on C^x and H^x. Read literally that fails: C^x is abelian, so Ad is
-the identity there and the network sees no w_ij; on H^x it is p -> w p w^-1, which leaves the real part of p alone and
-does not see |w_ij|. What holds is one step away. In the affine group, with theta = (A, 0) and A the matrix of p -> w p,
-the translations transform by v -> A v: the full product. So the network lives on affine(C^x) or affine(H^x), in its
-translation coordinates, which are an invariant subspace when the other coordinates and their bias are 0.
+z_i' = -gamma z_i + mu sum_j w_ij phi(z_j) + mu b_i, with phi on each real component and w_ij from the left, is not a
+network on C^x or H^x, as the paper's Discussion has it (`docs/mathematics/groups.md`), but on affine(C^x) or
+affine(H^x): with theta = (A, 0) and A the matrix of p -> w p, translations transform by v -> A v, the full product.
+They are an invariant subspace when the other coordinates and their bias are 0.
 
 The other coordinates see alpha_ij alone, the translations alpha_ij |theta_ij|: how |w_ij| is shared between the two is
 free. We choose alpha_ij = |w_ij| / s and theta_ij = s w_ij / |w_ij| with s so large that the other coordinates decay at

@@ -12,7 +12,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning import RiemannianOptions, StopReason, train
 from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import SE3Weights
-from lieednn_sim.learning.tangent import (
+from lieednn_sim.learning.riemannian import (
     RowEquations,
     differential,
     loss_gradient,

@@ -1,14 +1,9 @@
 """Pairs of opposite switches: hidden neurons whose starts bend a network's motion, and that are silent otherwise.
 
 A switch phi(a + c g) and its opposite phi(-a - c g), both read out by D I, cancel at every instant and at rest. With
-both starts shifted by delta, coordinate by coordinate, they add
-
-    D [phi(a + (c + delta) g) - phi(a + (c - delta) g)]  =  2 D delta g phi'(a + c g) + O(delta^3)
-
-to a visible neuron's input: a bump where g = -a/c, in any direction of the twist, linear in delta, and of at most 2 D
-times the bound of phi however large delta is. Pairs at equal steps of the clock are basis functions; their codes delta
-are hidden starts, so that one network with one certificate has as many motions as there are codes. For rho = 1, where
-g = e^-t is a shift's own decay.
+both starts shifted by delta, coordinate by coordinate, they add 2 D delta g phi'(a + c g) + O(delta^3) to a visible
+neuron's input: a bump where g = -a/c. Pairs at equal steps of the clock are basis functions, for rho = 1, where g =
+e^-t is a shift's own decay; their codes delta are hidden starts. See `docs/mathematics/families.md`.
 """
 
 from __future__ import annotations
