@@ -1,6 +1,6 @@
 """A dynamic movement primitive in joint space, as a policy.
 
-Its basis functions are those of `learning.demonstrations.primitive` and of the planner ``dmp``. The planner makes a
+Its basis functions are those of `learning.demonstrations.primitives` and of the planner ``dmp``. The planner makes a
 whole motion; the policy advances step by step, its phase waits for the arm, and its target may move.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.learning.demonstrations.primitive import forcing
+from lieednn_sim.learning.demonstrations.primitives import forcing
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback

@@ -16,11 +16,9 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, twist_of
-from lieednn_sim.learning.demonstrations.family import Response, with_response
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, twist_of, warp
+from lieednn_sim.learning.demonstrations.family import CodeSpread, Response, with_response
 from lieednn_sim.learning.demonstrations.models import run_field
-from lieednn_sim.learning.demonstrations.spread import CodeSpread
-from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
 from lieednn_sim.synthesis.shaping.pairs import PAIRS, codes_of, shifts
