@@ -29,14 +29,7 @@ _NEARBY = 1e-2
 
 
 class FlatEquilibrium(NamedTuple):
-    """A state where gamma x = mu (W phi(x) + b), or a failed attempt to find one.
-
-    Attributes:
-        x: ``(n,)`` state.
-        output: ``(n,)`` phi(x).
-        slope: ``(n,)`` phi'(x).
-        success: whether it is an equilibrium.
-    """
+    """A state x ``(n,)`` where gamma x = mu (W phi(x) + b), or a failed attempt to find one; phi(x) and phi'(x)."""
 
     x: Floats
     output: Floats
@@ -97,12 +90,8 @@ class EquilibriumSolver:
     ) -> FlatEquilibrium:
         """At most ``steps`` Newton steps, none of them longer than 1 in a coordinate.
 
-        Args:
-            weight: ``(n, n)``.
-            x: ``(n,)`` first guess.
-            nearby: S at nearby weights and state, used for the first steps.
-            tolerance: tolerance on the length of x - (mu/gamma) (W phi(x) + b).
-            steps: largest number of steps.
+        The first ones use S at nearby weights and state, if given. The tolerance is on the length of
+        x - (mu/gamma) (W phi(x) + b).
         """
         # Steps with the matrix of the previous epoch, which is almost right and already factored.
         chord_steps = 4

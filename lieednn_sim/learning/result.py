@@ -71,12 +71,7 @@ class History:
 
 
 class Recorder:
-    """Collects the rows of a `History`; can be truncated to an earlier length.
-
-    Args:
-        target: ``(N, d)`` xi_d.
-        tolerance: tau, the tolerance of the accuracy.
-    """
+    """Collects the rows of a `History` for a target ``(N, d)``; can be truncated to an earlier length."""
 
     def __init__(self, target: Floats, tolerance: float) -> None:
         self._target, self._tolerance = target, tolerance

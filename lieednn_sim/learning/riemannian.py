@@ -53,17 +53,13 @@ def retract(point: WeightPoint, step: Floats) -> WeightPoint:
 
 
 def differential(point: WeightPoint, output: Floats) -> Floats:
-    """Derivative of row block i of W y in the coordinates of the blocks (i, j), ``(N, 6, 7N)``.
+    """Derivative of row block i of W y, y ``(6N,)``, in the coordinates of the blocks (i, j), ``(N, 6, 7N)``.
 
     With (u, v) = Ad(theta_ij) y_j, block (i, j) alone gives alpha_ij (u, v), whose derivative is
 
         (u, v) d_alpha - alpha_ij [[hat(u), 0], [hat(v) + hat(u) hat(t), hat(u)]] (omega, d_t):
 
     turning R while t stays is to move theta from the left by the twist (omega, t x omega), shifting t by (0, d_t).
-
-    Args:
-        point: weights.
-        output: ``(6N,)`` y.
     """
     n = len(point.alpha)
     images = np.einsum("ijab,jb->ija", point.adjoints, output.reshape(n, 6))
@@ -93,17 +89,9 @@ def smoothed_eigenvalue(
 ) -> tuple[float, Floats, Floats]:
     """Log-sum-exp bound on the largest eigenvalue of sym(M), M = (mu/gamma) S W_R S^-1, and its gradients.
 
-    With G the gradient in W_R, that in block (i, j) is <G, d_alpha R + hat(omega) alpha R> = d_alpha <G, R>
-    + omega . 2 vee(alpha G R^T); it does not depend on translations.
-
-    Args:
-        point: weights.
-        log_scale: ``(3N,)`` log S.
-        ratio: mu/gamma.
-        sharpness: sharpness of the log-sum-exp.
-
-    Returns:
-        The bound, the Riemannian gradient ``(N, N, 7)``, and the gradient in log S ``(3N,)``.
+    These are the Riemannian one ``(N, N, 7)`` and that in log S ``(3N,)``. With G the gradient in W_R, that in block
+    (i, j) is <G, d_alpha R + hat(omega) alpha R> = d_alpha <G, R> + omega . 2 vee(alpha G R^T); it does not depend on
+    translations.
     """
     scaled = ratio * scale(rotational_weight(point), log_scale)
     value, in_scaled = smooth_largest(*np.linalg.eigh(0.5 * (scaled + scaled.T)), sharpness)
@@ -120,10 +108,6 @@ class RowEquations:
 
     Solved by (B_i B_i^T + damping I) z_i = r_i and p_i = B_i^T z_i (Levenberg): the shortest solution when the damping
     is small against the squared singular values of B_i, and still a short one where these vanish.
-
-    Args:
-        rows: ``(N, 6, 7N)`` B, from `differential`.
-        damping: positive.
     """
 
     def __init__(self, rows: Floats, damping: float) -> None:

@@ -22,15 +22,7 @@ Progress = Callable[[int, int], None]
 
 @frozen
 class TrainingProblem:
-    """A target and everything of the network that is not learned.
-
-    Attributes:
-        target: ``(N, d)`` xi_d.
-        bias: ``(N, d)``.
-        gamma, mu, activation: parameters of the network.
-        manifold: the manifold of the weights.
-        seed: seed of the initial weights.
-    """
+    """A target xi_d ``(N, d)``, everything of the network that is not learned, and the seed of the initial weights."""
 
     target: Floats
     bias: Floats

@@ -29,16 +29,9 @@ class BlockNetwork(ABC):
 
     Attributes:
         bias: ``(N, d)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
-        hidden_start: state of the hidden neurons at time 0, ``(M, d)``; with a gain, that for visible ones at the
-            reference.
-        n_clock: number of hidden neurons, the last ones, that are the clock, which drives the other hidden ones.
-        start_gain: gain K ``(dM, d (N - M))`` from visible to hidden starts, see `start`; None for zero.
-        start_reference: visible start ``(N - M, d)`` at which the hidden one is `hidden_start`; None without a gain.
-        goal_gain: gain L ``(dM, d (N - M))`` from the visible equilibrium to hidden starts, see `retarget`; None for
-            zero.
+        gamma, mu: decay rate and scale of the interaction, positive.
         lyapunov_diagonal: a diagonal P that certifies `certifiable_weight`, or None. Checked by `certificate`.
+        hidden_start, n_clock, start_gain, start_reference, goal_gain: as of `LieEDNN`, with d in place of 6.
     """
 
     bias: Floats
@@ -279,8 +272,7 @@ class BlockNetwork(ABC):
             distance: stop when the largest coordinate of xi - until is below this; for hidden neurons, of their
                 outputs' difference phi(xi) - phi(until).
             method: a name of `dynamics.INTEGRATORS`.
-            rtol: relative tolerance of the integrator.
-            atol: absolute tolerance of the integrator.
+            rtol, atol: relative and absolute tolerance of the integrator.
 
         Raises:
             InputError: a value is malformed, or there is no such method.

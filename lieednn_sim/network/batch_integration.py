@@ -32,15 +32,10 @@ def integrate_batch(
 
     Args:
         networks: networks of the same size and activation.
-        start: ``(N, d)`` state of every network at time 0.
-        duration: time to integrate, in the networks' own time.
-        rtol: relative tolerance of the integrator.
-        atol: absolute tolerance of the integrator.
+        start, duration, rtol, atol: as of `BlockNetwork.trajectory`, for all networks; it raises the same, too.
 
     Raises:
         InputError: the networks differ in size or activation.
-        LieEDNNError: as `BlockNetwork.trajectory`.
-        OutOfTimeError: the time budget is spent.
     """
     kinds = {(network.bias.shape, network.activation) for network in networks}
     if kinds != {(np.shape(start), networks[0].activation)}:

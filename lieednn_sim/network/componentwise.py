@@ -215,13 +215,8 @@ class HopfieldNetwork(ComponentwiseNetwork):
     Attributes:
         matrix: ``(dN, dN)`` W.
         bias: ``(N, d)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
-        activation: a name of `network.ACTIVATIONS`.
+        gamma, mu, activation: as of `LieEDNN`.
         lyapunov_diagonal: ``(dN,)`` diagonal P that certifies W, or None. Checked by `certificate`.
-
-    Raises:
-        InputError: wrong shapes or entries that are not finite.
     """
 
     matrix: Floats

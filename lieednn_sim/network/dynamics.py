@@ -83,8 +83,7 @@ def find_equilibrium(
     """Find an equilibrium by damped Newton steps; if they stall, follow the flow and try again.
 
     Args:
-        vector_field: flat right-hand side.
-        jacobian: its derivative.
+        vector_field, jacobian: flat right-hand side and its derivative.
         start: ``(N, d)`` first guess.
         rate: decay rate of the system, which scales residuals and times.
         tolerance: tolerance of the largest entry of the vector field, relative to rate (1 + |x|).
@@ -150,19 +149,12 @@ def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, toleran
     return x, 100, False
 
 
-def runge_kutta_step(field: Callable[[Floats, float], Floats], x: Floats, h: float, k: float = 0.0) -> Floats:
-    """The state after a step h from time k h, by the fourth-order Runge-Kutta method.
-
-    Args:
-        field: rate at a state and a time in units of h.
-        x: state, of any shape.
-        h: step.
-        k: time in units of h.
-    """
-    k1 = field(x, k)
-    k2 = field(x + 0.5 * h * k1, k + 0.5)
-    k3 = field(x + 0.5 * h * k2, k + 0.5)
-    k4 = field(x + h * k3, k + 1.0)
+def runge_kutta_step(field: VectorField, x: Floats, h: float) -> Floats:
+    """The state, of any shape, after a step h by the fourth-order Runge-Kutta method."""
+    k1 = field(x)
+    k2 = field(x + 0.5 * h * k1)
+    k3 = field(x + 0.5 * h * k2)
+    k4 = field(x + h * k3)
     return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
 
 

@@ -74,7 +74,7 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         activation: a name of `ACTIVATIONS`.
         lyapunov_diagonal: ``(3N,)`` diagonal P that certifies W_R, or None. Checked by `certificate`.
         hidden_start: ``(M, 6)`` state of the hidden neurons at time 0, M < N; by default none is hidden.
-        n_clock: number of hidden neurons, the last ones, that are the clock.
+        n_clock: number of hidden neurons, the last ones, that are the clock, which drives the other hidden ones.
         start_gain: ``(6M, 6 (N - M))`` K, how hidden starts depend on visible ones (see `start`); None if they do not.
         start_reference: ``(N - M, 6)`` visible start at which the hidden one is ``hidden_start``; None without a gain.
         goal_gain: ``(6M, 6 (N - M))`` L, how ``hidden_start`` moves with the target (see `retarget`); None if it stays.

@@ -39,7 +39,7 @@ def _factors() -> Floats:
     x, v, *drives = np.eye(parts)[..., None] * np.eye(1, len(_POWERS))
     states = []
 
-    def field(state: Floats, _: float) -> Floats:
+    def field(state: Floats) -> Floats:
         states.append(state)
         # gamma h is one power of z more.
         return np.roll(v + drives[len(states) - 1] - state, 1, axis=-1)
@@ -52,11 +52,7 @@ _FACTORS = _factors()
 
 
 class RungeKuttaStepper:
-    """Runge-Kutta steps of a network's flat state with any pull v.
-
-    Args:
-        network: gives weights, activation and decay rate; its bias is not used.
-    """
+    """Runge-Kutta steps of a network's flat state with any pull v instead of its bias."""
 
     def __init__(self, network: ComponentwiseNetwork) -> None:
         self._network = network

@@ -76,8 +76,7 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
     Args:
         lyapunov_diagonal: diagonal of P, positive, ``(n,)``.
         weight: W_R (or W), ``(n, n)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
 
     Raises:
         InputError: shapes disagree, an entry of the diagonal is not positive, or the numbers are so large, small or far
@@ -142,8 +141,7 @@ def find_certificate(weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, 
 
     Args:
         weight: W_R (or any square matrix), ``(n, n)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
         group_size: entries of P are equal within consecutive groups of this size. With 3, P has the form diag(p_i I_3)
             that a network needs whose symmetry is a common rotation of all omega_i.
 

@@ -114,11 +114,7 @@ class Verdict:
         return max(condition.rate for condition in self.conditions if condition.scope == "global")
 
     def __getitem__(self, name: str) -> Condition:
-        """The condition with this name.
-
-        Raises:
-            InputError: there is no such condition.
-        """
+        """The condition with this name; `InputError` if there is none."""
         known = {condition.name: condition for condition in self.conditions}
         if name not in known:
             raise InputError(f"no condition {quoted(name)}; conditions are: {', '.join(known)}")
@@ -165,8 +161,7 @@ def assess(
 
     Args:
         weight: W, ``(n, n)``; n = 6N with interleaved twists (omega, v) when `rotational_weight` is given.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
         rotational_weight: W_R, ``(3N, 3N)``, on which the last global conditions are then evaluated.
         jacobian: Jacobian ``(n, n)`` of the vector field at an equilibrium, for the local condition.
         lyapunov_diagonal: a known diagonal P, of the size of `rotational_weight` or else of `weight`; it saves the

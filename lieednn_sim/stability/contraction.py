@@ -78,8 +78,7 @@ def verify_contraction(
         factor: upper triangular T of the norm |T e|_2, with a positive diagonal, ``(n, n)``.
         multiplier: diagonal of Q, positive, ``(n,)``.
         weight: W_R (or W), ``(n, n)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
 
     Raises:
         InputError: shapes disagree, T is not upper triangular or its diagonal or Q not positive.
@@ -125,8 +124,7 @@ def find_contraction(
 
     Args:
         weight: W_R (or any square matrix), ``(n, n)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
         lyapunov_diagonal: initial Q ``(n,)``; by default, the best one is searched for.
 
     Returns:

@@ -131,8 +131,7 @@ def robustness(
 
     Args:
         weight: W, ``(n, n)``; n = 6N with interleaved twists (omega, v) when `rotational_weight` is given.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
         pushed: flat coordinates that pushes and targets may move, all by default.
         rotational_weight: W_R, ``(3N, 3N)``, on which proofs are searched for.
         lyapunov_diagonal: a known diagonal P of the size of `rotational_weight` or else of `weight`.

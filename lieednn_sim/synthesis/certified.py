@@ -96,8 +96,7 @@ def synthesize(
         xi: ``(N, 6)`` target, twists (omega, v).
         bias: a name of `BIAS_RULES` or an array ``(N, 6)``.
         bias_magnitude: strength of the uniform rule; least strength of the sign-matched one, in units of gamma/mu.
-        gamma: decay rate.
-        mu: scale of the interaction.
+        gamma, mu: decay rate and scale of the interaction.
         activation: a name of `network.ACTIVATIONS`.
         seed: seed of the random starts; the same seed gives the same network.
         max_translation: largest |t_ij| allowed.
@@ -167,11 +166,7 @@ def _require_neurons(target: Floats) -> None:
 
 @dataclass(frozen=True)
 class _Options:
-    """The arguments of `synthesize` that are the same for all networks of a stack.
-
-    Raises:
-        InputError: a value is out of range.
-    """
+    """The arguments of `synthesize` that are the same for all networks of a stack, checked."""
 
     gamma: float
     mu: float
@@ -198,17 +193,11 @@ class _Task:
     """One network to be made, and the progress so far.
 
     Attributes:
-        target: ``(N, 6)``.
-        state: phi(target).
-        offset: the bias.
-        rng: generator of the starts.
-        options: the common options.
+        state: phi(target), ``(N, 6)`` like the target and the offset, which is the bias.
         begun: time of the start, by `cpu_time`.
         required: what W phi(target) must be, in units of gamma/mu: W' = W mu/gamma has bound 1.
         choices: column sets that W_R is to meet, tried in turn: those that suit the target, then the rotational ones
             alone where the translations t may meet the others.
-        attempts: starts so far.
-        iterations: iterations of the searches so far.
         outcome: None until it is known.
     """
 

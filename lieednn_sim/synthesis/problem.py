@@ -200,16 +200,13 @@ _SPREADS = np.arange(0.0, 3.0, 0.1)
 def random_starts(
     state: Floats, required: Floats, columns: Sequence[slice], generators: Sequence[np.random.Generator]
 ) -> tuple[Problem, Floats]:
-    """A stack of B random problems (signs of the blocks) and a random start for each, drawn by its own generator.
+    """A stack of B random problems (signs of the blocks) and a random start ``(B, 4 N^2 + 3N)``, each by its generator.
 
     Args:
         state: phi(xi) of the targets, ``(B, N, 6)``.
         required: what W phi(xi) must be, ``(B, N, 6)``.
         columns: parts of the twists that W_R must meet by itself.
         generators: B generators.
-
-    Returns:
-        The problems and the unknowns ``(B, 4 N^2 + 3N)``.
     """
     count, n = state.shape[:2]
     signs, quaternion, size = np.empty((count, n, n)), np.empty((count, n, n, 4)), np.empty((count, n, n, 1))

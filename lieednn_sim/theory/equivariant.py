@@ -56,12 +56,7 @@ class EquivariantLieEDNN(RigidNetwork):
     It is x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) Phi(x_j) + mu b_i, with Phi of the paper's appendix N.
 
     Attributes:
-        alpha: ``(N, N)`` connection strengths.
-        rotation: ``(N, N, 3, 3)`` rotations of theta_ij; i receives, j sends.
-        translation: ``(N, N, 3)`` translations of theta_ij.
-        bias: ``(N, 6)``, twists ordered (omega, v).
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        alpha, rotation, translation, bias, gamma, mu: as of `LieEDNN`.
         lyapunov_diagonal: ``(N,)`` p with P = diag(p_i I_3) certifying W_R, or None. Checked by `certificate`.
 
     Raises:

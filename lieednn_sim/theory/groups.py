@@ -52,11 +52,7 @@ def group(name: str) -> MatrixLieGroup:
 
 
 def catalogue_name(item: MatrixLieGroup) -> str:
-    """Name by which `group` gives the same group again, for files.
-
-    Raises:
-        InputError: it is the user's own group.
-    """
+    """Name by which `group` gives the same group again, for files; `InputError` for a group of the user's own."""
     try:
         known = group(item.name)
     except InputError:

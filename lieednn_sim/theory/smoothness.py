@@ -50,8 +50,7 @@ def smoothness_bounds(
         weight: W, ``(n, n)``.
         bias: b, ``(n,)``.
         radius: R, largest |xi_i(t)| on the interval considered.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
         output_bound: M, largest |phi| there.
         lipschitz: L, largest slope of phi there.
 

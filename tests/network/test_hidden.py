@@ -211,5 +211,5 @@ def test_neurons_without_inputs_are_the_same_as_ever():
     assert fast.equilibrium().spectral_abscissa == pytest.approx(-1.0)
     pull = 0.9 / 1.3 * network.bias.ravel()
     after, _ = stepper.step(flat[0], stepper.drive(flat[0]), pull, 0.13)
-    by_field = runge_kutta_step(lambda state, _: network.flat_vector_field(state), flat[0], 0.1)
+    by_field = runge_kutta_step(network.flat_vector_field, flat[0], 0.1)
     np.testing.assert_allclose(after, by_field, atol=1e-12)

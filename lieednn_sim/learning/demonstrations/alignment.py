@@ -149,23 +149,18 @@ def mean_goal(demonstrations: Sequence[Demonstration]) -> RigidTransform:
     )
 
 
-def goal_distance(demonstrations: Sequence[Demonstration], lever: float = LEVER) -> float:
-    """Largest distance of a demonstration's end from the mean one [m], a radian counting for ``lever`` metres."""
+def goal_distance(demonstrations: Sequence[Demonstration]) -> float:
+    """Largest distance of a demonstration's end from the mean one [m], a radian counting for `LEVER` metres."""
     goal = mean_goal(demonstrations)
     turns = [(Rotation.from_matrix(shown.rotation[-1]) * goal.rotation.inv()).magnitude() for shown in demonstrations]
     apart = [np.linalg.norm(demonstration.position[-1] - goal.translation) for demonstration in demonstrations]
-    return float(np.hypot(apart, lever * np.array(turns)).max())
+    return float(np.hypot(apart, LEVER * np.array(turns)).max())
 
 
 def at_phases(fractions: Floats, samples: Floats, t: Floats, steps: Floats, phase: str) -> tuple[Floats, Floats]:
-    """Samples ``(K, D)`` and times ``(K,)`` of a demonstration at given fractions of its length or of its duration.
+    """Samples ``(K, D)`` and times ``(K,)`` of a demonstration at fractions ``(K,)`` of its length or of its duration.
 
-    Args:
-        fractions: ``(K,)`` from 0 to 1.
-        samples: ``(L, D)``.
-        t: ``(L,)`` their times.
-        steps: ``(L - 1,)`` lengths from each sample to the next.
-        phase: a name of `PHASES`.
+    It is given by samples ``(L, D)``, their times ``(L,)``, and the lengths ``(L - 1,)`` from each to the next.
     """
     passed = t if phase == "time" else np.concatenate([[0.0], np.cumsum(steps)])
     # The phase does not advance during a pause: only its first sample is kept.

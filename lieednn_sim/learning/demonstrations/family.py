@@ -133,7 +133,7 @@ def with_response(
     scale = units.ravel()
     gain = at_instants(response.gain) / scale[:, None] * np.tile(scale, 1 + goals)
     left = at_instants(response.residuals.swapaxes(0, 1)) / scale
-    codes = (encoder(clock, PAIRS) @ left.reshape(len(left), -1)).reshape(PAIRS, -1, *units.shape)
+    codes = (encoder(clock) @ left.reshape(len(left), -1)).reshape(PAIRS, -1, *units.shape)
     codes = codes.transpose(1, 2, 0, 3)
     away = (paths[:, [0, -1]] - curve[[0, -1]])[:, : 1 + goals].reshape(len(paths), -1)
     network = with_pairs(shaping.parameters, clock, shaping.network, curve[0], gain, away, codes)
@@ -192,17 +192,15 @@ class CodeSpread:
 
         Args:
             codes: residuals of n demonstrations, standardised (`Response.residuals`).
-            growth: as in the attributes.
-            units: as in the attributes.
             least: ``(6,)`` standard deviations of the displacement [rad, m] that are allowed for in any direction, also
                 where demonstrations do not differ.
-            activation: of the network.
+            growth, units, activation: as in the attributes.
         """
         places = np.arange(PAIRS) / PAIRS
         # Correlation length, in fractions of the clock's way, of the deviations that are allowed for beside those seen.
         smoothness = 0.2
         smooth = np.exp(-0.5 * ((places[:, None] - places) / smoothness) ** 2)
-        basis = bumps(clockwork(1.0, ACTIVATIONS[activation]), PAIRS)[:-1]
+        basis = bumps(clockwork(1.0, ACTIVATIONS[activation]))[:-1]
         size, axes = np.linalg.eigh(smooth / np.einsum("km,mn,kn->k", basis, smooth, basis).max())
         allowed = np.kron(axes * np.sqrt(np.maximum(size, 0.0)), np.diag(least))
         root = np.concatenate([codes.reshape(len(codes), -1).T / np.sqrt(len(codes)), allowed], axis=1)
@@ -216,7 +214,7 @@ class CodeSpread:
     def basis(self, tau: Floats) -> Floats:
         """The bumps ``(T, M)`` at network times ``(T,)``."""
         clock = clockwork(1.0, ACTIVATIONS[self.activation])
-        return np.stack([np.interp(tau, clock.t, bump, right=0.0) for bump in bumps(clock, PAIRS)[:-1].T], axis=-1)
+        return np.stack([np.interp(tau, clock.t, bump, right=0.0) for bump in bumps(clock)[:-1].T], axis=-1)
 
     def along(self, tau: Floats) -> Floats:
         """Covariances ``(T, 6, 6)`` of the displacement at network times ``(T,)``, before `scale`."""

@@ -67,7 +67,7 @@ def run_field(
     states = [state[:, :kept]]
     for step in np.diff(grid):
         check_time()
-        state = runge_kutta_step(lambda x, _: field(x), state, step)
+        state = runge_kutta_step(field, state, step)
         # Not a view, which would keep the whole state.
         states.append(state[:, :kept].copy())
     return at_times(np.stack(states, axis=1), grid, t)

@@ -114,12 +114,9 @@ class MovementPrimitive:
 
 
 def forcing(n_basis: int, phase: Floats, decay: float = DECAY) -> Floats:
-    """Forcing ``(G, B)`` per unit weight at phases ``(G,)``; the basis functions are equally spaced in time.
+    """Forcing ``(G, B)`` per unit weight at phases ``(G,)``, which fall from 1 at the start to e^-k, k the decay.
 
-    Args:
-        n_basis: B, at least 2.
-        phase: s, from 1 at the start.
-        decay: k of the phase, whose value at the end is e^-k.
+    The B >= 2 basis functions are equally spaced in time.
     """
     centres, widths = _basis(n_basis, decay)
     # By logarithms, since far from all centres every function underflows.

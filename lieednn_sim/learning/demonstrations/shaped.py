@@ -223,7 +223,7 @@ class ShapedMotion:
         laws = []
         for law, left in ((start_gain, np.exp(-tau[1])), (self.network.goal_gain, 1.0)):
             if law is not None:
-                moved = passing @ codes_of(self.network, law.reshape(-1, 6, 6), PAIRS).reshape(-1, 6)
+                moved = passing @ codes_of(self.network, law.reshape(-1, 6, 6)).reshape(-1, 6)
                 back = gain @ (left * np.eye(6)[seen] + moved)
                 laws.append(law - shifts(self.network, back.reshape(1, PAIRS, 6, 6)).reshape(law.shape))
         return self._coded(code, spread.knowing(passing, noises), *laws)

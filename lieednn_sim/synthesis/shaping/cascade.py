@@ -101,13 +101,7 @@ class Parameters:
 
 
 class Cascade:
-    """A cascade from a start to a target.
-
-    Args:
-        clock: clockwork of the cascade.
-        start: ``(N, 6)`` visible state at time 0.
-        target: ``(N, 6)`` visible equilibrium.
-    """
+    """A cascade from a start to a target, visible states ``(N, 6)``."""
 
     def __init__(self, clock: Clockwork, start: Floats, target: Floats) -> None:
         self.clock = clock
@@ -141,12 +135,7 @@ def assemble(parameters: Parameters, rate: float, target: Floats, activation: st
     Ordered (visible, hidden, clock), W_R is block triangular with a diagonal of 0, 0 and 1 - rho. With P = S^2 and
     S = diag(1, s_h, s_c), a layer's input is divided by the ratio of two scales, so that lambda_max of
     sym(S W_R S^-1) comes arbitrarily close to 1 - rho: each scale is the least that comes within `_MOST_ADDED` of it.
-
-    Args:
-        parameters: parameters of N visible neurons and M switches.
-        rate: rho of the clock; with 1 there is no clock.
-        target: visible equilibrium.
-        activation: a name of `ACTIVATIONS`.
+    With a rate rho of 1 there is no clock.
     """
     n, m = parameters.alpha.shape
     clock = 2 if rate < 1.0 else 0

@@ -36,17 +36,17 @@ def pairs_of(n: int, count: int, strength: float) -> Parameters:
     return Parameters(a, c, alpha, np.tile(np.eye(3), (n, len(a), 1, 1)))
 
 
-def bumps(clock: Clockwork, count: int) -> Floats:
-    """Displacements ``(K + 1, M)`` of a visible neuron by pairs of unit D delta; the last row is `TAIL` B."""
-    a, c = switches(count)
+def bumps(clock: Clockwork) -> Floats:
+    """Displacements ``(K + 1, M)`` of a visible neuron by `PAIRS` pairs of unit D delta; the last row is `TAIL` B."""
+    a, c = switches(PAIRS)
     slope = clock.activation.slope
     g = clock.fine[:, None]
     return np.concatenate([clock.filter @ (2.0 * g * slope(a + c * g)), 2.0 * TAIL * slope(a)[None]])
 
 
-def encoder(clock: Clockwork, count: int) -> Floats:
+def encoder(clock: Clockwork) -> Floats:
     """Codes D delta ``(M,)`` of a displacement at the clock's instants ``(K,)``, as one matrix ``(M, K)``."""
-    left, size, right = np.linalg.svd(bumps(clock, count), full_matrices=False)
+    left, size, right = np.linalg.svd(bumps(clock), full_matrices=False)
     # Weight of the squared codes, relative to the largest singular value of the bumps.
     ridge = 1e-3
     return np.asarray(right.T * (size / (size**2 + (ridge * size[0]) ** 2)) @ left.T[:, :-1])
@@ -74,17 +74,16 @@ def with_pairs(
             linear in them.
         others: other codes D delta ``(..., N, M, 6)`` that must be small.
     """
-    n, count = len(parameters.alpha), PAIRS
+    n = len(parameters.alpha)
     left = np.exp(-clock.t)[:, None, None] * np.eye(6 * n)
     target = response - np.concatenate([left, np.eye(6 * n) - left], axis=2)[:, :, : response.shape[2]]
     # For each visible neuron and pair, D delta for a unit of each coordinate of the start and of the target.
-    codes = encoder(clock, count) @ target.reshape(len(target), -1)
-    codes = codes.reshape(count, n, 6, -1).swapaxes(0, 1)
+    codes = (encoder(clock) @ target.reshape(len(target), -1)).reshape(PAIRS, n, 6, -1).swapaxes(0, 1)
     largest = float(np.abs(codes @ inputs.T).max())
     strength = max(largest, 0.0 if others is None else float(np.abs(others).max())) / LARGEST_CODE
     if strength <= 0.0:
         return network
-    pairs = pairs_of(n, count, strength)
+    pairs = pairs_of(n, PAIRS, strength)
     joined = Parameters(
         np.concatenate([parameters.a, pairs.a]),
         np.concatenate([parameters.c, pairs.c]),
@@ -106,8 +105,8 @@ def shifts(network: LieEDNN, codes: Floats) -> Floats:
     return shift
 
 
-def codes_of(network: LieEDNN, shift: Floats, count: int) -> Floats:
-    """The inverse of `shifts` for ``count`` pairs."""
+def codes_of(network: LieEDNN, shift: Floats) -> Floats:
+    """The inverse of `shifts` for `PAIRS` pairs."""
     n = network.n_visible
-    pairs = shift[-2 * n * count :].reshape(n, 2, count, *shift.shape[1:])
+    pairs = shift[-2 * n * PAIRS :].reshape(n, 2, PAIRS, *shift.shape[1:])
     return np.asarray(pairs[:, 0] * network.alpha[n - 1, -1])

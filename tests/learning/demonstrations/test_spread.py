@@ -37,7 +37,7 @@ def learned(noisy):
 
 def change(motion, other):
     """The codes D delta ``(M, 6)`` by which another motion's differ."""
-    return codes_of(motion.network, other.network.hidden_start - motion.network.hidden_start, PAIRS)[0]
+    return codes_of(motion.network, other.network.hidden_start - motion.network.hidden_start)[0]
 
 
 def bump_row(tau):
