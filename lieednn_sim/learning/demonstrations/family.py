@@ -5,10 +5,10 @@ of its start from the mean. B is found by ridge regression, and the ridge by lea
 an infinite one, deviations fade as 1 - s. If demonstrations keep goals of their own, dg_k from the mean goal, s dg_k is
 added, and B(s) is a function of (dx_k, dg_k).
 
-Motions differ though their start is the same by their codes (`synthesis.shaping.pairs`), normally distributed: with the
-deviation c of a code, the visible state at network time tau is that of the family plus b(tau) c, where the row b(tau)
-holds the pairs' bumps. As in a probabilistic movement primitive (Paraschos et al., NeurIPS 2013), motions through a via
-point are those whose codes are conditioned on it.
+Motions differ though their start is the same by their codes (`synthesis.shaping.cascade`), normally distributed: with
+the deviation c of a code, the visible state at network time tau is that of the family plus b(tau) c, where the row
+b(tau) holds the pairs' bumps. As in a probabilistic movement primitive (Paraschos et al., NeurIPS 2013), motions
+through a via point are those whose codes are conditioned on it.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ import numpy as np
 
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.synthesis import Shaping
-from lieednn_sim.synthesis.shaping.cascade import Cascade, clockwork
+from lieednn_sim.synthesis.shaping.cascade import PAIRS, Cascade, bumps, clockwork, encoder, with_pairs
 from lieednn_sim.synthesis.shaping.curve import Curve
-from lieednn_sim.synthesis.shaping.pairs import PAIRS, bumps, encoder, with_pairs
 from lieednn_sim.values import Floats, frozen
 
 # Ridges that are tried, relative to the mean square deviation of the starts.

@@ -21,7 +21,7 @@ from lieednn_sim.learning.demonstrations.family import CodeSpread, Response, wit
 from lieednn_sim.learning.demonstrations.models import run_field
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
-from lieednn_sim.synthesis.shaping.pairs import PAIRS, codes_of, shifts
+from lieednn_sim.synthesis.shaping.cascade import PAIRS, codes_of, shifts
 from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 

@@ -1,7 +1,7 @@
 """A universal network: its weights are fixed and certified once, and the hidden neurons' start encodes any curve.
 
-Each visible neuron has `CODE_PAIRS` pairs of opposite switches (`pairs`) and nothing else. From a code of zero it goes
-straight to the target. With g = e^-t, r a hidden neuron's rest state and h(0) = r + c + delta, it obeys
+Each visible neuron has `CODE_PAIRS` pairs of opposite switches (`cascade`) and nothing else. From a code of zero it
+goes straight to the target. With g = e^-t, r a hidden neuron's rest state and h(0) = r + c + delta, it obeys
 
     x(g) = x_d + g (x_0 - x_d) + g int_g^1 u(s) / s^2 ds
     u(s) = D sum_m [phi(z_m + s delta_m) - phi(z_m - s delta_m)],    z_m = a_m + c_m s.
@@ -23,9 +23,8 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
-from lieednn_sim.synthesis.shaping.cascade import TAIL, assemble
+from lieednn_sim.synthesis.shaping.cascade import LARGEST_CODE, TAIL, assemble, pairs_of, switches
 from lieednn_sim.synthesis.shaping.curve import as_units, clock_along, third_derivative
-from lieednn_sim.synthesis.shaping.pairs import LARGEST_CODE, pairs_of, switches
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats, frozen
 

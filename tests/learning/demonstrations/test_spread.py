@@ -12,7 +12,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations import Demonstration, ShapedMotion, align
 from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.synthesis import ShapingOptions
-from lieednn_sim.synthesis.shaping.pairs import PAIRS, codes_of, switches
+from lieednn_sim.synthesis.shaping.cascade import PAIRS, codes_of, switches
 
 OPTIONS = ShapingOptions(neurons=(16,))
 
