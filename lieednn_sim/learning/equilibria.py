@@ -17,15 +17,11 @@ from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.values import Floats
 
 _TOLERANCE = 1e-12
-# Residual that rounding may leave; a point with a larger one is not an equilibrium.
-_ACCEPTED = 1e-9
+_ACCEPTED = 1e-9  # residual that rounding may leave; a point with a larger one is not an equilibrium
 _LONGEST_STEP = 1.0
-# A tenth of the paper's tau, and far above the integrator's own error.
-_AT_REST = 1e-6
-# Steps of all horizons together; a hundred are usual for each.
-_FLOW_STEPS = 4_000
-# Most that Newton steps may move a point of rest; beyond that they have found another equilibrium.
-_NEARBY = 1e-2
+_AT_REST = 1e-6  # a tenth of the paper's tau, and far above the integrator's own error
+_FLOW_STEPS = 4_000  # steps of all horizons together; a hundred are usual for each
+_NEARBY = 1e-2  # most that Newton steps may move a point of rest; beyond that they have found another equilibrium
 
 
 class FlatEquilibrium(NamedTuple):
@@ -93,8 +89,7 @@ class EquilibriumSolver:
         The first ones use S at nearby weights and state, if given. The tolerance is on the length of
         x - (mu/gamma) (W phi(x) + b).
         """
-        # Steps with the matrix of the previous epoch, which is almost right and already factored.
-        chord_steps = 4
+        chord_steps = 4  # steps with the matrix of the previous epoch, which is almost right and already factored
         for step in range(steps + 1):
             output = self._phi(x)
             residual = x - self.ratio * weight.dot(output) - self._drive
@@ -141,8 +136,7 @@ class EquilibriumSolver:
             return coupling @ self._phi(state) - state + self._drive
 
         horizons = 10
-        # Algorithm 1 only says "solve by RK45": we repeat runs of this length until the network rests.
-        horizon = 15.0
+        horizon = 15.0  # Algorithm 1 only says "solve by RK45": we repeat runs of this length until the network rests
         for _ in range(horizons):
             speed = np.abs(field(0.0, x)).max()
             if speed < _AT_REST or left == 0:

@@ -18,8 +18,7 @@ from lieednn_sim.values import Floats, frozen
 
 Network = LieEDNN | GroupLieEDNN | HopfieldNetwork
 
-# Least |alpha| in W/alpha: a block without strength has no direction.
-_SMALLEST_ALPHA = 1e-9
+_SMALLEST_ALPHA = 1e-9  # least |alpha| in W/alpha: a block without strength has no direction
 
 
 @frozen

@@ -185,8 +185,7 @@ class RiemannianOptions(LearningOptions):
         super().__post_init__()
         check_fields(self, lambda _, flag: bool(flag), "certified")
         check_fields(self, as_positive, "barrier", "damping")
-        # Gradient steps could overflow beyond theirs.
-        largest = 1.0 if self.direction == "gauss-newton" else 1e6
+        largest = 1.0 if self.direction == "gauss-newton" else 1e6  # gradient steps could overflow beyond theirs
         if self.max_rate > largest:
             raise InputError(f"max_rate must be at most {largest:g} for {self.direction}, got {self.max_rate:g}")
         if self.certified and self.direction != "gauss-newton":

@@ -34,8 +34,7 @@ from lieednn_sim.stability.certificate import log_scale_gradient, smooth_largest
 from lieednn_sim.stability.norms import scale
 from lieednn_sim.values import Floats
 
-# Fraction of the largest jump at which a Gauss-Newton step aims, to leave room for second-order terms.
-_AIM = 0.4
+_AIM = 0.4  # fraction of the largest jump at which a Gauss-Newton step aims, to leave room for second-order terms
 # In one epoch the barrier asks for this fraction of the excess, and at most this much. Where the squared slope is below
 # the last number it asks for less, so that the weights come to rest at a minimum.
 _BARRIER_GAIN = 0.3
@@ -129,8 +128,7 @@ class RowEquations:
 class RiemannianTraining(Training[RiemannianOptions]):
     """Steps along the manifold, each taken only if the equilibrium follows it."""
 
-    # Epoch of the last check of stability.
-    _checked_at = 0
+    _checked_at = 0  # epoch of the last check of stability
 
     def initial(self, weight: Floats) -> Iterate:
         """See `Training`."""
@@ -212,8 +210,7 @@ class RiemannianTraining(Training[RiemannianOptions]):
         equations = RowEquations(differential(now.point, now.equilibrium.output), self.options.damping)
         step = equations.shortest(nearby.matrix @ (-now.rate / self.ratio * aim))
         log_scale = now.log_scale
-        # The smoothed eigenvalue lies above the largest by at most log(3N) / sharpness.
-        sharpness = 16.0
+        sharpness = 16.0  # the smoothed eigenvalue lies above the largest by at most log(3N) / sharpness
         largest_drop = 0.1
         least_squared_slope = 0.3
         if self.options.certified:

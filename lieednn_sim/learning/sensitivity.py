@@ -55,11 +55,9 @@ def sensitivity(network: LieEDNN, target: ArrayLike, *, loss: str = "squared") -
     result = network.equilibrium()
     if not result.success:
         raise InputError(f"the gradient needs an equilibrium: {result.message}")
-    # The Jacobian of the vector field is -gamma S.
-    matrix = -network.jacobian(result.xi) / network.gamma
+    matrix = -network.jacobian(result.xi) / network.gamma  # the Jacobian of the vector field is -gamma S
     output = network.phi(result.xi).ravel()
-    # Hidden neurons do not count.
-    delta = np.zeros_like(result.xi)
+    delta = np.zeros_like(result.xi)  # hidden neurons do not count
     delta[: network.n_visible] = network.visible(result.xi) - goal
     delta = delta.ravel()
     error = float(np.linalg.norm(delta))

@@ -16,8 +16,7 @@ from lieednn_sim.learning.options import LearningOptions
 from lieednn_sim.learning.result import Recorder, StopReason, TrainingResult
 from lieednn_sim.values import Floats, frozen
 
-# Called with the epochs done and the most epochs.
-Progress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]  # called with the epochs done and the most epochs
 
 
 @frozen
@@ -44,8 +43,7 @@ class TrainingProblem:
 
     def initial_weight(self, start: int) -> Floats:
         """Random weights of the start-th try: U(-1, 1), divided by their 1-norm (Algorithm 1), ``(Nd, Nd)``."""
-        # The paper's epsilon in W / (epsilon + ||W||_1).
-        n, epsilon = self.target.size, 1e-12
+        n, epsilon = self.target.size, 1e-12  # the paper's epsilon in W / (epsilon + ||W||_1)
         weight = np.random.default_rng([self.seed, start]).uniform(-1.0, 1.0, (n, n))
         return weight / (epsilon + np.abs(weight).sum(axis=0).max())
 
@@ -54,25 +52,15 @@ _Options = TypeVar("_Options", bound=LearningOptions)
 
 
 class Iterate(NamedTuple):
-    """Weights of a training, and what goes with them.
+    """Weights of a training, and what goes with them."""
 
-    Attributes:
-        weight: ``(Nd, Nd)``.
-        alpha: ``(N, N)`` learned strengths.
-        point: the weights' point on the manifold, or that of their last projection.
-        equilibrium: equilibrium of the weights.
-        log_scale: ``(3N,)`` log S_P of a certificate that is learned; empty otherwise.
-        rate: learning rate.
-        error: E of the epoch before.
-    """
-
-    weight: Floats
-    alpha: Floats
-    point: WeightPoint
-    equilibrium: FlatEquilibrium
-    log_scale: Floats
-    rate: float
-    error: float = np.inf
+    weight: Floats  # (Nd, Nd)
+    alpha: Floats  # (N, N) learned strengths
+    point: WeightPoint  # the weights' point on the manifold, or that of their last projection
+    equilibrium: FlatEquilibrium  # equilibrium of the weights
+    log_scale: Floats  # (3N,) log S_P of a certificate that is learned; empty otherwise
+    rate: float  # learning rate
+    error: float = np.inf  # E of the epoch before
 
 
 class Training(ABC, Generic[_Options]):

@@ -15,8 +15,7 @@ from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
 _SKEW_BASIS = hat(np.eye(3))
-# Largest entries; larger than elsewhere, since matrices are normalised before they are squared.
-_LARGEST = 1e152
+_LARGEST = 1e152  # largest entries; larger than elsewhere, since matrices are normalised before they are squared
 
 
 def project_to_rotation(matrix: ArrayLike) -> Floats:

@@ -16,10 +16,8 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
-# Largest entry where entries are only copied, or halved and added.
-_LARGEST = 1e300
-# Largest entry of a twist where five of them are multiplied.
-_LARGEST_TWIST = 1e60
+_LARGEST = 1e300  # largest entry where entries are only copied, or halved and added
+_LARGEST_TWIST = 1e60  # largest entry of a twist where five of them are multiplied
 # Rows: hat(e_k), flat; its columns are e_k x e_j.
 _GENERATORS = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(-1, -2).reshape(3, 9)
 

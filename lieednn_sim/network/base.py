@@ -46,8 +46,7 @@ class BlockNetwork(ABC):
 
     # The kind of file that `save` writes.
     _kind: ClassVar[str]
-    # Rows of the certified matrix that share an entry of the stored diagonal.
-    _rows_alike: ClassVar[int] = 1
+    _rows_alike: ClassVar[int] = 1  # rows of the certified matrix that share an entry of the stored diagonal
     # Cached values independent of the visible neurons' bias, which `retarget` hands over.
     _bias_free: ClassVar[list[str]] = ["blocks", "weight", "certificate", "n_driven", "driven_weight", "_undriven_rest"]
 
@@ -284,8 +283,7 @@ class BlockNetwork(ABC):
             as_positive(name, value)
         shape, longest = self.bias.shape, as_positive("duration", duration)
         first = as_floats("start", start, shape).ravel()
-        # Distance of a flat state from the end, less the one asked for.
-        away: Callable[[Floats], float] | None = None
+        away: Callable[[Floats], float] | None = None  # distance of a flat state from the end, less the one asked for
         if until is not None:
             goal = self._seen(as_floats("until", until, shape).ravel())
 

@@ -19,8 +19,7 @@ _MOST_STEPS = 500
 # one at which the error would be just as large as allowed. The error of a step is of fifth order in it.
 _STEP_SAFETY, _LEAST_STEP_FACTOR, _LARGEST_STEP_FACTOR, _ORDER = 0.9, 0.2, 10.0, 5
 
-# Flat rates of change of states ``(B, dN)``, those of each network in a row.
-_Field = Callable[[Floats], Floats]
+_Field = Callable[[Floats], Floats]  # flat rates of change of states ``(B, dN)``, those of each network in a row
 
 
 def integrate_batch(

@@ -20,8 +20,7 @@ from lieednn_sim.values import Floats, frozen, read_only, set_fields
 
 # Where an activation is looked at, and how far its slope may be from that of its values there.
 _SAMPLES, _DIFFERENCE, _TOLERANCE = np.linspace(-8.0, 8.0, 161), 1e-5, 1e-6
-# Where it is near its bound, if it has one.
-_FAR = np.array([1e3, 1e6, 1e9])
+_FAR = np.array([1e3, 1e6, 1e9])  # where it is near its bound, if it has one
 
 
 @frozen

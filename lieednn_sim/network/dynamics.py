@@ -183,8 +183,7 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
         piece = solver.dense_output()
         pieces.append(piece)
         if away is not None and away(solver.y) <= 0.0:
-            # As precise as SciPy's own events.
-            tiny = 4.0 * float(np.finfo(float).eps)
+            tiny = 4.0 * float(np.finfo(float).eps)  # as precise as SciPy's own events
             end = brentq(lambda time, piece=piece: away(piece(time)), solver.t_old, solver.t, xtol=tiny, rtol=tiny)
             t.append(end)
             x.append(piece(end))

@@ -18,8 +18,7 @@ import numpy as np
 from lieednn_sim.stability.norms import scale
 from lieednn_sim.values import Floats
 
-# exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 stays accurate.
-_LOG_SCALE_BOUND = 8.0
+_LOG_SCALE_BOUND = 8.0  # exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 stays accurate
 _LEAST, _MOST = np.exp(-2.0 * _LOG_SCALE_BOUND), np.exp(2.0 * _LOG_SCALE_BOUND)
 
 

@@ -44,8 +44,7 @@ Indices = NDArray[np.intp]
 
 #: Integrators with fixed time steps for which `Robustness.largest_step` proves a largest step.
 INTEGRATORS_WITH_PROOF = ("Euler", "RK4")
-# Rounding of norms of well-conditioned matrices, many times over.
-_UP = 1.0 + 1e-9
+_UP = 1.0 + 1e-9  # rounding of norms of well-conditioned matrices, many times over
 
 
 @frozen

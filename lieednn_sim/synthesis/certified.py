@@ -26,10 +26,8 @@ from lieednn_sim.values import Floats, frozen
 #: Largest entry of the vector field at the target, in units of gamma, with which the target counts as the
 #: equilibrium; the solution is usually exact to 1e-13.
 RESIDUAL_TOLERANCE = 1e-9
-# Largest norm of W_R that is searched for, in units of gamma/mu.
-_LARGEST_NORM = 1e3
-# Most derivatives of entries of the symmetric matrices in a stack: 64 MB.
-_LARGEST_STACK = 2**23
+_LARGEST_NORM = 1e3  # largest norm of W_R that is searched for, in units of gamma/mu
+_LARGEST_STACK = 2**23  # most derivatives of entries of the symmetric matrices in a stack: 64 MB
 # Tried in turn: the less the quaternions move, the better the certificate survives, but the larger the translations.
 _POLISH_WEIGHTS = (0.05, 0.01, 0.001)
 
@@ -178,8 +176,7 @@ class _Options:
         as_activation(self.activation)
         for name in ("gamma", "mu", "max_translation"):
             as_positive(name, getattr(self, name))
-        # Some minutes of searching: where thousands of starts find nothing, more don't either.
-        most_attempts = 10_000
+        most_attempts = 10_000  # some minutes of searching: where thousands of starts find nothing, more don't either
         as_count("max_attempts", self.max_attempts, most=most_attempts)
 
     @property
@@ -280,8 +277,7 @@ def _attempt_all(
             task.refuse()
     size = 3 * targets.shape[1]
     at_once = max(1, _LARGEST_STACK // (size**4 // 4))
-    # Starts of the fast search before the patient one takes over.
-    fast_attempts = 4
+    fast_attempts = 4  # starts of the fast search before the patient one takes over
     with one_blas_thread():
         for attempt in range(options.max_attempts):
             left = [task for task in tasks if task.outcome is None]

@@ -41,25 +41,15 @@ _FORM_ROWS = np.ascontiguousarray(_FORM.reshape(36, 4).T)
 
 
 class Point(NamedTuple):
-    """The problem, or each of a stack, evaluated at one vector of unknowns; all may have leading axes.
+    """The problem, or each of a stack, evaluated at one vector of unknowns; all may have leading axes."""
 
-    Attributes:
-        unknowns: ``(4 N^2 + 3N,)``.
-        slope: ``(N, N, 3, 3, 4)`` half the derivative of each block in its quaternion.
-        blocks: ``(N, N, 3, 3)`` the blocks alpha R.
-        residual: ``(N, 3, K)`` residual of the linear equations.
-        scaled: ``(3N, 3N)`` S W_R S^-1.
-        values: ``(3N,)`` ascending eigenvalues of its symmetric part.
-        vectors: ``(3N, 3N)`` their eigenvectors, in columns.
-    """
-
-    unknowns: Floats
-    slope: Floats
-    blocks: Floats
-    residual: Floats
-    scaled: Floats
-    values: Floats
-    vectors: Floats
+    unknowns: Floats  # (4 N^2 + 3N,)
+    slope: Floats  # (N, N, 3, 3, 4) half the derivative of each block in its quaternion
+    blocks: Floats  # (N, N, 3, 3) the blocks alpha R
+    residual: Floats  # (N, 3, K) residual of the linear equations
+    scaled: Floats  # (3N, 3N) S W_R S^-1
+    values: Floats  # (3N,) ascending eigenvalues of its symmetric part
+    vectors: Floats  # (3N, 3N) their eigenvectors, in columns
 
     def of(self, which: Indices) -> Point:
         """The points of a stack with these indices."""
@@ -193,8 +183,7 @@ class Problem:
         return jacobian
 
 
-# Candidate differences of log P between helpful and harmful coordinates.
-_SPREADS = np.arange(0.0, 3.0, 0.1)
+_SPREADS = np.arange(0.0, 3.0, 0.1)  # candidate differences of log P between helpful and harmful coordinates
 
 
 def random_starts(

@@ -17,13 +17,11 @@ from lieednn_sim.values import Floats
 
 Flags = NDArray[np.bool_]
 
-# The searches need meet the equations only this well: from there the polish converges quadratically.
-_ROUGH = 1e-2
+_ROUGH = 1e-2  # the searches need meet the equations only this well: from there the polish converges quadratically
 # Fast search: weight of the equations against the eigenvalues, most steps, and bounds of the damping.
 _EQUATION_WEIGHT, _MOST_STEPS = 3.0, 40
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e6
-# Number of problems whose eigenspaces are differentiated at once: so many fit into the processor's cache.
-_PIECE = 32
+_PIECE = 32  # number of problems whose eigenspaces are differentiated at once: so many fit into the processor's cache
 # Bound on |log S| that keeps S W S^-1 computable; only targets at the very edge of what can be certified come near it.
 _LOG_SCALE_BOUND = 8.0
 # Bounds on quaternions in the patient search, tried in turn: most targets have moderate weights, few need large ones.
@@ -222,8 +220,7 @@ def polish(
     stack, unknowns, translation = np.arange(count), unknowns.copy(), best_translation.copy()
     for _ in range(30):
         blocks, slope = problem.blocks(unknowns)
-        # Both parts of phi(xi) as columns, (N, 3, 2).
-        parts = state.reshape(-1, n, 2, 3).swapaxes(-1, -2)
+        parts = state.reshape(-1, n, 2, 3).swapaxes(-1, -2)  # both parts of phi(xi) as columns, (N, 3, 2)
         turned = blocks @ parts[:, None]
         spun, across = turned[..., 0], skew(translation)
         driven = np.concatenate([spun, turned[..., 1] + (across @ spun[..., None])[..., 0]], axis=-1)

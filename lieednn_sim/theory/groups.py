@@ -24,10 +24,8 @@ from lieednn_sim.values import Floats
 # The generator of SO(2), and Pauli's matrices.
 _TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 _PAULI = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
-# GL(n) has n^6 structure constants: beyond this n the arrays become too large.
-_LARGEST_GENERAL_LINEAR = 8
-# The same for affine groups of affine groups.
-_LARGEST_DIMENSION = 128
+_LARGEST_GENERAL_LINEAR = 8  # GL(n) has n^6 structure constants: beyond this n the arrays become too large
+_LARGEST_DIMENSION = 128  # the same for affine groups of affine groups
 
 
 def group(name: str) -> MatrixLieGroup:

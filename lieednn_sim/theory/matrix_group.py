@@ -19,8 +19,7 @@ from lieednn_sim.validation import MOST_ENTRIES, as_finite, as_floats, as_genera
 from lieednn_sim.values import Floats, set_fields
 
 Booleans = NDArray[np.bool_]
-# Real or complex group elements and algebra matrices.
-Matrices = NDArray[Any]
+Matrices = NDArray[Any]  # real or complex group elements and algebra matrices
 
 # How far, relative to 1 + its norm, a matrix may lie outside the algebra and still be read as rounding in it.
 _TOLERANCE = 1e-8
@@ -238,8 +237,7 @@ class MatrixLieGroup:
 def as_numbers(name: str, value: ArrayLike, shape: tuple[int | str, ...], *, batched: bool = False) -> Matrices:
     """A checked copy, complex where ``value`` is."""
     try:
-        # A long range would be written out.
-        array = np.empty(0) if isinstance(value, range) else np.asarray(value)
+        array = np.empty(0) if isinstance(value, range) else np.asarray(value)  # a long range would be written out
         is_complex = np.iscomplexobj(array)
     except (TypeError, ValueError):
         is_complex = False

@@ -81,8 +81,7 @@ def curvature(xi_dot: ArrayLike, xi_ddot: ArrayLike) -> Floats:
         xi_dot: first derivatives, any shape.
         xi_ddot: second derivatives, the same shape.
     """
-    # Largest velocity: larger than elsewhere, since velocities only divide.
-    largest_slope = 1e300
+    largest_slope = 1e300  # largest velocity: larger than elsewhere, since velocities only divide
     first = as_floats("xi_dot", xi_dot, (), batched=True, largest=largest_slope)
     second = as_floats("xi_ddot", xi_ddot, first.shape)
     # hypot keeps large velocities from overflowing where the curvature is merely small.

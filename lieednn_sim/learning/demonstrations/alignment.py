@@ -18,8 +18,7 @@ from lieednn_sim.values import Floats, frozen
 
 PHASES = ("length", "time")
 GOALS = ("aligned", "kept")
-# Metres that a radian counts for: 2 mm and 0.5 degrees weigh about the same.
-LEVER = 0.2
+LEVER = 0.2  # metres that a radian counts for: 2 mm and 0.5 degrees weigh about the same
 
 
 @frozen

@@ -82,8 +82,7 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
     factor = shrinking[first : last + 1].mean(axis=0)
     fitted = (left.T @ rest).reshape(-1, count, size) * (factor / spread)[:, None, None]
     hat = left * factor @ left.T
-    # Of one path nothing is left, and its leverage is 1.
-    free = np.maximum(1.0 - 1.0 / n - np.diag(hat), 1e-9)
+    free = np.maximum(1.0 - 1.0 / n - np.diag(hat), 1e-9)  # of one path nothing is left, and its leverage is 1
     residuals = ((rest - hat @ rest) / np.sqrt(free)[:, None]).reshape(paths.shape)
     growth = np.zeros((start.shape[1],) * 2)
     if kept.any():
@@ -170,20 +169,13 @@ class CodeSpread:
     At u from the mean start (and the mean goal, if there are several), in metres, the covariance is
     (1 + 1/n + u^T A u) F F^T: noise, and the doubt about the mean and about the response (as of a Bayesian linear
     regression, whose prior is the ridge).
-
-    Attributes:
-        root: ``(6M, r)`` F, for the codes D delta ``(M, 6)`` of M pairs, flat [rad, m].
-        count: n, the number of demonstrations.
-        growth: ``(E, E)`` A [1/m^2], with E = 6, or 12 for start and goal.
-        units: ``(6,)`` metres for a unit of each coordinate.
-        activation: of the network.
     """
 
-    root: Floats
-    count: int
-    growth: Floats
-    units: Floats
-    activation: str
+    root: Floats  # (6M, r) F, for the codes D delta (M, 6) of M pairs, flat [rad, m]
+    count: int  # n, the number of demonstrations
+    growth: Floats  # (E, E) A [1/m^2], with E = 6, or 12 for start and goal
+    units: Floats  # (6,) metres for a unit of each coordinate
+    activation: str  # of the network
 
     @classmethod
     def of(cls, codes: Floats, growth: Floats, units: Floats, least: Floats, activation: str) -> CodeSpread:

@@ -13,8 +13,7 @@ from lieednn_sim.learning.demonstrations.alignment import Demonstrations
 from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.values import Floats
 
-# Decay rate, per duration, that leaves a hundredth.
-DECAY = float(np.log(100.0))
+DECAY = float(np.log(100.0))  # decay rate, per duration, that leaves a hundredth
 
 
 class MotionModel(Protocol):

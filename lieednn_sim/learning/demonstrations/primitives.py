@@ -33,12 +33,10 @@ from lieednn_sim.values import Floats, frozen, read_only
 # Ijspeert's values: critically damped.
 ALPHA = 25.0
 BETA = ALPHA / 4.0
-# Step of the integrator, in durations; the weights are fitted to exactly these steps.
-STEP = 1.0 / 200.0
+STEP = 1.0 / 200.0  # step of the integrator, in durations; the weights are fitted to exactly these steps
 # Relative size below which singular values are not inverted: responses to neighbouring basis functions are similar.
 _LEAST_RESPONSE = 1e-6
-# Number of instants at which paths of probabilistic primitives are fitted and evaluated.
-_INSTANTS = 201
+_INSTANTS = 201  # number of instants at which paths of probabilistic primitives are fitted and evaluated
 # Standard deviation added to every weight, in extents of the demonstrations: without it, a model of few demonstrations
 # could not be conditioned on another start.
 _ADDED_DEVIATION = 1e-2
@@ -46,17 +44,11 @@ _ADDED_DEVIATION = 1e-2
 
 @frozen
 class MovementPrimitive:
-    """A fitted primitive.
+    """A fitted primitive."""
 
-    Attributes:
-        weights: ``(B, 6)`` for rotations [rad] and positions [m]; zero for entries that were not recorded.
-        duration: mean duration of the demonstrations [s].
-        dof: 2, 3 or 6.
-    """
-
-    weights: Floats
-    duration: float
-    dof: int
+    weights: Floats  # (B, 6) for rotations [rad] and positions [m]; zero for entries that were not recorded
+    duration: float  # mean duration of the demonstrations [s]
+    dof: int  # 2, 3 or 6
 
     name: ClassVar[str] = "dmp"
     durations: ClassVar[float] = 1.0
@@ -146,19 +138,12 @@ def responses(forces: Floats, step: float) -> Floats:
 
 @frozen
 class ProbabilisticPrimitive:
-    """A fitted primitive: the mean motion given the start and the goal, which is affine in the start.
+    """A fitted primitive: the mean motion given the start and the goal, which is affine in the start."""
 
-    Attributes:
-        path: ``(K, 6)`` rotations and positions from a start at the goal [rad, m], at equal steps of the duration.
-        response: ``(K, 6, 6)`` derivatives of the path in the coordinates of the start.
-        duration: mean duration of the demonstrations [s].
-        n_parameters: number of weights of recorded entries; the covariance is not counted.
-    """
-
-    path: Floats
-    response: Floats
-    duration: float
-    n_parameters: int
+    path: Floats  # (K, 6) rotations and positions from a start at the goal [rad, m], at equal steps of the duration
+    response: Floats  # (K, 6, 6) derivatives of the path in the coordinates of the start
+    duration: float  # mean duration of the demonstrations [s]
+    n_parameters: int  # number of weights of recorded entries; the covariance is not counted
 
     name: ClassVar[str] = "promp"
     durations: ClassVar[float] = 1.0
@@ -172,8 +157,7 @@ class ProbabilisticPrimitive:
         phases = np.linspace(0.0, 1.0, _INSTANTS)
         basis = _gaussians(n_basis, phases)
         paths = displacement(at_times(demonstrations.twists, demonstrations.t / duration, phases))[..., shown] * scale
-        # Added to the squared singular values of the least squares.
-        ridge = 1e-12
+        ridge = 1e-12  # added to the squared singular values of the least squares
         inverse = np.linalg.pinv(basis.T @ basis + ridge * np.eye(n_basis)) @ basis.T
         weights = (inverse @ paths).swapaxes(1, 2).reshape(len(paths), -1)
         centred = weights - weights.mean(axis=0)

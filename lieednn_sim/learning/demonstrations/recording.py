@@ -24,23 +24,17 @@ from lieednn_sim.validation import as_choice, as_count, as_floats, as_path, as_p
 from lieednn_sim.values import Floats, frozen
 
 QUATERNIONS = ("wxyz", "xyzw")
-# What a table shows, by its number of columns.
-_SHOWN = {2: "positions in a plane", 3: "positions", 7: "poses"}
-# Accepted norms of recorded unit quaternions, which may be rounded.
-_NORMS = (0.9, 1.1)
-# Largest angle of a rotation vector [rad]: the chart is singular at a full turn.
-_LARGEST_TURN = 2.0 * np.pi - 0.2
-# Samples, and their times if the file has them.
-Table = tuple[NDArray[Any], NDArray[Any] | None]
+_SHOWN = {2: "positions in a plane", 3: "positions", 7: "poses"}  # what a table shows, by its number of columns
+_NORMS = (0.9, 1.1)  # accepted norms of recorded unit quaternions, which may be rounded
+_LARGEST_TURN = 2.0 * np.pi - 0.2  # largest angle of a rotation vector [rad]: the chart is singular at a full turn
+Table = tuple[NDArray[Any], NDArray[Any] | None]  # samples, and their times if the file has them
 # Maps a csv file and the names of its columns to those of the samples, in order.
 Columns = Callable[[Path, list[str]], Sequence[str]]
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _COLUMNS = ("x", "y", "z")
-# Names of the column of times.
-TIMES = ("t", "time")
-# Bytes of a csv or mat file.
-_LARGEST_TABLE = 10**8
+TIMES = ("t", "time")  # names of the column of times
+_LARGEST_TABLE = 10**8  # bytes of a csv or mat file
 _QUATERNION_COLUMNS = tuple(f"q{letter}" for letter in "wxyz")
 
 
@@ -103,8 +97,7 @@ class Demonstration:
         """
         length, rate = as_positive("length", length), as_positive("rate", rate)
         as_choice("order of quaternions", quaternion, QUATERNIONS)
-        # Largest entry of a sample, in any unit.
-        largest_sample = 1e9
+        largest_sample = 1e9  # largest entry of a sample, in any unit
         table = as_floats(source, samples, ("K", "D"), largest=largest_sample)
         count, columns = table.shape
         if columns not in _SHOWN:
@@ -126,8 +119,7 @@ class Demonstration:
                 raise InputError(f"quaternions of {source} must be units, got norm {norms[worst]:g} in row {worst}")
             rotation = Rotation.from_quat(table[:, 3:], scalar_first=quaternion == "wxyz").as_matrix()
         result = cls(times - times[0], position, rotation, 6 if columns == 7 else columns, source)
-        # Least length of a motion, with a lever of 1 m [m].
-        least_length = 1e-9
+        least_length = 1e-9  # least length of a motion, with a lever of 1 m [m]
         if result.steps(1.0).sum() < least_length:
             raise InputError(f"{source} does not move")
         return result

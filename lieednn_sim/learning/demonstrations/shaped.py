@@ -25,8 +25,7 @@ from lieednn_sim.synthesis.shaping.cascade import PAIRS, codes_of, shifts
 from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
-# Default of the requested deviation, in extents of the demonstrations.
-DEVIATION = 2e-3
+DEVIATION = 2e-3  # default of the requested deviation, in extents of the demonstrations
 # Network time, times rho, after which less than a millionth of the path is left; longest time step; and step in the
 # fraction that the clock has left, a tenth of the width of the steepest switch.
 _NETWORK_TIME, _LONGEST_STEP, _FRACTION_STEP = 16.0, 0.2, 1.0 / 600.0

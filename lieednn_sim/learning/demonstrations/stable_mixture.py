@@ -28,25 +28,15 @@ _EVALUATIONS = {2: 100, 3: 100, 6: 40}
 
 @frozen
 class StableMixture:
-    """A fitted system, in d coordinates scaled to the extent of the demonstrations and in units of their duration.
+    """A fitted system, in d coordinates scaled to the extent of the demonstrations and in units of their duration."""
 
-    Attributes:
-        prior: ``(k,)`` priors of the components.
-        mean: ``(k, d)`` means of the components.
-        factor: ``(k, d, d)`` Cholesky factors of the inverse covariances.
-        laws: ``(k, d, d)`` matrices A_k.
-        lyapunov: ``(d, d)`` P.
-        units: ``(d,)`` units of the coordinates [rad, m].
-        duration: mean duration of the demonstrations [s].
-    """
-
-    prior: Floats
-    mean: Floats
-    factor: Floats
-    laws: Floats
-    lyapunov: Floats
-    units: Floats
-    duration: float
+    prior: Floats  # (k,) priors of the components
+    mean: Floats  # (k, d) means of the components
+    factor: Floats  # (k, d, d) Cholesky factors of the inverse covariances
+    laws: Floats  # (k, d, d) matrices A_k
+    lyapunov: Floats  # (d, d) P
+    units: Floats  # (d,) units of the coordinates [rad, m]
+    duration: float  # mean duration of the demonstrations [s]
 
     name: ClassVar[str] = "lpv-ds"
     durations: ClassVar[float] = 3.0
@@ -81,8 +71,7 @@ class StableMixture:
         twists = np.zeros((start[..., 0].size, len(t), 6))
         first = start.reshape(-1, 6)[:, shown] / self.units
         times = t / self.duration
-        # Step of the integrator, in durations.
-        step = 1.0 / 100.0
+        step = 1.0 / 100.0  # step of the integrator, in durations
         twists[..., shown] = run_field(self.velocity, first, even_grid(times[-1], step), times) * self.units
         return twists.reshape(*start.shape[:-1], len(t), 6)
 
@@ -106,8 +95,7 @@ def _mixture(x: Floats, components: int, rng: np.random.Generator) -> tuple[Floa
     _, label = kmeans2(x, components, minit="++", rng=rng)
     gamma = np.eye(components)[label]
     for _ in range(_ROUNDS):
-        # An empty component keeps a tiny prior.
-        count = gamma.sum(axis=0) + 1e-9
+        count = gamma.sum(axis=0) + 1e-9  # an empty component keeps a tiny prior
         prior, mean = count / count.sum(), gamma.T @ x / count[:, None]
         away = x[:, None] - mean
         covariance = np.einsum("nk,nka,nkb->kab", gamma, away, away) / count[:, None, None]
@@ -137,8 +125,7 @@ def _laws(gamma: Floats, x: Floats, rates: Floats) -> tuple[Floats, Floats]:
     def laws(unknown: Floats) -> tuple[Floats, Floats]:
         factor, damping, skew = unpack(unknown)
         metric = factor @ factor.T + 1e-3 * np.eye(d)
-        # epsilon, the least decay of V per duration.
-        epsilon = 0.1
+        epsilon = 0.1  # the least decay of V per duration
         inside = skew - damping @ damping.swapaxes(1, 2) - epsilon * np.eye(d)
         return np.asarray(np.linalg.solve(metric, inside), dtype=float), metric
 

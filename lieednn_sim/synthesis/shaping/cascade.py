@@ -33,31 +33,20 @@ CLOCK_START = 0.5
 TAIL = 0.05
 # Most that g falls, and that time passes, within one piece of time: ripples between switches are short.
 _MAX_CLOCK_STEP, _MAX_TIME_STEP = 1.0 / 120.0, 0.25
-# Number of pairs of each visible neuron of a family.
-PAIRS = 24
-# Largest entry of a code, at which the cubic term is a thousandth of the bump.
-LARGEST_CODE = 0.05
+PAIRS = 24  # number of pairs of each visible neuron of a family
+LARGEST_CODE = 0.05  # largest entry of a code, at which the cubic term is a thousandth of the bump
 
 
 @frozen
 class Clockwork:
-    """The time functions of a cascade, sampled; see `clockwork`.
+    """The time functions of a cascade, sampled; see `clockwork`."""
 
-    Attributes:
-        rate: rho.
-        activation: phi.
-        t: ``(K,)`` instants.
-        g: ``(K,)`` g at these instants.
-        fine: ``(F,)`` g at the nodes of the filter's quadrature.
-        filter: ``(K, F)`` Q.
-    """
-
-    rate: float
-    activation: Activation
-    t: Floats
-    g: Floats
-    fine: Floats
-    filter: Floats
+    rate: float  # rho
+    activation: Activation  # phi
+    t: Floats  # (K,) instants
+    g: Floats  # (K,) g at these instants
+    fine: Floats  # (F,) g at the nodes of the filter's quadrature
+    filter: Floats  # (K, F) Q
 
 
 @lru_cache(maxsize=8)
@@ -75,15 +64,13 @@ def clockwork(rate: float, activation: Activation = ACTIVATIONS[DEFAULT_ACTIVATI
 
     looks = np.linspace(0.0, span, 20_001)
     levels = falling(looks)
-    # g is sampled down to this value, a ten thousandth of its start.
-    least_clock = 1e-4
+    least_clock = 1e-4  # g is sampled down to this value, a ten thousandth of its start
     end = looks[np.argmax(levels < least_clock)]
     # Pieces that are even in the measure that bounds them.
     measure = np.append(0.0, np.cumsum(np.hypot(np.diff(levels) / _MAX_CLOCK_STEP, np.diff(looks) / _MAX_TIME_STEP)))
     total = np.interp(end, looks, measure)
     edges = np.interp(np.linspace(0.0, total, int(np.ceil(total)) + 1), measure, looks)
-    # Nodes of the Gauss rule on each piece.
-    nodes = 3
+    nodes = 3  # nodes of the Gauss rule on each piece
     node, weight = np.polynomial.legendre.leggauss(nodes)
     width = np.diff(edges)
     fine = edges[:-1, None] + 0.5 * width[:, None] * (node + 1.0)
@@ -95,19 +82,12 @@ def clockwork(rate: float, activation: Activation = ACTIVATIONS[DEFAULT_ACTIVATI
 
 @frozen
 class Parameters:
-    """Parameters of a cascade with N visible neurons and M switches.
+    """Parameters of a cascade with N visible neurons and M switches."""
 
-    Attributes:
-        a: ``(M, 6)`` equilibria of the hidden neurons.
-        c: ``(M, 6)`` slopes of the switches.
-        alpha: ``(N, M)`` strengths with which the visible neurons read the switches.
-        rotation: ``(N, M, 3, 3)`` rotations R of what they read; theta = (R, 0) does not translate.
-    """
-
-    a: Floats
-    c: Floats
-    alpha: Floats
-    rotation: Floats
+    a: Floats  # (M, 6) equilibria of the hidden neurons
+    c: Floats  # (M, 6) slopes of the switches
+    alpha: Floats  # (N, M) strengths with which the visible neurons read the switches
+    rotation: Floats  # (N, M, 3, 3) rotations R of what they read; theta = (R, 0) does not translate
 
 
 class Cascade:
@@ -134,8 +114,7 @@ class Cascade:
         return self.free + read.reshape(self.free.shape)
 
 
-# Most that a layer's input from the next one may add to lambda_max, in S-scaled weights.
-_MOST_ADDED = 0.02
+_MOST_ADDED = 0.02  # most that a layer's input from the next one may add to lambda_max, in S-scaled weights
 _UNIT = np.eye(3)[0]
 
 
@@ -225,8 +204,7 @@ def bumps(clock: Clockwork) -> Floats:
 def encoder(clock: Clockwork) -> Floats:
     """Codes D delta ``(M,)`` of a displacement at the clock's instants ``(K,)``, as one matrix ``(M, K)``."""
     left, size, right = np.linalg.svd(bumps(clock), full_matrices=False)
-    # Weight of the squared codes, relative to the largest singular value of the bumps.
-    ridge = 1e-3
+    ridge = 1e-3  # weight of the squared codes, relative to the largest singular value of the bumps
     return np.asarray(right.T * (size / (size**2 + (ridge * size[0]) ** 2)) @ left.T[:, :-1])
 
 

@@ -11,27 +11,18 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
-# Rows of a table: a curve of two metres is then resolved to a millimetre along, and to micrometres across.
-_ROWS = 2048
-# Longest such step, in rows.
-_REACH = 64
+_ROWS = 2048  # rows of a table: a curve of two metres is then resolved to a millimetre along, and to micrometres across
+_REACH = 64  # longest Newton step to a foot point, in rows
 
 
 @frozen
 class Curve:
-    """A curve, tabulated evenly over its length.
+    """A curve, tabulated evenly over its length."""
 
-    Attributes:
-        points: ``(R, N, 6)`` in network coordinates, from start to target.
-        tangents: ``(R, N, 6)`` derivatives in the fraction s of the length, from 0 to 1.
-        units: ``(N, 6)`` metres that one unit of each coordinate counts for, the metric.
-        length: length in this metric [m].
-    """
-
-    points: Floats
-    tangents: Floats
-    units: Floats
-    length: float
+    points: Floats  # (R, N, 6) in network coordinates, from start to target
+    tangents: Floats  # (R, N, 6) derivatives in the fraction s of the length, from 0 to 1
+    units: Floats  # (N, 6) metres that one unit of each coordinate counts for, the metric
+    length: float  # length in this metric [m]
 
     @classmethod
     def through(cls, samples: Floats, units: Floats) -> Curve:
@@ -68,8 +59,7 @@ class Curve:
 
     def feet(self, x: Floats, s: Floats) -> Floats:
         """Fractions ``(K,)`` of the length at the foot points of ``x`` ``(K, N, 6)`` near ``s``; nondecreasing."""
-        # Newton steps to a foot point from its previous estimate.
-        newton_steps = 3
+        newton_steps = 3  # Newton steps to a foot point from its previous estimate
         for _ in range(newton_steps):
             point, tangent = self.at(s)
             along = (tangent * self.units**2).reshape(len(x), -1)

@@ -30,20 +30,16 @@ from lieednn_sim.synthesis.shaping.curve import Curve, as_units, clock_along, th
 from lieednn_sim.validation import as_count, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
-# Samples at which deviations between the network's path and the curve are measured.
-_SAMPLES = 1000
+_SAMPLES = 1000  # samples at which deviations between the network's path and the curve are measured
 # Pieces over which curvature is computed, and the fraction of the length over which it is smoothed.
 _PIECES, _SMOOTHING = 512, 0.01
 # Bound on slopes: the steepest switch spans a sixtieth of the path, twice the resolution of `cascade`.
 LARGEST_SLOPE = 60.0
-# The density of switches is the root of the curve's second derivative plus this much everywhere.
-_LEAST_DENSITY = 0.1
-# Ripples shorter than 2 pi times this fraction of the clock count more than deviations.
-_RIPPLE = 0.03
+_LEAST_DENSITY = 0.1  # the density of switches is the root of the curve's second derivative plus this much everywhere
+_RIPPLE = 0.03  # ripples shorter than 2 pi times this fraction of the clock count more than deviations
 # Number of instants at which ripples are penalised, nearly even down to where g is this small.
 _INSTANTS, _LEAST_CLOCK = 120, 0.01
-# Weight of the squared readouts.
-_RIDGE = 1e-9
+_RIDGE = 1e-9  # weight of the squared readouts
 
 
 @dataclass(frozen=True)
@@ -163,8 +159,7 @@ def shape(
 def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> tuple[float, LieEDNN]:
     """Deviation, and the network, by integrating it."""
     network = assemble(parameters, options.rate, curve.points[-1], options.activation)
-    # Network time, times rho, after which less than a micrometre of a path of a metre is left.
-    network_time = 16.0
+    network_time = 16.0  # network time, times rho, after which less than a micrometre of a path of a metre is left
     trajectory = network.trajectory(network.start(curve.points[0]), network_time / options.rate, rtol=1e-7, atol=1e-9)
     # Closer together at first, where it is fast.
     # States of the network's trajectory from which its path is tabulated.
