@@ -7,11 +7,16 @@ import math
 import numpy as np
 
 from lieednn_sim.budget import check_time
-from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
 from lieednn_sim.learning.manifold import Network
 from lieednn_sim.learning.options import TrainingOptions
 from lieednn_sim.learning.result import StopReason
-from lieednn_sim.learning.sensitivity import gauss_newton_direction, strength_gradient, weight_gradient
+from lieednn_sim.learning.sensitivity import (
+    FlatEquilibrium,
+    SensitivityMatrix,
+    gauss_newton_direction,
+    strength_gradient,
+    weight_gradient,
+)
 from lieednn_sim.learning.training import Iterate, Training
 from lieednn_sim.values import Floats
 

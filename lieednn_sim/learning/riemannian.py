@@ -22,10 +22,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim.learning.equilibria import SensitivityMatrix
 from lieednn_sim.learning.manifold import Network, SE3Weights, WeightPoint, block_view
 from lieednn_sim.learning.options import RiemannianOptions
 from lieednn_sim.learning.result import StopReason
+from lieednn_sim.learning.sensitivity import SensitivityMatrix
 from lieednn_sim.learning.training import Iterate, Training
 from lieednn_sim.lie import hat, vee
 from lieednn_sim.network.base import flatten_blocks

@@ -10,10 +10,10 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from lieednn_sim.budget import cpu_time
-from lieednn_sim.learning.equilibria import EquilibriumSolver, FlatEquilibrium
 from lieednn_sim.learning.manifold import Network, WeightManifold, WeightPoint
 from lieednn_sim.learning.options import LearningOptions
 from lieednn_sim.learning.result import Recorder, StopReason, TrainingResult
+from lieednn_sim.learning.sensitivity import EquilibriumSolver, FlatEquilibrium
 from lieednn_sim.values import Floats, frozen
 
 Progress = Callable[[int, int], None]  # called with the epochs done and the most epochs

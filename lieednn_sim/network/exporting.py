@@ -5,16 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.io import atomic_path, atomic_paths, make_directory
+from lieednn_sim.network.base import BlockNetwork
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from lieednn_sim.network.base import BlockNetwork
 
 _PHI = {"tanh": "tanh(x)", "arctan": "M_2_PI * atan(M_PI_2 * x)"}
 
@@ -141,11 +138,6 @@ void lieednn_retarget(lieednn *net, const double target[LIEEDNN_VISIBLE])
 }
 """)
 
-_HIDDEN_ARRAYS = Template("""\
-/* Hidden neurons start at hidden_start$and. */
-static const double hidden_start[HIDDEN] = $hidden_start;
-$gains""")
-
 # The field at one stage's state, in ONNX's own notation.
 _STAGE = """
     output{k} = Tanh(x{k})
@@ -236,9 +228,8 @@ def _hidden(network: BlockNetwork) -> dict[str, str]:
             f"            net->x[LIEEDNN_VISIBLE + i] += {term};",
             "    }",
         ]
-    hidden = _HIDDEN_ARRAYS.substitute(
-        {"and": law, "hidden_start": _array(network.hidden_start.ravel()), "gains": gains}
-    )
+    hidden = f"/* Hidden neurons start at hidden_start{law}. */\n"
+    hidden += f"static const double hidden_start[HIDDEN] = {_array(network.hidden_start.ravel())};\n{gains}"
     return {"hidden_arrays": hidden, "start": "\n".join(start)}
 
 

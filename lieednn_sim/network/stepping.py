@@ -83,11 +83,7 @@ class RungeKuttaStepper:
 
 
 class UndrivenState:
-    """The state of a network whose hidden neurons have no inputs, from given visible neurons and its hidden start.
-
-    Args:
-        network: hidden neurons without inputs, and visible ones without inputs from each other.
-        visible: ``(N, 6)`` the visible neurons' state.
+    """The state of a network whose hidden neurons have no inputs, from visible neurons ``(N, 6)`` and its hidden start.
 
     Attributes:
         x: ``(6N,)`` visible state.
@@ -95,7 +91,7 @@ class UndrivenState:
         flow: ``(6N,)`` visible part of the field, per unit of z.
 
     Raises:
-        InputError: the network has other inputs.
+        InputError: hidden neurons have inputs, or visible ones have some from each other.
     """
 
     def __init__(self, network: LieEDNN, visible: Floats) -> None:

@@ -151,10 +151,9 @@ def assess(
 
     The activation phi may be any function whose slopes are in (0, 1].
 
-    The adjoint of SE(3) makes W block triangular once all omega are sorted before all v, with W_R twice on the
-    diagonal; a small weight of v against omega then makes W_C arbitrarily small, so the weighted and the Lyapunov
-    conditions hold for W exactly when they hold for W_R, at the same rate up to any small epsilon. The log norm 2 on
-    W_R proves the same for W through diag(I, eps I). Only unweighted norms depend on W_C, and need the whole W.
+    The weighted and the Lyapunov conditions hold for W exactly when they hold for W_R (`stability.certificate`), at the
+    same rate up to any small epsilon. The log norm 2 on W_R proves the same for W through diag(I, eps I). Only
+    unweighted norms depend on the other blocks, by which omega drives v, and need the whole W.
 
     Coordinates without inputs, where they are more than half of all, are left out of the weighted log norm and of
     contraction for the same reason: a large weight of theirs makes what they send arbitrarily small.

@@ -330,7 +330,7 @@ def _patient_attempt(task: _Task) -> None:
     bound = QUATERNION_BOUNDS[task.attempts // len(task.choices) % len(QUATERNION_BOUNDS)]
     problem, start = _start([task])
     task.attempts += 1
-    unknowns, count = smallest_eigenvalue_point(problem.one(0), start[0], accept=0.9999, quaternion_bound=bound)
+    unknowns, count = smallest_eigenvalue_point(problem.of(0), start[0], accept=0.9999, quaternion_bound=bound)
     task.iterations += count
     if unknowns is not None:
         _offer_polished([task], problem, unknowns[None])

@@ -90,14 +90,10 @@ class Problem:
         self.n_quaternion = 4 * self.n_neurons**2
         self.size = 3 * self.n_neurons
 
-    def of(self, which: Indices) -> Problem:
-        """The problems of a stack with these indices."""
-        if len(which) == len(self.signs):
+    def of(self, which: Indices | int) -> Problem:
+        """The problems of a stack with these indices; that with one index has no leading axis."""
+        if not isinstance(which, int) and len(which) == len(self.signs):
             return self
-        return Problem(self.inputs[which], self.outputs[which], self.signs[which])
-
-    def one(self, which: int) -> Problem:
-        """The problem of a stack with this index, without leading axes."""
         return Problem(self.inputs[which], self.outputs[which], self.signs[which])
 
     def blocks(self, unknowns: Floats) -> tuple[Floats, Floats]:

@@ -30,8 +30,6 @@ from lieednn_sim.theory.matrix_group import MatrixLieGroup, as_numbers
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen, read_only, set_fields
 
-Complexes = NDArray[np.complex128]
-
 
 @frozen
 class GroupLieEDNN(ComponentwiseNetwork):
@@ -143,7 +141,7 @@ def complex_state(z: ArrayLike) -> Floats:
     return _embed(_components("z", z))
 
 
-def complex_values(xi: ArrayLike) -> Complexes:
+def complex_values(xi: ArrayLike) -> NDArray[np.complex128]:
     """Inverse of `complex_state`, ``(..., N, 4)`` to ``(..., N)``."""
     state = as_floats("xi", xi, (4,), batched=True)
     return state[..., 2] + 1j * state[..., 3]

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning import RiemannianOptions, StopReason, train
-from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import SE3Weights
 from lieednn_sim.learning.riemannian import (
     RowEquations,
@@ -20,6 +19,7 @@ from lieednn_sim.learning.riemannian import (
     rotational_weight,
     smoothed_eigenvalue,
 )
+from lieednn_sim.learning.sensitivity import EquilibriumSolver
 from lieednn_sim.lie import adjoint
 
 seeds = st.integers(0, 2**32 - 1)

@@ -186,10 +186,11 @@ def load_demonstrations(
     """
     length = UNITS[as_choice("unit", unit, UNITS)]
     as_choice("order of quaternions", quaternion, QUATERNIONS)
-    rate = as_positive("rate", rate)
-    result: list[Demonstration] = []
-    for source, samples, t in read_tables(files, partial(_pose_columns, quaternion)):
-        result.append(Demonstration.from_samples(samples, t, length, quaternion, rate, source))
+    as_positive("rate", rate)
+    result = [
+        Demonstration.from_samples(samples, t, length, quaternion, rate, source)
+        for source, samples, t in read_tables(files, partial(_pose_columns, quaternion))
+    ]
     for other in result[1:]:
         if other.dof != result[0].dof:
             raise InputError(
