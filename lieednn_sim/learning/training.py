@@ -64,18 +64,14 @@ class Iterate(NamedTuple):
 
 
 class Training(ABC, Generic[_Options]):
-    """A training; subclasses say how weights change from one epoch to the next.
-
-    Attributes:
-        epoch: epochs done, over all starts.
-    """
+    """A training; subclasses say how weights change from one epoch to the next."""
 
     def __init__(self, problem: TrainingProblem, options: _Options, progress: Progress | None) -> None:
         self.problem, self.options, self._progress = problem, options, progress
         self.manifold, self.goal, self.ratio = problem.manifold, problem.target.ravel(), problem.ratio
         self.solver = EquilibriumSolver(problem.bias, problem.ratio, problem.activation)
         self.recorder = Recorder(problem.target, options.tolerance)
-        self.epoch = 0
+        self.epoch = 0  # epochs done, over all starts
 
     @abstractmethod
     def initial(self, weight: Floats) -> Iterate:

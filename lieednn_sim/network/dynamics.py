@@ -159,10 +159,9 @@ def runge_kutta_step(field: VectorField, x: Floats, h: float) -> Floats:
 
 
 def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Floats, Floats, OdeSolution | PPoly]:
-    """Run a solver to its end, or to where ``away`` falls to zero; quicker than SciPy's `solve_ivp`.
+    """Times ``(K,)``, states ``(K, n)`` and their interpolant, of a solver run to its end or to where ``away`` is zero.
 
-    Returns:
-        Times ``(K,)``, states ``(K, n)``, and the function of the time that interpolates these.
+    It is quicker than SciPy's `solve_ivp`.
 
     Raises:
         ArithmeticError: the solver fails.

@@ -159,10 +159,9 @@ def find_contraction(
 
 
 def least_level(scaled: Floats) -> tuple[float, float, float]:
-    """The least level v over all P for the matrix S W S^-1 ``(n, n)``.
+    """The least level v over all P for the matrix S W S^-1 ``(n, n)``, at least 0.
 
-    Returns:
-        v, at least 0; the angle a in [0, pi/2) at which it is reached; and the value at a = 0 alone, at least 0.
+    Then the angle a in [0, pi/2) at which it is reached, and the value at a = 0 alone, at least 0.
     """
 
     def level(angle: Floats) -> Floats:

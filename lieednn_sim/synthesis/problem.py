@@ -125,11 +125,7 @@ class Problem:
         return 2.0 * moved.transpose(*range(len(lead)), *order).reshape(*lead, n, 3 * k, 4 * n)
 
     def eigenspace_jacobian(self, point: Point, first: int) -> Floats:
-        """Derivatives of v_a^T sym(S W_R S^-1) v_b for all `pairs` a >= first, a >= b, with the eigenvectors held.
-
-        Returns:
-            ``(P, 4 N^2 + 3N)``.
-        """
+        """Derivatives ``(P, 4 N^2 + 3N)`` of v_a^T sym(S W_R S^-1) v_b for all `pairs`, with the eigenvectors held."""
         n, size, lead = self.n_neurons, self.size, point.unknowns.shape[:-1]
         a, b = pairs(size, first)
         vectors = point.vectors.swapaxes(-1, -2)

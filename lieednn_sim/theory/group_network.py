@@ -68,11 +68,17 @@ class GroupLieEDNN(ComponentwiseNetwork):
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)
         n, d = len(alpha), self.group.dimension
+        theta = as_numbers("theta", self.theta, (n, n, self.group.size, self.group.size))
+        if outside := np.count_nonzero(~self.group.contains(theta)):
+            raise InputError(
+                f"theta must hold elements of {self.group.name}, {outside} of {n * n} are none; "
+                "`project_to_adjoint` of the group finds the nearest"
+            )
         diagonal = self.lyapunov_diagonal
         set_fields(
             self,
             alpha=alpha,
-            theta=_as_elements(self.group, self.theta, n),
+            theta=np.array(theta, dtype=self.group.basis.dtype),
             bias=as_floats("bias", self.bias, (n, d)),
             **as_rates(self.gamma, self.mu),
             activation=as_activation(self.activation),
@@ -90,16 +96,6 @@ class GroupLieEDNN(ComponentwiseNetwork):
     @classmethod
     def _from_meta(cls, meta: Mapping[str, Any]) -> dict[str, Any]:
         return {"group": groups.group(str(meta["group"])), **super()._from_meta(meta)}
-
-
-def _as_elements(group: MatrixLieGroup, theta: ArrayLike, n: int) -> NDArray[Any]:
-    theta = as_numbers("theta", theta, (n, n, group.size, group.size))
-    if not (inside := group.contains(theta)).all():
-        raise InputError(
-            f"theta must hold elements of {group.name}, {np.count_nonzero(~inside)} of {inside.size} are none; "
-            "`project_to_adjoint` of the group finds the nearest"
-        )
-    return np.array(theta, dtype=group.basis.dtype)
 
 
 def complex_network(

@@ -213,11 +213,9 @@ class CodeSpread:
         return root @ root.swapaxes(1, 2)
 
     def gain(self, seen: Floats, noise: Floats) -> Floats:
-        """Codes ``(6M, o)`` for an observed deviation of a motion from the mean start.
+        """Codes ``(6M, o)`` for a deviation of a motion from the mean start that is observed with the noise ``(o,)``.
 
-        Args:
-            seen: ``(o, 6M)`` derivatives of what is observed in the codes.
-            noise: ``(o,)`` its standard deviations.
+        What is seen has the derivatives ``(o, 6M)`` in the codes.
         """
         root = seen @ self.root
         doubt = root @ root.T + np.diag(noise**2) / self.scale(np.zeros(len(self.growth)))

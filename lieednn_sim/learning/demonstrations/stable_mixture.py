@@ -142,14 +142,13 @@ def _laws(gamma: Floats, x: Floats, rates: Floats) -> tuple[Floats, Floats]:
         pulled = predicted @ factor
         for i, j in zip(*low, strict=True):
             columns.append(-(pulled[:, j, None] * inverse[:, i] + predicted[:, i, None] * (inverse @ factor[:, j])))
-        for c in range(k):
-            pulled = drive[:, c] @ damping[c]
-            turned = inverse @ damping[c]
+        for w, root in zip(drive.swapaxes(0, 1), damping, strict=True):
+            pulled, turned = w @ root, inverse @ root
             for i, j in zip(*low, strict=True):
-                columns.append(-(pulled[:, j, None] * inverse[:, i] + drive[:, c, i, None] * turned[:, j]))
-        for c in range(k):
+                columns.append(-(pulled[:, j, None] * inverse[:, i] + w[:, i, None] * turned[:, j]))
+        for w in drive.swapaxes(0, 1):
             for i, j in zip(*below, strict=True):
-                columns.append(drive[:, c, j, None] * inverse[:, i] - drive[:, c, i, None] * inverse[:, j])
+                columns.append(w[:, j, None] * inverse[:, i] - w[:, i, None] * inverse[:, j])
         return np.stack([column.ravel() for column in columns], axis=1)
 
     first = np.concatenate([np.eye(d)[low], np.tile(np.eye(d)[low], k), np.zeros(k * len(below[0]))])

@@ -161,9 +161,7 @@ def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> 
     network = assemble(parameters, options.rate, curve.points[-1], options.activation)
     network_time = 16.0  # network time, times rho, after which less than a micrometre of a path of a metre is left
     trajectory = network.trajectory(network.start(curve.points[0]), network_time / options.rate, rtol=1e-7, atol=1e-9)
-    # Closer together at first, where it is fast.
-    # States of the network's trajectory from which its path is tabulated.
-    path_samples = 4000
+    path_samples = 4000  # closer together at first, where it is fast
     t = trajectory.t[-1] * np.linspace(0.0, 1.0, path_samples) ** 3
     path = Curve.through(network.visible(trajectory(t)), curve.units)
     fractions = np.linspace(0.0, 1.0, _SAMPLES)
@@ -180,17 +178,17 @@ def _distances(points: Floats, curve: Curve, fractions: Floats) -> Floats:
 def fit_switches(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
     """Parameters of the cascade with ``n_switches`` switches placed along the curve whose path is nearest to it."""
     n, m, clock = curve.points.shape[1], n_switches, cascade.clock
-    pace = _pace(curve)
-    fractions = pace(1.0 - clock.g)
-    goal, _ = curve.at(fractions)
+    pace, w = _pace(curve), 1.0 - clock.g
+    goal, _ = curve.at(pace(w))
     # The last row is the tail, which should vanish.
     missing = np.concatenate([goal - cascade.free[:-1], np.zeros((1, n, 6))])
-    w = 1.0 - clock.g
     # Nearly even, so that no difference is dominated by close instants.
     looks = np.unique(np.abs(w[:, None] - np.linspace(0.0, 1.0 - _LEAST_CLOCK, _INSTANTS)).argmin(axis=0))
     ripples = third_derivative(w[looks])
     a, c, read = np.zeros((m, 6)), np.zeros((m, 6)), np.zeros((n, m, 3))
-    for half, chosen in _halves(curve, m):
+    # Equally many turns and shifts where the curve has both.
+    halves = [half for half in (slice(0, 3), slice(3, 6)) if np.ptp(curve.points[..., half], axis=0).max() > 0.0]
+    for half, chosen in zip(halves, np.array_split(np.arange(m), len(halves)), strict=True):
         place, slope = _switches(curve, pace, half, len(chosen))
         lead = half.start
         c[chosen, lead], a[chosen, lead] = slope, -slope * (1.0 - place)
@@ -205,20 +203,12 @@ def fit_switches(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
     return Parameters(a, c, np.linalg.norm(read, axis=-1), turns_to(read))
 
 
-def _halves(curve: Curve, count: int) -> list[tuple[slice, Floats]]:
-    """Which neurons switch which half: equally many turns and shifts where the curve has both."""
-    halves = [half for half in (slice(0, 3), slice(3, 6)) if np.ptp(curve.points[..., half], axis=0).max() > 0.0]
-    return list(zip(halves, np.array_split(np.arange(count), len(halves)), strict=True))
-
-
 def _pace(curve: Curve) -> CubicSpline:
     """Fraction of the curve's length as a function of the fraction of the clock: slower where the curve turns."""
     s = np.linspace(0.0, 1.0, _PIECES + 1)
     points = (curve.at(s)[0] * curve.units).reshape(len(s), -1)
-    # A turn of the tangent by one radian takes as much of the clock as this fraction of the length: it makes room for
-    # switches in a sharp corner, where a motion is slow anyway.
-    clock_per_turn = 0.03
-    return CubicSpline(clock_along(points, clock_per_turn, _SMOOTHING), s)
+    # Turns make room for switches in a sharp corner, where a motion is slow anyway.
+    return CubicSpline(clock_along(points, per_turn=0.03, smoothing=_SMOOTHING), s)
 
 
 def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple[Floats, Floats]:
