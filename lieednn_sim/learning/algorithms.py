@@ -10,9 +10,8 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning.manifold import GroupWeights, QuaternionWeights, SE3Weights, WeightManifold
 from lieednn_sim.learning.options import RiemannianOptions, TrainingOptions
 from lieednn_sim.learning.projected import ProjectedTraining
-from lieednn_sim.learning.result import TrainingResult
 from lieednn_sim.learning.riemannian import RiemannianTraining
-from lieednn_sim.learning.training import Progress, TrainingProblem
+from lieednn_sim.learning.training import Progress, TrainingProblem, TrainingResult
 from lieednn_sim.network import DEFAULT_ACTIVATION
 from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.theory.matrix_group import MatrixLieGroup

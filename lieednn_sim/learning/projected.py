@@ -9,7 +9,6 @@ import numpy as np
 from lieednn_sim.budget import check_time
 from lieednn_sim.learning.manifold import Network
 from lieednn_sim.learning.options import TrainingOptions
-from lieednn_sim.learning.result import StopReason
 from lieednn_sim.learning.sensitivity import (
     FlatEquilibrium,
     SensitivityMatrix,
@@ -17,7 +16,7 @@ from lieednn_sim.learning.sensitivity import (
     strength_gradient,
     weight_gradient,
 )
-from lieednn_sim.learning.training import Iterate, Training
+from lieednn_sim.learning.training import Iterate, StopReason, Training
 from lieednn_sim.values import Floats
 
 
@@ -61,8 +60,7 @@ class ProjectedTraining(Training[TrainingOptions]):
         tracked = options.step_control == "tracked"
         lost = not now.equilibrium.success
         if lost or (tracked and np.abs(now.equilibrium.x - before.equilibrium.x).max() > options.max_jump):
-            # Back to the last weights that have the equilibrium.
-            self.recorder.cut(rows)
+            self.recorder.cut(rows)  # back to the last weights that have the equilibrium
             if not tracked:
                 return before, StopReason.LOST_EQUILIBRIUM
             rate = before.rate * options.shrink

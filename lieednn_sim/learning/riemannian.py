@@ -24,9 +24,8 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.learning.manifold import Network, SE3Weights, WeightPoint, block_view
 from lieednn_sim.learning.options import RiemannianOptions
-from lieednn_sim.learning.result import StopReason
 from lieednn_sim.learning.sensitivity import SensitivityMatrix
-from lieednn_sim.learning.training import Iterate, Training
+from lieednn_sim.learning.training import Iterate, StopReason, Training
 from lieednn_sim.lie import hat, vee
 from lieednn_sim.network.base import flatten_blocks
 from lieednn_sim.stability import Certificate, find_certificate, verify

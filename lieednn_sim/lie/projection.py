@@ -154,8 +154,7 @@ def descend(
         along = np.einsum("bij,bi->bj", vectors, gradient[active])
         step = -np.einsum("bij,bj->bi", vectors, along / np.maximum(stiffness, 1e-10 * scale))
         length = np.linalg.norm(step, axis=1)
-        # At most 1 in the group's coordinates (rad for rotations).
-        step *= (1.0 / np.maximum(length, 1.0))[:, None]
+        step *= (1.0 / np.maximum(length, 1.0))[:, None]  # at most 1 in the group's coordinates (rad for rotations)
         moved = move(points[active], step)
         new_value, new_gradient, new_hessian = evaluate(moved, active)
         # Near the minimum values agree to rounding; there the gradient decides.

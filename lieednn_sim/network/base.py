@@ -44,8 +44,7 @@ class BlockNetwork(ABC):
     goal_gain: Floats | None = None
     lyapunov_diagonal: Floats | None
 
-    # The kind of file that `save` writes.
-    _kind: ClassVar[str]
+    _kind: ClassVar[str]  # the kind of file that `save` writes
     _rows_alike: ClassVar[int] = 1  # rows of the certified matrix that share an entry of the stored diagonal
     # Cached values independent of the visible neurons' bias, which `retarget` hands over.
     _bias_free: ClassVar[list[str]] = ["blocks", "weight", "certificate", "n_driven", "driven_weight", "_undriven_rest"]
@@ -294,8 +293,7 @@ class BlockNetwork(ABC):
                 # The end is a crossing; if the start is inside, there is none, and nothing to integrate.
                 away, longest = None, 1e-9 * longest
         with warnings.catch_warnings(), np.errstate(all="ignore"):
-            # An overflow ends the integration, or is noticed below.
-            warnings.simplefilter("ignore")
+            warnings.simplefilter("ignore")  # an overflow ends the integration, or is noticed below
             try:
                 solver = INTEGRATORS[method](
                     lambda _, x: self.flat_vector_field(x), 0.0, first, longest, rtol=rtol, atol=atol

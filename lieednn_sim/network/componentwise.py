@@ -207,15 +207,9 @@ class ComponentwiseNetwork(BlockNetwork):
 
 @frozen
 class HopfieldNetwork(ComponentwiseNetwork):
-    """A network with any weight matrix, of N neurons with d coordinates (Hopfield, PNAS 81, 1984).
+    """A network with any weight matrix W, of N neurons with d coordinates (Hopfield, PNAS 81, 1984).
 
-    It is x' = -gamma x + mu (W phi(x) + b).
-
-    Attributes:
-        matrix: ``(dN, dN)`` W.
-        bias: ``(N, d)``.
-        gamma, mu, activation: as of `LieEDNN`.
-        lyapunov_diagonal: ``(dN,)`` diagonal P that certifies W, or None. Checked by `certificate`.
+    It is x' = -gamma x + mu (W phi(x) + b), with fields as of `LieEDNN`, but a P of W itself, ``(dN,)``.
     """
 
     matrix: Floats

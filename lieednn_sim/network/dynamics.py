@@ -92,8 +92,7 @@ def find_equilibrium(
         LieEDNNError: the numbers are so large that the search overflows.
     """
     x, steps, how = start.ravel().copy(), 0, "Newton converged"
-    # Squares may overflow meanwhile; a result that is not finite is rejected below.
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # squares may overflow meanwhile; a result that is not finite is rejected below
         try:
             for attempt in range(3):
                 x, n, converged = _newton(vector_field, jacobian, x, rate * tolerance)

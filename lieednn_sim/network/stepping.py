@@ -41,8 +41,7 @@ def _factors() -> Floats:
 
     def field(state: Floats) -> Floats:
         states.append(state)
-        # gamma h is one power of z more.
-        return np.roll(v + drives[len(states) - 1] - state, 1, axis=-1)
+        return np.roll(v + drives[len(states) - 1] - state, 1, axis=-1)  # gamma h is one power of z more
 
     end = runge_kutta_step(field, x, 1.0)
     return np.array([*states[1:], end]).reshape(_STAGES * parts, -1)
@@ -57,13 +56,11 @@ class RungeKuttaStepper:
     def __init__(self, network: ComponentwiseNetwork) -> None:
         self._network = network
         self._weight, self._phi = network.mu / network.gamma * network.driven_weight, network.phi
-        # The u of neurons without inputs stays zero.
-        self._parts = np.zeros((2 + _STAGES, network.bias.size))
+        self._parts = np.zeros((2 + _STAGES, network.bias.size))  # the u of neurons without inputs stays zero
         self._later = [self._parts[k, : len(self._weight)] for k in range(3, 2 + _STAGES)]
 
     def __reduce__(self) -> tuple[type[RungeKuttaStepper], tuple[ComponentwiseNetwork]]:
-        # In a copy entry by entry the views would be arrays of their own.
-        return RungeKuttaStepper, (self._network,)
+        return RungeKuttaStepper, (self._network,)  # in a copy entry by entry the views would be arrays of their own
 
     def drive(self, x: Floats) -> Floats:
         """The input u(x) ``(dN,)`` of a flat state ``(dN,)``."""

@@ -109,8 +109,7 @@ def _by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> 
     certificate = verify(np.exp(2.0 * log_scale), weight, gamma=gamma, mu=mu)
     results = []
     drive = max(mu * _spectral_norm(scale(weight, log_scale)) * _UP, 1e-6 * gamma)
-    # Fractions of the highest rate that are kept.
-    for fraction in (0.1, 0.5, 0.9) if certificate.valid else ():
+    for fraction in (0.1, 0.5, 0.9) if certificate.valid else ():  # fractions of the highest rate that are kept
         c = fraction * certificate.rate
         # Below the largest, so that the quadratic form of the steps is definite.
         eps = min(4.0 * (certificate.rate - c) * (gamma - 0.5 * c) / drive**2, 1e6)
@@ -298,8 +297,7 @@ def robustness(
                 log_scale = np.stack([each, each + np.log(factor)], axis=1).ravel()
             return np.asarray(log_scale[reached], np.float64)
 
-        # Rounder norms (power 0) prove slower rates and smaller effects.
-        for power in (1.0, 0.0):
+        for power in (1.0, 0.0):  # rounder norms (power 0) prove slower rates and smaller effects
             guarantees += _by_contraction(inner, whole(contraction.multiplier**power), contraction, gamma, mu)
             guarantees += _by_lyapunov(inner, whole(certificate.lyapunov_diagonal**power), gamma, mu)
     if not guarantees:

@@ -85,8 +85,7 @@ def impossibility(outputs: Floats, required: Floats) -> str | None:
                     f"no {name} coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can "
                     "exist; use the sign-matched bias or retarget a certified network"
                 )
-            # Nonzero rotations may drive the translations through t.
-            return None
+            return None  # nonzero rotations may drive the translations through t
         if target.any():
             return (
                 f"every {name} coordinate of the target is zero, so no weights can produce the {name} bias; "

@@ -210,8 +210,7 @@ def _log_scale(inputs: Floats, outputs: Floats) -> Floats:
     # All spreads at once, (B, T, 3N), in a quarter of the time of one after another.
     power = np.exp(_SPREADS[:, None] * helpful[:, None])
     enough = (power * work[:, None]).sum(axis=-1) <= -0.1 * (power * np.abs(work)[:, None]).sum(axis=-1)
-    # Where none is enough, the last one.
-    enough[:, -1] = True
+    enough[:, -1] = True  # where none is enough, the last one
     return 0.5 * _SPREADS[enough.argmax(axis=-1)][:, None] * helpful
 
 

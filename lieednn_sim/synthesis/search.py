@@ -110,8 +110,7 @@ class _Linear(NamedTuple):
         damped.ravel()[:: len(damped) + 1] += damping
         factor, failure = lapack.dpotrf(damped.T, lower=1, clean=0, overwrite_a=1)
         if failure:
-            # A zero step is rejected, and the damping raised.
-            return np.zeros(self.jacobian.shape[1]), 0.0
+            return np.zeros(self.jacobian.shape[1]), 0.0  # a zero step is rejected, and the damping raised
         y = lapack.dpotrs(factor, self.residual, lower=1)[0]
         return -(y @ self.jacobian), 0.5 * damping**2 * float(y @ y)
 

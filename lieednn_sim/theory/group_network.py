@@ -46,8 +46,7 @@ class GroupLieEDNN(ComponentwiseNetwork):
         alpha: ``(N, N)`` connection strengths.
         theta: ``(N, N, m, m)`` group elements; i receives, j sends.
         bias: ``(N, d)``.
-        gamma, mu: decay rate and scale of the interaction, positive.
-        activation: a name of `ACTIVATIONS`.
+        gamma, mu, activation: as of `LieEDNN`.
         lyapunov_diagonal: ``(dN,)`` diagonal of P that certifies the whole W, or None. Checked by `certificate`.
 
     Raises:

@@ -107,8 +107,7 @@ class MatrixLieGroup:
             InputError: the coordinates are malformed, or so large that the exponential overflows.
         """
         with warnings.catch_warnings(), np.errstate(all="ignore"):
-            # Overflow is reported by `as_finite`.
-            warnings.simplefilter("ignore")
+            warnings.simplefilter("ignore")  # overflow is reported by `as_finite`
             return as_finite(f"the exponential in {self.name}", expm(self.hat(x)))
 
     def adjoint(self, g: ArrayLike) -> Floats:
@@ -118,8 +117,7 @@ class MatrixLieGroup:
             InputError: g is singular, out of range, or g E_k g^-1 leaves the Lie algebra: g is not in the group.
         """
         array = self._matrices("g", g)
-        # Overflow is reported by `as_finite`, and below.
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # overflow is reported by `as_finite`, and below
             try:
                 moved = self._conjugated(array)
             except np.linalg.LinAlgError:
@@ -143,8 +141,7 @@ class MatrixLieGroup:
         Without a closed form only what is necessary is checked, up to 1e-8: that g E_k g^-1 is in the algebra.
         """
         array, tolerance = self._matrices("g", g), as_positive("tolerance", tolerance)
-        # Overflow and division by zero compare as outside.
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # overflow and division by zero compare as outside
             if self.membership is not None:
                 return self.membership(array, tolerance)
             regular = np.asarray(np.linalg.matrix_rank(array) == self.size)

@@ -70,8 +70,7 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
     total = max(float(np.sum(spread**2)), 1e-300)
     shrinking = spread**2 / (spread**2 + RIDGES[:, None] * total)
     first, last = len(RIDGES) - 1, len(RIDGES) - 1
-    # Without one of two, what is left says nothing about starts.
-    if n > 2 and kept.any():
+    if n > 2 and kept.any():  # without one of two, what is left says nothing about starts
         errors = np.empty((len(RIDGES), n))
         for row, factor in enumerate(shrinking):
             hat = left * factor @ left.T

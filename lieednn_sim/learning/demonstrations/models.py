@@ -67,8 +67,7 @@ def run_field(
     for step in np.diff(grid):
         check_time()
         state = runge_kutta_step(field, state, step)
-        # Not a view, which would keep the whole state.
-        states.append(state[:, :kept].copy())
+        states.append(state[:, :kept].copy())  # not a view, which would keep the whole state
     return at_times(np.stack(states, axis=1), grid, t)
 
 

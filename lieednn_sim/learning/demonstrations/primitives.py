@@ -117,8 +117,7 @@ def forcing(n_basis: int, phase: Floats, decay: float = DECAY) -> Floats:
     return phase[:, None] * psi / psi.sum(axis=1, keepdims=True)
 
 
-# Cached, since a policy asks at every step.
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # cached, since a policy asks at every step
 def _basis(n_basis: int, decay: float) -> tuple[Floats, Floats]:
     """Centres and widths ``(B,)`` of the basis functions, in the phase."""
     centres = np.exp(-decay * np.linspace(0.0, 1.0, n_basis))

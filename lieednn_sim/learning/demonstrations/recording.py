@@ -228,8 +228,7 @@ def _tables(path: Path, columns: Columns) -> Iterator[Table]:
         yield from read(path, columns)
     except (FileError, InputError):
         raise
-    # The readers raise all kinds of exceptions on a damaged file.
-    except Exception as error:
+    except Exception as error:  # the readers raise all kinds of exceptions on a damaged file
         raise FileError(f"{path} is not a readable file of demonstrations ({type(error).__name__}: {error})") from None
 
 

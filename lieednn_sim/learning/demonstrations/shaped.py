@@ -133,20 +133,13 @@ class ShapedMotion:
         return replace(self, network=self.network.retarget(target[None]))
 
     def covariance(self, start: Floats, t: Floats) -> Floats:
-        """Predictive covariance of the motion about `reproduce`, in rotation vector and position.
+        """Predictive covariance ``(..., K, 6, 6)`` [rad, m] of the motion about `reproduce`, in rotation and position.
 
         It is the covariance of what the response does not explain of the demonstrations, and is larger the further the
         start is from theirs: see `CodeSpread`. It is zero at the start and at the goal.
 
-        Args:
-            start: twists ``(..., 6)``.
-            t: ``(K,)`` increasing times from 0 [s].
-
-        Returns:
-            ``(..., K, 6, 6)`` [rad, m].
-
         Raises:
-            InputError: as of `reproduce`, or there is no spread.
+            InputError: as of `reproduce`, of which the arguments are, or there is no spread.
         """
         (spread, *_), tau = self._family(), self._network_times(t)
         scale = spread.scale(self._inputs(as_floats("start", start, (6,), batched=True)))

@@ -36,8 +36,7 @@ class Curve:
         if kept.sum() < 2:
             raise InputError("the curve must move: all its samples are the same point")
         kept_samples = samples[kept]
-        # The last sample is the target, even where it repeats the one before it.
-        kept_samples[-1] = samples[-1]
+        kept_samples[-1] = samples[-1]  # the last sample is the target, even where it repeats the one before it
         chord = np.append(0.0, np.cumsum(steps[kept[1:]]))
         dense = np.linspace(0.0, chord[-1], 4 * _ROWS)
         fine = PchipInterpolator(chord, kept_samples, axis=0)(dense)
