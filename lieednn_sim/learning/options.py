@@ -107,7 +107,6 @@ class TrainingOptions(LearningOptions):
     shrink: float = 0.9
     step_control: str = "adaptive"
     max_jump: float = 0.1
-    tolerance: float = 1e-5
     max_epochs: int = 25_000
     restarts: int = 0
     max_start_epochs: int = 25_000

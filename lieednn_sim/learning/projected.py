@@ -83,10 +83,8 @@ class ProjectedTraining(Training[TrainingOptions]):
         if self.options.equilibrium == "rk45":
             return self.solver.flow(weight, x)
         delta = x - self.goal
-        least_tolerance = 1e-12
-        # Tolerance of the equilibrium relative to its distance from the target, so that its error does not affect E.
-        relative_tolerance = 1e-6
-        tolerance = max(relative_tolerance * math.sqrt(delta.dot(delta)), least_tolerance)
+        # Relative to the equilibrium's distance from the target, so that its error does not affect E.
+        tolerance = max(1e-6 * math.sqrt(delta.dot(delta)), 1e-12)
         result = self.solver.newton(weight, x, nearby, tolerance=tolerance)
         if result.success or self.options.step_control == "tracked":
             # A tracked trial is repeated with a smaller step instead, which costs less and keeps the equilibrium.

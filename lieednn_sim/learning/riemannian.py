@@ -197,9 +197,8 @@ class RiemannianTraining(Training[RiemannianOptions]):
         delta = now.equilibrium.x - self.goal
         gradient = loss_gradient(differential(now.point, now.equilibrium.output), nearby, delta, self.ratio)
         trial = self._moved(now, -now.rate * gradient, now.log_scale, nearby)
-        # Armijo's condition: the loss must fall by at least this fraction of what its slope predicts.
-        sufficient_decrease = 1e-4
-        return trial, sufficient_decrease * now.rate * float(np.vdot(gradient, gradient))
+        # Armijo's condition: the loss must fall by at least a ten thousandth of what its slope predicts.
+        return trial, 1e-4 * now.rate * float(np.vdot(gradient, gradient))
 
     def _gauss_newton_step(self, now: Iterate, nearby: SensitivityMatrix) -> Iterate:
         """The trial with the shortest step towards the target, plus the certificate's neutral step."""

@@ -201,8 +201,7 @@ class EquilibriumSolver:
 
     def first(self, weight: Floats) -> FlatEquilibrium:
         """The equilibrium found from zero by more Newton steps, or by running the network where these fail."""
-        patient_steps = 50
-        result = self.newton(weight, np.zeros(len(weight)), steps=patient_steps)
+        result = self.newton(weight, np.zeros(len(weight)), steps=50)
         return result if result.success else self.flow(weight, np.zeros(len(weight)))
 
     def settled(self, weight: Floats, x: Floats, *, tolerance: float = _TOLERANCE) -> FlatEquilibrium:

@@ -154,10 +154,8 @@ class ComponentwiseNetwork(BlockNetwork):
         of `dynamics.runge_kutta_step`: the fourth-order Runge-Kutta method. The target can be moved as by `retarget`.
 
         Args:
-            folder: where to write them; it is made if it is missing. Two files of these names there are replaced.
-
-        Returns:
-            The folder.
+            folder: where to write them; it is made if it is missing, and returned. Two files of these names there are
+                replaced.
 
         Raises:
             InputError: the activation is one of the user's own, hidden neurons hear visible ones, or the network has no

@@ -17,14 +17,14 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.method_of_centres import minimise_by_centres
-from lieednn_sim.stability.norms import as_weight, weighted_norm
+from lieednn_sim.stability.norms import EPS, as_weight, weighted_norm
 from lieednn_sim.validation import LARGEST, as_count, as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats, frozen
 
 # Entries of P further apart prove nothing useful (V would depend on one coordinate only). With `LARGEST`, which bounds
 # W, gamma, mu and their inverses, S W S^-1 stays far from overflow, and gamma/mu far from underflow.
 _LARGEST_SPREAD = 1e60
-_EPS, _TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
+_TINY = float(np.finfo(float).tiny)
 
 
 @frozen
@@ -106,7 +106,7 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
     # below n eps ||A||_2. Both are doubled, in the Frobenius norm. Underflow changes each entry, and the eigenvalue, by
     # less than the smallest normal number.
     # The reduction is by a product of reflections, backward stable with an error of the same size.
-    relative = (10.0 + 4.0 * diagonal.size) * _EPS * np.linalg.norm(unit)
+    relative = (10.0 + 4.0 * diagonal.size) * EPS * np.linalg.norm(unit)
     rounding = float(np.ldexp(relative, exponent)) + (diagonal.size + 1.0) * _TINY
     return Certificate(
         lyapunov_diagonal=diagonal * np.exp(-np.log(diagonal).mean()),

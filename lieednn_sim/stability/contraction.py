@@ -25,11 +25,9 @@ from scipy.optimize import minimize_scalar
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.certificate import find_certificate
 from lieednn_sim.stability.method_of_centres import minimise_by_centres
-from lieednn_sim.stability.norms import as_weight, frobenius, scale
+from lieednn_sim.stability.norms import EPS, as_weight, frobenius, scale
 from lieednn_sim.validation import as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats, frozen
-
-_EPS = float(np.finfo(float).eps)
 
 
 @frozen
@@ -99,7 +97,7 @@ def verify_contraction(
     norm = float(np.linalg.norm(total, 2))
     size, inverse_size = float(np.linalg.norm(local)), float(np.linalg.norm(inverse))
     # Rounding in the entries, in a product of n terms, in the norm, and in the inverse, the largest: T^-1 dT T^-1.
-    error = (10.0 + 2.0 * n) * _EPS * (inverse_size * (1.0 + size * inverse_size) + 2.0 * size * frobenius(scaled))
+    error = (10.0 + 2.0 * n) * EPS * (inverse_size * (1.0 + size * inverse_size) + 2.0 * size * frobenius(scaled))
     # A triangular factor with a larger condition number has no useful inverse in floating point.
     if size * inverse_size > 1e12 or not np.isfinite(norm + error):
         error = np.inf
@@ -116,7 +114,7 @@ def verify_contraction(
 def find_contraction(
     weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, lyapunov_diagonal: ArrayLike | None = None
 ) -> Contraction:
-    """Search for the norm in which distances fall fastest, and verify it.
+    """Search for the norm in which distances fall fastest, and verify it; the result need not be `valid`.
 
     Q starts as the best diagonal Lyapunov matrix, and is moved once by the method of centres so that the initially
     worst angle counts as well as angle 0, which leaves v a few thousandths above the least possible; P is then the
@@ -126,9 +124,6 @@ def find_contraction(
         weight: W_R (or any square matrix), ``(n, n)``.
         gamma, mu: decay rate and scale of the interaction, positive.
         lyapunov_diagonal: initial Q ``(n,)``; by default, the best one is searched for.
-
-    Returns:
-        The best result, which need not be `valid`.
     """
     matrix = as_weight("weight", weight)
     bound = as_ratio(as_positive("gamma", gamma), mu)

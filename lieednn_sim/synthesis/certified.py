@@ -6,7 +6,7 @@ A fast search runs for many targets at once, then a patient one for each that it
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -187,31 +187,23 @@ class _Options:
 
 @dataclass(eq=False)
 class _Task:
-    """One network to be made, and the progress so far.
+    """One network to be made, and the progress so far."""
 
-    Attributes:
-        state: phi(target), ``(N, 6)`` like the target and the offset, which is the bias.
-        begun: time of the start, by `cpu_time`.
-        required: what W phi(target) must be, in units of gamma/mu: W' = W mu/gamma has bound 1.
-        choices: column sets that W_R is to meet, tried in turn: those that suit the target, then the rotational ones
-            alone where the translations t may meet the others.
-        outcome: None until it is known.
-    """
-
-    target: Floats
-    state: Floats
-    offset: Floats
+    target: Floats  # (N, 6)
+    state: Floats  # phi(target)
+    offset: Floats  # the bias
     rng: np.random.Generator
     options: _Options
-    begun: float
+    begun: float  # time of the start, by `cpu_time`
     attempts: int = 0
     iterations: int = 0
     outcome: Synthesis | None = None
-    required: Floats = field(init=False)
-    choices: list[list[slice]] = field(init=False)
 
     def __post_init__(self) -> None:
+        # What W phi(target) must be, in units of gamma/mu: W' = W mu/gamma has bound 1.
         self.required = self.target - self.offset / self.options.ratio
+        # Column sets that W_R is to meet, tried in turn: those that suit the target, then the rotational ones alone
+        # where the translations t may meet the others.
         self.choices = [equation_columns(self.target)]
         if len(self.choices[0]) > 1 and self.state[:, :3].any():
             self.choices.append(self.choices[0][:1])

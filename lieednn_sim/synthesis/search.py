@@ -197,10 +197,11 @@ def smallest_eigenvalue_point(
 def polish(
     problem: Problem, unknowns: Floats, state: Floats, required: Floats, *, quaternion_weight: float = 0.05
 ) -> tuple[Floats, Floats]:
-    """Meet all 6N equilibrium equations by Gauss-Newton steps of least norm in quaternions and translations.
+    """Meet all 6N equilibrium equations by Gauss-Newton steps: unknowns, and translations ``(B, N, N, 3)``.
 
-    Quaternions are weighted down, so that translations do the work where they can and the certificate hardly changes;
-    where the rotations are too small to drive a translation, the quaternions step in and |t| stays small.
+    Steps have the least norm. Quaternions are weighted down, so that translations do the work where they can and the
+    certificate hardly changes; where the rotations are too small to drive a translation, the quaternions step in and
+    |t| stays small.
 
     Args:
         problem: a stack of B problems, which define the blocks as functions of the quaternions.
@@ -208,9 +209,6 @@ def polish(
         state: phi(xi) of the targets, ``(B, N, 6)``.
         required: what W phi(xi) must be, ``(B, N, 6)``.
         quaternion_weight: size of a quaternion step that counts as much as a unit translation.
-
-    Returns:
-        The unknowns and the translations ``(B, N, N, 3)``.
     """
     n, count = problem.n_neurons, len(unknowns)
     best, best_translation = unknowns.copy(), np.zeros((count, n, n, 3))

@@ -170,10 +170,8 @@ class MatrixLieGroup:
         array = as_floats("theta", theta, (self.dimension, self.dimension), batched=True)
         if self.projection is not None:
             return self.projection(array)
-        # Besides the identity, this many random elements start the search for the nearest adjoint matrix.
-        random_starts = 5
         if start is None:
-            everywhere = np.concatenate([np.eye(self.size)[None], self.random(0, (random_starts,))])
+            everywhere = np.concatenate([np.eye(self.size)[None], self.random(0, (5,))])
             return self._search(array, np.broadcast_to(everywhere, (*array.shape[:-2], *everywhere.shape)))
         near = self._matrices("start", start)
         if near.shape[:-2] != array.shape[:-2]:

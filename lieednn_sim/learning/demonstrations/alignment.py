@@ -125,8 +125,7 @@ def align(
     as_choice("phase", phase, PHASES)
     kept = as_choice("goals", goals, GOALS) == "kept"
     lever = as_positive("lever", lever)
-    most_samples = 100_000
-    fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, most_samples))
+    fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, most=100_000))
     if not demonstrations or len({demonstration.dof for demonstration in demonstrations}) > 1:
         raise InputError("align needs at least one demonstration, and all must show the same")
     goal, twists, times = mean_goal(demonstrations), [], []

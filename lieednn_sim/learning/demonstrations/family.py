@@ -32,20 +32,16 @@ class Response:
     """How the paths of demonstrations depend on their starts, and on their goals if these differ.
 
     There are D coordinates, and E = D inputs, or E = 2 D for start and goal.
-
-    Attributes:
-        gain: ``(K, D, E)`` derivatives of the path at equal steps of the phase in the coordinates of start and goal.
-        ridges: the smallest and the largest of `RIDGES` that were averaged.
-        residuals: ``(n, K, D)`` what is left of each path, over the square root of 1 less its leverage: as large as if
-            it had not been fitted to.
-        growth: ``(E, E)`` A: at u from the mean start (and goal), u^T A u times the residuals' covariance is added by
-            the doubt about the gain. It is the inverse of the regression's normal matrix, with the least of the ridges,
-            or the largest finite one; zero if starts are the same.
     """
 
-    gain: Floats
-    ridges: tuple[float, float]
+    gain: Floats  # (K, D, E) derivatives of the path at equal steps of the phase in start and goal
+    ridges: tuple[float, float]  # the smallest and the largest of `RIDGES` that were averaged
+    # (n, K, D) what is left of each path, over the square root of 1 less its leverage: as large as if it had not been
+    # fitted to.
     residuals: Floats
+    # (E, E) A: at u from the mean start (and goal), u^T A u times the residuals' covariance is added by the doubt about
+    # the gain. It is the inverse of the regression's normal matrix, with the least of the ridges, or the largest finite
+    # one; zero if starts are the same.
     growth: Floats
 
 
@@ -107,15 +103,14 @@ def with_response(
 ) -> tuple[LieEDNN, Response, Floats]:
     """The network shaped by the mean of demonstrations, made to depend on its start as they do.
 
+    Then the response that it realises, in metres, and the codes ``(n, N, M, 6)`` of its residuals.
+
     Args:
         shaping: the network shaped by their mean, with rho = 1.
         curve: ``(K, N, 6)`` the mean.
         paths: ``(n, K, N, 6)`` the demonstrations at the same phases.
         units: ``(N, 6)`` metres for a unit of each coordinate.
         goals: whether their goals differ, and the motion depends on its goal, too.
-
-    Returns:
-        The network, the response that it realises, in metres, and the codes ``(n, N, M, 6)`` of its residuals.
     """
     units = np.broadcast_to(units, curve.shape[1:])
     response = response_to_start((paths * units).reshape(*paths.shape[:2], -1), goals)

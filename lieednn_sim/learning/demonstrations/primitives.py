@@ -67,9 +67,8 @@ class MovementPrimitive:
         target = displacement(at_times(demonstrations.twists, demonstrations.t / duration, grid))
         inverse = np.linalg.pinv(responses(forcing(n_basis, np.exp(-DECAY * grid)), STEP), rcond=_LEAST_RESPONSE)
         weights = np.zeros((n_basis, 6))
-        # Corrections of the weights: positions need one, since rotations are not quite linear in the weights.
-        corrections = 4
-        for _ in range(corrections if dof == 6 else 1):
+        # Corrections of the weights: positions need one, rotations more, as they are not quite linear in the weights.
+        for _ in range(4 if dof == 6 else 1):
             model = cls(weights, duration, dof)
             missing = target - displacement(model.reproduce(demonstrations.twists[:, 0], duration * grid))
             if dof == 6:

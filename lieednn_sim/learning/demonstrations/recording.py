@@ -97,8 +97,7 @@ class Demonstration:
         """
         length, rate = as_positive("length", length), as_positive("rate", rate)
         as_choice("order of quaternions", quaternion, QUATERNIONS)
-        largest_sample = 1e9  # largest entry of a sample, in any unit
-        table = as_floats(source, samples, ("K", "D"), largest=largest_sample)
+        table = as_floats(source, samples, ("K", "D"), largest=1e9)  # in any unit
         count, columns = table.shape
         if columns not in _SHOWN:
             raise InputError(
@@ -119,8 +118,7 @@ class Demonstration:
                 raise InputError(f"quaternions of {source} must be units, got norm {norms[worst]:g} in row {worst}")
             rotation = Rotation.from_quat(table[:, 3:], scalar_first=quaternion == "wxyz").as_matrix()
         result = cls(times - times[0], position, rotation, 6 if columns == 7 else columns, source)
-        least_length = 1e-9  # least length of a motion, with a lever of 1 m [m]
-        if result.steps(1.0).sum() < least_length:
+        if result.steps(lever=1.0).sum() < 1e-9:  # [m]
             raise InputError(f"{source} does not move")
         return result
 

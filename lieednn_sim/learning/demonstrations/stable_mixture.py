@@ -71,8 +71,7 @@ class StableMixture:
         twists = np.zeros((start[..., 0].size, len(t), 6))
         first = start.reshape(-1, 6)[:, shown] / self.units
         times = t / self.duration
-        step = 1.0 / 100.0  # step of the integrator, in durations
-        twists[..., shown] = run_field(self.velocity, first, even_grid(times[-1], step), times) * self.units
+        twists[..., shown] = run_field(self.velocity, first, even_grid(times[-1], 1.0 / 100.0), times) * self.units
         return twists.reshape(*start.shape[:-1], len(t), 6)
 
     def velocity(self, x: Floats) -> Floats:

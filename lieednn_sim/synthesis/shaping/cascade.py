@@ -64,14 +64,12 @@ def clockwork(rate: float, activation: Activation = ACTIVATIONS[DEFAULT_ACTIVATI
 
     looks = np.linspace(0.0, span, 20_001)
     levels = falling(looks)
-    least_clock = 1e-4  # g is sampled down to this value, a ten thousandth of its start
-    end = looks[np.argmax(levels < least_clock)]
+    end = looks[np.argmax(levels < 1e-4)]  # g is sampled down to a ten thousandth of its start
     # Pieces that are even in the measure that bounds them.
     measure = np.append(0.0, np.cumsum(np.hypot(np.diff(levels) / _MAX_CLOCK_STEP, np.diff(looks) / _MAX_TIME_STEP)))
     total = np.interp(end, looks, measure)
     edges = np.interp(np.linspace(0.0, total, int(np.ceil(total)) + 1), measure, looks)
-    nodes = 3  # nodes of the Gauss rule on each piece
-    node, weight = np.polynomial.legendre.leggauss(nodes)
+    node, weight = np.polynomial.legendre.leggauss(3)  # on each piece
     width = np.diff(edges)
     fine = edges[:-1, None] + 0.5 * width[:, None] * (node + 1.0)
     masses = 0.5 * width[:, None] * weight

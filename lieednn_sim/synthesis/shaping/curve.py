@@ -58,8 +58,7 @@ class Curve:
 
     def feet(self, x: Floats, s: Floats) -> Floats:
         """Fractions ``(K,)`` of the length at the foot points of ``x`` ``(K, N, 6)`` near ``s``; nondecreasing."""
-        newton_steps = 3  # Newton steps to a foot point from its previous estimate
-        for _ in range(newton_steps):
+        for _ in range(3):  # Newton steps to a foot point from its previous estimate
             point, tangent = self.at(s)
             along = (tangent * self.units**2).reshape(len(x), -1)
             step = np.einsum("kp,kp->k", along, (x - point).reshape(len(x), -1)) / np.maximum(

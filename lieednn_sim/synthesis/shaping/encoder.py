@@ -242,15 +242,12 @@ def _at_clock(curve: Floats, units: Floats, w: Floats) -> Floats:
     passed = np.append(0.0, np.cumsum(np.sqrt(np.einsum("ki,ki->k", steps, steps))))
     if passed[-1] <= 0.0:
         return np.broadcast_to(curve[-1], (len(w), *curve.shape[1:]))
-    even = np.linspace(0.0, 1.0, _PIECES + 1)
-    points = (_interpolated(passed, curve, even * passed[-1]) * units).reshape(len(even), -1)
-    spent = clock_along(points, _CLOCK_PER_TURN, _SMOOTHING)
-    return _interpolated(passed, curve, np.interp(w, spent, even * passed[-1]))
 
+    def points(length: Floats) -> Floats:
+        low = np.clip(np.searchsorted(passed, length, side="right") - 1, 0, len(passed) - 2)
+        part = (length - passed[low]) / np.maximum(passed[low + 1] - passed[low], 1e-300)
+        return np.asarray(curve[low] + np.clip(part, 0.0, 1.0)[:, None, None] * (curve[low + 1] - curve[low]))
 
-def _interpolated(x: Floats, values: Floats, wanted: Floats) -> Floats:
-    """Linear interpolation of ``values`` ``(K, ...)`` at nondecreasing ``x`` ``(K,)``."""
-    low = np.clip(np.searchsorted(x, wanted, side="right") - 1, 0, len(x) - 2)
-    part = (wanted - x[low]) / np.maximum(x[low + 1] - x[low], 1e-300)
-    start = values[low]
-    return np.asarray(start + np.clip(part, 0.0, 1.0)[:, None, None] * (values[low + 1] - start))
+    even = np.linspace(0.0, 1.0, _PIECES + 1) * passed[-1]
+    spent = clock_along((points(even) * units).reshape(len(even), -1), _CLOCK_PER_TURN, _SMOOTHING)
+    return points(np.interp(w, spent, even))

@@ -161,8 +161,7 @@ def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> 
     network = assemble(parameters, options.rate, curve.points[-1], options.activation)
     network_time = 16.0  # network time, times rho, after which less than a micrometre of a path of a metre is left
     trajectory = network.trajectory(network.start(curve.points[0]), network_time / options.rate, rtol=1e-7, atol=1e-9)
-    path_samples = 4000  # closer together at first, where it is fast
-    t = trajectory.t[-1] * np.linspace(0.0, 1.0, path_samples) ** 3
+    t = trajectory.t[-1] * np.linspace(0.0, 1.0, 4000) ** 3  # closer together at first, where it is fast
     path = Curve.through(network.visible(trajectory(t)), curve.units)
     fractions = np.linspace(0.0, 1.0, _SAMPLES)
     off, back = (_distances(item.at(fractions)[0], other, fractions) for item, other in ((path, curve), (curve, path)))
