@@ -36,7 +36,7 @@ from lieednn_sim.values import Floats
 _AIM = 0.4  # fraction of the largest jump at which a Gauss-Newton step aims, to leave room for second-order terms
 # In one epoch the barrier asks for this fraction of the excess, and at most this much. Where the squared slope is below
 # the last number it asks for less, so that the weights come to rest at a minimum.
-_BARRIER_GAIN = 0.3
+_BARRIER_GAIN, _LARGEST_DROP, _LEAST_SQUARED_SLOPE = 0.3, 0.1, 0.3
 _SE3 = SE3Weights()
 
 
@@ -209,16 +209,14 @@ class RiemannianTraining(Training[RiemannianOptions]):
         step = equations.shortest(nearby.matrix @ (-now.rate / self.ratio * aim))
         log_scale = now.log_scale
         sharpness = 16.0  # the smoothed eigenvalue lies above the largest by at most log(3N) / sharpness
-        largest_drop = 0.1
-        least_squared_slope = 0.3
         if self.options.certified:
             value, in_point, in_log_scale = smoothed_eigenvalue(now.point, log_scale, self.ratio, sharpness)
             if value > self.options.barrier:
                 # Not scaled by the rate: the certificate takes precedence over the target.
                 neutral = equations.neutral(in_point)
                 slope = float(np.vdot(neutral, neutral) + in_log_scale @ in_log_scale)
-                drop = min(_BARRIER_GAIN * (value - self.options.barrier), largest_drop)
-                length = drop / max(slope, least_squared_slope)
+                drop = min(_BARRIER_GAIN * (value - self.options.barrier), _LARGEST_DROP)
+                length = drop / max(slope, _LEAST_SQUARED_SLOPE)
                 step, log_scale = step - length * neutral, log_scale - length * in_log_scale
         return self._moved(now, step, log_scale, nearby)
 

@@ -128,9 +128,9 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
 
         Args:
             hidden_start: ``(M, 6)``.
-            start_gain, start_reference: both as in the attributes, or None for a start that does not depend on the
-                visible one.
-            goal_gain: likewise, with a gain, or None if `retarget` leaves the code as it is.
+            start_gain: ``(6M, 6 (N - M))``, or None if the start is the same whatever the visible one is.
+            start_reference: ``(N - M, 6)``, with a gain.
+            goal_gain: ``(6M, 6 (N - M))``, with a gain, or None if `retarget` leaves the code as it is.
 
         Raises:
             InputError: a shape does not fit.

@@ -81,8 +81,8 @@ def curvature(xi_dot: ArrayLike, xi_ddot: ArrayLike) -> Floats:
         xi_dot: first derivatives, any shape.
         xi_ddot: second derivatives, the same shape.
     """
-    largest_slope = 1e300  # largest velocity: larger than elsewhere, since velocities only divide
-    first = as_floats("xi_dot", xi_dot, (), batched=True, largest=largest_slope)
+    # Velocities may be larger than elsewhere, since they only divide.
+    first = as_floats("xi_dot", xi_dot, (), batched=True, largest=1e300)
     second = as_floats("xi_ddot", xi_ddot, first.shape)
     # hypot keeps large velocities from overflowing where the curvature is merely small.
     steepness = np.hypot(1.0, first)

@@ -182,9 +182,8 @@ class CodeSpread:
             growth, units, activation: as in the attributes.
         """
         places = np.arange(PAIRS) / PAIRS
-        # Correlation length, in fractions of the clock's way, of the deviations that are allowed for beside those seen.
-        smoothness = 0.2
-        smooth = np.exp(-0.5 * ((places[:, None] - places) / smoothness) ** 2)
+        # The deviations that are allowed for beside those seen are correlated over a fifth of the clock's way.
+        smooth = np.exp(-0.5 * ((places[:, None] - places) / 0.2) ** 2)
         basis = bumps(clockwork(1.0, ACTIVATIONS[activation]))[:-1]
         size, axes = np.linalg.eigh(smooth / np.einsum("km,mn,kn->k", basis, smooth, basis).max())
         allowed = np.kron(axes * np.sqrt(np.maximum(size, 0.0)), np.diag(least))

@@ -182,7 +182,6 @@ class ProbabilisticPrimitive:
 def _gaussians(n_basis: int, phases: Floats) -> Floats:
     """Normalised Gaussians ``(K, B)`` at phases ``(K,)``."""
     squared = (phases[:, None] - np.linspace(0.0, 1.0, n_basis)) ** 2
-    # Value of a basis function at 1/(2B) from its centre, about half way to the next, before they are normalised.
-    overlap = 0.7
-    psi = np.exp(4.0 * n_basis**2 * np.log(overlap) * squared)
+    # Before they are normalised, they are 0.7 at 1/(2B) from their centres, about half way to the next.
+    psi = np.exp(4.0 * n_basis**2 * np.log(0.7) * squared)
     return psi / psi.sum(axis=1, keepdims=True)

@@ -138,8 +138,12 @@ class ShapedMotion:
         It is the covariance of what the response does not explain of the demonstrations, and is larger the further the
         start is from theirs: see `CodeSpread`. It is zero at the start and at the goal.
 
+        Args:
+            start: twists ``(..., 6)``.
+            t: ``(K,)`` increasing times from 0 [s].
+
         Raises:
-            InputError: as of `reproduce`, of which the arguments are, or there is no spread.
+            InputError: as of `reproduce`, or there is no spread.
         """
         (spread, *_), tau = self._family(), self._network_times(t)
         scale = spread.scale(self._inputs(as_floats("start", start, (6,), batched=True)))
@@ -266,9 +270,7 @@ class ShapedMotion:
 
     def _network_times(self, t: Floats) -> Floats:
         """Network times ``(K,)`` at times [s]."""
-        # Durations of the demonstrations after which a reproduction ends, when the network has long come to rest.
-        max_durations = 100.0
-        t, latest = as_times("t", t), max_durations * self.t[-1]
+        t, latest = as_times("t", t), 100.0 * self.t[-1]  # when the network has long come to rest
         if t[0] < 0.0 or t[-1] > latest:
             raise InputError(f"t must be from 0 to {latest:g} s, got {t[0]:g} to {t[-1]:g} s")
         pace = self.tau[-1] / self.t[-1]
