@@ -37,7 +37,6 @@ _AIM = 0.4  # fraction of the largest jump at which a Gauss-Newton step aims, to
 # In one epoch the barrier asks for this fraction of the excess, and at most this much. Where the squared slope is below
 # the last number it asks for less, so that the weights come to rest at a minimum.
 _BARRIER_GAIN, _LARGEST_DROP, _LEAST_SQUARED_SLOPE = 0.3, 0.1, 0.3
-_SE3 = SE3Weights()
 
 
 def retract(point: WeightPoint, step: Floats) -> WeightPoint:
@@ -47,7 +46,7 @@ def retract(point: WeightPoint, step: Floats) -> WeightPoint:
         "rotation": turn @ point.elements["rotation"],
         "translation": point.elements["translation"] + step[..., 4:],
     }
-    return _SE3.point(point.alpha + step[..., 0], theta)
+    return SE3Weights().point(point.alpha + step[..., 0], theta)
 
 
 def differential(point: WeightPoint, output: Floats) -> Floats:

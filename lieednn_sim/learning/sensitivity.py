@@ -158,11 +158,6 @@ class EquilibriumSolver:
         self._drive = ratio * bias.ravel()
         self._phi, self._slope = ACTIVATIONS[activation].phi, ACTIVATIONS[activation].slope_at
 
-    def at(self, x: Floats, *, success: bool = True) -> FlatEquilibrium:
-        """A `FlatEquilibrium` at the state ``x`` ``(n,)``, without a search."""
-        output = self._phi(x)
-        return FlatEquilibrium(x, output, self._slope(x, output), success)
-
     def sensitivity(self, weight: Floats, equilibrium: FlatEquilibrium) -> SensitivityMatrix:
         """S for these weights at their equilibrium."""
         return SensitivityMatrix(weight, equilibrium.slope, self.ratio)
@@ -237,7 +232,8 @@ class EquilibriumSolver:
                 run.step()
                 left -= 1
             x = run.y
-        return self.at(x, success=bool(speed < _AT_REST))
+        output = self._phi(x)
+        return FlatEquilibrium(x, output, self._slope(x, output), success=bool(speed < _AT_REST))
 
 
 @functools.cache
