@@ -471,9 +471,9 @@ _BIAS_RULES = {
 BIAS_RULES = Registry("bias rule", _BIAS_RULES)
 
 _RIVALS = {
-    "dmp": Entry("learning.demonstrations.primitive:MovementPrimitive.fit", "a dynamic movement primitive"),
+    "dmp": Entry("learning.demonstrations.primitives:MovementPrimitive.fit", "a dynamic movement primitive"),
     "promp": Entry(
-        "learning.demonstrations.probabilistic:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"
+        "learning.demonstrations.primitives:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"
     ),
     "lpv-ds": Entry("learning.demonstrations.stable_mixture:StableMixture.fit", "a stable mixture of linear ones"),
     "linear-attractor": Entry("learning.demonstrations.models:LinearAttractor.fit", "the same rate everywhere"),

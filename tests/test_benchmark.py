@@ -21,7 +21,7 @@ from lieednn_sim.planning import plan
 from lieednn_sim.policies import POLICIES
 from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.simulation import follow, simulate
-from lieednn_sim.synthesis import attempts
+from lieednn_sim.synthesis import certified
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -32,7 +32,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark_rows, "follow", lambda policy, target, _: follow(policy, target, 0.2))
     monkeypatch.setattr(benchmark_rows, "FRAMES", 2)
     monkeypatch.setattr(benchmark, "SIZES", (2, 3))
-    for module in (attempts, training):
+    for module in (certified, training):
         monkeypatch.setattr(module, "cpu_time", time.thread_time)
     codes = []
     monkeypatch.setattr(benchmark, "peak_memory", lambda code: codes.append(code) or 9)

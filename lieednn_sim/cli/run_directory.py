@@ -18,7 +18,7 @@ from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.learning.result import History
+from lieednn_sim.learning.training import History
 from lieednn_sim.network import BlockNetwork
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim.learning.demonstrations.alignment import LEVER, displacement
-from lieednn_sim.learning.demonstrations.warping import warp
+from lieednn_sim.learning.demonstrations.alignment import LEVER, displacement, warp
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 

@@ -7,8 +7,8 @@ the manifold of the weights, and can learn a certificate with them. Learning fro
 
 from lieednn_sim.learning.algorithms import train
 from lieednn_sim.learning.options import RiemannianOptions, TrainingOptions
-from lieednn_sim.learning.result import History, StopReason, TrainingResult
 from lieednn_sim.learning.sensitivity import Sensitivity, sensitivity
+from lieednn_sim.learning.training import History, StopReason, TrainingResult
 from lieednn_sim.registry import ALGORITHMS
 from lieednn_sim.typecheck import typecheck_public
 

@@ -7,12 +7,11 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.manifold import QuaternionWeights, weight_manifold
+from lieednn_sim.learning.manifold import GroupWeights, QuaternionWeights, SE3Weights, WeightManifold
 from lieednn_sim.learning.options import RiemannianOptions, TrainingOptions
 from lieednn_sim.learning.projected import ProjectedTraining
-from lieednn_sim.learning.result import TrainingResult
 from lieednn_sim.learning.riemannian import RiemannianTraining
-from lieednn_sim.learning.training import Progress, TrainingProblem
+from lieednn_sim.learning.training import Progress, TrainingProblem, TrainingResult
 from lieednn_sim.network import DEFAULT_ACTIVATION
 from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
@@ -43,8 +42,7 @@ def train(
         target: ``(N, 6)`` xi_d, or ``(N, d)`` with a group of dimension d.
         options: the repaired Algorithm 1 by default.
         bias: ``(N, d)``, or one number for all.
-        gamma: decay rate of the network.
-        mu: scale of its interaction.
+        gamma, mu: decay rate and scale of the interaction.
         activation: a name of `network.ACTIVATIONS`.
         group: another group than SE(3), or `manifold.QuaternionWeights` for quaternions, d = 4; projected only.
         initial_weight: ``(Nd, Nd)`` weights of the first start; by default, and for every other start, random ones of
@@ -59,7 +57,9 @@ def train(
     Raises:
         InputError: a value has the wrong shape or range.
     """
-    manifold = weight_manifold(group)
+    manifold: WeightManifold = SE3Weights()
+    if group is not None:
+        manifold = group if isinstance(group, QuaternionWeights) else GroupWeights(group)
     goal = as_floats("target", target, ("N", manifold.dimension))
     size = goal.size
     if size == 0:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lieednn_sim.lie import adjoint, project_to_adjoint, project_to_adjoint_exact, project_to_scaled_adjoint
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.base import flatten_blocks
-from lieednn_sim.network.hopfield import HopfieldNetwork
+from lieednn_sim.network.componentwise import HopfieldNetwork
 from lieednn_sim.theory import GroupLieEDNN
 from lieednn_sim.theory.groups import nonzero_quaternion
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
@@ -18,23 +18,19 @@ from lieednn_sim.values import Floats, frozen
 
 Network = LieEDNN | GroupLieEDNN | HopfieldNetwork
 
-# Least |alpha| in W/alpha: a block without strength has no direction.
-_SMALLEST_ALPHA = 1e-9
+_SMALLEST_ALPHA = 1e-9  # least |alpha| in W/alpha: a block without strength has no direction
 
 
 @frozen
 class WeightPoint:
-    """Weights on the manifold.
+    """Weights on the manifold: strengths ``(N, N)``, L[Ad(theta_ij)] ``(N, N, d, d)``, and theta.
 
-    Attributes:
-        alpha: ``(N, N)`` connection strengths.
-        adjoints: ``(N, N, d, d)`` L[Ad(theta_ij)].
-        elements: theta, as arguments of the network's constructor.
+    The elements theta are arguments of the network's constructor.
     """
 
     alpha: Floats
     adjoints: Floats
-    elements: dict[str, NDArray[Any]]
+    elements: dict[str, Any]
 
     @property
     def weight(self) -> Floats:
@@ -79,8 +75,7 @@ class SE3Weights:
 
     def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> LieEDNN:
         """See `WeightManifold.network`."""
-        elements = point.elements
-        return LieEDNN(point.alpha, elements["rotation"], elements["translation"], bias, **rates)
+        return LieEDNN(point.alpha, **point.elements, bias=bias, **rates)
 
 
 class GroupWeights:
@@ -107,9 +102,7 @@ class GroupWeights:
 
     def _alternate(self, blocks: Floats, alpha: Floats, start: NDArray[Any] | None) -> WeightPoint:
         """Alternate between the best element for the strengths and the best strengths for the element."""
-        # Alternations of strength and element in the scaled projection onto a group without a closed form.
-        alternations = 3
-        for _ in range(alternations):
+        for _ in range(3):
             start = self._nearest(blocks, alpha, start)
             adjoints = self.group.adjoint(start)
             best = np.einsum("ijab,ijab->ij", blocks, adjoints) / np.einsum("ijab,ijab->ij", adjoints, adjoints)
@@ -125,7 +118,7 @@ class GroupWeights:
 
     def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> GroupLieEDNN:
         """See `WeightManifold.network`."""
-        return GroupLieEDNN(self.group, point.alpha, point.elements["theta"], bias, **rates)
+        return GroupLieEDNN(self.group, point.alpha, **point.elements, bias=bias, **rates)
 
 
 class QuaternionWeights:
@@ -162,12 +155,3 @@ def block_view(weight: Floats, dimension: int) -> Floats:
     """Blocks ``(N, N, d, d)`` of a flat matrix ``(Nd, Nd)``."""
     n = len(weight) // dimension
     return weight.reshape(n, dimension, n, dimension).transpose(0, 2, 1, 3)
-
-
-def weight_manifold(group: MatrixLieGroup | QuaternionWeights | None) -> WeightManifold:
-    """The manifold of a group, or the given one of quaternions; for None, that of SE(3) in the paper's coordinates."""
-    if group is None:
-        return SE3Weights()
-    if isinstance(group, QuaternionWeights):
-        return group
-    return GroupWeights(group)

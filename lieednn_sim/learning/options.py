@@ -107,7 +107,6 @@ class TrainingOptions(LearningOptions):
     shrink: float = 0.9
     step_control: str = "adaptive"
     max_jump: float = 0.1
-    tolerance: float = 1e-5
     max_epochs: int = 25_000
     restarts: int = 0
     max_start_epochs: int = 25_000
@@ -163,10 +162,6 @@ class TrainingOptions(LearningOptions):
         )
 
 
-# Largest rate of gradient steps, which could overflow beyond it.
-_LARGEST_RATE = 1e6
-
-
 @dataclass(frozen=True)
 class RiemannianOptions(LearningOptions):
     """Learning on the manifold, besides `LearningOptions`.
@@ -189,8 +184,7 @@ class RiemannianOptions(LearningOptions):
         super().__post_init__()
         check_fields(self, lambda _, flag: bool(flag), "certified")
         check_fields(self, as_positive, "barrier", "damping")
-        # Gradient steps could overflow beyond theirs.
-        largest = 1.0 if self.direction == "gauss-newton" else 1e6
+        largest = 1.0 if self.direction == "gauss-newton" else 1e6  # gradient steps could overflow beyond theirs
         if self.max_rate > largest:
             raise InputError(f"max_rate must be at most {largest:g} for {self.direction}, got {self.max_rate:g}")
         if self.certified and self.direction != "gauss-newton":

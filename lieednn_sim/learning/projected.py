@@ -7,12 +7,16 @@ import math
 import numpy as np
 
 from lieednn_sim.budget import check_time
-from lieednn_sim.learning.equilibria import FlatEquilibrium, SensitivityMatrix
 from lieednn_sim.learning.manifold import Network
 from lieednn_sim.learning.options import TrainingOptions
-from lieednn_sim.learning.result import StopReason
-from lieednn_sim.learning.sensitivity import gauss_newton_direction, strength_gradient, weight_gradient
-from lieednn_sim.learning.training import Iterate, Training
+from lieednn_sim.learning.sensitivity import (
+    FlatEquilibrium,
+    SensitivityMatrix,
+    gauss_newton_direction,
+    strength_gradient,
+    weight_gradient,
+)
+from lieednn_sim.learning.training import Iterate, StopReason, Training
 from lieednn_sim.values import Floats
 
 
@@ -56,8 +60,7 @@ class ProjectedTraining(Training[TrainingOptions]):
         tracked = options.step_control == "tracked"
         lost = not now.equilibrium.success
         if lost or (tracked and np.abs(now.equilibrium.x - before.equilibrium.x).max() > options.max_jump):
-            # Back to the last weights that have the equilibrium.
-            self.recorder.cut(rows)
+            self.recorder.cut(rows)  # back to the last weights that have the equilibrium
             if not tracked:
                 return before, StopReason.LOST_EQUILIBRIUM
             rate = before.rate * options.shrink
@@ -80,10 +83,8 @@ class ProjectedTraining(Training[TrainingOptions]):
         if self.options.equilibrium == "rk45":
             return self.solver.flow(weight, x)
         delta = x - self.goal
-        least_tolerance = 1e-12
-        # Tolerance of the equilibrium relative to its distance from the target, so that its error does not affect E.
-        relative_tolerance = 1e-6
-        tolerance = max(relative_tolerance * math.sqrt(delta.dot(delta)), least_tolerance)
+        # Relative to the equilibrium's distance from the target, so that its error does not affect E.
+        tolerance = max(1e-6 * math.sqrt(delta.dot(delta)), 1e-12)
         result = self.solver.newton(weight, x, nearby, tolerance=tolerance)
         if result.success or self.options.step_control == "tracked":
             # A tracked trial is repeated with a smaller step instead, which costs less and keeps the equilibrium.

@@ -1,7 +1,12 @@
 """Learning on the weight manifold itself: every iterate has blocks alpha_ij Ad(theta_ij), so nothing is projected.
 
-With delta = xi* - xi_d, S = I - (mu/gamma) W diag(phi'(xi*)) and B the derivative of W phi in the coordinates of
-`tangent`, a step p of the weights moves the equilibrium by S^-1 (mu/gamma) B p to first order. Hence two methods:
+A step has the coordinates (d_alpha, omega, d_t) at block (i, j), shape ``(N, N, 7)``. It is taken by the retraction of
+the product R x SO(3) x R^3, alpha + d_alpha, Exp(hat(omega)) R and t + d_t, not by the exponential of SE(3). The metric
+is Euclidean in these coordinates, so a Riemannian gradient is the list of plain derivatives in them. Row i of W y,
+y = phi(x), depends on the blocks (i, j) only: equations on W y are N systems with 6 rows, 7N unknowns.
+
+With delta = xi* - xi_d, S = I - (mu/gamma) W diag(phi'(xi*)) and B the derivative of W y in the coordinates, a step p
+of the weights moves the equilibrium by S^-1 (mu/gamma) B p to first order. Hence two methods:
 
 - gradient: p = -rate (mu/gamma) B^T S^-T delta, the Riemannian gradient of E^2/2, with Armijo backtracking;
 - gauss-newton: the shortest p with (mu/gamma) B p = -rate S delta, which needs no inverse of S.
@@ -15,35 +20,113 @@ Below 1 the network has only one equilibrium, globally stable, which can neither
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from lieednn_sim.learning.equilibria import SensitivityMatrix
-from lieednn_sim.learning.manifold import Network
+from lieednn_sim.learning.manifold import Network, SE3Weights, WeightPoint, block_view
 from lieednn_sim.learning.options import RiemannianOptions
-from lieednn_sim.learning.result import StopReason
-from lieednn_sim.learning.tangent import (
-    RowEquations,
-    differential,
-    loss_gradient,
-    retract,
-    rotational_weight,
-    smoothed_eigenvalue,
-)
-from lieednn_sim.learning.training import Iterate, Training
+from lieednn_sim.learning.sensitivity import SensitivityMatrix
+from lieednn_sim.learning.training import Iterate, StopReason, Training
+from lieednn_sim.lie import hat, vee
+from lieednn_sim.network.base import flatten_blocks
 from lieednn_sim.stability import Certificate, find_certificate, verify
+from lieednn_sim.stability.certificate import log_scale_gradient, smooth_largest
+from lieednn_sim.stability.norms import scale
 from lieednn_sim.values import Floats
 
-# Fraction of the largest jump at which a Gauss-Newton step aims, to leave room for second-order terms.
-_AIM = 0.4
+_AIM = 0.4  # fraction of the largest jump at which a Gauss-Newton step aims, to leave room for second-order terms
 # In one epoch the barrier asks for this fraction of the excess, and at most this much. Where the squared slope is below
 # the last number it asks for less, so that the weights come to rest at a minimum.
-_BARRIER_GAIN = 0.3
+_BARRIER_GAIN, _LARGEST_DROP, _LEAST_SQUARED_SLOPE = 0.3, 0.1, 0.3
+
+
+def retract(point: WeightPoint, step: Floats) -> WeightPoint:
+    """The point a step ``(N, N, 7)`` away; on the manifold, up to rounding, for a step of any length."""
+    turn = Rotation.from_rotvec(step[..., 1:4]).as_matrix()
+    theta = {
+        "rotation": turn @ point.elements["rotation"],
+        "translation": point.elements["translation"] + step[..., 4:],
+    }
+    return SE3Weights().point(point.alpha + step[..., 0], theta)
+
+
+def differential(point: WeightPoint, output: Floats) -> Floats:
+    """Derivative of row block i of W y, y ``(6N,)``, in the coordinates of the blocks (i, j), ``(N, 6, 7N)``.
+
+    With (u, v) = Ad(theta_ij) y_j, block (i, j) alone gives alpha_ij (u, v), whose derivative is
+
+        (u, v) d_alpha - alpha_ij [[hat(u), 0], [hat(v) + hat(u) hat(t), hat(u)]] (omega, d_t):
+
+    turning R while t stays is to move theta from the left by the twist (omega, t x omega), shifting t by (0, d_t).
+    """
+    n = len(point.alpha)
+    images = np.einsum("ijab,jb->ija", point.adjoints, output.reshape(n, 6))
+    u, v, t = hat(np.stack([images[..., :3], images[..., 3:], point.elements["translation"]]))
+    alpha = point.alpha[:, :, None, None]
+    blocks = np.zeros((n, n, 6, 7))
+    blocks[..., 0] = images
+    blocks[..., :3, 1:4] = blocks[..., 3:, 4:] = -alpha * u
+    blocks[..., 3:, 1:4] = -alpha * (v + u @ t)
+    return blocks.transpose(0, 2, 1, 3).reshape(n, 6, 7 * n)
+
+
+def loss_gradient(rows: Floats, nearby: SensitivityMatrix, delta: Floats, ratio: float) -> Floats:
+    """Riemannian gradient (mu/gamma) B^T S^-T delta of E^2/2, ``(N, N, 7)``, from B ``(N, 6, 7N)``, S and mu/gamma."""
+    n = len(rows)
+    multiplier = nearby.solve_transposed(ratio * delta).reshape(n, 1, 6)
+    return (multiplier @ rows).reshape(n, n, 7)
+
+
+def rotational_weight(point: WeightPoint) -> Floats:
+    """W_R = [alpha_ij R_ij], ``(3N, 3N)``."""
+    return flatten_blocks(point.alpha[:, :, None, None] * point.elements["rotation"])
+
+
+def smoothed_eigenvalue(
+    point: WeightPoint, log_scale: Floats, ratio: float, sharpness: float
+) -> tuple[float, Floats, Floats]:
+    """Log-sum-exp bound on the largest eigenvalue of sym(M), M = (mu/gamma) S W_R S^-1, and its gradients.
+
+    These are the Riemannian one ``(N, N, 7)`` and that in log S ``(3N,)``. With G the gradient in W_R, that in block
+    (i, j) is <G, d_alpha R + hat(omega) alpha R> = d_alpha <G, R> + omega . 2 vee(alpha G R^T); it does not depend on
+    translations.
+    """
+    scaled = ratio * scale(rotational_weight(point), log_scale)
+    value, in_scaled = smooth_largest(*np.linalg.eigh(0.5 * (scaled + scaled.T)), sharpness)
+    # <H, S dW S^-1> = <S H S^-1, dW>: the scaling is symmetric.
+    in_weight, rotation = block_view(ratio * scale(in_scaled, log_scale), 3), point.elements["rotation"]
+    gradient = np.zeros((*point.alpha.shape, 7))
+    gradient[..., 0] = np.einsum("ijab,ijab->ij", in_weight, rotation)
+    gradient[..., 1:4] = 2.0 * point.alpha[..., None] * vee(in_weight @ rotation.swapaxes(-1, -2))
+    return value, gradient, log_scale_gradient(in_scaled, scaled)
+
+
+class RowEquations:
+    """The N linear systems B_i p_i = r_i on a step's rows p_i, each with fewer equations than unknowns.
+
+    Solved by (B_i B_i^T + damping I) z_i = r_i and p_i = B_i^T z_i (Levenberg): the shortest solution when the damping
+    is small against the squared singular values of B_i, and still a short one where these vanish.
+    """
+
+    def __init__(self, rows: Floats, damping: float) -> None:
+        self._rows = rows
+        self._gram = rows @ rows.swapaxes(1, 2) + damping * np.eye(rows.shape[1])
+
+    def shortest(self, right: Floats) -> Floats:
+        """The step ``(N, N, 7)`` for right-hand sides ``(6N,)``."""
+        n = len(self._rows)
+        multiplier = np.linalg.solve(self._gram, right.reshape(n, -1, 1))
+        return (self._rows.swapaxes(1, 2) @ multiplier).reshape(n, n, 7)
+
+    def neutral(self, step: Floats) -> Floats:
+        """The part of a step that changes no left-hand side: its orthogonal projection onto the null space."""
+        n = len(self._rows)
+        return step - self.shortest(self._rows @ step.reshape(n, -1, 1))
 
 
 class RiemannianTraining(Training[RiemannianOptions]):
     """Steps along the manifold, each taken only if the equilibrium follows it."""
 
-    # Epoch of the last check of stability.
-    _checked_at = 0
+    _checked_at = 0  # epoch of the last check of stability
 
     def initial(self, weight: Floats) -> Iterate:
         """See `Training`."""
@@ -113,9 +196,8 @@ class RiemannianTraining(Training[RiemannianOptions]):
         delta = now.equilibrium.x - self.goal
         gradient = loss_gradient(differential(now.point, now.equilibrium.output), nearby, delta, self.ratio)
         trial = self._moved(now, -now.rate * gradient, now.log_scale, nearby)
-        # Armijo's condition: the loss must fall by at least this fraction of what its slope predicts.
-        sufficient_decrease = 1e-4
-        return trial, sufficient_decrease * now.rate * float(np.vdot(gradient, gradient))
+        # Armijo's condition: the loss must fall by at least a ten thousandth of what its slope predicts.
+        return trial, 1e-4 * now.rate * float(np.vdot(gradient, gradient))
 
     def _gauss_newton_step(self, now: Iterate, nearby: SensitivityMatrix) -> Iterate:
         """The trial with the shortest step towards the target, plus the certificate's neutral step."""
@@ -125,18 +207,15 @@ class RiemannianTraining(Training[RiemannianOptions]):
         equations = RowEquations(differential(now.point, now.equilibrium.output), self.options.damping)
         step = equations.shortest(nearby.matrix @ (-now.rate / self.ratio * aim))
         log_scale = now.log_scale
-        # The smoothed eigenvalue lies above the largest by at most log(3N) / sharpness.
-        sharpness = 16.0
-        largest_drop = 0.1
-        least_squared_slope = 0.3
+        sharpness = 16.0  # the smoothed eigenvalue lies above the largest by at most log(3N) / sharpness
         if self.options.certified:
             value, in_point, in_log_scale = smoothed_eigenvalue(now.point, log_scale, self.ratio, sharpness)
             if value > self.options.barrier:
                 # Not scaled by the rate: the certificate takes precedence over the target.
                 neutral = equations.neutral(in_point)
                 slope = float(np.vdot(neutral, neutral) + in_log_scale @ in_log_scale)
-                drop = min(_BARRIER_GAIN * (value - self.options.barrier), largest_drop)
-                length = drop / max(slope, least_squared_slope)
+                drop = min(_BARRIER_GAIN * (value - self.options.barrier), _LARGEST_DROP)
+                length = drop / max(slope, _LEAST_SQUARED_SLOPE)
                 step, log_scale = step - length * neutral, log_scale - length * in_log_scale
         return self._moved(now, step, log_scale, nearby)
 

@@ -13,16 +13,7 @@ from lieednn_sim.lie.projection import (
     project_to_rotation,
     project_to_scaled_adjoint,
 )
-from lieednn_sim.lie.se3 import (
-    adjoint,
-    exp,
-    hat,
-    left_jacobian_se3,
-    left_jacobian_so3,
-    log,
-    spatial_twist,
-    vee,
-)
+from lieednn_sim.lie.se3 import adjoint, exp, hat, left_jacobian_se3, left_jacobian_so3, log, spatial_twist, vee
 
 # Unchecked, for the rest of the package.
 from lieednn_sim.lie.se3 import continued as continued

@@ -15,8 +15,7 @@ from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
 _SKEW_BASIS = hat(np.eye(3))
-# Largest entries; larger than elsewhere, since matrices are normalised before they are squared.
-_LARGEST = 1e152
+_LARGEST = 1e152  # largest entries; larger than elsewhere, since matrices are normalised before they are squared
 
 
 def project_to_rotation(matrix: ArrayLike) -> Floats:
@@ -52,8 +51,6 @@ def project_to_adjoint(matrix: ArrayLike) -> tuple[Floats, Floats]:
 def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
     """The adjoint matrix of SE(3) that is nearest to ``(..., 6, 6)`` in the Frobenius norm.
 
-    It is never further away than the result of `project_to_adjoint`.
-
     With blocks [[A, B], [C, D]] the squared distance is |A - R|^2 + |B|^2 + |C R^T - hat(t)|^2 + |D - R|^2. The best
     hat(t) is the skew part of C R^T, which leaves |A - R|^2 + |D - R|^2 + |sym(C R^T)|^2 to minimise over R in SO(3).
     That function can have several local minima: damped Newton steps run from the block-wise R times each of the 24
@@ -86,7 +83,8 @@ def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
         twisted = n[:, None] @ _SKEW_BASIS
         cross = np.einsum("niab,njba->nij", twisted, twisted)
         trace = (2.0 * _trace(k) - _trace(square))[:, None, None]
-        return value, gradient, cross + _symmetric(square - 2.0 * k) + trace * np.eye(3)
+        rest = square - 2.0 * k
+        return value, gradient, cross + 0.5 * (rest + np.swapaxes(rest, -1, -2)) + trace * np.eye(3)
 
     def move(rotation: Floats, step: Floats) -> Floats:
         # Projected, so that rounding does not add up over the steps.
@@ -132,16 +130,15 @@ def descend(
     evaluate: Callable[[NDArray[Any], NDArray[np.intp]], tuple[Floats, Floats, Floats]],
     move: Callable[[NDArray[Any], Floats], NDArray[Any]],
 ) -> tuple[NDArray[Any], Floats]:
-    """Damped Newton descent of many points on a manifold at once; beyond rounding no value ever rises.
+    """The ends of a damped Newton descent of many points on a manifold at once, and their values.
+
+    Beyond rounding no value ever rises.
 
     Args:
         points: ``(B, ...)`` starts.
         evaluate: maps points and their indices to values ``(B,)``, gradients ``(B, d)`` and Hessians ``(B, d, d)`` of
             the value in the coordinates of a step.
         move: maps points and steps ``(B, d)`` to new points.
-
-    Returns:
-        The last points and their values.
     """
     points = points.copy()
     active = np.arange(len(points))
@@ -157,8 +154,7 @@ def descend(
         along = np.einsum("bij,bi->bj", vectors, gradient[active])
         step = -np.einsum("bij,bj->bi", vectors, along / np.maximum(stiffness, 1e-10 * scale))
         length = np.linalg.norm(step, axis=1)
-        # At most 1 in the group's coordinates (rad for rotations).
-        step *= (1.0 / np.maximum(length, 1.0))[:, None]
+        step *= (1.0 / np.maximum(length, 1.0))[:, None]  # at most 1 in the group's coordinates (rad for rotations)
         moved = move(points[active], step)
         new_value, new_gradient, new_hessian = evaluate(moved, active)
         # Near the minimum values agree to rounding; there the gradient decides.
@@ -182,7 +178,3 @@ def _cube() -> Floats:
 
 def _trace(matrix: Floats) -> Floats:
     return np.trace(matrix, axis1=-2, axis2=-1)
-
-
-def _symmetric(matrix: Floats) -> Floats:
-    return 0.5 * (matrix + np.swapaxes(matrix, -1, -2))

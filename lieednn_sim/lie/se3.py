@@ -16,10 +16,8 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
-# Largest entry where entries are only copied, or halved and added.
-_LARGEST = 1e300
-# Largest entry of a twist where five of them are multiplied.
-_LARGEST_TWIST = 1e60
+_LARGEST = 1e300  # largest entry where entries are only copied, or halved and added
+_LARGEST_TWIST = 1e60  # largest entry of a twist where five of them are multiplied
 # Rows: hat(e_k), flat; its columns are e_k x e_j.
 _GENERATORS = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(-1, -2).reshape(3, 9)
 
@@ -219,10 +217,7 @@ def skew(vector: Floats) -> Floats:
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Cross products of vectors ``(..., 3, M)``, with contiguous components: ten times as fast as NumPy's.
-
-    The shape is that of ``b``; unchecked.
-    """
+    """Cross products, in the shape of b, of vectors ``(..., 3, M)`` with contiguous parts: ten times NumPy's speed."""
     product = np.empty(b.shape)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         product[..., i, :] = a[..., j, :] * b[..., k, :] - a[..., k, :] * b[..., j, :]

@@ -23,7 +23,7 @@ from lieednn_sim.policies import FilteredPolicy, FilterOptions, MotionTracker, N
 from lieednn_sim.simulation.disturbances import Push
 from lieednn_sim.simulation.following import ClosedLoop
 from lieednn_sim.stability import Certificate
-from lieednn_sim.stability.decay import Decay
+from lieednn_sim.stability.robustness import Decay
 from lieednn_sim.values import Floats, frozen
 
 # Network time for which a path is foreseen, and the number of its points.

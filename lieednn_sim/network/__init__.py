@@ -9,13 +9,6 @@ from lieednn_sim.network.componentwise import ACTIVATIONS, DEFAULT_ACTIVATION, A
 from lieednn_sim.network.se3 import LieEDNN
 from lieednn_sim.typecheck import typecheck_public
 
-__all__ = [
-    "ACTIVATIONS",
-    "DEFAULT_ACTIVATION",
-    "Activation",
-    "BlockNetwork",
-    "ComponentwiseNetwork",
-    "LieEDNN",
-]
+__all__ = ["ACTIVATIONS", "DEFAULT_ACTIVATION", "Activation", "BlockNetwork", "ComponentwiseNetwork", "LieEDNN"]
 
 typecheck_public(globals())

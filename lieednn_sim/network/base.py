@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim import io, stability
 from lieednn_sim.errors import FileError, InputError, LieEDNNError, NotCertifiedError
 from lieednn_sim.network.dynamics import INTEGRATORS, Equilibrium, Trajectory, find_equilibrium, integrate
-from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive
+from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, as_ratio
 from lieednn_sim.values import Floats, read_only
 
 
@@ -29,15 +29,9 @@ class BlockNetwork(ABC):
 
     Attributes:
         bias: ``(N, d)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
-        hidden_start: state of the hidden neurons at time 0, ``(M, d)``; with a gain, that for visible ones at the
-            reference.
-        n_clock: number of hidden neurons, the last ones, that are the clock, which drives the other hidden ones.
-        start_gain: gain K ``(dM, d (N - M))`` from visible to hidden starts, see `start`; None for zero.
-        start_reference: visible start ``(N - M, d)`` at which the hidden one is `hidden_start`; None without a gain.
-        goal_gain: gain L ``(dM, d (N - M))`` from the visible equilibrium to hidden starts, see `retarget`; None for
-            zero.
+        gamma, mu: decay rate and scale of the interaction, positive.
+        lyapunov_diagonal: a diagonal P that certifies `certifiable_weight`, or None. Checked by `certificate`.
+        hidden_start, n_clock, start_gain, start_reference, goal_gain: as of `LieEDNN`, with d in place of 6.
     """
 
     bias: Floats
@@ -48,13 +42,12 @@ class BlockNetwork(ABC):
     start_gain: Floats | None = None
     start_reference: Floats | None = None
     goal_gain: Floats | None = None
+    lyapunov_diagonal: Floats | None
 
-    # The kind of file that `save` writes.
-    _kind: ClassVar[str]
+    _kind: ClassVar[str]  # the kind of file that `save` writes
+    _rows_alike: ClassVar[int] = 1  # rows of the certified matrix that share an entry of the stored diagonal
     # Cached values independent of the visible neurons' bias, which `retarget` hands over.
-    _bias_free: ClassVar[tuple[str, ...]] = (
-        *("blocks", "weight", "certificate", "n_driven", "driven_weight", "_undriven_rest"),
-    )
+    _bias_free: ClassVar[list[str]] = ["blocks", "weight", "certificate", "n_driven", "driven_weight", "_undriven_rest"]
 
     def __repr__(self) -> str:
         n, d = self.bias.shape
@@ -169,9 +162,30 @@ class BlockNetwork(ABC):
         return whole
 
     @property
-    @abstractmethod
+    def certifiable_weight(self) -> Floats:
+        """The matrix that decides stability: W, or a part of it where that is enough."""
+        return self.weight
+
+    @cached_property
     def certificate(self) -> stability.Certificate | None:
         """The stored Lyapunov diagonal, checked against this network's weights; None when there is none."""
+        if self.lyapunov_diagonal is None:
+            return None
+        diagonal = np.repeat(self.lyapunov_diagonal, self._rows_alike)
+        return stability.verify(diagonal, self.certifiable_weight, gamma=self.gamma, mu=self.mu)
+
+    def certify(self) -> Self:
+        """Search for a certificate, and return this network with it.
+
+        Raises:
+            NotCertifiedError: none was found; the network may be unstable.
+        """
+        every = self._rows_alike
+        result = stability.find_certificate(self.certifiable_weight, gamma=self.gamma, mu=self.mu, group_size=every)
+        if not result.valid:
+            raise NotCertifiedError(f"no certificate was found for the weights ({result}); scale alpha or mu down")
+        # mypy cannot know that every subclass is a dataclass, here and below.
+        return replace(self, lyapunov_diagonal=result.lyapunov_diagonal[::every])  # type: ignore[type-var]
 
     @property
     def certified(self) -> bool:
@@ -256,8 +270,7 @@ class BlockNetwork(ABC):
             distance: stop when the largest coordinate of xi - until is below this; for hidden neurons, of their
                 outputs' difference phi(xi) - phi(until).
             method: a name of `dynamics.INTEGRATORS`.
-            rtol: relative tolerance of the integrator.
-            atol: absolute tolerance of the integrator.
+            rtol, atol: relative and absolute tolerance of the integrator.
 
         Raises:
             InputError: a value is malformed, or there is no such method.
@@ -269,8 +282,7 @@ class BlockNetwork(ABC):
             as_positive(name, value)
         shape, longest = self.bias.shape, as_positive("duration", duration)
         first = as_floats("start", start, shape).ravel()
-        # Distance of a flat state from the end, less the one asked for.
-        away: Callable[[Floats], float] | None = None
+        away: Callable[[Floats], float] | None = None  # distance of a flat state from the end, less the one asked for
         if until is not None:
             goal = self._seen(as_floats("until", until, shape).ravel())
 
@@ -281,8 +293,7 @@ class BlockNetwork(ABC):
                 # The end is a crossing; if the start is inside, there is none, and nothing to integrate.
                 away, longest = None, 1e-9 * longest
         with warnings.catch_warnings(), np.errstate(all="ignore"):
-            # An overflow ends the integration, or is noticed below.
-            warnings.simplefilter("ignore")
+            warnings.simplefilter("ignore")  # an overflow ends the integration, or is noticed below
             try:
                 solver = INTEGRATORS[method](
                     lambda _, x: self.flat_vector_field(x), 0.0, first, longest, rtol=rtol, atol=atol
@@ -349,16 +360,7 @@ class BlockNetwork(ABC):
     @cache
     def _kept(cls) -> tuple[str, ...]:
         """Names of the fields, and of cached values independent of the bias."""
-        # mypy cannot know that every subclass is a dataclass, here and below.
         return (*(field.name for field in fields(cls)), *cls._bias_free)  # type: ignore[arg-type]
-
-    def _carrying(self, result: stability.Certificate, every: int = 1) -> Self:
-        """This network with a new certificate, of whose diagonal the entries 0, ``every``, ... are stored."""
-        if not result.valid:
-            raise NotCertifiedError(f"no certificate was found for the weights ({result}); scale alpha or mu down")
-        diagonal = result.lyapunov_diagonal[::every]
-        network: Self = replace(self, lyapunov_diagonal=diagonal)  # type: ignore[type-var]
-        return network
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the network to an ``.npz`` file, atomically."""
@@ -408,6 +410,20 @@ class BlockNetwork(ABC):
     def _from_meta(cls, meta: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the constructor from metadata; raises KeyError or InputError if some are missing."""
         return {field.name: meta[field.name] for field in cls._stored("float", "int", "str")}
+
+
+def as_strengths(alpha: ArrayLike) -> Floats:
+    """Return connection strengths ``(N, N)`` with N >= 1, or raise `InputError`."""
+    checked = as_floats("alpha", alpha, ("N", "N"))
+    if len(checked) == 0:
+        raise InputError("alpha must have shape (N, N) with N >= 1, got (0, 0)")
+    return checked
+
+
+def as_rates(gamma: float, mu: float) -> dict[str, float]:
+    """Return gamma and mu checked, by name."""
+    as_ratio(gamma, mu)
+    return {"gamma": as_positive("gamma", gamma), "mu": as_positive("mu", mu)}
 
 
 def flatten_blocks(blocks: Floats) -> Floats:

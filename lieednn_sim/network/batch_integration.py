@@ -19,8 +19,7 @@ _MOST_STEPS = 500
 # one at which the error would be just as large as allowed. The error of a step is of fifth order in it.
 _STEP_SAFETY, _LEAST_STEP_FACTOR, _LARGEST_STEP_FACTOR, _ORDER = 0.9, 0.2, 10.0, 5
 
-# Flat rates of change of states ``(B, dN)``, those of each network in a row.
-_Field = Callable[[Floats], Floats]
+_Field = Callable[[Floats], Floats]  # flat rates of change of states ``(B, dN)``, those of each network in a row
 
 
 def integrate_batch(
@@ -32,15 +31,10 @@ def integrate_batch(
 
     Args:
         networks: networks of the same size and activation.
-        start: ``(N, d)`` state of every network at time 0.
-        duration: time to integrate, in the networks' own time.
-        rtol: relative tolerance of the integrator.
-        atol: absolute tolerance of the integrator.
+        start, duration, rtol, atol: as of `BlockNetwork.trajectory`, for all networks; it raises the same, too.
 
     Raises:
         InputError: the networks differ in size or activation.
-        LieEDNNError: as `BlockNetwork.trajectory`.
-        OutOfTimeError: the time budget is spent.
     """
     kinds = {(network.bias.shape, network.activation) for network in networks}
     if kinds != {(np.shape(start), networks[0].activation)}:

@@ -6,23 +6,21 @@ import os
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim import stability
 from lieednn_sim.errors import InputError, NotCertifiedError
-from lieednn_sim.network.base import BlockNetwork
-from lieednn_sim.network.c_code import write_c
-from lieednn_sim.network.onnx_graph import write_onnx
+from lieednn_sim.network.base import BlockNetwork, as_rates
+from lieednn_sim.network.exporting import write_c, write_onnx
 from lieednn_sim.validation import as_choice, as_floats, as_positive
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, frozen, read_only, set_fields
 
 # Where an activation is looked at, and how far its slope may be from that of its values there.
 _SAMPLES, _DIFFERENCE, _TOLERANCE = np.linspace(-8.0, 8.0, 161), 1e-5, 1e-6
-# Where it is near its bound, if it has one.
-_FAR = np.array([1e3, 1e6, 1e9])
+_FAR = np.array([1e3, 1e6, 1e9])  # where it is near its bound, if it has one
 
 
 @frozen
@@ -86,11 +84,7 @@ def _values(name: str, function: Callable[[Floats], Floats], x: Floats) -> Float
 
 #: Activation functions by name: ``tanh``, and others that are added, ``ACTIVATIONS["name"] = Activation(...)``.
 ACTIVATIONS: dict[str, Activation] = {
-    "tanh": Activation(
-        np.tanh,
-        lambda x: 1.0 / np.cosh(np.clip(x, -350.0, 350.0)) ** 2,
-        lambda y: 1.0 - y * y,
-    ),
+    "tanh": Activation(np.tanh, lambda x: 1.0 / np.cosh(np.clip(x, -350.0, 350.0)) ** 2, lambda y: 1.0 - y * y),
     "arctan": Activation(
         lambda x: 2.0 / np.pi * np.arctan(0.5 * np.pi * x),
         lambda x: 1.0 / (1.0 + (0.5 * np.pi * x) ** 2),
@@ -112,31 +106,9 @@ class ComponentwiseNetwork(BlockNetwork):
 
     Attributes:
         activation: a name of `ACTIVATIONS`.
-        lyapunov_diagonal: a diagonal P that certifies `certifiable_weight`, or None. Checked by `certificate`.
     """
 
     activation: str
-    lyapunov_diagonal: Floats | None
-
-    @property
-    def certifiable_weight(self) -> Floats:
-        """The matrix that decides stability: W, or a part of it where that is enough."""
-        return self.weight
-
-    @cached_property
-    def certificate(self) -> stability.Certificate | None:
-        """The stored Lyapunov diagonal, checked against this network's weights; None when there is none."""
-        if self.lyapunov_diagonal is None:
-            return None
-        return stability.verify(self.lyapunov_diagonal, self.certifiable_weight, gamma=self.gamma, mu=self.mu)
-
-    def certify(self) -> Self:
-        """Search for a certificate, and return this network with it.
-
-        Raises:
-            NotCertifiedError: none was found; the network may be unstable.
-        """
-        return self._carrying(stability.find_certificate(self.certifiable_weight, gamma=self.gamma, mu=self.mu))
 
     def try_certify(self) -> Self:
         """This network with a certificate if one is found; else the network itself."""
@@ -182,10 +154,8 @@ class ComponentwiseNetwork(BlockNetwork):
         of `dynamics.runge_kutta_step`: the fourth-order Runge-Kutta method. The target can be moved as by `retarget`.
 
         Args:
-            folder: where to write them; it is made if it is missing. Two files of these names there are replaced.
-
-        Returns:
-            The folder.
+            folder: where to write them; it is made if it is missing, and returned. Two files of these names there are
+                replaced.
 
         Raises:
             InputError: the activation is one of the user's own, hidden neurons hear visible ones, or the network has no
@@ -231,3 +201,38 @@ class ComponentwiseNetwork(BlockNetwork):
     def _driven(self, state: Floats) -> Floats:
         slope = ACTIVATIONS[self.activation].slope(state).reshape(*state.shape[:-2], 1, -1)
         return self.driven_weight * slope
+
+
+@frozen
+class HopfieldNetwork(ComponentwiseNetwork):
+    """A network with any weight matrix W, of N neurons with d coordinates (Hopfield, PNAS 81, 1984).
+
+    It is x' = -gamma x + mu (W phi(x) + b), with fields as of `LieEDNN`, but a P of W itself, ``(dN,)``.
+    """
+
+    matrix: Floats
+    bias: Floats
+    gamma: float = 1.0
+    mu: float = 1.0
+    activation: str = DEFAULT_ACTIVATION
+    lyapunov_diagonal: Floats | None = None
+
+    _kind: ClassVar[str] = "hopfield-network"
+
+    def __post_init__(self) -> None:
+        bias = as_floats("bias", self.bias, ("N", "d"))
+        diagonal = self.lyapunov_diagonal
+        set_fields(
+            self,
+            matrix=as_floats("matrix", self.matrix, (bias.size, bias.size)),
+            bias=bias,
+            **as_rates(self.gamma, self.mu),
+            activation=as_activation(self.activation),
+            lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (bias.size,)),
+        )
+
+    @cached_property
+    def blocks(self) -> Floats:
+        """W as blocks ``(N, N, d, d)``."""
+        n, d = self.bias.shape
+        return read_only(np.ascontiguousarray(self.matrix.reshape(n, d, n, d).transpose(0, 2, 1, 3)))

@@ -83,8 +83,7 @@ def find_equilibrium(
     """Find an equilibrium by damped Newton steps; if they stall, follow the flow and try again.
 
     Args:
-        vector_field: flat right-hand side.
-        jacobian: its derivative.
+        vector_field, jacobian: flat right-hand side and its derivative.
         start: ``(N, d)`` first guess.
         rate: decay rate of the system, which scales residuals and times.
         tolerance: tolerance of the largest entry of the vector field, relative to rate (1 + |x|).
@@ -93,8 +92,7 @@ def find_equilibrium(
         LieEDNNError: the numbers are so large that the search overflows.
     """
     x, steps, how = start.ravel().copy(), 0, "Newton converged"
-    # Squares may overflow meanwhile; a result that is not finite is rejected below.
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # squares may overflow meanwhile; a result that is not finite is rejected below
         try:
             for attempt in range(3):
                 x, n, converged = _newton(vector_field, jacobian, x, rate * tolerance)
@@ -150,27 +148,19 @@ def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, toleran
     return x, 100, False
 
 
-def runge_kutta_step(field: Callable[[Floats, float], Floats], x: Floats, h: float, k: float = 0.0) -> Floats:
-    """The state after a step h from time k h, by the fourth-order Runge-Kutta method.
-
-    Args:
-        field: rate at a state and a time in units of h.
-        x: state, of any shape.
-        h: step.
-        k: time in units of h.
-    """
-    k1 = field(x, k)
-    k2 = field(x + 0.5 * h * k1, k + 0.5)
-    k3 = field(x + 0.5 * h * k2, k + 0.5)
-    k4 = field(x + h * k3, k + 1.0)
+def runge_kutta_step(field: VectorField, x: Floats, h: float) -> Floats:
+    """The state, of any shape, after a step h by the fourth-order Runge-Kutta method."""
+    k1 = field(x)
+    k2 = field(x + 0.5 * h * k1)
+    k3 = field(x + 0.5 * h * k2)
+    k4 = field(x + h * k3)
     return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
 
 
 def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Floats, Floats, OdeSolution | PPoly]:
-    """Run a solver to its end, or to where ``away`` falls to zero; quicker than SciPy's `solve_ivp`.
+    """Times ``(K,)``, states ``(K, n)`` and their interpolant, of a solver run to its end or to where ``away`` is zero.
 
-    Returns:
-        Times ``(K,)``, states ``(K, n)``, and the function of the time that interpolates these.
+    It is quicker than SciPy's `solve_ivp`.
 
     Raises:
         ArithmeticError: the solver fails.
@@ -191,8 +181,7 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
         piece = solver.dense_output()
         pieces.append(piece)
         if away is not None and away(solver.y) <= 0.0:
-            # As precise as SciPy's own events.
-            tiny = 4.0 * float(np.finfo(float).eps)
+            tiny = 4.0 * float(np.finfo(float).eps)  # as precise as SciPy's own events
             end = brentq(lambda time, piece=piece: away(piece(time)), solver.t_old, solver.t, xtol=tiny, rtol=tiny)
             t.append(end)
             x.append(piece(end))

@@ -7,29 +7,24 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from lieednn_sim.errors import InputError
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import BlockNetwork, flatten_blocks, leading
-from lieednn_sim.network.checks import as_hidden, as_poses, as_rates, as_start_law, as_strengths
+from lieednn_sim.network.base import BlockNetwork, as_rates, as_strengths, flatten_blocks, leading
 from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
-from lieednn_sim.validation import as_floats
+from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats, frozen, read_only, set_fields
 
 
 class RigidNetwork(BlockNetwork):
-    """A network on se(3)^N with blocks alpha_ij Ad(theta_ij).
-
-    Attributes:
-        alpha: ``(N, N)`` connection strengths.
-        rotation: ``(N, N, 3, 3)`` rotations of theta_ij; i receives, j sends.
-        translation: ``(N, N, 3)`` translations of theta_ij.
-    """
+    """A network on se(3)^N with blocks alpha_ij Ad(theta_ij)."""
 
     alpha: Floats
     rotation: Floats
     translation: Floats
 
-    _bias_free: ClassVar[tuple[str, ...]] = (*BlockNetwork._bias_free, "rotational_weight")
+    _bias_free: ClassVar[list[str]] = [*BlockNetwork._bias_free, "rotational_weight"]
 
     @cached_property
     def blocks(self) -> Floats:
@@ -54,6 +49,11 @@ class RigidNetwork(BlockNetwork):
         """W_R = [alpha_ij R_ij], ``(3N, 3N)``: the part that decides stability."""
         return flatten_blocks(self.alpha[:, :, None, None] * self.rotation)
 
+    @property
+    def certifiable_weight(self) -> Floats:
+        """W_R, ``(3N, 3N)``: W has a diagonal Lyapunov matrix exactly when W_R has one (`stability`)."""
+        return self.rotational_weight
+
 
 @frozen
 class LieEDNN(RigidNetwork, ComponentwiseNetwork):
@@ -74,7 +74,7 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         activation: a name of `ACTIVATIONS`.
         lyapunov_diagonal: ``(3N,)`` diagonal P that certifies W_R, or None. Checked by `certificate`.
         hidden_start: ``(M, 6)`` state of the hidden neurons at time 0, M < N; by default none is hidden.
-        n_clock: number of hidden neurons, the last ones, that are the clock.
+        n_clock: number of hidden neurons, the last ones, that are the clock, which drives the other hidden ones.
         start_gain: ``(6M, 6 (N - M))`` K, how hidden starts depend on visible ones (see `start`); None if they do not.
         start_reference: ``(N - M, 6)`` visible start at which the hidden one is ``hidden_start``; None without a gain.
         goal_gain: ``(6M, 6 (N - M))`` L, how ``hidden_start`` moves with the target (see `retarget`); None if it stays.
@@ -142,7 +142,59 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
         set_fields(network, hidden_start=start, **law)
         return network
 
-    @property
-    def certifiable_weight(self) -> Floats:
-        """W_R, ``(3N, 3N)``: W has a diagonal Lyapunov matrix exactly when W_R has one (`stability`)."""
-        return self.rotational_weight
+
+def as_poses(rotation: ArrayLike, translation: ArrayLike, alpha: Floats) -> dict[str, Floats]:
+    """Return the rotations ``(N, N, 3, 3)`` and translations ``(N, N, 3)`` of theta checked, by name.
+
+    Their product with the strengths ``(N, N)``, which the weights are made of, must be in range as well.
+    """
+    n = len(alpha)
+    checked = {
+        "rotation": as_floats("rotation", rotation, (n, n, 3, 3)),
+        "translation": as_floats("translation", translation, (n, n, 3)),
+    }
+    require_rotations(checked["rotation"])
+    as_floats("alpha times translation", alpha[:, :, None] * checked["translation"], (n, n, 3))
+    return checked
+
+
+def as_hidden(hidden_start: ArrayLike, n_clock: int, n: int) -> dict[str, Floats | int]:
+    """Return the hidden neurons' start ``(M, 6)`` and the size of the clock checked, by name, in a network of N."""
+    start = as_floats("hidden_start", hidden_start, ("M", 6))
+    if len(start) >= n:
+        raise InputError(
+            f"hidden_start must hold fewer neurons than the network, which has {n} and needs a visible one, got "
+            f"{len(start)}"
+        )
+    clock = as_count("n_clock", n_clock, least=0)
+    if clock > len(start):
+        raise InputError(f"n_clock must be at most {len(start)}, the number of hidden neurons, got {clock}")
+    return {"hidden_start": start, "n_clock": clock}
+
+
+def as_start_law(
+    gain: ArrayLike | None, reference: ArrayLike | None, goal_gain: ArrayLike | None, n_hidden: int, n: int
+) -> dict[str, Floats | None]:
+    """Return the gains and the reference of hidden starts checked, by name, in a network of n neurons."""
+    if gain is None and reference is None and goal_gain is None:
+        return {"start_gain": None, "start_reference": None, "goal_gain": None}
+    if gain is None or reference is None:
+        raise InputError("start_gain and start_reference must be given together, or neither; goal_gain needs both")
+    visible = n - n_hidden
+    shape = (6 * n_hidden, 6 * visible)
+    return {
+        "start_gain": as_floats("start_gain", gain, shape),
+        "goal_gain": None if goal_gain is None else as_floats("goal_gain", goal_gain, shape),
+        "start_reference": as_floats("start_reference", reference, (visible, 6)),
+    }
+
+
+def require_rotations(rotation: Floats) -> None:
+    """Raise `InputError` unless every matrix of ``(..., 3, 3)`` is a rotation."""
+    gram = rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)
+    # More than rounding leaves, far less than a wrong matrix has.
+    if np.abs(gram).max() > 1e-9 or (np.linalg.det(rotation) < 0).any():
+        raise InputError(
+            f"rotation must hold rotation matrices; R R^T differs from I by up to {np.abs(gram).max():.2g} or a "
+            "determinant is negative; project with lieednn_sim.lie.project_to_rotation"
+        )

@@ -19,7 +19,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.learning.demonstrations.alignment import GOALS, PHASES, at_phases
 from lieednn_sim.learning.demonstrations.family import Response, with_response
-from lieednn_sim.learning.demonstrations.files import TIMES, read_tables
+from lieednn_sim.learning.demonstrations.recording import TIMES, read_tables
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion

@@ -18,7 +18,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.lie import continued
-from lieednn_sim.network.undriven import UndrivenState
+from lieednn_sim.network.stepping import UndrivenState
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.planning.transition import Transition

@@ -31,7 +31,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.network.runge_kutta import RungeKuttaStepper
+from lieednn_sim.network.stepping import RungeKuttaStepper
 from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.network_path import require_fit
 from lieednn_sim.planning.network_planners import without_weights

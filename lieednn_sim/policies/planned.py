@@ -1,6 +1,6 @@
 """Policies of a planned motion: one plays it, the other, a dynamic movement primitive, imitates it.
 
-The primitive's basis functions are those of `learning.demonstrations.primitive` and of the planner ``dmp``. The planner
+The primitive's basis functions are those of `learning.demonstrations.primitives` and of the planner ``dmp``. The planner
 makes a whole motion; the policy advances step by step, its phase waits for the arm, and its target may move.
 """
 
@@ -13,7 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations.primitive import forcing
+from lieednn_sim.learning.demonstrations.primitives import forcing
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies.base import Policy

@@ -6,23 +6,11 @@ attracts every start, whatever the bias; `verify` checks one. `robustness` bound
 state, the lag behind a moving target, and the time steps with which a fixed-step integrator keeps the proof.
 """
 
-from lieednn_sim.stability.certificate import (
-    Certificate,
-    find_certificate,
-    verify,
-)
+from lieednn_sim.stability.certificate import Certificate, find_certificate, verify
 from lieednn_sim.stability.conditions import CONDITIONS, Condition, Verdict, assess
 from lieednn_sim.stability.contraction import Contraction, find_contraction, verify_contraction
-from lieednn_sim.stability.decay import Decay
-from lieednn_sim.stability.guarantees import Guarantee
-from lieednn_sim.stability.norms import (
-    LogNorms,
-    WeightedNorm,
-    log_norms,
-    smallest_one_norm,
-    weighted_norm,
-)
-from lieednn_sim.stability.robustness import INTEGRATORS_WITH_PROOF, Robustness, robustness
+from lieednn_sim.stability.norms import LogNorms, WeightedNorm, log_norms, smallest_one_norm, weighted_norm
+from lieednn_sim.stability.robustness import INTEGRATORS_WITH_PROOF, Decay, Guarantee, Robustness, robustness
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [

@@ -5,21 +5,9 @@ P (W - (gamma/mu) I) negative definite in its symmetric part, then for every bia
 it attracts every start (Forti and Tesi, IEEE Trans. Circuits Syst. I 42(7), 1995). With S = P^(1/2) the condition reads
 lambda_max(sym(S W S^-1)) < gamma/mu.
 
-How fast: let x* be the equilibrium, e = x - x*, f = phi(x) - phi(x*), lambda the largest eigenvalue above, lambda+ its
-positive part, and V = sum_i p_i int_{x*_i}^{x_i} (phi(s) - phi(x*_i)) ds, which is positive away from x* because phi
-increases. Along the flow V' = f^T P x' = -gamma f^T P e + mu f^T P W f.
-
-- f^T P W f = y^T sym(S W S^-1) y with y = S f, so it is at most lambda+ f^T P f.
-- Slopes of at most 1 give f_i^2 <= f_i e_i, so f^T P f <= f^T P e and V' <= -(gamma - mu lambda+) f^T P e.
-- The integrand runs monotonically from 0 to f_i, so the integral is at most f_i e_i and V <= f^T P e.
-
-Hence V(t) <= V(0) exp(-(gamma - mu lambda+) t) from every start. Near x* both phi and V are close to their first terms,
-V to half of f^T P e: there V falls twice as fast, and since V is then like |e|^2 the state itself arrives at least at
-the rate gamma - mu lambda+, up to any small epsilon.
-
-The adjoint of SE(3) lets rotation drive translation and never the reverse, so with all omega sorted before all v
-W = [[W_R, 0], [W_C, W_R]] with W_R = [alpha_ij R_ij]. W has such a P exactly when W_R has one: take
-diag(P_R, eps P_R) with eps small. Hence everything here works on W_R, of shape (3N, 3N), and the rate carries over too.
+`docs/mathematics/certificates.md` proves the rate gamma - mu max(lambda_max, 0), by the Lyapunov function V = sum_i p_i
+int_{x*_i}^{x_i} (phi(s) - phi(x*_i)) ds about the equilibrium x*, and why W of blocks alpha_ij Ad(theta_ij) has such a
+P exactly when W_R = [alpha_ij R_ij] has one. Hence everything here works on W_R, of shape (3N, 3N).
 """
 
 from __future__ import annotations
@@ -29,14 +17,14 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.method_of_centres import minimise_by_centres
-from lieednn_sim.stability.norms import as_weight, weighted_norm
+from lieednn_sim.stability.norms import EPS, as_weight, weighted_norm
 from lieednn_sim.validation import LARGEST, as_count, as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats, frozen
 
 # Entries of P further apart prove nothing useful (V would depend on one coordinate only). With `LARGEST`, which bounds
 # W, gamma, mu and their inverses, S W S^-1 stays far from overflow, and gamma/mu far from underflow.
 _LARGEST_SPREAD = 1e60
-_EPS, _TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
+_TINY = float(np.finfo(float).tiny)
 
 
 @frozen
@@ -88,8 +76,7 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
     Args:
         lyapunov_diagonal: diagonal of P, positive, ``(n,)``.
         weight: W_R (or W), ``(n, n)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
 
     Raises:
         InputError: shapes disagree, an entry of the diagonal is not positive, or the numbers are so large, small or far
@@ -119,7 +106,7 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
     # below n eps ||A||_2. Both are doubled, in the Frobenius norm. Underflow changes each entry, and the eigenvalue, by
     # less than the smallest normal number.
     # The reduction is by a product of reflections, backward stable with an error of the same size.
-    relative = (10.0 + 4.0 * diagonal.size) * _EPS * np.linalg.norm(unit)
+    relative = (10.0 + 4.0 * diagonal.size) * EPS * np.linalg.norm(unit)
     rounding = float(np.ldexp(relative, exponent)) + (diagonal.size + 1.0) * _TINY
     return Certificate(
         lyapunov_diagonal=diagonal * np.exp(-np.log(diagonal).mean()),
@@ -154,8 +141,7 @@ def find_certificate(weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, 
 
     Args:
         weight: W_R (or any square matrix), ``(n, n)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
         group_size: entries of P are equal within consecutive groups of this size. With 3, P has the form diag(p_i I_3)
             that a network needs whose symmetry is a common rotation of all omega_i.
 

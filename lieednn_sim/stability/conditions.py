@@ -114,17 +114,11 @@ class Verdict:
         return max(condition.rate for condition in self.conditions if condition.scope == "global")
 
     def __getitem__(self, name: str) -> Condition:
-        """The condition with this name.
-
-        Raises:
-            InputError: there is no such condition.
-        """
-        for condition in self.conditions:
-            if condition.name == name:
-                return condition
-        raise InputError(
-            f"no condition {quoted(name)}; conditions are: {', '.join(condition.name for condition in self.conditions)}"
-        )
+        """The condition with this name; `InputError` if there is none."""
+        known = {condition.name: condition for condition in self.conditions}
+        if name not in known:
+            raise InputError(f"no condition {quoted(name)}; conditions are: {', '.join(known)}")
+        return known[name]
 
     def __str__(self) -> str:
         if self.globally_stable:
@@ -157,18 +151,16 @@ def assess(
 
     The activation phi may be any function whose slopes are in (0, 1].
 
-    The adjoint of SE(3) makes W block triangular once all omega are sorted before all v, with W_R twice on the
-    diagonal; a small weight of v against omega then makes W_C arbitrarily small, so the weighted and the Lyapunov
-    conditions hold for W exactly when they hold for W_R, at the same rate up to any small epsilon. The log norm 2 on
-    W_R proves the same for W through diag(I, eps I). Only unweighted norms depend on W_C, and need the whole W.
+    The weighted and the Lyapunov conditions hold for W exactly when they hold for W_R (`stability.certificate`), at the
+    same rate up to any small epsilon. The log norm 2 on W_R proves the same for W through diag(I, eps I). Only
+    unweighted norms depend on the other blocks, by which omega drives v, and need the whole W.
 
     Coordinates without inputs, where they are more than half of all, are left out of the weighted log norm and of
     contraction for the same reason: a large weight of theirs makes what they send arbitrarily small.
 
     Args:
         weight: W, ``(n, n)``; n = 6N with interleaved twists (omega, v) when `rotational_weight` is given.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
         rotational_weight: W_R, ``(3N, 3N)``, on which the last global conditions are then evaluated.
         jacobian: Jacobian ``(n, n)`` of the vector field at an equilibrium, for the local condition.
         lyapunov_diagonal: a known diagonal P, of the size of `rotational_weight` or else of `weight`; it saves the
@@ -212,15 +204,11 @@ def assess(
         rounding = len(slopes) * np.finfo(float).eps * frobenius(slopes)
         abscissa = float(np.linalg.eigvals(slopes).real.max() + rounding)
         conditions.append(Condition("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local"))
-    stiffness = _strongest_coupling(core, 1 if core is matrix else 3) / bound
+    size = 1 if core is matrix else 3
+    blocks = core.reshape(len(core) // size, size, -1, size)
+    # The spectral norm of a block alpha R is |alpha|.
+    stiffness = float(np.linalg.norm(blocks, 2, axis=(1, 3)).max()) / bound
     return Verdict(tuple(conditions), certificate, contraction, stiffness)
-
-
-def _strongest_coupling(core: Floats, size: int) -> float:
-    """Largest spectral norm of the blocks of ``core``, which for a block alpha R is |alpha|."""
-    n = len(core) // size
-    blocks = core.reshape(n, size, n, size).transpose(0, 2, 1, 3)
-    return float(np.linalg.norm(blocks, 2, axis=(-2, -1)).max())
 
 
 def _rotational_part(weight: Floats, rotational_weight: ArrayLike) -> Floats:

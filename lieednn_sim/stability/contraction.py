@@ -1,24 +1,18 @@
 """Contraction: the distance between any two solutions falls at a proven rate in one norm.
 
-Between two solutions of x' = -gamma x + mu W phi(x) + mu b, e' = -gamma e + mu W z with z = D e, where D is diagonal
-and its entries, mean slopes of phi, lie in [0, 1]; so z^T Q (e - z) >= 0 for every positive diagonal Q. Added to the
-derivative of |e|_P^2 = e^T P e, P positive definite and full, it proves that |e|_P falls at the rate gamma - mu v when
+With P positive definite and full, and Q positive and diagonal, the distance |e|_P = (e^T P e)^(1/2) of two solutions
+falls at the rate gamma - mu v when
 
-    [[2 v P, P W + Q], [(P W + Q)^T, 2 Q]] >= 0,
+    [[2 v P, P W + Q], [(P W + Q)^T, 2 Q]] >= 0
 
-a linear matrix inequality in P and Q (sharp conditions of this kind: Gokhale, Proskurnikov, Kawano and Bullo,
-arXiv 2604.15238, 2026). With S = Q^(1/2), P = T^T T and a Schur complement the least v of a pair (P, Q) is
+(sharp conditions of this kind: Gokhale, Proskurnikov, Kawano and Bullo, arXiv 2604.15238, 2026). With S = Q^(1/2) and P
+= T^T T the least v of a pair (P, Q) is |T^-T S + T W S^-1|_2^2 / 4, which `verify_contraction` evaluates, with a bound
+on its rounding. For Q alone, the least v over all P is the largest of
 
-    v = |T^-T S + T W S^-1|_2^2 / 4,
+    cos(a) lambda_max(Herm(exp(i a) S W S^-1)),  |a| < pi/2.
 
-which `verify_contraction` evaluates, with a bound on its rounding. And for Q alone, by the Kalman-Yakubovich-Popov
-lemma, the least v over all P is the largest of
-
-    cos(a) lambda_max(Herm(exp(i a) S W S^-1)),  |a| < pi/2:
-
-the numerical range of S W S^-1, of points alpha + i beta, lies in the parabola beta^2 <= 4 v (v - alpha). At a = 0 this
-is the left side of the diagonal Lyapunov condition with P = Q. So contraction implies that condition, at the same rate
-when no other angle is worse (a symmetric W, for one), and asks in addition that W does not turn too fast.
+At a = 0 this is the left side of the diagonal Lyapunov condition with P = Q, which contraction therefore implies.
+`docs/mathematics/robustness.md` derives all this.
 """
 
 from __future__ import annotations
@@ -31,11 +25,9 @@ from scipy.optimize import minimize_scalar
 from lieednn_sim.errors import InputError
 from lieednn_sim.stability.certificate import find_certificate
 from lieednn_sim.stability.method_of_centres import minimise_by_centres
-from lieednn_sim.stability.norms import as_weight, frobenius, scale
+from lieednn_sim.stability.norms import EPS, as_weight, frobenius, scale
 from lieednn_sim.validation import as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats, frozen
-
-_EPS = float(np.finfo(float).eps)
 
 
 @frozen
@@ -84,8 +76,7 @@ def verify_contraction(
         factor: upper triangular T of the norm |T e|_2, with a positive diagonal, ``(n, n)``.
         multiplier: diagonal of Q, positive, ``(n,)``.
         weight: W_R (or W), ``(n, n)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
 
     Raises:
         InputError: shapes disagree, T is not upper triangular or its diagonal or Q not positive.
@@ -106,7 +97,7 @@ def verify_contraction(
     norm = float(np.linalg.norm(total, 2))
     size, inverse_size = float(np.linalg.norm(local)), float(np.linalg.norm(inverse))
     # Rounding in the entries, in a product of n terms, in the norm, and in the inverse, the largest: T^-1 dT T^-1.
-    error = (10.0 + 2.0 * n) * _EPS * (inverse_size * (1.0 + size * inverse_size) + 2.0 * size * frobenius(scaled))
+    error = (10.0 + 2.0 * n) * EPS * (inverse_size * (1.0 + size * inverse_size) + 2.0 * size * frobenius(scaled))
     # A triangular factor with a larger condition number has no useful inverse in floating point.
     if size * inverse_size > 1e12 or not np.isfinite(norm + error):
         error = np.inf
@@ -123,7 +114,7 @@ def verify_contraction(
 def find_contraction(
     weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, lyapunov_diagonal: ArrayLike | None = None
 ) -> Contraction:
-    """Search for the norm in which distances fall fastest, and verify it.
+    """Search for the norm in which distances fall fastest, and verify it; the result need not be `valid`.
 
     Q starts as the best diagonal Lyapunov matrix, and is moved once by the method of centres so that the initially
     worst angle counts as well as angle 0, which leaves v a few thousandths above the least possible; P is then the
@@ -131,12 +122,8 @@ def find_contraction(
 
     Args:
         weight: W_R (or any square matrix), ``(n, n)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
         lyapunov_diagonal: initial Q ``(n,)``; by default, the best one is searched for.
-
-    Returns:
-        The best result, which need not be `valid`.
     """
     matrix = as_weight("weight", weight)
     bound = as_ratio(as_positive("gamma", gamma), mu)
@@ -167,10 +154,9 @@ def find_contraction(
 
 
 def least_level(scaled: Floats) -> tuple[float, float, float]:
-    """The least level v over all P for the matrix S W S^-1 ``(n, n)``.
+    """The least level v over all P for the matrix S W S^-1 ``(n, n)``, at least 0.
 
-    Returns:
-        v, at least 0; the angle a in [0, pi/2) at which it is reached; and the value at a = 0 alone, at least 0.
+    Then the angle a in [0, pi/2) at which it is reached, and the value at a = 0 alone, at least 0.
     """
 
     def level(angle: Floats) -> Floats:

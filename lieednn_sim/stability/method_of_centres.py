@@ -18,21 +18,19 @@ import numpy as np
 from lieednn_sim.stability.norms import scale
 from lieednn_sim.values import Floats
 
-# exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 stays accurate.
-_LOG_SCALE_BOUND = 8.0
+_LOG_SCALE_BOUND = 8.0  # exp(+-_LOG_SCALE_BOUND) bounds S, so that S W S^-1 stays accurate
 _LEAST, _MOST = np.exp(-2.0 * _LOG_SCALE_BOUND), np.exp(2.0 * _LOG_SCALE_BOUND)
 
 
 def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Floats:
     """Log S ``(n / group_size,)`` that makes the largest eigenvalue of sym(S W S^-1) smallest, with |log S| <= 8.
 
+    Nothing about it is guaranteed: pass it to `stability.verify`.
+
     Args:
         weight: W, ``(n, n)``.
         group_size: entries of S are equal within consecutive groups of this size.
         start: initial log S of each group; a common factor of S is removed, and the rest is clipped to the bounds.
-
-    Returns:
-        The best found. Nothing about it is guaranteed: pass it to `stability.verify`.
     """
     inside = 0.99 * _LOG_SCALE_BOUND
     start = np.clip(start - start.mean(), -inside, inside)
@@ -52,8 +50,7 @@ def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Float
             tangent = np.asarray(np.linalg.solve(hessian, slope), np.float64)
             entries, level = search.lower(entries, tangent, level, gap)
     except np.linalg.LinAlgError:
-        # So near the least level that F is singular up to rounding.
-        pass
+        pass  # so near the least level that F is singular up to rounding
     return 0.5 * np.log(search.best)
 
 
@@ -85,8 +82,7 @@ class _CentreSearch:
             hessian = self._summed(self._summed(second).T) + np.diag(low**2 + high**2)
             direction = -np.linalg.solve(hessian, gradient)
             decrement = float(np.sqrt(max(-gradient @ direction, 0.0)))
-            # The barrier can then fall by no more than about half the square.
-            if not decrement > 0.3:
+            if not decrement > 0.3:  # the barrier can then fall by no more than about half the square
                 break
             # The damped step of a self-concordant function never leaves its domain.
             entries = entries * (1.0 + direction / (1.0 + decrement))
@@ -100,8 +96,7 @@ class _CentreSearch:
         moved, lower = entries * (1.0 + 0.8 * step * tangent), level - 0.8 * step
         if step > 0.5 * gap and self._has(moved, lower):
             return moved, lower
-        # Without a step the level falls by less than the gap.
-        return entries, level - 0.9 * gap
+        return entries, level - 0.9 * gap  # without a step the level falls by less than the gap
 
     def _has(self, entries: Floats, level: float) -> bool:
         within = bool(entries.min() > _LEAST and entries.max() < _MOST)

@@ -17,7 +17,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
-_EPS = float(np.finfo(float).eps)
+EPS = float(np.finfo(float).eps)
 
 
 def smallest_one_norm(output: ArrayLike, required: ArrayLike) -> float:
@@ -83,8 +83,7 @@ def log_norms(weight: ArrayLike) -> LogNorms:
     matrix = as_weight("weight", weight)
     magnitude = np.abs(matrix)
     columns, rows, diagonal = magnitude.sum(axis=0), magnitude.sum(axis=1), np.diag(matrix)
-    # A sum of n terms rounds n - 1 times; the rest covers the comparison with gamma/mu.
-    up = (len(matrix) + 8.0) * _EPS
+    up = (len(matrix) + 8.0) * EPS  # a sum of n terms rounds n - 1 times; the rest covers the comparison with gamma/mu
     signed = columns - np.abs(diagonal) + diagonal
     clipped = rows - np.abs(diagonal) + np.maximum(diagonal, 0.0)
     return LogNorms(
@@ -141,8 +140,7 @@ def weighted_norm(weight: ArrayLike) -> WeightedNorm:
             best = trial
         else:
             low = level
-    # Underflow in between is less than the smallest normal number.
-    value = float(np.ldexp(best.value, exponent))
+    value = float(np.ldexp(best.value, exponent))  # underflow in between is less than the smallest normal number
     return replace(best, value=value + float(np.finfo(float).tiny) if value > 0.0 else 0.0)
 
 
@@ -162,5 +160,5 @@ def _positive_vectors(majorant: Floats, level: float) -> WeightedNorm | None:
 
 
 def _weighted_log_norm(majorant: Floats, left: Floats) -> float:
-    rounding = (len(majorant) + 8.0) * _EPS * (left @ np.abs(majorant))
+    rounding = (len(majorant) + 8.0) * EPS * (left @ np.abs(majorant))
     return max(0.0, float(((left @ majorant + rounding) / left).max()))

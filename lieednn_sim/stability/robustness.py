@@ -1,8 +1,28 @@
 """How far a push throws a network, for how long, how far it lags behind a moving target, and which time steps are safe.
 
 A push moves only the coordinates that W lets it reach: the others stay on their course. So everything is proved on the
-submatrix of the coordinates reached (`stability.guarantees`), and in a cascade a push on its last layer involves that
-layer alone.
+submatrix of the coordinates reached, and in a cascade a push on its last layer involves that layer alone.
+
+On the coordinates considered, e' = -gamma e + mu W f, with f_i between 0 and e_i, has two kinds of proof, in the norm
+|e|_P = |T e|_2.
+
+Contraction (`stability.contraction`), of any two motions: |e(t)|_P <= exp(-c t) |e(0)|_P, a lag of at most |x*'|_P / c
+behind an equilibrium that moves at the velocity x*', and steps h < h_0 of forward Euler and of Runge-Kutta 4, with the
+largest h_0 for which 2 <e', e>_P <= -h_0 |e'|_P^2; see `docs/mathematics/robustness.md`.
+
+The certificate's own diagonal P = S^2, about the equilibrium, where contraction is not proved: with y = S e, g = S f,
+M = S W S^-1, s = |M|_2 and V of `stability.certificate`, U = eps |y|^2 / 2 + V has
+
+    U' + c U <= -eps (gamma - c/2) |y|^2 + eps mu s |y| |g| - k |g|^2,  k = gamma - c - mu max(lambda_max, 0),
+
+which is not positive for eps = 4 k (gamma - c/2) / (mu s)^2. As eps |y|^2 <= 2 U <= (1 + eps) |y|^2,
+|y(t)| <= sqrt(1 + 1/eps) exp(-c t / 2) |y(0)|. A moving equilibrium adds at most (1 + eps) |y| |S x*'| to U', and the
+lag comes to 2 (1 + 1/eps) / c |S x*'|.
+
+Time steps h. Under U, whose second derivative is at most (1 + eps) P, a quadratic form in |y| and |g| tells when U
+falls. The mean of the four fields of Runge-Kutta 4 differs from the first by at most z/2 + z^2/6 + z^3/24 of it, z = h
+(gamma + mu s). The weights of the adaptive Runge-Kutta 4(5) are not all positive: nothing is proved about it except
+that its error is small.
 """
 
 from __future__ import annotations
@@ -11,19 +31,122 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
 
 from lieednn_sim.errors import InputError, NotCertifiedError
-from lieednn_sim.stability.certificate import known_or_found
-from lieednn_sim.stability.contraction import find_contraction
-from lieednn_sim.stability.guarantees import UP, Guarantee, by_contraction, by_lyapunov, spectral_norm
-from lieednn_sim.stability.norms import as_weight
-from lieednn_sim.validation import as_choice, as_floats, as_positive, quoted
+from lieednn_sim.stability.certificate import known_or_found, verify
+from lieednn_sim.stability.contraction import Contraction, find_contraction, norm_at, verify_contraction
+from lieednn_sim.stability.norms import as_weight, scale
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, quoted
 from lieednn_sim.values import Floats, frozen
 
 Indices = NDArray[np.intp]
 
 #: Integrators with fixed time steps for which `Robustness.largest_step` proves a largest step.
 INTEGRATORS_WITH_PROOF = ("Euler", "RK4")
+_UP = 1.0 + 1e-9  # rounding of norms of well-conditioned matrices, many times over
+
+
+@frozen
+class Guarantee:
+    """A bound on how a deviation e decays, and on the lag behind an equilibrium that moves.
+
+    The bounds are |T e(t)| <= overshoot exp(-rate t) |T e(0)| and |T e| <= delay |T x*'|.
+
+    Attributes:
+        contracting: whether e may be the distance of any two motions; otherwise it is the distance to the equilibrium.
+        factor: T ``(m, m)`` of the norm, on the coordinates reached.
+        inverse: T^-1.
+        overshoot: at least 1.
+        rate: in 1 / (the network's time).
+        delay: in the network's time.
+        euler_step: largest time step of the forward Euler method that keeps the proof, in the network's time.
+        rk4_step: the same for the classical Runge-Kutta method of order 4.
+    """
+
+    contracting: bool
+    factor: Floats
+    inverse: Floats
+    overshoot: float
+    rate: float
+    delay: float
+    euler_step: float
+    rk4_step: float
+
+
+def _by_contraction(weight: Floats, log_scale: Floats, best: Contraction, gamma: float, mu: float) -> list[Guarantee]:
+    """Guarantees of contraction with Q = S^2, at rates below the best one."""
+    results = []
+    # Fractions of the highest rate that are given up: slower rates allow rounder norms.
+    for fraction in (1e-3, 0.25, 0.5, 0.75) if best.valid else ():
+        factor = norm_at(weight, log_scale, best.value + fraction * (best.bound - best.value))
+        if factor is None:
+            continue
+        proof = verify_contraction(factor, np.exp(2.0 * log_scale), weight, gamma=gamma, mu=mu)
+        if not proof.valid:
+            continue
+        inverse = np.asarray(np.linalg.inv(factor), np.float64)
+        step = _contraction_step(scale(weight, log_scale), factor / np.exp(log_scale), gamma, mu)
+        results.append(Guarantee(True, factor, inverse, 1.0, proof.rate, 1.0 / proof.rate, step, step))
+    return results
+
+
+def _contraction_step(scaled: Floats, factor: Floats, gamma: float, mu: float) -> float:
+    """h_0 from M = S W S^-1 and T S^-1, in the coordinates S e and S f."""
+    n = len(scaled)
+    metric, identity = factor.T @ factor, np.eye(n)
+    cross = -mu * (metric @ scaled + identity)
+    decay = np.block([[2.0 * gamma * metric, cross], [cross.T, 2.0 * mu * identity]])
+    field = factor @ np.hstack([gamma * identity, -mu * scaled])
+    try:
+        return (1.0 - 1e-6) / float(eigh(field.T @ field, decay, eigvals_only=True)[-1])
+    except np.linalg.LinAlgError:
+        return 0.0
+
+
+def _by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> list[Guarantee]:
+    """Guarantees of U = eps |y|^2 / 2 + V, for several rates."""
+    certificate = verify(np.exp(2.0 * log_scale), weight, gamma=gamma, mu=mu)
+    results = []
+    drive = max(mu * _spectral_norm(scale(weight, log_scale)) * _UP, 1e-6 * gamma)
+    for fraction in (0.1, 0.5, 0.9) if certificate.valid else ():  # fractions of the highest rate that are kept
+        c = fraction * certificate.rate
+        # Below the largest, so that the quadratic form of the steps is definite.
+        eps = min(4.0 * (certificate.rate - c) * (gamma - 0.5 * c) / drive**2, 1e6)
+        euler, rk4 = (_lyapunov_step(certificate.rate, eps, gamma, drive, stages) for stages in (1, 4))
+        root = np.asarray(np.exp(log_scale), np.float64)
+        growth = 1.0 + 1.0 / eps
+        results.append(
+            Guarantee(
+                False, np.diag(root), np.diag(1.0 / root), float(np.sqrt(growth)), 0.5 * c, 2.0 * growth / c, euler, rk4
+            )
+        )
+    return results
+
+
+def _lyapunov_step(margin: float, eps: float, gamma: float, drive: float, stages: int) -> float:
+    """Largest step found at which U falls, by its quadratic form in (|y|, |g|); a smaller step is then safe, too."""
+
+    def falls(h: float) -> bool:
+        z = h * (gamma + drive)
+        more = z / 2.0 + z**2 / 6.0 + z**3 / 24.0 if stages > 1 else 0.0
+        # |S x'| <= gamma |y| + drive |g|, and the gradient of U is at most eps |y| + |g|.
+        curved = 0.5 * h * (1.0 + eps) * (1.0 + more) ** 2
+        yy = eps * gamma * (1.0 - more) - curved * gamma**2
+        gg = margin - more * drive - curved * drive**2
+        yg = -0.5 * eps * drive * (1.0 + more) - 0.5 * more * gamma - curved * gamma * drive
+        return yy > 0.0 and gg > 0.0 and yy * gg > yg**2 * (1.0 + 1e-9)
+
+    low, high = 0.0, 2.0 / gamma
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if falls(middle) else (low, middle)
+    return low
+
+
+def _spectral_norm(matrix: Floats) -> float:
+    """The largest singular value; zero for an empty matrix."""
+    return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
 
 
 @frozen
@@ -115,7 +238,9 @@ class Robustness:
         seen = self.pushed if watched is None else _coordinates("watched", watched, n)
         columns, rows = np.isin(self.reached, moved), np.isin(self.reached, seen)
         # Coordinates that the push does not reach never move.
-        return [(g, spectral_norm(g.factor[:, columns]) * spectral_norm(g.inverse[rows]) * UP) for g in self.guarantees]
+        return [
+            (g, _spectral_norm(g.factor[:, columns]) * _spectral_norm(g.inverse[rows]) * _UP) for g in self.guarantees
+        ]
 
 
 def robustness(
@@ -131,8 +256,7 @@ def robustness(
 
     Args:
         weight: W, ``(n, n)``; n = 6N with interleaved twists (omega, v) when `rotational_weight` is given.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
         pushed: flat coordinates that pushes and targets may move, all by default.
         rotational_weight: W_R, ``(3N, 3N)``, on which proofs are searched for.
         lyapunov_diagonal: a known diagonal P of the size of `rotational_weight` or else of `weight`.
@@ -173,10 +297,9 @@ def robustness(
                 log_scale = np.stack([each, each + np.log(factor)], axis=1).ravel()
             return np.asarray(log_scale[reached], np.float64)
 
-        # Rounder norms (power 0) prove slower rates and smaller effects.
-        for power in (1.0, 0.0):
-            guarantees += by_contraction(inner, whole(contraction.multiplier**power), contraction, gamma, mu)
-            guarantees += by_lyapunov(inner, whole(certificate.lyapunov_diagonal**power), gamma, mu)
+        for power in (1.0, 0.0):  # rounder norms (power 0) prove slower rates and smaller effects
+            guarantees += _by_contraction(inner, whole(contraction.multiplier**power), contraction, gamma, mu)
+            guarantees += _by_lyapunov(inner, whole(certificate.lyapunov_diagonal**power), gamma, mu)
     if not guarantees:
         raise NotCertifiedError("the certificate is too near its bound for proofs about pushes")
     others = None
@@ -203,3 +326,38 @@ def _coordinates(name: str, value: ArrayLike, n: int) -> Indices:
     if given.dtype.kind not in "iu" or not len(given) or given[0] < 0 or given[-1] >= n:
         raise InputError(f"{name} must name coordinates from 0 to {n - 1} by whole numbers, got {quoted(value)}")
     return given.astype(np.intp)
+
+
+class Decay:
+    """How far a network may still be from its equilibrium, by proof, a time after it was some way off.
+
+    With e the state minus the equilibrium, a guarantee |T e(t)| <= k exp(-r t) |T e(0)| bounds the first m coordinates
+    by |e_m(t)| <= |T^-1_m| k exp(-r t) |T e(0)|, where T^-1_m are the first m rows. The least bound of all guarantees
+    is taken.
+
+    Args:
+        bounds: bounds for pushes that reach all n coordinates, see `robustness`.
+        watched: number m of the coordinates whose distance is bounded, the first ones.
+
+    Raises:
+        InputError: the bounds leave coordinates out, or there are fewer than m.
+    """
+
+    def __init__(self, bounds: Robustness, watched: int) -> None:
+        if bounds.others is not None:
+            raise InputError("bounds must be for pushes that reach all coordinates")
+        self.watched = as_count("watched", watched, 1, len(bounds.reached))
+        rows = slice(self.watched)
+        self._factors = np.array(
+            [g.overshoot * _UP * _spectral_norm(g.inverse[rows]) * g.factor for g in bounds.guarantees]
+        )
+        self._rates = np.array([g.rate for g in bounds.guarantees])
+
+    def begin(self, off: ArrayLike) -> Floats:
+        """The bounds ``(g,)`` of all guarantees for a state that is off its equilibrium by e ``(n,)`` now."""
+        return np.asarray(np.linalg.norm(self._factors @ as_floats("off", off, self._factors.shape[-1:]), axis=1))
+
+    def bound(self, begun: ArrayLike, time: float) -> float:
+        """The largest |e_m| a time after `begin` returned ``begun``, in the network's time."""
+        begun = as_floats("begun", begun, self._rates.shape)
+        return float((begun * np.exp(-self._rates * as_floats("time", time, ()))).min())

@@ -6,11 +6,10 @@ hidden neurons start.
 """
 
 from lieednn_sim.registry import BIAS_RULES
-from lieednn_sim.synthesis.attempts import RESIDUAL_TOLERANCE
 from lieednn_sim.synthesis.bias import bias_for
-from lieednn_sim.synthesis.certified import synthesize, synthesize_many
-from lieednn_sim.synthesis.result import Synthesis
-from lieednn_sim.synthesis.shaping import CurveEncoder, Shaping, ShapingOptions, shape
+from lieednn_sim.synthesis.certified import RESIDUAL_TOLERANCE, Synthesis, synthesize, synthesize_many
+from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
+from lieednn_sim.synthesis.shaping.shaping import Shaping, ShapingOptions, shape
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [

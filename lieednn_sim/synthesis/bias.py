@@ -73,13 +73,9 @@ def equation_columns(xi: Floats) -> list[slice]:
 def impossibility(outputs: Floats, required: Floats) -> str | None:
     """Why no weights can be certified with this equilibrium and bias, or None where nothing forbids it.
 
-    In units of gamma/mu: with P diagonal, u = phi(xi) and W u = c, P (W - I) is negative definite only when
-    sum_i p_i u_i (c_i - u_i) < 0, so at least one rotational coordinate must have u_i (c_i - u_i) < 0. Where all
-    outputs are zero, zero must be required, for W 0 = 0.
-
-    Args:
-        outputs: phi(xi) of the target, ``(N, 6)``.
-        required: xi - (mu/gamma) b, ``(N, 6)``.
+    In units of gamma/mu: with P diagonal, the outputs u = phi(xi) ``(N, 6)`` and W u = c, which is required to be
+    xi - (mu/gamma) b, P (W - I) is negative definite only when sum_i p_i u_i (c_i - u_i) < 0, so at least one
+    rotational coordinate must have u_i (c_i - u_i) < 0. Where all outputs are zero, zero must be required, for W 0 = 0.
     """
     for part, name in ((slice(0, 3), "rotational"), (slice(3, 6), "translational")):
         given, target = outputs[:, part], required[:, part]
@@ -89,8 +85,7 @@ def impossibility(outputs: Floats, required: Floats) -> str | None:
                     f"no {name} coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can "
                     "exist; use the sign-matched bias or retarget a certified network"
                 )
-            # Nonzero rotations may drive the translations through t.
-            return None
+            return None  # nonzero rotations may drive the translations through t
         if target.any():
             return (
                 f"every {name} coordinate of the target is zero, so no weights can produce the {name} bias; "

@@ -1,16 +1,76 @@
-"""Certified synthesis: a LieEDNN with a given equilibrium and a proof of global stability."""
+"""Certified synthesis: a LieEDNN with a given equilibrium and a proof of global stability.
+
+A fast search runs for many targets at once, then a patient one for each that it failed for.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim.errors import InputError
-from lieednn_sim.network import DEFAULT_ACTIVATION
-from lieednn_sim.synthesis.attempts import Options, attempt_all
-from lieednn_sim.synthesis.result import Synthesis
-from lieednn_sim.validation import Seed, as_floats, as_generator, as_positive
-from lieednn_sim.values import Floats
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import cpu_time
+from lieednn_sim.errors import InputError, NotCertifiedError
+from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
+from lieednn_sim.network.componentwise import as_activation
+from lieednn_sim.stability import Certificate
+from lieednn_sim.synthesis.bias import bias_for, equation_columns, impossibility
+from lieednn_sim.synthesis.problem import Problem, contracted, random_starts
+from lieednn_sim.synthesis.search import QUATERNION_BOUNDS, feasible_points, polish, smallest_eigenvalue_point
+from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive
+from lieednn_sim.values import Floats, frozen
+
+#: Largest entry of the vector field at the target, in units of gamma, with which the target counts as the
+#: equilibrium; the solution is usually exact to 1e-13.
+RESIDUAL_TOLERANCE = 1e-9
+_LARGEST_NORM = 1e3  # largest norm of W_R that is searched for, in units of gamma/mu
+_LARGEST_STACK = 2**23  # most derivatives of entries of the symmetric matrices in a stack: 64 MB
+# Tried in turn: the less the quaternions move, the better the certificate survives, but the larger the translations.
+_POLISH_WEIGHTS = (0.05, 0.01, 0.001)
+
+
+@frozen
+class Synthesis:
+    """Result of `synthesize`, or one of the results of `synthesize_many`.
+
+    Attributes:
+        impossible: whether it is proved that no weights can be certified with this target and bias.
+        message: the outcome, with the reason for a failure.
+        network: the certified network, or None. An uncertified network is never returned.
+        residual: largest entry of the vector field at the target.
+        largest_translation: largest |t_ij| of the weights.
+        attempts: number of starts tried.
+        iterations: number of iterations of all searches.
+        cpu_time: CPU time since the beginning of the call [s].
+    """
+
+    impossible: bool
+    message: str
+    network: LieEDNN | None
+    residual: float
+    largest_translation: float
+    attempts: int
+    iterations: int
+    cpu_time: float
+
+    @property
+    def success(self) -> bool:
+        """Whether there is a certified network with the target as its equilibrium."""
+        return self.network is not None
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """The verified certificate of the network."""
+        return self.network.certificate if self.network is not None else None
+
+    def unwrap(self) -> LieEDNN:
+        """The network, or `NotCertifiedError` with the reason."""
+        if self.network is None:
+            raise NotCertifiedError(self.message)
+        return self.network
 
 
 def synthesize(
@@ -34,8 +94,7 @@ def synthesize(
         xi: ``(N, 6)`` target, twists (omega, v).
         bias: a name of `BIAS_RULES` or an array ``(N, 6)``.
         bias_magnitude: strength of the uniform rule; least strength of the sign-matched one, in units of gamma/mu.
-        gamma: decay rate.
-        mu: scale of the interaction.
+        gamma, mu: decay rate and scale of the interaction.
         activation: a name of `network.ACTIVATIONS`.
         seed: seed of the random starts; the same seed gives the same network.
         max_translation: largest |t_ij| allowed.
@@ -52,8 +111,8 @@ def synthesize(
     _require_neurons(target)
     offset = bias if isinstance(bias, str) else as_floats("bias", bias, target.shape)[None]
     magnitudes = [as_positive("bias_magnitude", bias_magnitude)]
-    options = Options(gamma, mu, activation, max_translation, max_attempts)
-    return attempt_all(target[None], offset, magnitudes, [as_generator("seed", seed)], options)[0]
+    options = _Options(gamma, mu, activation, max_translation, max_attempts)
+    return _attempt_all(target[None], offset, magnitudes, [as_generator("seed", seed)], options)[0]
 
 
 def synthesize_many(
@@ -78,12 +137,8 @@ def synthesize_many(
         xi: ``(B, N, 6)`` targets; equal ones give several networks with one equilibrium.
         bias: a name of `BIAS_RULES` or an array ``(B, N, 6)``.
         bias_magnitude: as in `synthesize`, one number or one for each target ``(B,)``.
-        gamma: decay rate.
-        mu: scale of the interaction.
-        activation: a name of `network.ACTIVATIONS`.
         seed: seed from which a generator for each target's starts is spawned.
-        max_translation: largest |t_ij| allowed.
-        max_attempts: number of starts to try for each target.
+        gamma, mu, activation, max_translation, max_attempts: as in `synthesize`, for each target.
 
     Returns:
         B outcomes, in the order of the targets; a failure does not affect the others.
@@ -98,10 +153,212 @@ def synthesize_many(
     given = as_floats("bias_magnitude", bias_magnitude, (), batched=True)
     given = np.broadcast_to(as_floats("bias_magnitude", given, (count,) if given.ndim else ()), (count,))
     magnitudes = [as_positive("bias_magnitude", float(item)) for item in given]
-    options = Options(gamma, mu, activation, max_translation, max_attempts)
-    return attempt_all(targets, offset, magnitudes, as_generator("seed", seed).spawn(count), options)
+    options = _Options(gamma, mu, activation, max_translation, max_attempts)
+    return _attempt_all(targets, offset, magnitudes, as_generator("seed", seed).spawn(count), options)
 
 
 def _require_neurons(target: Floats) -> None:
     if target.shape[-2] == 0:
         raise InputError(f"xi must have shape (..., N, 6) with N >= 1, got {target.shape}")
+
+
+@dataclass(frozen=True)
+class _Options:
+    """The arguments of `synthesize` that are the same for all networks of a stack, checked."""
+
+    gamma: float
+    mu: float
+    activation: str
+    max_translation: float
+    max_attempts: int
+
+    def __post_init__(self) -> None:
+        as_activation(self.activation)
+        for name in ("gamma", "mu", "max_translation"):
+            as_positive(name, getattr(self, name))
+        most_attempts = 10_000  # some minutes of searching: where thousands of starts find nothing, more don't either
+        as_count("max_attempts", self.max_attempts, most=most_attempts)
+
+    @property
+    def ratio(self) -> float:
+        """gamma/mu, the unit of weights and biases."""
+        return self.gamma / self.mu
+
+
+@dataclass(eq=False)
+class _Task:
+    """One network to be made, and the progress so far."""
+
+    target: Floats  # (N, 6)
+    state: Floats  # phi(target)
+    offset: Floats  # the bias
+    rng: np.random.Generator
+    options: _Options
+    begun: float  # time of the start, by `cpu_time`
+    attempts: int = 0
+    iterations: int = 0
+    outcome: Synthesis | None = None
+
+    def __post_init__(self) -> None:
+        # What W phi(target) must be, in units of gamma/mu: W' = W mu/gamma has bound 1.
+        self.required = self.target - self.offset / self.options.ratio
+        # Column sets that W_R is to meet, tried in turn: those that suit the target, then the rotational ones alone
+        # where the translations t may meet the others.
+        self.choices = [equation_columns(self.target)]
+        if len(self.choices[0]) > 1 and self.state[:, :3].any():
+            self.choices.append(self.choices[0][:1])
+
+    @property
+    def columns(self) -> list[slice]:
+        """The columns that W_R is to meet at the next attempt."""
+        return self.choices[self.attempts % len(self.choices)]
+
+    def end(self, message: str, network: LieEDNN | None = None, *, impossible: bool = False) -> Synthesis:
+        """Set the outcome, and return it."""
+        residual, largest = np.inf, np.inf
+        if network is not None:
+            residual = float(np.abs(network.vector_field(self.target)).max())
+            largest = float(np.linalg.norm(network.translation, axis=-1).max())
+        elapsed = cpu_time() - self.begun
+        self.outcome = Synthesis(
+            impossible, message, network, residual, largest, self.attempts, self.iterations, elapsed
+        )
+        return self.outcome
+
+    def offer(self, network: LieEDNN) -> None:
+        """End with this network if it is certified, has the target as equilibrium, and t is not too large."""
+        if network.certified:
+            result = self.end("certified", network)
+            exact = result.residual < RESIDUAL_TOLERANCE * self.options.gamma
+            if not (exact and result.largest_translation < self.options.max_translation):
+                self.outcome = None
+
+    def refuse(self) -> None:
+        """End if no weights can reach the target, or only larger ones than are searched for."""
+        reason = impossibility(self.state, self.required)
+        if reason is not None:
+            self.end(f"not certified: {reason}", impossible=True)
+            return
+        # The least 2-norm of any matrix that maps the rotational part of phi(target) to what it must be.
+        size, needed = (float(np.linalg.norm(part[:, :3])) for part in (self.state, self.required))
+        norm = needed / size if size > 0.0 else 0.0
+        if norm > _LARGEST_NORM:
+            self.end(
+                f"not certified: target and bias need weights of norm {norm:.2g} gamma/mu or more, and the largest "
+                f"searched for is {_LARGEST_NORM:g}; use another bias or retarget a certified network"
+            )
+
+
+def _attempt_all(
+    targets: Floats,
+    bias: str | Floats,
+    magnitudes: Sequence[float],
+    generators: Sequence[np.random.Generator],
+    options: _Options,
+) -> list[Synthesis]:
+    """The outcomes of `synthesize` for targets ``(B, N, 6)``; the bias is a rule or an array ``(B, N, 6)``."""
+    start = cpu_time()
+    rule = bias if isinstance(bias, str) else None
+    tasks = []
+    for k, (target, state) in enumerate(zip(targets, ACTIVATIONS[options.activation].phi(targets), strict=True)):
+        offset = bias_for(bias, target, state, options.ratio, magnitudes[k]) if isinstance(bias, str) else bias[k]
+        tasks.append(_Task(target, state, offset, generators[k], options, start))
+    solved = rule == "solved"
+    if not solved:
+        for task in tasks:
+            task.refuse()
+    size = 3 * targets.shape[1]
+    at_once = max(1, _LARGEST_STACK // (size**4 // 4))
+    fast_attempts = 4  # starts of the fast search before the patient one takes over
+    with one_blas_thread():
+        for attempt in range(options.max_attempts):
+            left = [task for task in tasks if task.outcome is None]
+            if solved or attempt < fast_attempts:
+                # All problems in a stack have the same number of equations.
+                stacks = [[task for task in left if len(task.columns) == columns] for columns in (1, 2)]
+                for stack in stacks:
+                    for first in range(0, len(stack), at_once):
+                        _fast_attempt(stack[first : first + at_once], solved)
+            else:
+                for task in left:
+                    _patient_attempt(task)
+    other = "a larger bias magnitude" if rule == "sign-matched" else "the sign-matched bias"
+    return [
+        task.outcome
+        or task.end(
+            f"not certified: no feasible weights found from {task.attempts} starts, which does not prove that there "
+            f"are none; try another seed, {other}, or retarget a certified network"
+        )
+        for task in tasks
+    ]
+
+
+def _start(stack: Sequence[_Task]) -> tuple[Problem, Floats]:
+    state, required = (np.array([getattr(task, name) for task in stack]) for name in ("state", "required"))
+    return random_starts(state, required, stack[0].columns, [task.rng for task in stack])
+
+
+def _fast_attempt(stack: Sequence[_Task], solved: bool) -> None:
+    """Search from another start of each task."""
+    problem, start = _start(stack)
+    for task in stack:
+        task.attempts += 1
+    if solved:
+        # Any weights will do: the bias that makes the target their equilibrium is solved for afterwards.
+        still = np.zeros((*problem.signs.shape, 3))
+        for task, network in zip(stack, _networks(stack, problem, contracted(problem, start), still), strict=True):
+            task.offer(network.retarget(task.target))
+        return
+    unknowns, feasible, iterations = feasible_points(problem, start, aim=0.85, accept=0.97)
+    for task, count in zip(stack, iterations.tolist(), strict=True):
+        task.iterations += count
+    result = np.flatnonzero(feasible)
+    _offer_polished([stack[k] for k in result.tolist()], problem.of(result), unknowns[result])
+
+
+def _patient_attempt(task: _Task) -> None:
+    """Search from another start by the patient method, which may take seconds."""
+    # The bounds in turn for each choice of columns.
+    bound = QUATERNION_BOUNDS[task.attempts // len(task.choices) % len(QUATERNION_BOUNDS)]
+    problem, start = _start([task])
+    task.attempts += 1
+    unknowns, count = smallest_eigenvalue_point(problem.of(0), start[0], accept=0.9999, quaternion_bound=bound)
+    task.iterations += count
+    if unknowns is not None:
+        _offer_polished([task], problem, unknowns[None])
+
+
+def _offer_polished(stack: Sequence[_Task], problem: Problem, unknowns: Floats) -> None:
+    """Offer each task its network, polished with smaller and smaller quaternion weights until it is accepted."""
+    for weight in _POLISH_WEIGHTS:
+        if not stack:
+            return
+        state, required = (np.array([getattr(task, name) for task in stack]) for name in ("state", "required"))
+        polished, translation = polish(problem, unknowns, state, required, quaternion_weight=weight)
+        for task, network in zip(stack, _networks(stack, problem, polished, translation), strict=True):
+            task.offer(network)
+        left = np.flatnonzero([task.outcome is None for task in stack])
+        stack, problem, unknowns = [stack[k] for k in left.tolist()], problem.of(left), unknowns[left]
+
+
+def _networks(stack: Sequence[_Task], problem: Problem, unknowns: Floats, translation: Floats) -> list[LieEDNN]:
+    """The network of each task's problem with its unknowns and translations."""
+    blocks, _ = problem.blocks(unknowns)
+    size = np.cbrt(np.abs(np.linalg.det(blocks)))
+    safe = np.where(size > 0.0, size, 1.0)
+    rotation = problem.signs[..., None, None] * blocks / safe[..., None, None]
+    rotation[size == 0.0] = np.eye(3)
+    diagonal = np.exp(2.0 * unknowns[:, problem.n_quaternion :])
+    return [
+        LieEDNN(
+            alpha=task.options.ratio * problem.signs[k] * size[k],
+            rotation=rotation[k],
+            translation=translation[k],
+            bias=task.offset,
+            gamma=task.options.gamma,
+            mu=task.options.mu,
+            activation=task.options.activation,
+            lyapunov_diagonal=diagonal[k],
+        )
+        for k, task in enumerate(stack)
+    ]

@@ -41,25 +41,15 @@ _FORM_ROWS = np.ascontiguousarray(_FORM.reshape(36, 4).T)
 
 
 class Point(NamedTuple):
-    """The problem, or each of a stack, evaluated at one vector of unknowns; all may have leading axes.
+    """The problem, or each of a stack, evaluated at one vector of unknowns; all may have leading axes."""
 
-    Attributes:
-        unknowns: ``(4 N^2 + 3N,)``.
-        slope: ``(N, N, 3, 3, 4)`` half the derivative of each block in its quaternion.
-        blocks: ``(N, N, 3, 3)`` the blocks alpha R.
-        residual: ``(N, 3, K)`` residual of the linear equations.
-        scaled: ``(3N, 3N)`` S W_R S^-1.
-        values: ``(3N,)`` ascending eigenvalues of its symmetric part.
-        vectors: ``(3N, 3N)`` their eigenvectors, in columns.
-    """
-
-    unknowns: Floats
-    slope: Floats
-    blocks: Floats
-    residual: Floats
-    scaled: Floats
-    values: Floats
-    vectors: Floats
+    unknowns: Floats  # (4 N^2 + 3N,)
+    slope: Floats  # (N, N, 3, 3, 4) half the derivative of each block in its quaternion
+    blocks: Floats  # (N, N, 3, 3) the blocks alpha R
+    residual: Floats  # (N, 3, K) residual of the linear equations
+    scaled: Floats  # (3N, 3N) S W_R S^-1
+    values: Floats  # (3N,) ascending eigenvalues of its symmetric part
+    vectors: Floats  # (3N, 3N) their eigenvectors, in columns
 
     def of(self, which: Indices) -> Point:
         """The points of a stack with these indices."""
@@ -100,14 +90,10 @@ class Problem:
         self.n_quaternion = 4 * self.n_neurons**2
         self.size = 3 * self.n_neurons
 
-    def of(self, which: Indices) -> Problem:
-        """The problems of a stack with these indices."""
-        if len(which) == len(self.signs):
+    def of(self, which: Indices | int) -> Problem:
+        """The problems of a stack with these indices; that with one index has no leading axis."""
+        if not isinstance(which, int) and len(which) == len(self.signs):
             return self
-        return Problem(self.inputs[which], self.outputs[which], self.signs[which])
-
-    def one(self, which: int) -> Problem:
-        """The problem of a stack with this index, without leading axes."""
         return Problem(self.inputs[which], self.outputs[which], self.signs[which])
 
     def blocks(self, unknowns: Floats) -> tuple[Floats, Floats]:
@@ -139,11 +125,7 @@ class Problem:
         return 2.0 * moved.transpose(*range(len(lead)), *order).reshape(*lead, n, 3 * k, 4 * n)
 
     def eigenspace_jacobian(self, point: Point, first: int) -> Floats:
-        """Derivatives of v_a^T sym(S W_R S^-1) v_b for all `pairs` a >= first, a >= b, with the eigenvectors held.
-
-        Returns:
-            ``(P, 4 N^2 + 3N)``.
-        """
+        """Derivatives ``(P, 4 N^2 + 3N)`` of v_a^T sym(S W_R S^-1) v_b for all `pairs`, with the eigenvectors held."""
         n, size, lead = self.n_neurons, self.size, point.unknowns.shape[:-1]
         a, b = pairs(size, first)
         vectors = point.vectors.swapaxes(-1, -2)
@@ -184,10 +166,7 @@ class Problem:
 
     def flat_jacobian(self, unknowns: Floats) -> Floats:
         """Derivative of `flat_residual`, ``(3 N K, 4 N^2 + 3N)``."""
-        return self.full_jacobian(self.equation_jacobian(self.evaluate(unknowns)))
-
-    def full_jacobian(self, rows: Floats) -> Floats:
-        """Place the per-neuron Jacobians of `equation_jacobian` in one matrix."""
+        rows = self.equation_jacobian(self.evaluate(unknowns))
         n, height, width = rows.shape
         full = np.zeros((n, height, n, width))
         full[np.arange(n), :, np.arange(n)] = rows
@@ -196,23 +175,19 @@ class Problem:
         return jacobian
 
 
-# Candidate differences of log P between helpful and harmful coordinates.
-_SPREADS = np.arange(0.0, 3.0, 0.1)
+_SPREADS = np.arange(0.0, 3.0, 0.1)  # candidate differences of log P between helpful and harmful coordinates
 
 
 def random_starts(
     state: Floats, required: Floats, columns: Sequence[slice], generators: Sequence[np.random.Generator]
 ) -> tuple[Problem, Floats]:
-    """A stack of B random problems (signs of the blocks) and a random start for each, drawn by its own generator.
+    """A stack of B random problems (signs of the blocks) and a random start ``(B, 4 N^2 + 3N)``, each by its generator.
 
     Args:
         state: phi(xi) of the targets, ``(B, N, 6)``.
         required: what W phi(xi) must be, ``(B, N, 6)``.
         columns: parts of the twists that W_R must meet by itself.
         generators: B generators.
-
-    Returns:
-        The problems and the unknowns ``(B, 4 N^2 + 3N)``.
     """
     count, n = state.shape[:2]
     signs, quaternion, size = np.empty((count, n, n)), np.empty((count, n, n, 4)), np.empty((count, n, n, 1))
@@ -235,8 +210,7 @@ def _log_scale(inputs: Floats, outputs: Floats) -> Floats:
     # All spreads at once, (B, T, 3N), in a quarter of the time of one after another.
     power = np.exp(_SPREADS[:, None] * helpful[:, None])
     enough = (power * work[:, None]).sum(axis=-1) <= -0.1 * (power * np.abs(work)[:, None]).sum(axis=-1)
-    # Where none is enough, the last one.
-    enough[:, -1] = True
+    enough[:, -1] = True  # where none is enough, the last one
     return 0.5 * _SPREADS[enough.argmax(axis=-1)][:, None] * helpful
 
 

@@ -17,13 +17,11 @@ from lieednn_sim.values import Floats
 
 Flags = NDArray[np.bool_]
 
-# The searches need meet the equations only this well: from there the polish converges quadratically.
-_ROUGH = 1e-2
+_ROUGH = 1e-2  # the searches need meet the equations only this well: from there the polish converges quadratically
 # Fast search: weight of the equations against the eigenvalues, most steps, and bounds of the damping.
 _EQUATION_WEIGHT, _MOST_STEPS = 3.0, 40
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e6
-# Number of problems whose eigenspaces are differentiated at once: so many fit into the processor's cache.
-_PIECE = 32
+_PIECE = 32  # number of problems whose eigenspaces are differentiated at once: so many fit into the processor's cache
 # Bound on |log S| that keeps S W S^-1 computable; only targets at the very edge of what can be certified come near it.
 _LOG_SCALE_BOUND = 8.0
 # Bounds on quaternions in the patient search, tried in turn: most targets have moderate weights, few need large ones.
@@ -112,8 +110,7 @@ class _Linear(NamedTuple):
         damped.ravel()[:: len(damped) + 1] += damping
         factor, failure = lapack.dpotrf(damped.T, lower=1, clean=0, overwrite_a=1)
         if failure:
-            # A zero step is rejected, and the damping raised.
-            return np.zeros(self.jacobian.shape[1]), 0.0
+            return np.zeros(self.jacobian.shape[1]), 0.0  # a zero step is rejected, and the damping raised
         y = lapack.dpotrs(factor, self.residual, lower=1)[0]
         return -(y @ self.jacobian), 0.5 * damping**2 * float(y @ y)
 
@@ -200,10 +197,11 @@ def smallest_eigenvalue_point(
 def polish(
     problem: Problem, unknowns: Floats, state: Floats, required: Floats, *, quaternion_weight: float = 0.05
 ) -> tuple[Floats, Floats]:
-    """Meet all 6N equilibrium equations by Gauss-Newton steps of least norm in quaternions and translations.
+    """Meet all 6N equilibrium equations by Gauss-Newton steps: unknowns, and translations ``(B, N, N, 3)``.
 
-    Quaternions are weighted down, so that translations do the work where they can and the certificate hardly changes;
-    where the rotations are too small to drive a translation, the quaternions step in and |t| stays small.
+    Steps have the least norm. Quaternions are weighted down, so that translations do the work where they can and the
+    certificate hardly changes; where the rotations are too small to drive a translation, the quaternions step in and
+    |t| stays small.
 
     Args:
         problem: a stack of B problems, which define the blocks as functions of the quaternions.
@@ -211,9 +209,6 @@ def polish(
         state: phi(xi) of the targets, ``(B, N, 6)``.
         required: what W phi(xi) must be, ``(B, N, 6)``.
         quaternion_weight: size of a quaternion step that counts as much as a unit translation.
-
-    Returns:
-        The unknowns and the translations ``(B, N, N, 3)``.
     """
     n, count = problem.n_neurons, len(unknowns)
     best, best_translation = unknowns.copy(), np.zeros((count, n, n, 3))
@@ -222,8 +217,7 @@ def polish(
     stack, unknowns, translation = np.arange(count), unknowns.copy(), best_translation.copy()
     for _ in range(30):
         blocks, slope = problem.blocks(unknowns)
-        # Both parts of phi(xi) as columns, (N, 3, 2).
-        parts = state.reshape(-1, n, 2, 3).swapaxes(-1, -2)
+        parts = state.reshape(-1, n, 2, 3).swapaxes(-1, -2)  # both parts of phi(xi) as columns, (N, 3, 2)
         turned = blocks @ parts[:, None]
         spun, across = turned[..., 0], skew(translation)
         driven = np.concatenate([spun, turned[..., 1] + (across @ spun[..., None])[..., 0]], axis=-1)

@@ -5,7 +5,9 @@ special cases; `EquivariantLieEDNN` has an activation that commutes with Ad. `tr
 planner needs this subpackage.
 """
 
-from lieednn_sim.theory.division_algebras import (
+from lieednn_sim.theory.equivariant import EquivariantLieEDNN
+from lieednn_sim.theory.group_network import (
+    GroupLieEDNN,
     complex_network,
     complex_state,
     complex_values,
@@ -13,8 +15,6 @@ from lieednn_sim.theory.division_algebras import (
     quaternion_state,
     quaternion_values,
 )
-from lieednn_sim.theory.equivariant import EquivariantLieEDNN
-from lieednn_sim.theory.group_network import GroupLieEDNN
 from lieednn_sim.theory.groups import GROUPS, affine, group
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.theory.smoothness import SmoothnessBounds, curvature, smoothness_bounds

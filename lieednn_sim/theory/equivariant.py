@@ -31,17 +31,15 @@ proves nothing here (there are networks that are stable with tanh on each axis a
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike
 
-from lieednn_sim import stability
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.checks import as_poses, as_rates, as_strengths, require_rotations
-from lieednn_sim.network.se3 import RigidNetwork
+from lieednn_sim.network.base import as_rates, as_strengths
+from lieednn_sim.network.se3 import RigidNetwork, as_poses, require_rotations
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen, set_fields
 
@@ -58,12 +56,9 @@ class EquivariantLieEDNN(RigidNetwork):
     It is x_i' = -gamma x_i + mu sum_j alpha_ij Ad(theta_ij) Phi(x_j) + mu b_i, with Phi of the paper's appendix N.
 
     Attributes:
-        alpha: ``(N, N)`` connection strengths.
-        rotation: ``(N, N, 3, 3)`` rotations of theta_ij; i receives, j sends.
-        translation: ``(N, N, 3)`` translations of theta_ij.
+        alpha, rotation, translation: ``(N, N)``, ``(N, N, 3, 3)`` and ``(N, N, 3)``, as of `LieEDNN`.
         bias: ``(N, 6)``, twists ordered (omega, v).
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
         lyapunov_diagonal: ``(N,)`` p with P = diag(p_i I_3) certifying W_R, or None. Checked by `certificate`.
 
     Raises:
@@ -79,6 +74,7 @@ class EquivariantLieEDNN(RigidNetwork):
     lyapunov_diagonal: Floats | None = None
 
     _kind: ClassVar[str] = "equivariant-network"
+    _rows_alike: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)
@@ -92,23 +88,6 @@ class EquivariantLieEDNN(RigidNetwork):
             **as_rates(self.gamma, self.mu),
             lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (n,)),
         )
-
-    @cached_property
-    def certificate(self) -> stability.Certificate | None:
-        """The stored diagonal, each entry for the three rows of its neuron, checked against W_R; None without one."""
-        if self.lyapunov_diagonal is None:
-            return None
-        diagonal = np.repeat(self.lyapunov_diagonal, 3)
-        return stability.verify(diagonal, self.rotational_weight, gamma=self.gamma, mu=self.mu)
-
-    def certify(self) -> EquivariantLieEDNN:
-        """Search for a certificate, and return this network with it.
-
-        Raises:
-            NotCertifiedError: none was found; the network may be unstable.
-        """
-        certificate = stability.find_certificate(self.rotational_weight, gamma=self.gamma, mu=self.mu, group_size=3)
-        return self._carrying(certificate, every=3)
 
     def phi(self, x: Floats) -> Floats:
         """Activation Phi of twists ``(..., 6)``: the whole twist, scaled by tanh(||omega||)/||omega||; unchecked."""

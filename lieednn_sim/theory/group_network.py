@@ -1,4 +1,17 @@
-"""LieEDNN on any matrix Lie group (paper, Sec. 3.2 and App. D)."""
+"""LieEDNN on any matrix Lie group (paper, Sec. 3.2 and App. D), complex and quaternion-valued networks among them.
+
+The network z_i' = -gamma z_i + mu sum_j w_ij phi(z_j) + mu b_i, with phi on each real component and w_ij from the left,
+is not a network on C^x or H^x, as the paper's Discussion has it (`docs/mathematics/groups.md`), but on affine(C^x) or
+affine(H^x): with theta = (A, 0) and A the matrix of p -> w p, translations transform by v -> A v, the full product.
+They are an invariant subspace when the other coordinates and their bias are 0.
+
+The other coordinates see alpha_ij alone, the translations alpha_ij |theta_ij|: how |w_ij| is shared between the two is
+free. We choose alpha_ij = |w_ij| / s and theta_ij = s w_ij / |w_ij| with s so large that the other coordinates decay at
+rate gamma/2 at least. W is block diagonal (others, translations), so the network has a certificate exactly when the
+complex or quaternion network has one. (With alpha_ij = 1 the others would grow from rounding for N > gamma/mu.)
+
+Complex networks need no scale at all: alpha_ij = |w_ij| and theta_ij the rotation by arg w_ij gives the same on SE(2).
+"""
 
 from __future__ import annotations
 
@@ -10,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.network.checks import as_rates, as_strengths
+from lieednn_sim.network.base import as_rates, as_strengths
 from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
 from lieednn_sim.theory import groups
 from lieednn_sim.theory.matrix_group import MatrixLieGroup, as_numbers
@@ -33,9 +46,7 @@ class GroupLieEDNN(ComponentwiseNetwork):
         alpha: ``(N, N)`` connection strengths.
         theta: ``(N, N, m, m)`` group elements; i receives, j sends.
         bias: ``(N, d)``.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
-        activation: a name of `ACTIVATIONS`.
+        gamma, mu, activation: as of `LieEDNN`.
         lyapunov_diagonal: ``(dN,)`` diagonal of P that certifies the whole W, or None. Checked by `certificate`.
 
     Raises:
@@ -56,11 +67,17 @@ class GroupLieEDNN(ComponentwiseNetwork):
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)
         n, d = len(alpha), self.group.dimension
+        theta = as_numbers("theta", self.theta, (n, n, self.group.size, self.group.size))
+        if outside := np.count_nonzero(~self.group.contains(theta)):
+            raise InputError(
+                f"theta must hold elements of {self.group.name}, {outside} of {n * n} are none; "
+                "`project_to_adjoint` of the group finds the nearest"
+            )
         diagonal = self.lyapunov_diagonal
         set_fields(
             self,
             alpha=alpha,
-            theta=_as_elements(self.group, self.theta, n),
+            theta=np.array(theta, dtype=self.group.basis.dtype),
             bias=as_floats("bias", self.bias, (n, d)),
             **as_rates(self.gamma, self.mu),
             activation=as_activation(self.activation),
@@ -80,11 +97,95 @@ class GroupLieEDNN(ComponentwiseNetwork):
         return {"group": groups.group(str(meta["group"])), **super()._from_meta(meta)}
 
 
-def _as_elements(group: MatrixLieGroup, theta: ArrayLike, n: int) -> NDArray[Any]:
-    theta = as_numbers("theta", theta, (n, n, group.size, group.size))
-    if not (inside := group.contains(theta)).all():
-        raise InputError(
-            f"theta must hold elements of {group.name}, {np.count_nonzero(~inside)} of {inside.size} are none; "
-            "`project_to_adjoint` of the group finds the nearest"
-        )
-    return np.array(theta, dtype=group.basis.dtype)
+def complex_network(
+    weights: ArrayLike, bias: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, activation: str = DEFAULT_ACTIVATION
+) -> GroupLieEDNN:
+    """A complex-valued network as a network on affine(C^x), states ``(..., N, 4)``; see `complex_state`.
+
+    Args:
+        weights: w_ij, complex ``(N, N)``.
+        bias: b_i, complex ``(N,)``.
+        gamma, mu, activation: as in `GroupLieEDNN`; the activation acts on the real and the imaginary part.
+
+    Raises:
+        InputError: wrong shapes, or entries that are not finite.
+    """
+    return _network(
+        groups.group("C^x"), _components("weights", weights), _components("bias", bias), gamma, mu, activation
+    )
+
+
+def quaternion_network(
+    weights: ArrayLike, bias: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, activation: str = DEFAULT_ACTIVATION
+) -> GroupLieEDNN:
+    """A quaternion-valued network as a network on affine(H^x), states ``(..., N, 8)``; see `quaternion_state`.
+
+    Args:
+        weights: w_ij as (w, x, y, z), ``(N, N, 4)``; they multiply from the left.
+        bias: b_i, ``(N, 4)``.
+        gamma, mu, activation: as in `GroupLieEDNN`; the activation acts on each of the four components.
+
+    Raises:
+        InputError: wrong shapes, or entries that are not finite.
+    """
+    return _network(groups.group("H^x"), weights, bias, gamma, mu, activation)
+
+
+def complex_state(z: ArrayLike) -> Floats:
+    """State ``(..., N, 4)`` of a `complex_network` that represents complex numbers z ``(..., N)``."""
+    return _embed(_components("z", z))
+
+
+def complex_values(xi: ArrayLike) -> NDArray[np.complex128]:
+    """Inverse of `complex_state`, ``(..., N, 4)`` to ``(..., N)``."""
+    state = as_floats("xi", xi, (4,), batched=True)
+    return state[..., 2] + 1j * state[..., 3]
+
+
+def quaternion_state(q: ArrayLike) -> Floats:
+    """State ``(..., N, 8)`` of a `quaternion_network` that represents quaternions (w, x, y, z) ``(..., N, 4)``."""
+    return _embed(as_floats("q", q, (4,), batched=True))
+
+
+def quaternion_values(xi: ArrayLike) -> Floats:
+    """Inverse of `quaternion_state`, ``(..., N, 8)`` to ``(..., N, 4)``."""
+    return as_floats("xi", xi, (8,), batched=True)[..., 4:]
+
+
+def _network(
+    algebra: MatrixLieGroup, weights: ArrayLike, bias: ArrayLike, gamma: float, mu: float, activation: str
+) -> GroupLieEDNN:
+    size = algebra.size
+    parts = as_floats("weights", weights, ("N", "N", size))
+    n = len(parts)
+    if n == 0:
+        raise InputError("weights must have N >= 1 rows and columns, got none")
+    rates = as_rates(gamma, mu)
+    modulus = np.linalg.norm(parts, axis=-1)
+    # s, a power of two so that it rounds nothing: the blocks of the other coordinates are orthogonal times alpha, so
+    # their matrix is bounded by ||alpha||_2.
+    needed = 2.0 * rates["mu"] / rates["gamma"] * float(np.linalg.norm(modulus, 2))
+    scale = 2.0 ** np.ceil(np.log2(max(needed, 1.0)))
+    theta = np.broadcast_to(np.eye(size + 1), (n, n, size + 1, size + 1)).copy()
+    linked = modulus > 0.0
+    # The Lie algebra of C^x is C itself, with basis 1, i, and that of H^x is H: `hat` is the matrix of the product.
+    theta[linked, :size, :size] = scale * algebra.hat(parts[linked] / modulus[linked][:, None])
+    return GroupLieEDNN(
+        groups.affine(algebra),
+        modulus / scale,
+        theta,
+        _embed(as_floats("bias", bias, (n, size))),
+        gamma=rates["gamma"],
+        mu=rates["mu"],
+        activation=activation,
+    )
+
+
+def _embed(components: Floats) -> Floats:
+    return np.concatenate([np.zeros_like(components), components], axis=-1)
+
+
+def _components(name: str, value: ArrayLike) -> Floats:
+    """Real and imaginary part along a new last axis."""
+    array = as_numbers(name, value, (), batched=True)
+    return np.stack([array.real, array.imag], axis=-1)

@@ -1,7 +1,7 @@
 """The catalogue of matrix Lie groups, and the affine group over each real one.
 
 In the adjoint of ``affine(C^x)`` and ``affine(H^x)`` the block that acts on the translations is complex, and left
-quaternion, multiplication: see `division_algebras`.
+quaternion, multiplication: see `group_network`.
 """
 
 from __future__ import annotations
@@ -24,10 +24,8 @@ from lieednn_sim.values import Floats
 # The generator of SO(2), and Pauli's matrices.
 _TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 _PAULI = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
-# GL(n) has n^6 structure constants: beyond this n the arrays become too large.
-_LARGEST_GENERAL_LINEAR = 8
-# The same for affine groups of affine groups.
-_LARGEST_DIMENSION = 128
+_LARGEST_GENERAL_LINEAR = 8  # GL(n) has n^6 structure constants: beyond this n the arrays become too large
+_LARGEST_DIMENSION = 128  # the same for affine groups of affine groups
 
 
 def group(name: str) -> MatrixLieGroup:
@@ -52,11 +50,7 @@ def group(name: str) -> MatrixLieGroup:
 
 
 def catalogue_name(item: MatrixLieGroup) -> str:
-    """Name by which `group` gives the same group again, for files.
-
-    Raises:
-        InputError: it is the user's own group.
-    """
+    """Name by which `group` gives the same group again, for files; `InputError` for a group of the user's own."""
     try:
         known = group(item.name)
     except InputError:
@@ -137,10 +131,8 @@ def similarities() -> MatrixLieGroup:
 def general_linear(n: int) -> MatrixLieGroup:
     """Invertible real n x n matrices, coordinates in row-major order; the kernel is the multiples of the identity.
 
-    Elements with det < 0 are included: they act on the algebra like the others, but are not exponentials.
-
-    Raises:
-        InputError: n is not a whole number from 1 to 8.
+    Elements with det < 0 are included: they act on the algebra like the others, but are not exponentials. n is from 1
+    to 8.
     """
     if (size := as_count("n", n)) > _LARGEST_GENERAL_LINEAR:
         raise InputError(f"n must be at most {_LARGEST_GENERAL_LINEAR} for GL(n), got {n}")

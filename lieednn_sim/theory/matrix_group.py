@@ -19,8 +19,7 @@ from lieednn_sim.validation import MOST_ENTRIES, as_finite, as_floats, as_genera
 from lieednn_sim.values import Floats, set_fields
 
 Booleans = NDArray[np.bool_]
-# Real or complex group elements and algebra matrices.
-Matrices = NDArray[Any]
+Matrices = NDArray[Any]  # real or complex group elements and algebra matrices
 
 # How far, relative to 1 + its norm, a matrix may lie outside the algebra and still be read as rounding in it.
 _TOLERANCE = 1e-8
@@ -108,8 +107,7 @@ class MatrixLieGroup:
             InputError: the coordinates are malformed, or so large that the exponential overflows.
         """
         with warnings.catch_warnings(), np.errstate(all="ignore"):
-            # Overflow is reported by `as_finite`.
-            warnings.simplefilter("ignore")
+            warnings.simplefilter("ignore")  # overflow is reported by `as_finite`
             return as_finite(f"the exponential in {self.name}", expm(self.hat(x)))
 
     def adjoint(self, g: ArrayLike) -> Floats:
@@ -119,8 +117,7 @@ class MatrixLieGroup:
             InputError: g is singular, out of range, or g E_k g^-1 leaves the Lie algebra: g is not in the group.
         """
         array = self._matrices("g", g)
-        # Overflow is reported by `as_finite`, and below.
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # overflow is reported by `as_finite`, and below
             try:
                 moved = self._conjugated(array)
             except np.linalg.LinAlgError:
@@ -144,8 +141,7 @@ class MatrixLieGroup:
         Without a closed form only what is necessary is checked, up to 1e-8: that g E_k g^-1 is in the algebra.
         """
         array, tolerance = self._matrices("g", g), as_positive("tolerance", tolerance)
-        # Overflow and division by zero compare as outside.
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # overflow and division by zero compare as outside
             if self.membership is not None:
                 return self.membership(array, tolerance)
             regular = np.asarray(np.linalg.matrix_rank(array) == self.size)
@@ -174,10 +170,8 @@ class MatrixLieGroup:
         array = as_floats("theta", theta, (self.dimension, self.dimension), batched=True)
         if self.projection is not None:
             return self.projection(array)
-        # Besides the identity, this many random elements start the search for the nearest adjoint matrix.
-        random_starts = 5
         if start is None:
-            everywhere = np.concatenate([np.eye(self.size)[None], self.random(0, (random_starts,))])
+            everywhere = np.concatenate([np.eye(self.size)[None], self.random(0, (5,))])
             return self._search(array, np.broadcast_to(everywhere, (*array.shape[:-2], *everywhere.shape)))
         near = self._matrices("start", start)
         if near.shape[:-2] != array.shape[:-2]:
@@ -238,8 +232,7 @@ class MatrixLieGroup:
 def as_numbers(name: str, value: ArrayLike, shape: tuple[int | str, ...], *, batched: bool = False) -> Matrices:
     """A checked copy, complex where ``value`` is."""
     try:
-        # A long range would be written out.
-        array = np.empty(0) if isinstance(value, range) else np.asarray(value)
+        array = np.empty(0) if isinstance(value, range) else np.asarray(value)  # a long range would be written out
         is_complex = np.iscomplexobj(array)
     except (TypeError, ValueError):
         is_complex = False

@@ -50,8 +50,7 @@ def smoothness_bounds(
         weight: W, ``(n, n)``.
         bias: b, ``(n,)``.
         radius: R, largest |xi_i(t)| on the interval considered.
-        gamma: decay rate, positive.
-        mu: scale of the interaction, positive.
+        gamma, mu: decay rate and scale of the interaction, positive.
         output_bound: M, largest |phi| there.
         lipschitz: L, largest slope of phi there.
 
@@ -82,9 +81,8 @@ def curvature(xi_dot: ArrayLike, xi_ddot: ArrayLike) -> Floats:
         xi_dot: first derivatives, any shape.
         xi_ddot: second derivatives, the same shape.
     """
-    # Largest velocity: larger than elsewhere, since velocities only divide.
-    largest_slope = 1e300
-    first = as_floats("xi_dot", xi_dot, (), batched=True, largest=largest_slope)
+    # Velocities may be larger than elsewhere, since they only divide.
+    first = as_floats("xi_dot", xi_dot, (), batched=True, largest=1e300)
     second = as_floats("xi_ddot", xi_ddot, first.shape)
     # hypot keeps large velocities from overflowing where the curvature is merely small.
     steepness = np.hypot(1.0, first)

@@ -13,7 +13,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout, plots
 from lieednn_sim.evaluation.figure_layout import fix_layout
-from lieednn_sim.learning.result import History
+from lieednn_sim.learning.training import History
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Disturbances, Push
 

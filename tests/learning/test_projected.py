@@ -10,8 +10,8 @@ from scipy.optimize import root
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, train
-from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import block_view
+from lieednn_sim.learning.sensitivity import EquilibriumSolver
 from lieednn_sim.lie import adjoint, project_to_adjoint
 from lieednn_sim.theory import group
 

@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning import RiemannianOptions, StopReason, train
-from lieednn_sim.learning.equilibria import EquilibriumSolver
 from lieednn_sim.learning.manifold import SE3Weights
-from lieednn_sim.learning.tangent import (
+from lieednn_sim.learning.riemannian import (
     RowEquations,
     differential,
     loss_gradient,
@@ -20,6 +19,7 @@ from lieednn_sim.learning.tangent import (
     rotational_weight,
     smoothed_eigenvalue,
 )
+from lieednn_sim.learning.sensitivity import EquilibriumSolver
 from lieednn_sim.lie import adjoint
 
 seeds = st.integers(0, 2**32 - 1)

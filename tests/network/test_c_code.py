@@ -86,14 +86,11 @@ def test_the_compiled_network_steps_as_ours(kind, steps, tmp_path):
     rounding = 1e-12 * max(1.0, network.mu * np.abs(network.driven_weight).sum(axis=1).max() / 10.0)
     np.testing.assert_allclose(rate, network.flat_vector_field(x), rtol=0.0, atol=rounding)
 
-    def field(state, _):
-        return network.flat_vector_field(state)
-
     for step in range(steps):
         if step == steps // 2:
             network = network.retarget(visible)
             code.call("retarget", visible)
-        x = runge_kutta_step(field, x, 0.05)
+        x = runge_kutta_step(network.flat_vector_field, x, 0.05)
         code.call("step", 0.05)
         if step % (steps // 20) == 0 or step in (1, steps // 2 + 1, steps - 1):
             np.testing.assert_allclose(code.x, x, rtol=0.0, atol=rounding, err_msg=f"step {step}")

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.dynamics import runge_kutta_step
-from lieednn_sim.network.runge_kutta import RungeKuttaStepper
+from lieednn_sim.network.stepping import RungeKuttaStepper
 
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.tuples(st.integers(1, 3), st.integers(0, 3), st.integers(0, 3)).filter(lambda sizes: sizes[2] <= sizes[1])
@@ -211,5 +211,5 @@ def test_neurons_without_inputs_are_the_same_as_ever():
     assert fast.equilibrium().spectral_abscissa == pytest.approx(-1.0)
     pull = 0.9 / 1.3 * network.bias.ravel()
     after, _ = stepper.step(flat[0], stepper.drive(flat[0]), pull, 0.13)
-    by_field = runge_kutta_step(lambda state, _: network.flat_vector_field(state), flat[0], 0.1)
+    by_field = runge_kutta_step(network.flat_vector_field, flat[0], 0.1)
     np.testing.assert_allclose(after, by_field, atol=1e-12)

@@ -28,7 +28,7 @@ def test_onnxruntime_steps_as_ours_and_takes_another_target_by_its_bias(network,
     h, other = np.array(0.05), network.retarget(0.5 * network.equilibrium().xi)
     for step in range(200):
         used, given = (network, {}) if step < 100 else (other, {"bias": other.mu * other.bias.ravel()})
-        ours = runge_kutta_step(lambda x, _, used=used: used.flat_vector_field(x), ours, 0.05)
+        ours = runge_kutta_step(used.flat_vector_field, ours, 0.05)
         (theirs,) = session.run(None, {"x": theirs, "h": h, **given})
         np.testing.assert_allclose(theirs, ours, rtol=0.0, atol=1e-12)
 

@@ -15,7 +15,7 @@ from lieednn_sim.arm import PLANNED_CLEARANCE, Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target, reference_configuration
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
-from lieednn_sim.network.hopfield import HopfieldNetwork
+from lieednn_sim.network.componentwise import HopfieldNetwork
 from lieednn_sim.planning import (
     PLANNERS,
     OptimisationOptions,

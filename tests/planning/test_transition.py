@@ -8,7 +8,7 @@ from scipy.interpolate import BPoly
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.network.undriven import UndrivenState
+from lieednn_sim.network.stepping import UndrivenState
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.timed_path import Clock, TimedPath
 from lieednn_sim.planning.transition import JointState, along, straight, transition

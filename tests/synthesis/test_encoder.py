@@ -11,7 +11,7 @@ from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.stability import verify
 from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.synthesis.shaping import encoder as module
-from lieednn_sim.synthesis.shaping.pairs import switches
+from lieednn_sim.synthesis.shaping.cascade import switches
 
 EXACT = {"rtol": 1e-9, "atol": 1e-11}
 

@@ -10,7 +10,7 @@ import pytest
 from lieednn_sim import budget
 from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError, OutOfTimeError
-from lieednn_sim.synthesis import BIAS_RULES, attempts, synthesize, synthesize_many
+from lieednn_sim.synthesis import BIAS_RULES, certified, synthesize, synthesize_many
 from lieednn_sim.synthesis.problem import Problem, _log_scale
 from lieednn_sim.synthesis.search import _least_norm, _linearised, _merit
 
@@ -80,9 +80,9 @@ def test_what_is_left_is_searched_for_with_patience():
 
 
 def task_of(target, offset=None):
-    options = attempts.Options(1.0, 1.0, "tanh", 100.0, 8)
+    options = certified._Options(1.0, 1.0, "tanh", 100.0, 8)
     offset = np.zeros_like(target) if offset is None else offset
-    return attempts._Task(target, np.tanh(target), offset, np.random.default_rng(0), options, 0.0)
+    return certified._Task(target, np.tanh(target), offset, np.random.default_rng(0), options, 0.0)
 
 
 def test_only_a_network_with_the_very_target_is_taken():
@@ -102,13 +102,13 @@ def test_patience_tries_every_bound_for_every_kind_of_equations(monkeypatch):
         tried.append((quaternion_bound, problem.inputs.shape[-1]))
         return None, 1
 
-    monkeypatch.setattr(attempts, "smallest_eigenvalue_point", given_up)
+    monkeypatch.setattr(certified, "smallest_eigenvalue_point", given_up)
     target = np.random.default_rng(1).uniform(0.1, 0.8, (2, 6))
     target[1, :3] = 0.0
     task = task_of(target)
     assert [len(choice) for choice in task.choices] == [2, 1]
     for _ in range(5):
-        attempts._patient_attempt(task)
+        certified._patient_attempt(task)
     assert tried == [(3.0, 2), (3.0, 1), (60.0, 2), (60.0, 1), (3.0, 2)]
     assert (task.attempts, task.iterations) == (5, 5)
 
@@ -205,10 +205,10 @@ def test_least_norm_is_that_of_the_pseudo_inverse_where_rows_depend_too():
 def test_large_stacks_are_searched_in_parts_of_bounded_memory(monkeypatch):
     targets, parts = np.random.default_rng(5).uniform(-0.8, 0.8, (5, 3, 6)), []
     whole = synthesize_many(targets, bias="sign-matched", seed=3)
-    attempt = attempts._fast_attempt
-    monkeypatch.setattr(attempts, "_LARGEST_STACK", 2 * 9**4 // 4)
+    attempt = certified._fast_attempt
+    monkeypatch.setattr(certified, "_LARGEST_STACK", 2 * 9**4 // 4)
     monkeypatch.setattr(
-        attempts, "_fast_attempt", lambda stack, solved: parts.append(len(stack)) or attempt(stack, solved)
+        certified, "_fast_attempt", lambda stack, solved: parts.append(len(stack)) or attempt(stack, solved)
     )
     split = synthesize_many(targets, bias="sign-matched", seed=3)
     assert parts[:3] == [2, 2, 1]

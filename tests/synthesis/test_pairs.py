@@ -7,8 +7,7 @@ import pytest
 
 from lieednn_sim.network import ACTIVATIONS
 from lieednn_sim.synthesis import ShapingOptions, shape
-from lieednn_sim.synthesis.shaping.cascade import clockwork
-from lieednn_sim.synthesis.shaping.pairs import PAIRS, with_pairs
+from lieednn_sim.synthesis.shaping.cascade import PAIRS, clockwork, with_pairs
 
 
 @pytest.fixture(scope="module", params=ACTIVATIONS)

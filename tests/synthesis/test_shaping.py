@@ -13,10 +13,11 @@ from lieednn_sim import budget
 from lieednn_sim.budget import time_limit
 from lieednn_sim.errors import InputError, NotCertifiedError, OutOfTimeError
 from lieednn_sim.network import ACTIVATIONS
-from lieednn_sim.synthesis.shaping import ShapingOptions, shape, shaping, switch_fit
+from lieednn_sim.synthesis import ShapingOptions, shape
+from lieednn_sim.synthesis.shaping import shaping
 from lieednn_sim.synthesis.shaping.cascade import TAIL, Cascade, Parameters, assemble, clockwork, turns_to
 from lieednn_sim.synthesis.shaping.curve import Curve, third_derivative
-from lieednn_sim.synthesis.shaping.switch_fit import LARGEST_SLOPE, fit_switches
+from lieednn_sim.synthesis.shaping.shaping import LARGEST_SLOPE, fit_switches
 
 RATES = [1.0, 0.3, 0.1]
 UNITS = np.repeat([0.5, 1.0], 3)
@@ -193,10 +194,10 @@ def test_ripples_that_the_deviation_hides_are_damped(monkeypatch):
     np.testing.assert_allclose(matrix @ (w[looks, None] ** [3, 2]), np.tile([6.0, 0.0], (len(matrix), 1)), atol=1e-7)
     middle = (w[looks][1:-2] > 0.1) & (w[looks][1:-2] < 0.85)
     ripples = []
-    for weight in (switch_fit._RIPPLE, 1e-6):
-        monkeypatch.setattr(switch_fit, "_RIPPLE", weight)
+    for weight in (shaping._RIPPLE, 1e-6):
+        monkeypatch.setattr(shaping, "_RIPPLE", weight)
         states = cascade.states(fit_switches(cascade, curve, 64))[:-1]
-        error = states - curve.at(switch_fit._pace(curve)(w))[0]
+        error = states - curve.at(shaping._pace(curve)(w))[0]
         assert np.abs(error).max() < 1e-5
         ripples.append(np.sqrt(np.mean(np.tensordot(matrix, error[looks], 1)[middle] ** 2)))
     assert ripples[0] < 0.2 * ripples[1]

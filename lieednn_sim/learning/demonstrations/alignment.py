@@ -1,4 +1,4 @@
-"""Several demonstrations at equal phases: their mean, its time law, and their spread."""
+"""Several demonstrations at equal phases: their mean, its time law, and their spread; and paths matched by warping."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim.errors import InputError
@@ -17,8 +18,7 @@ from lieednn_sim.values import Floats, frozen
 
 PHASES = ("length", "time")
 GOALS = ("aligned", "kept")
-# Metres that a radian counts for: 2 mm and 0.5 degrees weigh about the same.
-LEVER = 0.2
+LEVER = 0.2  # metres that a radian counts for: 2 mm and 0.5 degrees weigh about the same
 
 
 @frozen
@@ -125,8 +125,7 @@ def align(
     as_choice("phase", phase, PHASES)
     kept = as_choice("goals", goals, GOALS) == "kept"
     lever = as_positive("lever", lever)
-    most_samples = 100_000
-    fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, most_samples))
+    fractions = np.linspace(0.0, 1.0, as_count("samples", samples, 2, most=100_000))
     if not demonstrations or len({demonstration.dof for demonstration in demonstrations}) > 1:
         raise InputError("align needs at least one demonstration, and all must show the same")
     goal, twists, times = mean_goal(demonstrations), [], []
@@ -148,23 +147,18 @@ def mean_goal(demonstrations: Sequence[Demonstration]) -> RigidTransform:
     )
 
 
-def goal_distance(demonstrations: Sequence[Demonstration], lever: float = LEVER) -> float:
-    """Largest distance of a demonstration's end from the mean one [m], a radian counting for ``lever`` metres."""
+def goal_distance(demonstrations: Sequence[Demonstration]) -> float:
+    """Largest distance of a demonstration's end from the mean one [m], a radian counting for `LEVER` metres."""
     goal = mean_goal(demonstrations)
     turns = [(Rotation.from_matrix(shown.rotation[-1]) * goal.rotation.inv()).magnitude() for shown in demonstrations]
     apart = [np.linalg.norm(demonstration.position[-1] - goal.translation) for demonstration in demonstrations]
-    return float(np.hypot(apart, lever * np.array(turns)).max())
+    return float(np.hypot(apart, LEVER * np.array(turns)).max())
 
 
 def at_phases(fractions: Floats, samples: Floats, t: Floats, steps: Floats, phase: str) -> tuple[Floats, Floats]:
-    """Samples ``(K, D)`` and times ``(K,)`` of a demonstration at given fractions of its length or of its duration.
+    """Samples ``(K, D)`` and times ``(K,)`` of a demonstration at fractions ``(K,)`` of its length or of its duration.
 
-    Args:
-        fractions: ``(K,)`` from 0 to 1.
-        samples: ``(L, D)``.
-        t: ``(L,)`` their times.
-        steps: ``(L - 1,)`` lengths from each sample to the next.
-        phase: a name of `PHASES`.
+    It is given by samples ``(L, D)``, their times ``(L,)``, and the lengths ``(L - 1,)`` from each to the next.
     """
     passed = t if phase == "time" else np.concatenate([[0.0], np.cumsum(steps)])
     # The phase does not advance during a pause: only its first sample is kept.
@@ -188,3 +182,53 @@ def twist_of(displaced: Floats) -> Floats:
     """Twists ``(..., 6)`` of rotation vectors and positions ``(..., 6)``: the inverse of `displacement`."""
     turn, position = displaced[..., :3], displaced[..., 3:]
     return np.concatenate([turn, np.linalg.solve(left_jacobian_so3(turn), position[..., None])[..., 0]], axis=-1)
+
+
+@frozen
+class Warp:
+    """A match of the samples of two paths.
+
+    Attributes:
+        total: dynamic-time-warping distance: the least sum of distances over all alignments, each step of which
+            advances in one path or both (Sakoe and Chiba, IEEE T-ASSP 26(1), 1978); not normalised.
+        frechet: discrete Frechet distance: the least maximal distance over these alignments (Eiter and Mannila, 1994).
+        pairs: ``(L, 2)`` indices of the samples matched by the alignment of least sum.
+    """
+
+    total: float
+    frechet: float
+    pairs: NDArray[np.intp]
+
+
+def warp(path: ArrayLike, other: ArrayLike) -> Warp:
+    """Match samples ``(K, D)`` and ``(L, D)`` of two paths.
+
+    Raises:
+        InputError: a path has no samples, or their dimensions differ.
+    """
+    first, second = (as_floats(name, samples, ("K", "D")) for name, samples in (("path", path), ("other", other)))
+    n, m, backwards = len(first), len(second), second[::-1]
+    if not n or not m or first.shape[1] != second.shape[1]:
+        raise InputError(f"paths must have samples of the same size, got {first.shape} and {second.shape}")
+    # Antidiagonals (i, k - i) in turn, each of which depends on the two before it alone. At index i + 1, the first row
+    # holds the least sums, the second the least maximal distances.
+    older, last = np.full((2, 2, n + 1), np.inf)
+    older[:, 0] = 0.0
+    came = np.zeros((n + m - 1, n), dtype=np.int8)
+    for k in range(n + m - 1):
+        low, high = max(0, k - m + 1), min(n - 1, k) + 1
+        gap = first[low:high] - backwards[low + m - 1 - k : high + m - 1 - k]
+        apart = np.sqrt(np.einsum("ij,ij->i", gap, gap))
+        before = np.stack([older[:, low:high], last[:, low:high], last[:, low + 1 : high + 1]])
+        came[k, low:high] = np.argmin(before[:, 0], axis=0)
+        sums, largest = before.min(axis=0)
+        older, last = last, np.full((2, n + 1), np.inf)
+        last[0, low + 1 : high + 1] = apart + sums
+        last[1, low + 1 : high + 1] = np.maximum(apart, largest)
+    i, j = n - 1, m - 1
+    pairs = [(i, j)]
+    while i or j:
+        step = came[i + j, i]
+        i, j = i - (step != 2), j - (step != 1)
+        pairs.append((i, j))
+    return Warp(float(last[0, n]), float(last[1, n]), np.array(pairs[::-1]))

@@ -4,17 +4,23 @@ At equal phases s, demonstration k is x_k(s) = mean(s) + (1 - s) dx_k + B(s) dx_
 of its start from the mean. B is found by ridge regression, and the ridge by leaving each demonstration out once; with
 an infinite one, deviations fade as 1 - s. If demonstrations keep goals of their own, dg_k from the mean goal, s dg_k is
 added, and B(s) is a function of (dx_k, dg_k).
+
+Motions differ though their start is the same by their codes (`synthesis.shaping.cascade`), normally distributed: with
+the deviation c of a code, the visible state at network time tau is that of the family plus b(tau) c, where the row
+b(tau) holds the pairs' bumps. As in a probabilistic movement primitive (Paraschos et al., NeurIPS 2013), motions
+through a via point are those whose codes are conditioned on it.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
 from lieednn_sim.synthesis import Shaping
-from lieednn_sim.synthesis.shaping.cascade import Cascade, clockwork
+from lieednn_sim.synthesis.shaping.cascade import PAIRS, Cascade, bumps, clockwork, encoder, with_pairs
 from lieednn_sim.synthesis.shaping.curve import Curve
-from lieednn_sim.synthesis.shaping.pairs import PAIRS, encoder, with_pairs
 from lieednn_sim.values import Floats, frozen
 
 # Ridges that are tried, relative to the mean square deviation of the starts.
@@ -26,20 +32,16 @@ class Response:
     """How the paths of demonstrations depend on their starts, and on their goals if these differ.
 
     There are D coordinates, and E = D inputs, or E = 2 D for start and goal.
-
-    Attributes:
-        gain: ``(K, D, E)`` derivatives of the path at equal steps of the phase in the coordinates of start and goal.
-        ridges: the smallest and the largest of `RIDGES` that were averaged.
-        residuals: ``(n, K, D)`` what is left of each path, over the square root of 1 less its leverage: as large as if
-            it had not been fitted to.
-        growth: ``(E, E)`` A: at u from the mean start (and goal), u^T A u times the residuals' covariance is added by
-            the doubt about the gain. It is the inverse of the regression's normal matrix, with the least of the ridges,
-            or the largest finite one; zero if starts are the same.
     """
 
-    gain: Floats
-    ridges: tuple[float, float]
+    gain: Floats  # (K, D, E) derivatives of the path at equal steps of the phase in start and goal
+    ridges: tuple[float, float]  # the smallest and the largest of `RIDGES` that were averaged
+    # (n, K, D) what is left of each path, over the square root of 1 less its leverage: as large as if it had not been
+    # fitted to.
     residuals: Floats
+    # (E, E) A: at u from the mean start (and goal), u^T A u times the residuals' covariance is added by the doubt about
+    # the gain. It is the inverse of the regression's normal matrix, with the least of the ridges, or the largest finite
+    # one; zero if starts are the same.
     growth: Floats
 
 
@@ -64,8 +66,7 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
     total = max(float(np.sum(spread**2)), 1e-300)
     shrinking = spread**2 / (spread**2 + RIDGES[:, None] * total)
     first, last = len(RIDGES) - 1, len(RIDGES) - 1
-    # Without one of two, what is left says nothing about starts.
-    if n > 2 and kept.any():
+    if n > 2 and kept.any():  # without one of two, what is left says nothing about starts
         errors = np.empty((len(RIDGES), n))
         for row, factor in enumerate(shrinking):
             hat = left * factor @ left.T
@@ -76,8 +77,7 @@ def response_to_start(paths: Floats, goals: bool = False) -> Response:
     factor = shrinking[first : last + 1].mean(axis=0)
     fitted = (left.T @ rest).reshape(-1, count, size) * (factor / spread)[:, None, None]
     hat = left * factor @ left.T
-    # Of one path nothing is left, and its leverage is 1.
-    free = np.maximum(1.0 - 1.0 / n - np.diag(hat), 1e-9)
+    free = np.maximum(1.0 - 1.0 / n - np.diag(hat), 1e-9)  # of one path nothing is left, and its leverage is 1
     residuals = ((rest - hat @ rest) / np.sqrt(free)[:, None]).reshape(paths.shape)
     growth = np.zeros((start.shape[1],) * 2)
     if kept.any():
@@ -103,15 +103,14 @@ def with_response(
 ) -> tuple[LieEDNN, Response, Floats]:
     """The network shaped by the mean of demonstrations, made to depend on its start as they do.
 
+    Then the response that it realises, in metres, and the codes ``(n, N, M, 6)`` of its residuals.
+
     Args:
         shaping: the network shaped by their mean, with rho = 1.
         curve: ``(K, N, 6)`` the mean.
         paths: ``(n, K, N, 6)`` the demonstrations at the same phases.
         units: ``(N, 6)`` metres for a unit of each coordinate.
         goals: whether their goals differ, and the motion depends on its goal, too.
-
-    Returns:
-        The network, the response that it realises, in metres, and the codes ``(n, N, M, 6)`` of its residuals.
     """
     units = np.broadcast_to(units, curve.shape[1:])
     response = response_to_start((paths * units).reshape(*paths.shape[:2], -1), goals)
@@ -126,7 +125,7 @@ def with_response(
     scale = units.ravel()
     gain = at_instants(response.gain) / scale[:, None] * np.tile(scale, 1 + goals)
     left = at_instants(response.residuals.swapaxes(0, 1)) / scale
-    codes = (encoder(clock, PAIRS) @ left.reshape(len(left), -1)).reshape(PAIRS, -1, *units.shape)
+    codes = (encoder(clock) @ left.reshape(len(left), -1)).reshape(PAIRS, -1, *units.shape)
     codes = codes.transpose(1, 2, 0, 3)
     away = (paths[:, [0, -1]] - curve[[0, -1]])[:, : 1 + goals].reshape(len(paths), -1)
     network = with_pairs(shaping.parameters, clock, shaping.network, curve[0], gain, away, codes)
@@ -155,3 +154,68 @@ def describe(response: Response | None) -> str:
         return "deviations of the start fade as e^-t"
     low, high = (f"{ridge:.3g}" if np.isfinite(ridge) else "infinity" for ridge in response.ridges)
     return f"response to the start by ridge regression, ridge {low}" + (f" to {high}" if high != low else "")
+
+
+@frozen
+class CodeSpread:
+    """Normal distribution of the codes of one visible neuron's motions about those that their start gives.
+
+    At u from the mean start (and the mean goal, if there are several), in metres, the covariance is
+    (1 + 1/n + u^T A u) F F^T: noise, and the doubt about the mean and about the response (as of a Bayesian linear
+    regression, whose prior is the ridge).
+    """
+
+    root: Floats  # (6M, r) F, for the codes D delta (M, 6) of M pairs, flat [rad, m]
+    count: int  # n, the number of demonstrations
+    growth: Floats  # (E, E) A [1/m^2], with E = 6, or 12 for start and goal
+    units: Floats  # (6,) metres for a unit of each coordinate
+    activation: str  # of the network
+
+    @classmethod
+    def of(cls, codes: Floats, growth: Floats, units: Floats, least: Floats, activation: str) -> CodeSpread:
+        """The distribution of codes ``(n, M, 6)`` with mean zero.
+
+        Args:
+            codes: residuals of n demonstrations, standardised (`Response.residuals`).
+            least: ``(6,)`` standard deviations of the displacement [rad, m] that are allowed for in any direction, also
+                where demonstrations do not differ.
+            growth, units, activation: as in the attributes.
+        """
+        places = np.arange(PAIRS) / PAIRS
+        # The deviations that are allowed for beside those seen are correlated over a fifth of the clock's way.
+        smooth = np.exp(-0.5 * ((places[:, None] - places) / 0.2) ** 2)
+        basis = bumps(clockwork(1.0, ACTIVATIONS[activation]))[:-1]
+        size, axes = np.linalg.eigh(smooth / np.einsum("km,mn,kn->k", basis, smooth, basis).max())
+        allowed = np.kron(axes * np.sqrt(np.maximum(size, 0.0)), np.diag(least))
+        root = np.concatenate([codes.reshape(len(codes), -1).T / np.sqrt(len(codes)), allowed], axis=1)
+        return cls(root, len(codes), growth, units, activation)
+
+    def scale(self, away: Floats) -> Floats:
+        """Factor 1 + 1/n + u^T A u ``(...)`` of the covariance, from deviations ``(..., E)`` of the inputs."""
+        u = away * np.tile(self.units, len(self.growth) // 6)
+        return np.asarray(1.0 + 1.0 / self.count + np.einsum("...i,ij,...j->...", u, self.growth, u))
+
+    def basis(self, tau: Floats) -> Floats:
+        """The bumps ``(T, M)`` at network times ``(T,)``."""
+        clock = clockwork(1.0, ACTIVATIONS[self.activation])
+        return np.stack([np.interp(tau, clock.t, bump, right=0.0) for bump in bumps(clock)[:-1].T], axis=-1)
+
+    def along(self, tau: Floats) -> Floats:
+        """Covariances ``(T, 6, 6)`` of the displacement at network times ``(T,)``, before `scale`."""
+        root = np.einsum("tm,mir->tir", self.basis(tau), self.root.reshape(PAIRS, 6, -1))
+        return root @ root.swapaxes(1, 2)
+
+    def gain(self, seen: Floats, noise: Floats) -> Floats:
+        """Codes ``(6M, o)`` for a deviation of a motion from the mean start that is observed with the noise ``(o,)``.
+
+        What is seen has the derivatives ``(o, 6M)`` in the codes.
+        """
+        root = seen @ self.root
+        doubt = root @ root.T + np.diag(noise**2) / self.scale(np.zeros(len(self.growth)))
+        return np.asarray(np.linalg.solve(doubt, root @ self.root.T).T)
+
+    def knowing(self, seen: Floats, noise: Floats) -> CodeSpread:
+        """The distribution about the conditioned codes, given the observation as for `gain`."""
+        gain = self.gain(seen, noise)
+        left = gain * noise / np.sqrt(self.scale(np.zeros(len(self.growth))))
+        return replace(self, root=np.concatenate([self.root - gain @ (seen @ self.root), left], axis=1))

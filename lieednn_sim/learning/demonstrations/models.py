@@ -13,8 +13,7 @@ from lieednn_sim.learning.demonstrations.alignment import Demonstrations
 from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.values import Floats
 
-# Decay rate, per duration, that leaves a hundredth.
-DECAY = float(np.log(100.0))
+DECAY = float(np.log(100.0))  # decay rate, per duration, that leaves a hundredth
 
 
 class MotionModel(Protocol):
@@ -67,9 +66,8 @@ def run_field(
     states = [state[:, :kept]]
     for step in np.diff(grid):
         check_time()
-        state = runge_kutta_step(lambda x, _: field(x), state, step)
-        # Not a view, which would keep the whole state.
-        states.append(state[:, :kept].copy())
+        state = runge_kutta_step(field, state, step)
+        states.append(state[:, :kept].copy())  # not a view, which would keep the whole state
     return at_times(np.stack(states, axis=1), grid, t)
 
 

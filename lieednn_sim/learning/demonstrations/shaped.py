@@ -16,19 +16,16 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, twist_of
-from lieednn_sim.learning.demonstrations.family import Response, with_response
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, twist_of, warp
+from lieednn_sim.learning.demonstrations.family import CodeSpread, Response, with_response
 from lieednn_sim.learning.demonstrations.models import run_field
-from lieednn_sim.learning.demonstrations.spread import CodeSpread
-from lieednn_sim.learning.demonstrations.warping import warp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
-from lieednn_sim.synthesis.shaping.pairs import PAIRS, codes_of, shifts
+from lieednn_sim.synthesis.shaping.cascade import PAIRS, codes_of, shifts
 from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
-# Default of the requested deviation, in extents of the demonstrations.
-DEVIATION = 2e-3
+DEVIATION = 2e-3  # default of the requested deviation, in extents of the demonstrations
 # Network time, times rho, after which less than a millionth of the path is left; longest time step; and step in the
 # fraction that the clock has left, a tenth of the width of the steepest switch.
 _NETWORK_TIME, _LONGEST_STEP, _FRACTION_STEP = 16.0, 0.2, 1.0 / 600.0
@@ -136,7 +133,7 @@ class ShapedMotion:
         return replace(self, network=self.network.retarget(target[None]))
 
     def covariance(self, start: Floats, t: Floats) -> Floats:
-        """Predictive covariance of the motion about `reproduce`, in rotation vector and position.
+        """Predictive covariance ``(..., K, 6, 6)`` [rad, m] of the motion about `reproduce`, in rotation and position.
 
         It is the covariance of what the response does not explain of the demonstrations, and is larger the further the
         start is from theirs: see `CodeSpread`. It is zero at the start and at the goal.
@@ -144,9 +141,6 @@ class ShapedMotion:
         Args:
             start: twists ``(..., 6)``.
             t: ``(K,)`` increasing times from 0 [s].
-
-        Returns:
-            ``(..., K, 6, 6)`` [rad, m].
 
         Raises:
             InputError: as of `reproduce`, or there is no spread.
@@ -225,7 +219,7 @@ class ShapedMotion:
         laws = []
         for law, left in ((start_gain, np.exp(-tau[1])), (self.network.goal_gain, 1.0)):
             if law is not None:
-                moved = passing @ codes_of(self.network, law.reshape(-1, 6, 6), PAIRS).reshape(-1, 6)
+                moved = passing @ codes_of(self.network, law.reshape(-1, 6, 6)).reshape(-1, 6)
                 back = gain @ (left * np.eye(6)[seen] + moved)
                 laws.append(law - shifts(self.network, back.reshape(1, PAIRS, 6, 6)).reshape(law.shape))
         return self._coded(code, spread.knowing(passing, noises), *laws)
@@ -276,9 +270,7 @@ class ShapedMotion:
 
     def _network_times(self, t: Floats) -> Floats:
         """Network times ``(K,)`` at times [s]."""
-        # Durations of the demonstrations after which a reproduction ends, when the network has long come to rest.
-        max_durations = 100.0
-        t, latest = as_times("t", t), max_durations * self.t[-1]
+        t, latest = as_times("t", t), 100.0 * self.t[-1]  # when the network has long come to rest
         if t[0] < 0.0 or t[-1] > latest:
             raise InputError(f"t must be from 0 to {latest:g} s, got {t[0]:g} to {t[-1]:g} s")
         pace = self.tau[-1] / self.t[-1]

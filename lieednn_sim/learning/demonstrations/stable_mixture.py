@@ -28,25 +28,15 @@ _EVALUATIONS = {2: 100, 3: 100, 6: 40}
 
 @frozen
 class StableMixture:
-    """A fitted system, in d coordinates scaled to the extent of the demonstrations and in units of their duration.
+    """A fitted system, in d coordinates scaled to the extent of the demonstrations and in units of their duration."""
 
-    Attributes:
-        prior: ``(k,)`` priors of the components.
-        mean: ``(k, d)`` means of the components.
-        factor: ``(k, d, d)`` Cholesky factors of the inverse covariances.
-        laws: ``(k, d, d)`` matrices A_k.
-        lyapunov: ``(d, d)`` P.
-        units: ``(d,)`` units of the coordinates [rad, m].
-        duration: mean duration of the demonstrations [s].
-    """
-
-    prior: Floats
-    mean: Floats
-    factor: Floats
-    laws: Floats
-    lyapunov: Floats
-    units: Floats
-    duration: float
+    prior: Floats  # (k,) priors of the components
+    mean: Floats  # (k, d) means of the components
+    factor: Floats  # (k, d, d) Cholesky factors of the inverse covariances
+    laws: Floats  # (k, d, d) matrices A_k
+    lyapunov: Floats  # (d, d) P
+    units: Floats  # (d,) units of the coordinates [rad, m]
+    duration: float  # mean duration of the demonstrations [s]
 
     name: ClassVar[str] = "lpv-ds"
     durations: ClassVar[float] = 3.0
@@ -81,9 +71,7 @@ class StableMixture:
         twists = np.zeros((start[..., 0].size, len(t), 6))
         first = start.reshape(-1, 6)[:, shown] / self.units
         times = t / self.duration
-        # Step of the integrator, in durations.
-        step = 1.0 / 100.0
-        twists[..., shown] = run_field(self.velocity, first, even_grid(times[-1], step), times) * self.units
+        twists[..., shown] = run_field(self.velocity, first, even_grid(times[-1], 1.0 / 100.0), times) * self.units
         return twists.reshape(*start.shape[:-1], len(t), 6)
 
     def velocity(self, x: Floats) -> Floats:
@@ -106,8 +94,7 @@ def _mixture(x: Floats, components: int, rng: np.random.Generator) -> tuple[Floa
     _, label = kmeans2(x, components, minit="++", rng=rng)
     gamma = np.eye(components)[label]
     for _ in range(_ROUNDS):
-        # An empty component keeps a tiny prior.
-        count = gamma.sum(axis=0) + 1e-9
+        count = gamma.sum(axis=0) + 1e-9  # an empty component keeps a tiny prior
         prior, mean = count / count.sum(), gamma.T @ x / count[:, None]
         away = x[:, None] - mean
         covariance = np.einsum("nk,nka,nkb->kab", gamma, away, away) / count[:, None, None]
@@ -137,8 +124,7 @@ def _laws(gamma: Floats, x: Floats, rates: Floats) -> tuple[Floats, Floats]:
     def laws(unknown: Floats) -> tuple[Floats, Floats]:
         factor, damping, skew = unpack(unknown)
         metric = factor @ factor.T + 1e-3 * np.eye(d)
-        # epsilon, the least decay of V per duration.
-        epsilon = 0.1
+        epsilon = 0.1  # the least decay of V per duration
         inside = skew - damping @ damping.swapaxes(1, 2) - epsilon * np.eye(d)
         return np.asarray(np.linalg.solve(metric, inside), dtype=float), metric
 
@@ -155,14 +141,13 @@ def _laws(gamma: Floats, x: Floats, rates: Floats) -> tuple[Floats, Floats]:
         pulled = predicted @ factor
         for i, j in zip(*low, strict=True):
             columns.append(-(pulled[:, j, None] * inverse[:, i] + predicted[:, i, None] * (inverse @ factor[:, j])))
-        for c in range(k):
-            pulled = drive[:, c] @ damping[c]
-            turned = inverse @ damping[c]
+        for w, root in zip(drive.swapaxes(0, 1), damping, strict=True):
+            pulled, turned = w @ root, inverse @ root
             for i, j in zip(*low, strict=True):
-                columns.append(-(pulled[:, j, None] * inverse[:, i] + drive[:, c, i, None] * turned[:, j]))
-        for c in range(k):
+                columns.append(-(pulled[:, j, None] * inverse[:, i] + w[:, i, None] * turned[:, j]))
+        for w in drive.swapaxes(0, 1):
             for i, j in zip(*below, strict=True):
-                columns.append(drive[:, c, j, None] * inverse[:, i] - drive[:, c, i, None] * inverse[:, j])
+                columns.append(w[:, j, None] * inverse[:, i] - w[:, i, None] * inverse[:, j])
         return np.stack([column.ravel() for column in columns], axis=1)
 
     first = np.concatenate([np.eye(d)[low], np.tile(np.eye(d)[low], k), np.zeros(k * len(below[0]))])

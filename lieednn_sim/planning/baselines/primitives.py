@@ -9,7 +9,7 @@ from scipy.interpolate import BPoly
 
 from lieednn_sim.arm.targets import reference_configuration
 from lieednn_sim.learning.demonstrations.models import DECAY
-from lieednn_sim.learning.demonstrations.primitive import ALPHA, BETA, forcing, responses
+from lieednn_sim.learning.demonstrations.primitives import ALPHA, BETA, forcing, responses
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions

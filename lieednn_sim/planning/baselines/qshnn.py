@@ -28,7 +28,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import PlanError
 from lieednn_sim.learning import TrainingOptions, TrainingResult, train
 from lieednn_sim.learning.manifold import QuaternionWeights
-from lieednn_sim.network.hopfield import HopfieldNetwork
+from lieednn_sim.network.componentwise import HopfieldNetwork
 from lieednn_sim.planning.baselines.smoothing import smoothed
 from lieednn_sim.planning.joint_space import joint_motion, joint_scale
 from lieednn_sim.planning.motion import Motion

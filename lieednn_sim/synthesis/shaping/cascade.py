@@ -8,6 +8,12 @@ with any activation phi and Q = 1 / (1 + d/dt) from rest. For rho = 1, g = e^-t 
 rho < 1, a clock p' = -p + (1 - rho) phi(p) drives them with (1 - rho) phi(p), so that they follow it exactly: g is p
 over its start, and finally falls at the rate 1 - (1 - rho) phi'(0), which is rho for phi'(0) = 1. In neither case does
 g depend on the parameters, so Q is one matrix, and no differential equation is solved when they change.
+
+Pairs of opposite switches bend a motion by their starts, and are silent otherwise. A switch phi(a + c g) and its
+opposite phi(-a - c g), both read out by D I, cancel at every instant and at rest. With both starts shifted by delta,
+coordinate by coordinate, they add 2 D delta g phi'(a + c g) + O(delta^3) to a visible neuron's input: a bump where g =
+-a/c. Pairs at equal steps of the clock are basis functions, for rho = 1, where g = e^-t is a shift's own decay; their
+codes delta are hidden starts. See `docs/mathematics/families.md`.
 """
 
 from __future__ import annotations
@@ -27,27 +33,20 @@ CLOCK_START = 0.5
 TAIL = 0.05
 # Most that g falls, and that time passes, within one piece of time: ripples between switches are short.
 _MAX_CLOCK_STEP, _MAX_TIME_STEP = 1.0 / 120.0, 0.25
+PAIRS = 24  # number of pairs of each visible neuron of a family
+LARGEST_CODE = 0.05  # largest entry of a code, at which the cubic term is a thousandth of the bump
 
 
 @frozen
 class Clockwork:
-    """The time functions of a cascade, sampled; see `clockwork`.
+    """The time functions of a cascade, sampled; see `clockwork`."""
 
-    Attributes:
-        rate: rho.
-        activation: phi.
-        t: ``(K,)`` instants.
-        g: ``(K,)`` g at these instants.
-        fine: ``(F,)`` g at the nodes of the filter's quadrature.
-        filter: ``(K, F)`` Q.
-    """
-
-    rate: float
-    activation: Activation
-    t: Floats
-    g: Floats
-    fine: Floats
-    filter: Floats
+    rate: float  # rho
+    activation: Activation  # phi
+    t: Floats  # (K,) instants
+    g: Floats  # (K,) g at these instants
+    fine: Floats  # (F,) g at the nodes of the filter's quadrature
+    filter: Floats  # (K, F) Q
 
 
 @lru_cache(maxsize=8)
@@ -65,16 +64,12 @@ def clockwork(rate: float, activation: Activation = ACTIVATIONS[DEFAULT_ACTIVATI
 
     looks = np.linspace(0.0, span, 20_001)
     levels = falling(looks)
-    # g is sampled down to this value, a ten thousandth of its start.
-    least_clock = 1e-4
-    end = looks[np.argmax(levels < least_clock)]
+    end = looks[np.argmax(levels < 1e-4)]  # g is sampled down to a ten thousandth of its start
     # Pieces that are even in the measure that bounds them.
     measure = np.append(0.0, np.cumsum(np.hypot(np.diff(levels) / _MAX_CLOCK_STEP, np.diff(looks) / _MAX_TIME_STEP)))
     total = np.interp(end, looks, measure)
     edges = np.interp(np.linspace(0.0, total, int(np.ceil(total)) + 1), measure, looks)
-    # Nodes of the Gauss rule on each piece.
-    nodes = 3
-    node, weight = np.polynomial.legendre.leggauss(nodes)
+    node, weight = np.polynomial.legendre.leggauss(3)  # on each piece
     width = np.diff(edges)
     fine = edges[:-1, None] + 0.5 * width[:, None] * (node + 1.0)
     masses = 0.5 * width[:, None] * weight
@@ -85,29 +80,16 @@ def clockwork(rate: float, activation: Activation = ACTIVATIONS[DEFAULT_ACTIVATI
 
 @frozen
 class Parameters:
-    """Parameters of a cascade with N visible neurons and M switches.
+    """Parameters of a cascade with N visible neurons and M switches."""
 
-    Attributes:
-        a: ``(M, 6)`` equilibria of the hidden neurons.
-        c: ``(M, 6)`` slopes of the switches.
-        alpha: ``(N, M)`` strengths with which the visible neurons read the switches.
-        rotation: ``(N, M, 3, 3)`` rotations R of what they read; theta = (R, 0) does not translate.
-    """
-
-    a: Floats
-    c: Floats
-    alpha: Floats
-    rotation: Floats
+    a: Floats  # (M, 6) equilibria of the hidden neurons
+    c: Floats  # (M, 6) slopes of the switches
+    alpha: Floats  # (N, M) strengths with which the visible neurons read the switches
+    rotation: Floats  # (N, M, 3, 3) rotations R of what they read; theta = (R, 0) does not translate
 
 
 class Cascade:
-    """A cascade from a start to a target.
-
-    Args:
-        clock: clockwork of the cascade.
-        start: ``(N, 6)`` visible state at time 0.
-        target: ``(N, 6)`` visible equilibrium.
-    """
+    """A cascade from a start to a target, visible states ``(N, 6)``."""
 
     def __init__(self, clock: Clockwork, start: Floats, target: Floats) -> None:
         self.clock = clock
@@ -130,8 +112,7 @@ class Cascade:
         return self.free + read.reshape(self.free.shape)
 
 
-# Most that a layer's input from the next one may add to lambda_max, in S-scaled weights.
-_MOST_ADDED = 0.02
+_MOST_ADDED = 0.02  # most that a layer's input from the next one may add to lambda_max, in S-scaled weights
 _UNIT = np.eye(3)[0]
 
 
@@ -141,12 +122,7 @@ def assemble(parameters: Parameters, rate: float, target: Floats, activation: st
     Ordered (visible, hidden, clock), W_R is block triangular with a diagonal of 0, 0 and 1 - rho. With P = S^2 and
     S = diag(1, s_h, s_c), a layer's input is divided by the ratio of two scales, so that lambda_max of
     sym(S W_R S^-1) comes arbitrarily close to 1 - rho: each scale is the least that comes within `_MOST_ADDED` of it.
-
-    Args:
-        parameters: parameters of N visible neurons and M switches.
-        rate: rho of the clock; with 1 there is no clock.
-        target: visible equilibrium.
-        activation: a name of `ACTIVATIONS`.
+    With a rate rho of 1 there is no clock.
     """
     n, m = parameters.alpha.shape
     clock = 2 if rate < 1.0 else 0
@@ -197,3 +173,94 @@ def turns_to(vectors: Floats) -> Floats:
     normal = np.where(length > 1e-12, normal / np.maximum(length, 1e-300), np.eye(3)[2])
     mirror = np.eye(3) - 2.0 * normal[..., :, None] * normal[..., None, :]
     return np.asarray(mirror @ np.diag([1.0, 1.0, -1.0]))
+
+
+def switches(count: int) -> tuple[Floats, Floats]:
+    """Equilibria a and slopes c ``(M,)`` of the first switches of ``count`` pairs, at equal steps of the clock."""
+    # A little beyond both ends of the clock, so that its first and last part have as many bumps as its middle.
+    low, high = -0.1, 1.05
+    # Steep bumps ripple, and wide ones, hardly independent, need large codes and so a large D.
+    slope = np.full(count, 0.6 * count / (high - low))
+    return -slope * (1.0 - low - (high - low) * (np.arange(count) + 0.5) / count), slope
+
+
+def pairs_of(n: int, count: int, strength: float) -> Parameters:
+    """``count`` pairs for each of N visible neurons, read with the strength D, as a cascade."""
+    a, c = (np.tile(np.outer([1.0, -1.0], part).ravel(), n)[:, None] * np.ones(6) for part in switches(count))
+    alpha = np.kron(np.eye(n), np.full(2 * count, strength))
+    return Parameters(a, c, alpha, np.tile(np.eye(3), (n, len(a), 1, 1)))
+
+
+def bumps(clock: Clockwork) -> Floats:
+    """Displacements ``(K + 1, M)`` of a visible neuron by `PAIRS` pairs of unit D delta; the last row is `TAIL` B."""
+    a, c = switches(PAIRS)
+    slope = clock.activation.slope
+    g = clock.fine[:, None]
+    return np.concatenate([clock.filter @ (2.0 * g * slope(a + c * g)), 2.0 * TAIL * slope(a)[None]])
+
+
+def encoder(clock: Clockwork) -> Floats:
+    """Codes D delta ``(M,)`` of a displacement at the clock's instants ``(K,)``, as one matrix ``(M, K)``."""
+    left, size, right = np.linalg.svd(bumps(clock), full_matrices=False)
+    ridge = 1e-3  # weight of the squared codes, relative to the largest singular value of the bumps
+    return np.asarray(right.T * (size / (size**2 + (ridge * size[0]) ** 2)) @ left.T[:, :-1])
+
+
+def with_pairs(
+    parameters: Parameters,
+    clock: Clockwork,
+    network: LieEDNN,
+    start: Floats,
+    response: Floats,
+    inputs: Floats,
+    others: Floats | None = None,
+) -> LieEDNN:
+    """A network whose motion depends on its visible start, and its target, with the pairs and gains that this takes.
+
+    Args:
+        parameters: parameters of the cascade.
+        clock: its clockwork, with rho = 1.
+        network: the network of the cascade.
+        start: ``(N, 6)`` visible start of its motion, which stays as it is.
+        response: ``(K, 6N, E)`` derivatives of the visible states at the clock's instants in the visible start, E = 6N,
+            or in that and in the target, E = 12N.
+        inputs: ``(n, E)`` deviations of the start (and of the target) for which codes must be small, so that bumps are
+            linear in them.
+        others: other codes D delta ``(..., N, M, 6)`` that must be small.
+    """
+    n = len(parameters.alpha)
+    left = np.exp(-clock.t)[:, None, None] * np.eye(6 * n)
+    target = response - np.concatenate([left, np.eye(6 * n) - left], axis=2)[:, :, : response.shape[2]]
+    # For each visible neuron and pair, D delta for a unit of each coordinate of the start and of the target.
+    codes = (encoder(clock) @ target.reshape(len(target), -1)).reshape(PAIRS, n, 6, -1).swapaxes(0, 1)
+    largest = float(np.abs(codes @ inputs.T).max())
+    strength = max(largest, 0.0 if others is None else float(np.abs(others).max())) / LARGEST_CODE
+    if strength <= 0.0:
+        return network
+    pairs = pairs_of(n, PAIRS, strength)
+    joined = Parameters(
+        np.concatenate([parameters.a, pairs.a]),
+        np.concatenate([parameters.c, pairs.c]),
+        np.concatenate([parameters.alpha, pairs.alpha], axis=1),
+        np.concatenate([parameters.rotation, pairs.rotation], axis=1),
+    )
+    result = assemble(joined, clock.rate, network.equilibrium().xi[:n], network.activation)
+    gain, *rest = np.split(shifts(result, codes).reshape(result.n_hidden * 6, -1), response.shape[2] // (6 * n), axis=1)
+    # The start is seen from the target, with which its reference moves: K (start - target) + (K + K_target) target.
+    return result.with_start(result.hidden_start, gain, start, gain + rest[0] if rest else None)
+
+
+def shifts(network: LieEDNN, codes: Floats) -> Floats:
+    """Shifts of the hidden starts ``(H, 6, ...)`` of a network with pairs by codes D delta ``(N, M, 6, ...)``."""
+    n, count = codes.shape[:2]
+    shift = np.zeros((network.n_hidden, 6, *codes.shape[3:]))
+    # Both of a pair are shifted by the same; they are the last hidden neurons, and D is the strength of each.
+    shift[-2 * n * count :].reshape(n, 2, count, *codes.shape[2:])[:] = codes[:, None] / network.alpha[n - 1, -1]
+    return shift
+
+
+def codes_of(network: LieEDNN, shift: Floats) -> Floats:
+    """The inverse of `shifts` for `PAIRS` pairs."""
+    n = network.n_visible
+    pairs = shift[-2 * n * PAIRS :].reshape(n, 2, PAIRS, *shift.shape[1:])
+    return np.asarray(pairs[:, 0] * network.alpha[n - 1, -1])

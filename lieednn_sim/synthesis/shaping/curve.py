@@ -11,27 +11,18 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
-# Rows of a table: a curve of two metres is then resolved to a millimetre along, and to micrometres across.
-_ROWS = 2048
-# Longest such step, in rows.
-_REACH = 64
+_ROWS = 2048  # rows of a table: a curve of two metres is then resolved to a millimetre along, and to micrometres across
+_REACH = 64  # longest Newton step to a foot point, in rows
 
 
 @frozen
 class Curve:
-    """A curve, tabulated evenly over its length.
+    """A curve, tabulated evenly over its length."""
 
-    Attributes:
-        points: ``(R, N, 6)`` in network coordinates, from start to target.
-        tangents: ``(R, N, 6)`` derivatives in the fraction s of the length, from 0 to 1.
-        units: ``(N, 6)`` metres that one unit of each coordinate counts for, the metric.
-        length: length in this metric [m].
-    """
-
-    points: Floats
-    tangents: Floats
-    units: Floats
-    length: float
+    points: Floats  # (R, N, 6) in network coordinates, from start to target
+    tangents: Floats  # (R, N, 6) derivatives in the fraction s of the length, from 0 to 1
+    units: Floats  # (N, 6) metres that one unit of each coordinate counts for, the metric
+    length: float  # length in this metric [m]
 
     @classmethod
     def through(cls, samples: Floats, units: Floats) -> Curve:
@@ -45,8 +36,7 @@ class Curve:
         if kept.sum() < 2:
             raise InputError("the curve must move: all its samples are the same point")
         kept_samples = samples[kept]
-        # The last sample is the target, even where it repeats the one before it.
-        kept_samples[-1] = samples[-1]
+        kept_samples[-1] = samples[-1]  # the last sample is the target, even where it repeats the one before it
         chord = np.append(0.0, np.cumsum(steps[kept[1:]]))
         dense = np.linspace(0.0, chord[-1], 4 * _ROWS)
         fine = PchipInterpolator(chord, kept_samples, axis=0)(dense)
@@ -68,9 +58,7 @@ class Curve:
 
     def feet(self, x: Floats, s: Floats) -> Floats:
         """Fractions ``(K,)`` of the length at the foot points of ``x`` ``(K, N, 6)`` near ``s``; nondecreasing."""
-        # Newton steps to a foot point from its previous estimate.
-        newton_steps = 3
-        for _ in range(newton_steps):
+        for _ in range(3):  # Newton steps to a foot point from its previous estimate
             point, tangent = self.at(s)
             along = (tangent * self.units**2).reshape(len(x), -1)
             step = np.einsum("kp,kp->k", along, (x - point).reshape(len(x), -1)) / np.maximum(

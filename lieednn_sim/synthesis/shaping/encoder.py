@@ -1,7 +1,7 @@
 """A universal network: its weights are fixed and certified once, and the hidden neurons' start encodes any curve.
 
-Each visible neuron has `CODE_PAIRS` pairs of opposite switches (`pairs`) and nothing else. From a code of zero it goes
-straight to the target. With g = e^-t, r a hidden neuron's rest state and h(0) = r + c + delta, it obeys
+Each visible neuron has `CODE_PAIRS` pairs of opposite switches (`cascade`) and nothing else. From a code of zero it
+goes straight to the target. With g = e^-t, r a hidden neuron's rest state and h(0) = r + c + delta, it obeys
 
     x(g) = x_d + g (x_0 - x_d) + g int_g^1 u(s) / s^2 ds
     u(s) = D sum_m [phi(z_m + s delta_m) - phi(z_m - s delta_m)],    z_m = a_m + c_m s.
@@ -23,29 +23,23 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
-from lieednn_sim.synthesis.shaping.cascade import TAIL, assemble
+from lieednn_sim.synthesis.shaping.cascade import LARGEST_CODE, TAIL, assemble, pairs_of, switches
 from lieednn_sim.synthesis.shaping.curve import as_units, clock_along, third_derivative
-from lieednn_sim.synthesis.shaping.pairs import LARGEST_CODE, pairs_of, switches
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats, frozen
 
-# Pairs for each visible neuron.
-CODE_PAIRS = 48
-# Largest number of visible neurons: arrays of hidden ones grow with its square, to 0.2 GB.
-_MOST_VISIBLE = 16
-# D. Codes of the package's arms reach about a third of `LARGEST_CODE`.
-_STRENGTH = 80.0
+CODE_PAIRS = 48  # pairs for each visible neuron
+_MOST_VISIBLE = 16  # largest number of visible neurons: arrays of hidden ones grow with its square, to 0.2 GB
+_STRENGTH = 80.0  # D; codes of the package's arms reach about a third of `LARGEST_CODE`
 # Instants of the fit and of the path in closed form: this many even steps of g, then steps by this ratio, to this g.
 _STEPS, _RATIO, _LEAST_CLOCK = 360, 0.75, 5e-10
-# Every third instant is one of the fit.
-_STRIDE = 3
+_STRIDE = 3  # every third instant is one of the fit
 # Ripples shorter than 2 pi times this fraction of the clock count more than deviations.
 _RIPPLE, _LEAST_RIPPLING = 0.02, 0.01
 # A turn of the tangent by one radian takes as much of the clock as this fraction of the length, smoothed over the
 # second; looked at on this many pieces.
 _CLOCK_PER_TURN, _SMOOTHING, _PIECES = 0.2, 0.02, 256
-# Powers of a code in its bump; the next one is below rounding.
-_POWERS = np.array([1, 3, 5])
+_POWERS = np.array([1, 3, 5])  # powers of a code in its bump; the next one is below rounding
 
 
 class CurveEncoder:
@@ -130,8 +124,7 @@ class CurveEncoder:
         basis, offset = self._basis, start - target
         missing = states - target - basis.fitted[:, None, None] * offset
         code = basis.solution @ missing.reshape(len(basis.fitted), -1)
-        # x' = u - (x - x_d) and x'' = u' - x'.
-        desired = np.stack([(rate + offset).ravel(), (bend + rate).ravel()])
+        desired = np.stack([(rate + offset).ravel(), (bend + rate).ravel()])  # x' = u - (x - x_d) and x'' = u' - x'
         code += basis.starting @ (desired - basis.start @ code)
         self._require_range(code)
         return self.network.retarget(target).with_start(self._started(code))
@@ -179,23 +172,14 @@ class CurveEncoder:
 
 @frozen
 class _Basis:
-    """Bumps of one visible neuron's pairs, and how curves become codes.
+    """Bumps of one visible neuron's pairs, and how curves become codes."""
 
-    Attributes:
-        g: ``(K,)`` instants of the closed form.
-        bent: ``(2, K, 3 pairs)`` displacements and inputs u at the instants, for each of `_POWERS` of the code.
-        fitted: ``(F,)`` g at the instants of the fit.
-        solution: ``(pairs, F)`` from a displacement there to the code.
-        start: ``(2, pairs)`` the input u and its derivative in time at the beginning, of unit codes.
-        starting: ``(pairs, 2)`` codes of unit u and u' there that change the rest of the motion least.
-    """
-
-    g: Floats
-    bent: Floats
-    fitted: Floats
-    solution: Floats
-    start: Floats
-    starting: Floats
+    g: Floats  # (K,) instants of the closed form
+    bent: Floats  # (2, K, 3 pairs) displacements and inputs u at the instants, for each of `_POWERS` of the code
+    fitted: Floats  # (F,) g at the instants of the fit
+    solution: Floats  # (pairs, F) from a displacement there to the code
+    start: Floats  # (2, pairs) the input u and its derivative in time at the beginning, of unit codes
+    starting: Floats  # (pairs, 2) codes of unit u and u' there that change the rest of the motion least
 
 
 @lru_cache(maxsize=8)
@@ -238,8 +222,7 @@ def _basis(activation: str) -> _Basis:
     tail = 2.0 * TAIL * _STRENGTH * ACTIVATIONS[activation].slope(a)
     used = int((g[looks] > _LEAST_RIPPLING).sum())
     ripples = np.pad(third_derivative(1.0 - g[looks[:used]]), ((0, 0), (0, len(looks) - used)))
-    # Weight of the squared codes D delta.
-    ridge = 1e-6
+    ridge = 1e-6  # weight of the squared codes D delta
     rows = np.concatenate([bumps, _RIPPLE**3 * (ripples @ bumps), tail[None], ridge**0.5 * _STRENGTH * np.eye(len(a))])
     inverse = np.linalg.pinv(rows)
     count = len(looks)
@@ -259,15 +242,12 @@ def _at_clock(curve: Floats, units: Floats, w: Floats) -> Floats:
     passed = np.append(0.0, np.cumsum(np.sqrt(np.einsum("ki,ki->k", steps, steps))))
     if passed[-1] <= 0.0:
         return np.broadcast_to(curve[-1], (len(w), *curve.shape[1:]))
-    even = np.linspace(0.0, 1.0, _PIECES + 1)
-    points = (_interpolated(passed, curve, even * passed[-1]) * units).reshape(len(even), -1)
-    spent = clock_along(points, _CLOCK_PER_TURN, _SMOOTHING)
-    return _interpolated(passed, curve, np.interp(w, spent, even * passed[-1]))
 
+    def points(length: Floats) -> Floats:
+        low = np.clip(np.searchsorted(passed, length, side="right") - 1, 0, len(passed) - 2)
+        part = (length - passed[low]) / np.maximum(passed[low + 1] - passed[low], 1e-300)
+        return np.asarray(curve[low] + np.clip(part, 0.0, 1.0)[:, None, None] * (curve[low + 1] - curve[low]))
 
-def _interpolated(x: Floats, values: Floats, wanted: Floats) -> Floats:
-    """Linear interpolation of ``values`` ``(K, ...)`` at nondecreasing ``x`` ``(K,)``."""
-    low = np.clip(np.searchsorted(x, wanted, side="right") - 1, 0, len(x) - 2)
-    part = (wanted - x[low]) / np.maximum(x[low + 1] - x[low], 1e-300)
-    start = values[low]
-    return np.asarray(start + np.clip(part, 0.0, 1.0)[:, None, None] * (values[low + 1] - start))
+    even = np.linspace(0.0, 1.0, _PIECES + 1) * passed[-1]
+    spent = clock_along((points(even) * units).reshape(len(even), -1), _CLOCK_PER_TURN, _SMOOTHING)
+    return points(np.interp(w, spent, even))

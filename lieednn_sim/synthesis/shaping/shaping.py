@@ -3,6 +3,12 @@
 The network is a cascade: hidden neurons switch one after another as they come to rest, and steer the visible ones
 (`cascade`). Its equilibrium and its certificate hold by construction for all parameters, so the fit is unconstrained;
 it may miss the curve, and the result says by how much.
+
+Switches are placed along the curve first. Each hidden neuron is a turn or a shift: one coordinate of its rotational or
+of its translational half switches, and the other half rests. Then a visible neuron's input is a sum of vectors
+alpha R e_x, one for each switch, and theta need not translate. So the fit is linear least squares, without start and
+local minima. Overlapping soft switches leave ripples far below the requested deviation, which a motion feels as jerk:
+the third derivative of the error is penalised too.
 """
 
 from __future__ import annotations
@@ -11,20 +17,29 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.budget import check_time, cpu_time
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
-from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, assemble, clockwork
-from lieednn_sim.synthesis.shaping.curve import Curve, as_units
-from lieednn_sim.synthesis.shaping.switch_fit import fit_switches
+from lieednn_sim.synthesis.shaping.cascade import Cascade, Parameters, assemble, clockwork, turns_to
+from lieednn_sim.synthesis.shaping.curve import Curve, as_units, clock_along, third_derivative
 from lieednn_sim.validation import as_count, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
-# Samples at which deviations between the network's path and the curve are measured.
-_SAMPLES = 1000
+_SAMPLES = 1000  # samples at which deviations between the network's path and the curve are measured
+# Pieces over which curvature is computed, and the fraction of the length over which it is smoothed.
+_PIECES, _SMOOTHING = 512, 0.01
+# Bound on slopes: the steepest switch spans a sixtieth of the path, twice the resolution of `cascade`.
+LARGEST_SLOPE = 60.0
+_LEAST_DENSITY = 0.1  # the density of switches is the root of the curve's second derivative plus this much everywhere
+_RIPPLE = 0.03  # ripples shorter than 2 pi times this fraction of the clock count more than deviations
+# Number of instants at which ripples are penalised, nearly even down to where g is this small.
+_INSTANTS, _LEAST_CLOCK = 120, 0.01
+_RIDGE = 1e-9  # weight of the squared readouts
 
 
 @dataclass(frozen=True)
@@ -87,11 +102,7 @@ class Shaping:
 
 
 def shape(
-    curve: ArrayLike,
-    deviation: float = 1e-3,
-    *,
-    units: ArrayLike = 1.0,
-    options: ShapingOptions | None = None,
+    curve: ArrayLike, deviation: float = 1e-3, *, units: ArrayLike = 1.0, options: ShapingOptions | None = None
 ) -> Shaping:
     """Make a certified network whose visible neurons follow a curve from its first point to its last.
 
@@ -148,13 +159,9 @@ def shape(
 def _measured(parameters: Parameters, options: ShapingOptions, curve: Curve) -> tuple[float, LieEDNN]:
     """Deviation, and the network, by integrating it."""
     network = assemble(parameters, options.rate, curve.points[-1], options.activation)
-    # Network time, times rho, after which less than a micrometre of a path of a metre is left.
-    network_time = 16.0
+    network_time = 16.0  # network time, times rho, after which less than a micrometre of a path of a metre is left
     trajectory = network.trajectory(network.start(curve.points[0]), network_time / options.rate, rtol=1e-7, atol=1e-9)
-    # Closer together at first, where it is fast.
-    # States of the network's trajectory from which its path is tabulated.
-    path_samples = 4000
-    t = trajectory.t[-1] * np.linspace(0.0, 1.0, path_samples) ** 3
+    t = trajectory.t[-1] * np.linspace(0.0, 1.0, 4000) ** 3  # closer together at first, where it is fast
     path = Curve.through(network.visible(trajectory(t)), curve.units)
     fractions = np.linspace(0.0, 1.0, _SAMPLES)
     off, back = (_distances(item.at(fractions)[0], other, fractions) for item, other in ((path, curve), (curve, path)))
@@ -165,3 +172,53 @@ def _distances(points: Floats, curve: Curve, fractions: Floats) -> Floats:
     """Distances ``(K,)`` [m] of points ``(K, N, 6)`` from a curve near the given fractions of its length."""
     nearest, _ = curve.at(curve.feet(points, fractions))
     return np.asarray(np.linalg.norm(((points - nearest) * curve.units).reshape(len(points), -1), axis=1))
+
+
+def fit_switches(cascade: Cascade, curve: Curve, n_switches: int) -> Parameters:
+    """Parameters of the cascade with ``n_switches`` switches placed along the curve whose path is nearest to it."""
+    n, m, clock = curve.points.shape[1], n_switches, cascade.clock
+    pace, w = _pace(curve), 1.0 - clock.g
+    goal, _ = curve.at(pace(w))
+    # The last row is the tail, which should vanish.
+    missing = np.concatenate([goal - cascade.free[:-1], np.zeros((1, n, 6))])
+    # Nearly even, so that no difference is dominated by close instants.
+    looks = np.unique(np.abs(w[:, None] - np.linspace(0.0, 1.0 - _LEAST_CLOCK, _INSTANTS)).argmin(axis=0))
+    ripples = third_derivative(w[looks])
+    a, c, read = np.zeros((m, 6)), np.zeros((m, 6)), np.zeros((n, m, 3))
+    # Equally many turns and shifts where the curve has both.
+    halves = [half for half in (slice(0, 3), slice(3, 6)) if np.ptp(curve.points[..., half], axis=0).max() > 0.0]
+    for half, chosen in zip(halves, np.array_split(np.arange(m), len(halves)), strict=True):
+        place, slope = _switches(curve, pace, half, len(chosen))
+        lead = half.start
+        c[chosen, lead], a[chosen, lead] = slope, -slope * (1.0 - place)
+        outputs = cascade.switched(a[chosen, lead], c[chosen, lead])
+        target = missing[..., half].reshape(len(missing), -1)
+        left, right = (np.concatenate([side, _RIPPLE**3 * (ripples @ side[looks])]) for side in (outputs, target))
+        ridge = np.sqrt(_RIDGE) * np.eye(len(chosen))
+        readouts = np.linalg.lstsq(
+            np.concatenate([left, ridge]), np.concatenate([right, np.zeros((len(chosen), 3 * n))]), rcond=None
+        )[0]
+        read[:, chosen] = readouts.reshape(-1, n, 3).transpose(1, 0, 2)
+    return Parameters(a, c, np.linalg.norm(read, axis=-1), turns_to(read))
+
+
+def _pace(curve: Curve) -> CubicSpline:
+    """Fraction of the curve's length as a function of the fraction of the clock: slower where the curve turns."""
+    s = np.linspace(0.0, 1.0, _PIECES + 1)
+    points = (curve.at(s)[0] * curve.units).reshape(len(s), -1)
+    # Turns make room for switches in a sharp corner, where a motion is slow anyway.
+    return CubicSpline(clock_along(points, per_turn=0.03, smoothing=_SMOOTHING), s)
+
+
+def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple[Floats, Floats]:
+    """Positions of the switches, as fractions ``(count,)`` of the clock, and their slopes."""
+    w = np.linspace(0.0, 1.0, _PIECES // 4 + 1)
+    points = (curve.at(pace(w))[0] * curve.units)[:, :, half].reshape(len(w), -1) / curve.length
+    second = np.linalg.norm(np.diff(points, n=2, axis=0), axis=1) / w[1] ** 2
+    density = np.sqrt(gaussian_filter1d(np.pad(second, 1, mode="edge"), 3.0, mode="nearest"))
+    density += _LEAST_DENSITY * density.mean() + _LEAST_DENSITY
+    mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
+    edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, w)
+    # Slope of a switch over the density of switches, and the least slope: without overlap the path would ripple.
+    overlap, least_slope = 1.0, 1.0
+    return edges[1::2], np.clip(overlap / (edges[2::2] - edges[:-2:2]), least_slope, LARGEST_SLOPE)

@@ -12,7 +12,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations import Demonstration, ShapedMotion, align
 from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.synthesis import ShapingOptions
-from lieednn_sim.synthesis.shaping.pairs import PAIRS, codes_of, switches
+from lieednn_sim.synthesis.shaping.cascade import PAIRS, codes_of, switches
 
 OPTIONS = ShapingOptions(neurons=(16,))
 
@@ -37,7 +37,7 @@ def learned(noisy):
 
 def change(motion, other):
     """The codes D delta ``(M, 6)`` by which another motion's differ."""
-    return codes_of(motion.network, other.network.hidden_start - motion.network.hidden_start, PAIRS)[0]
+    return codes_of(motion.network, other.network.hidden_start - motion.network.hidden_start)[0]
 
 
 def bump_row(tau):

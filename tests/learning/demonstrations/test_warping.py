@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations.warping import warp
+from lieednn_sim.learning.demonstrations.alignment import warp
 
 
 def test_distances_by_hand():

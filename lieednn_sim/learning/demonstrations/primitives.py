@@ -1,12 +1,18 @@
-"""Dynamic movement primitives of position and orientation.
+"""Movement primitives of position and orientation, dynamic and probabilistic.
 
-Position: Ijspeert et al., Dynamical movement primitives, Neural Computation 25(2), 2013; orientation: Ude et al.,
-Orientation in Cartesian space dynamic movement primitives, ICRA 2014. In units of the duration, relative to the goal,
+Dynamic ones. Position: Ijspeert et al., Dynamical movement primitives, Neural Computation 25(2), 2013; orientation: Ude
+et al., Orientation in Cartesian space dynamic movement primitives, ICRA 2014. In units of the duration, relative to the
+goal,
 
     p'' = alpha (-beta p - p') + f_p(s),    eta' = alpha (-beta log R - eta) + f_R(s),    R' = hat(eta) R,    s' = -k s,
 
 with f(s) = s sum_b psi_b(s) w_b / sum_b psi_b(s). The forcing is not scaled by the distance from start to goal, which
 may be arbitrarily small; the effect of another start decays with alpha.
+
+Probabilistic ones (Paraschos et al., NeurIPS 2013). The path is a weighted sum of normalised Gaussian basis functions
+of the phase, the fraction of the duration. The weights are normally distributed: they are fitted to each demonstration
+by least squares, and have a mean and a covariance over the demonstrations. The motion from a start is the mean of the
+distribution conditioned on that start, and on the goal at the end.
 """
 
 from __future__ import annotations
@@ -27,25 +33,22 @@ from lieednn_sim.values import Floats, frozen, read_only
 # Ijspeert's values: critically damped.
 ALPHA = 25.0
 BETA = ALPHA / 4.0
-# Step of the integrator, in durations; the weights are fitted to exactly these steps.
-STEP = 1.0 / 200.0
+STEP = 1.0 / 200.0  # step of the integrator, in durations; the weights are fitted to exactly these steps
 # Relative size below which singular values are not inverted: responses to neighbouring basis functions are similar.
 _LEAST_RESPONSE = 1e-6
+_INSTANTS = 201  # number of instants at which paths of probabilistic primitives are fitted and evaluated
+# Standard deviation added to every weight, in extents of the demonstrations: without it, a model of few demonstrations
+# could not be conditioned on another start.
+_ADDED_DEVIATION = 1e-2
 
 
 @frozen
 class MovementPrimitive:
-    """A fitted primitive.
+    """A fitted primitive."""
 
-    Attributes:
-        weights: ``(B, 6)`` for rotations [rad] and positions [m]; zero for entries that were not recorded.
-        duration: mean duration of the demonstrations [s].
-        dof: 2, 3 or 6.
-    """
-
-    weights: Floats
-    duration: float
-    dof: int
+    weights: Floats  # (B, 6) for rotations [rad] and positions [m]; zero for entries that were not recorded
+    duration: float  # mean duration of the demonstrations [s]
+    dof: int  # 2, 3 or 6
 
     name: ClassVar[str] = "dmp"
     durations: ClassVar[float] = 1.0
@@ -64,9 +67,8 @@ class MovementPrimitive:
         target = displacement(at_times(demonstrations.twists, demonstrations.t / duration, grid))
         inverse = np.linalg.pinv(responses(forcing(n_basis, np.exp(-DECAY * grid)), STEP), rcond=_LEAST_RESPONSE)
         weights = np.zeros((n_basis, 6))
-        # Corrections of the weights: positions need one, since rotations are not quite linear in the weights.
-        corrections = 4
-        for _ in range(corrections if dof == 6 else 1):
+        # Corrections of the weights: positions need one, rotations more, as they are not quite linear in the weights.
+        for _ in range(4 if dof == 6 else 1):
             model = cls(weights, duration, dof)
             missing = target - displacement(model.reproduce(demonstrations.twists[:, 0], duration * grid))
             if dof == 6:
@@ -103,12 +105,9 @@ class MovementPrimitive:
 
 
 def forcing(n_basis: int, phase: Floats, decay: float = DECAY) -> Floats:
-    """Forcing ``(G, B)`` per unit weight at phases ``(G,)``; the basis functions are equally spaced in time.
+    """Forcing ``(G, B)`` per unit weight at phases ``(G,)``, which fall from 1 at the start to e^-k, k the decay.
 
-    Args:
-        n_basis: B, at least 2.
-        phase: s, from 1 at the start.
-        decay: k of the phase, whose value at the end is e^-k.
+    The B >= 2 basis functions are equally spaced in time.
     """
     centres, widths = _basis(n_basis, decay)
     # By logarithms, since far from all centres every function underflows.
@@ -117,8 +116,7 @@ def forcing(n_basis: int, phase: Floats, decay: float = DECAY) -> Floats:
     return phase[:, None] * psi / psi.sum(axis=1, keepdims=True)
 
 
-# Cached, since a policy asks at every step.
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # cached, since a policy asks at every step
 def _basis(n_basis: int, decay: float) -> tuple[Floats, Floats]:
     """Centres and widths ``(B,)`` of the basis functions, in the phase."""
     centres = np.exp(-decay * np.linspace(0.0, 1.0, n_basis))
@@ -134,3 +132,56 @@ def responses(forces: Floats, step: float) -> Floats:
     recursion = [1.0, stiffness + damping - 2.0, 1.0 - damping]
     # In full: `scipy.signal` takes as long to import as all of `planning`, and few processes need it.
     return np.asarray(scipy.signal.lfilter([0.0, step**2], recursion, forces, axis=0))
+
+
+@frozen
+class ProbabilisticPrimitive:
+    """A fitted primitive: the mean motion given the start and the goal, which is affine in the start."""
+
+    path: Floats  # (K, 6) rotations and positions from a start at the goal [rad, m], at equal steps of the duration
+    response: Floats  # (K, 6, 6) derivatives of the path in the coordinates of the start
+    duration: float  # mean duration of the demonstrations [s]
+    n_parameters: int  # number of weights of recorded entries; the covariance is not counted
+
+    name: ClassVar[str] = "promp"
+    durations: ClassVar[float] = 1.0
+
+    @classmethod
+    def fit(cls, demonstrations: Demonstrations, n_parameters: int) -> ProbabilisticPrimitive:
+        """Fit as many basis functions as there are parameters to spend, at least two."""
+        dof, duration = demonstrations.dof, demonstrations.duration
+        shown, scale = shown_part(dof), demonstrations.scale[shown_part(dof)]
+        n_basis = max(2, round(n_parameters / dof))
+        phases = np.linspace(0.0, 1.0, _INSTANTS)
+        basis = _gaussians(n_basis, phases)
+        paths = displacement(at_times(demonstrations.twists, demonstrations.t / duration, phases))[..., shown] * scale
+        ridge = 1e-12  # added to the squared singular values of the least squares
+        inverse = np.linalg.pinv(basis.T @ basis + ridge * np.eye(n_basis)) @ basis.T
+        weights = (inverse @ paths).swapaxes(1, 2).reshape(len(paths), -1)
+        centred = weights - weights.mean(axis=0)
+        added = (_ADDED_DEVIATION * demonstrations.extent) ** 2 * np.eye(len(centred.T))
+        covariance = centred.T @ centred / len(weights) + added
+        # Conditioned on both ends at once, the mean is affine in the start.
+        ends = np.concatenate([np.kron(np.eye(dof), row) for row in basis[[0, -1]]])
+        gain = covariance @ ends.T @ np.linalg.inv(ends @ covariance @ ends.T)
+        mean = weights.mean(axis=0) - gain @ ends @ weights.mean(axis=0)
+        path, response = np.zeros((_INSTANTS, 6)), np.zeros((_INSTANTS, 6, 6))
+        path[:, shown] = basis @ mean.reshape(dof, n_basis).T / scale
+        moved = np.einsum("kb,ibj->kij", basis, gain[:, :dof].reshape(dof, n_basis, dof))
+        response[:, shown, shown] = moved / scale[:, None] * scale
+        return cls(path, response, duration, n_basis * dof)
+
+    def reproduce(self, start: Floats, t: Floats) -> Floats:
+        """As `MotionModel.reproduce`; after the duration the motion rests."""
+        begin = displacement(start.reshape(-1, 6))
+        paths = self.path + np.einsum("kij,nj->nki", self.response, begin)
+        path = twist_of(at_times(paths, np.linspace(0.0, self.duration, _INSTANTS), t))
+        return path.reshape(*start.shape[:-1], len(t), 6)
+
+
+def _gaussians(n_basis: int, phases: Floats) -> Floats:
+    """Normalised Gaussians ``(K, B)`` at phases ``(K,)``."""
+    squared = (phases[:, None] - np.linspace(0.0, 1.0, n_basis)) ** 2
+    # Before they are normalised, they are 0.7 at 1/(2B) from their centres, about half way to the next.
+    psi = np.exp(4.0 * n_basis**2 * np.log(0.7) * squared)
+    return psi / psi.sum(axis=1, keepdims=True)

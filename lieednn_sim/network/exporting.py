@@ -1,20 +1,17 @@
-"""A network as C99: static arrays, no allocation, and the Runge-Kutta step of `dynamics.runge_kutta_step`."""
+"""A network's Runge-Kutta step, that of `dynamics.runge_kutta_step`, as C99 without allocation or a graph of ONNX."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lieednn_sim.errors import InputError
-from lieednn_sim.io import atomic_paths, make_directory
+from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.io import atomic_path, atomic_paths, make_directory
+from lieednn_sim.network.base import BlockNetwork
 from lieednn_sim.values import Floats
-
-if TYPE_CHECKING:
-    from lieednn_sim.network.base import BlockNetwork
 
 _PHI = {"tanh": "tanh(x)", "arctan": "M_2_PI * atan(M_PI_2 * x)"}
 
@@ -141,10 +138,36 @@ void lieednn_retarget(lieednn *net, const double target[LIEEDNN_VISIBLE])
 }
 """)
 
-_HIDDEN_ARRAYS = Template("""\
-/* Hidden neurons start at hidden_start$and. */
-static const double hidden_start[HIDDEN] = $hidden_start;
-$gains""")
+# The field at one stage's state, in ONNX's own notation.
+_STAGE = """
+    output{k} = Tanh(x{k})
+    product{k} = MatMul(output{k}, weight)
+    driven{k} = Add(product{k}, bias)
+    decay{k} = Mul(gamma, x{k})
+    rate{k} = Sub(driven{k}, decay{k})
+"""
+# Doubles of MatMul, Add and Tanh need operators of 17; every runtime of the last years has them.
+_MODEL = f"""<ir_version: 8, opset_import: ["": 17]>
+lieednn_step (double[{{size}}] x, double h, double[{{size}}] bias) => (double[{{size}}] x_next) {{{{
+    x1 = Identity(x)
+    half_h = Mul(half, h)
+    {_STAGE.format(k=1)}
+    way1 = Mul(half_h, rate1)
+    x2 = Add(x, way1)
+    {_STAGE.format(k=2)}
+    way2 = Mul(half_h, rate2)
+    x3 = Add(x, way2)
+    {_STAGE.format(k=3)}
+    way3 = Mul(h, rate3)
+    x4 = Add(x, way3)
+    {_STAGE.format(k=4)}
+    inner = Add(rate2, rate3)
+    twice = Mul(two, inner)
+    sum = Sum(rate1, twice, rate4)
+    sixth_h = Div(h, six)
+    way = Mul(sixth_h, sum)
+    x_next = Add(x, way)
+}}}}"""
 
 
 def write_c(network: BlockNetwork, activation: str, folder: str | os.PathLike[str]) -> Path:
@@ -205,9 +228,8 @@ def _hidden(network: BlockNetwork) -> dict[str, str]:
             f"            net->x[LIEEDNN_VISIBLE + i] += {term};",
             "    }",
         ]
-    hidden = _HIDDEN_ARRAYS.substitute(
-        {"and": law, "hidden_start": _array(network.hidden_start.ravel()), "gains": gains}
-    )
+    hidden = f"/* Hidden neurons start at hidden_start{law}. */\n"
+    hidden += f"static const double hidden_start[HIDDEN] = {_array(network.hidden_start.ravel())};\n{gains}"
     return {"hidden_arrays": hidden, "start": "\n".join(start)}
 
 
@@ -221,3 +243,32 @@ def _array(values: Floats) -> str:
     if np.ndim(values) == 1:
         return "{" + ", ".join(map(_number, values)) + "}"
     return "{\n" + ",\n".join(map(_array, values)) + "}"
+
+
+def write_onnx(network: BlockNetwork, activation: str, path: str | os.PathLike[str]) -> None:
+    """Write the graph to a file; see `ComponentwiseNetwork.to_onnx`."""
+    try:
+        import onnx
+        import onnx.parser
+    except ImportError:
+        raise LieEDNNError("to_onnx needs the library onnx: pip install 'lieednn_sim[onnx]'") from None
+    if activation != "tanh":
+        raise InputError(f"an ONNX graph is made of tanh, not of the activation {activation!r}")
+    size, driven = network.bias.size, len(network.driven_weight)
+    constants = {
+        # Rows of zeros let every stage be a sum of vectors of one size.
+        "weight": np.vstack([network.mu * network.driven_weight, np.zeros((size - driven, size))]).T,
+        "gamma": np.array(network.gamma),
+        "half": np.array(0.5),
+        "two": np.array(2.0),
+        "six": np.array(6.0),
+        # An input with an initialiser may be left out by the caller.
+        "bias": network.mu * network.bias.ravel(),
+    }
+    model = onnx.parser.parse_model(_MODEL.format(size=size))
+    model.graph.initializer.extend(onnx.numpy_helper.from_array(value, name) for name, value in constants.items())
+    proof = str(network.certificate) if network.certificate is not None else "not certified"
+    onnx.helper.set_model_props(model, {"certificate": proof})
+    onnx.checker.check_model(model)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(model.SerializeToString())

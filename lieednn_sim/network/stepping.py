@@ -1,0 +1,123 @@
+"""Steps of a network in real time: by the Runge-Kutta method, or exact where its hidden neurons have no inputs.
+
+`RungeKuttaStepper` makes few products of small arrays. With u(x) = (mu / gamma) W phi(x) and the pull v = (mu / gamma)
+b, a network is x' = gamma (v + u(x) - x). So every stage of a step h is a sum of x, v and the u of the stages before
+it, whose factors are polynomials of z = gamma h. A stage takes one product for the state and one for its u. The result
+is that of `dynamics.runge_kutta_step` up to rounding.
+
+For `UndrivenState`, with gamma time z and the hidden rest state a, the hidden neurons are h = a + (h_0 - a) e^-z, and
+the visible ones obey x' = u(h) - x with u(h) = (mu / gamma) (W phi(h) + b), so that
+
+    x(z) = x_d + (x_0 - x_d) e^-z + integral_0^z e^-(z - s) (u(h(s)) - x_d) ds,    x_d = u(a).
+
+The integrand vanishes at rest, so x_d is kept exactly; Gauss's rule with three nodes integrates it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lieednn_sim.errors import InputError
+from lieednn_sim.network.componentwise import ComponentwiseNetwork
+from lieednn_sim.network.dynamics import runge_kutta_step
+from lieednn_sim.network.se3 import LieEDNN
+from lieednn_sim.values import Floats
+
+# Stages of the classical Runge-Kutta method, and the powers of z = -gamma h that its states hold.
+_STAGES = 4
+_POWERS = np.arange(1.0 + _STAGES)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+# Gauss's positions in a step, the last one its end, and weights of the first three.
+_PLACES, _SHARES = np.append(0.5 * (1.0 + _NODES), 1.0), 0.5 * _WEIGHTS
+
+
+def _factors() -> Floats:
+    """Factors of x, v and u_1 to u_4 in the states of stages 2 to 4 and of the end, at powers of z; ``(24, 5)``."""
+    parts = 2 + _STAGES
+    x, v, *drives = np.eye(parts)[..., None] * np.eye(1, len(_POWERS))
+    states = []
+
+    def field(state: Floats) -> Floats:
+        states.append(state)
+        return np.roll(v + drives[len(states) - 1] - state, 1, axis=-1)  # gamma h is one power of z more
+
+    end = runge_kutta_step(field, x, 1.0)
+    return np.array([*states[1:], end]).reshape(_STAGES * parts, -1)
+
+
+_FACTORS = _factors()
+
+
+class RungeKuttaStepper:
+    """Runge-Kutta steps of a network's flat state with any pull v instead of its bias."""
+
+    def __init__(self, network: ComponentwiseNetwork) -> None:
+        self._network = network
+        self._weight, self._phi = network.mu / network.gamma * network.driven_weight, network.phi
+        self._parts = np.zeros((2 + _STAGES, network.bias.size))  # the u of neurons without inputs stays zero
+        self._later = [self._parts[k, : len(self._weight)] for k in range(3, 2 + _STAGES)]
+
+    def __reduce__(self) -> tuple[type[RungeKuttaStepper], tuple[ComponentwiseNetwork]]:
+        return RungeKuttaStepper, (self._network,)  # in a copy entry by entry the views would be arrays of their own
+
+    def drive(self, x: Floats) -> Floats:
+        """The input u(x) ``(dN,)`` of a flat state ``(dN,)``."""
+        drive = np.zeros(len(x))
+        np.dot(self._weight, self._phi(x), out=drive[: len(self._weight)])
+        return drive
+
+    def step(self, x: Floats, drive: Floats, pull: Floats, z: float) -> tuple[Floats, Floats]:
+        """The state after a step of gamma h = z, and its u, from a state, its u and the pull, all ``(dN,)``."""
+        parts = self._parts
+        parts[0], parts[1], parts[2] = x, pull, drive
+        factors = _FACTORS.dot((1.0, z, z**2, z**3, z**4)).reshape(_STAGES, -1)
+        for factor, later in zip(factors, self._later, strict=False):
+            self._weight.dot(self._phi(factor.dot(parts)), out=later)
+        end = factors[-1].dot(parts)
+        return end, self.drive(end)
+
+
+class UndrivenState:
+    """The state of a network whose hidden neurons have no inputs, from visible neurons ``(N, 6)`` and its hidden start.
+
+    Attributes:
+        x: ``(6N,)`` visible state.
+        target: ``(6N,)`` visible equilibrium x_d.
+        flow: ``(6N,)`` visible part of the field, per unit of z.
+
+    Raises:
+        InputError: hidden neurons have inputs, or visible ones have some from each other.
+    """
+
+    def __init__(self, network: LieEDNN, visible: Floats) -> None:
+        size = 6 * network.n_visible
+        ratio = network.mu / network.gamma
+        driven = ratio * network.driven_weight
+        if len(driven) > size or driven[:, :size].any():
+            raise InputError("only visible neurons may have inputs, and only from hidden ones")
+        self._weight, self._phi = driven[:, size:], network.phi
+        self._rest = ratio * network.bias[network.n_visible :].ravel()
+        self._off = network.hidden_start.ravel() - self._rest
+        self._resting = self._weight @ self._phi(self._rest)
+        self.target = ratio * network.bias[: network.n_visible].ravel() + self._resting
+        self._left = 1.0
+        self.x = visible.ravel()
+        self.flow = self._input(np.ones(1))[0] + self.target - self.x
+
+    def _input(self, left: Floats) -> Floats:
+        """U(h) - x_d ``(m, 6N)`` where e^-z is ``(m,)``."""
+        return np.asarray(self._phi(self._rest + left[:, None] * self._off) @ self._weight.T - self._resting)
+
+    def advance(self, z: float) -> None:
+        """Advance by a time z of 1/gamma."""
+        # Switches are less steep than the inverse of the largest fall of e^-z in a step.
+        count = max(1, math.ceil(self._left * -math.expm1(-z) / 0.02))
+        step = z / count
+        for _ in range(count):
+            inputs = self._input(self._left * np.exp(-step * _PLACES))
+            weights = step * _SHARES * np.exp(step * (_PLACES[:3] - 1.0))
+            self.x = self.target + math.exp(-step) * (self.x - self.target) + weights @ inputs[:3]
+            self._left *= math.exp(-step)
+        self.flow = inputs[3] + self.target - self.x
