@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from lieednn_sim.arm import TaskSpaceRegion as TaskSpaceRegion
     from lieednn_sim.arm import solve_ik as solve_ik
     from lieednn_sim.arm.targets import draw_target as draw_target
+    from lieednn_sim.budget import reporting as reporting
+    from lieednn_sim.budget import time_limit as time_limit
     from lieednn_sim.errors import LieEDNNError as LieEDNNError
     from lieednn_sim.errors import PlanError as PlanError
     from lieednn_sim.evaluation import evaluate as evaluate
@@ -63,6 +65,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "arm": ("Arm", "TaskSpaceRegion", "solve_ik"),
     "arm.targets": ("draw_target",),
+    "budget": ("reporting", "time_limit"),
     "errors": ("LieEDNNError", "PlanError"),
     "evaluation": ("evaluate", "evaluate_following"),
     "evaluation.plots": ("plot",),

@@ -75,7 +75,7 @@ CHANGING |= {*POLICY_CLASSES}
 
 def _policy(kind: str, **how: Any) -> Any:
     arm, motion = thing("Arm"), thing("Motion")
-    return policies.make_policy(kind, arm, motion.q[-1], start=motion.q[0], motion=motion, **how)
+    return policies.make_policy(kind, arm, motion, start=motion.q[0], **how)
 
 
 def _table() -> Any:
@@ -132,7 +132,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Simulation": lambda: simulation.Simulation(thing("Arm")),
     "Log": lambda: simulation.Log(simulation.Simulation(thing("Arm"))),
     **{name: functools.partial(_policy, kind) for name, kind in POLICY_CLASSES.items()},
-    "FilteredPolicy": lambda: _policy("linear-attractor", safety=policies.FilterOptions()),
+    "FilteredPolicy": lambda: policies.FilteredPolicy(_policy("linear-attractor")),
     "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), len(thing("Motion").q), None),
     "Controller": lambda: simulation.CONTROLLERS["position-servo"].load()(thing("Arm"), thing("Reference")),
     "Evaluation": lambda: ls.evaluate(thing("Rollout")),

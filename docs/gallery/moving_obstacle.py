@@ -38,7 +38,7 @@ walk = MovingObstacle("obstacle_pole", times=(0.8, 1.6), positions=places)
 walks = ls.Disturbances(obstacles=(walk,))
 rollouts = {}
 for name in ("tracker", "lieednn-replanning"):
-    policy = ls.make_policy(name, arm, target, motion=motion, rate=50)
+    policy = ls.make_policy(name, arm, motion, rate=50)
     shown = ls.follow(policy, target, 6.0, disturbances=walks).rollout
     rollouts[name], judged = shown, ls.evaluate(shown)
     force, away = judged.peak_contact_force_n, judged.final_effector_mm

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from lieednn_sim import io
+from lieednn_sim.budget import reporting
 from lieednn_sim.cli.arguments import Goal
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
@@ -85,8 +86,8 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
     print_import_report(arm)
     saved: LieEDNN | None = None
     for seed in range(task.seed, task.seed + count):
-        with progress("train") as report:
-            result = learner(seed=seed, progress=report)
+        with progress("train") as bar, reporting(bar):
+            result = learner(seed=seed)
         # Learning does not need a proof; the network is saved and reported with one where it is found.
         network = result.network.try_certify() if result.success and isinstance(result.network, LieEDNN) else None
         motion = refusal = None
@@ -117,7 +118,7 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
 
 
 def _learner(asked: Learning, xi: Floats) -> Callable[..., TrainingResult]:
-    """A function that learns a network from the arguments ``seed`` and ``progress``."""
+    """A function that learns a network from the argument ``seed``."""
     make = ALGORITHMS.find(asked.algorithm).load()
     changes = {"period": asked.period, "max_epochs": asked.epochs, "tolerance": asked.tolerance}
     given = {key: value for key, value in changes.items() if value is not None}

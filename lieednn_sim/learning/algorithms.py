@@ -11,7 +11,7 @@ from lieednn_sim.learning.manifold import GroupWeights, QuaternionWeights, SE3We
 from lieednn_sim.learning.options import RiemannianOptions, TrainingOptions
 from lieednn_sim.learning.projected import ProjectedTraining
 from lieednn_sim.learning.riemannian import RiemannianTraining
-from lieednn_sim.learning.training import Progress, TrainingProblem, TrainingResult
+from lieednn_sim.learning.training import TrainingProblem, TrainingResult
 from lieednn_sim.network import DEFAULT_ACTIVATION
 from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.theory.matrix_group import MatrixLieGroup
@@ -29,12 +29,13 @@ def train(
     group: MatrixLieGroup | QuaternionWeights | None = None,
     initial_weight: ArrayLike | None = None,
     seed: Seed = 0,
-    progress: Progress | None = None,
 ) -> TrainingResult:
     """Learn weights whose equilibrium is the target.
 
     `TrainingOptions` ask for the paper's Algorithm 1 and its variants, which project the weights onto the manifold
     every few epochs; `RiemannianOptions` for steps on the manifold itself, which may learn a certificate as well.
+
+    Who `reporting` names is told of the epochs done, and of their largest number.
 
     A single neuron reaches few targets, since one block rotates omega and v together and keeps the angle between them.
 
@@ -48,7 +49,6 @@ def train(
         initial_weight: ``(Nd, Nd)`` weights of the first start; by default, and for every other start, random ones of
             1-norm 1, as in the paper.
         seed: seed of the initial weights; the same seed gives the same network.
-        progress: called with the epochs done and the largest number of epochs.
 
     Returns:
         The outcome; where `success` is false, `reason` says why. Certified training succeeds only with a network that
@@ -74,7 +74,7 @@ def train(
     chosen = TrainingOptions() if options is None else options
     with one_blas_thread():
         if isinstance(chosen, TrainingOptions):
-            return ProjectedTraining(problem, chosen, progress).run(first)
+            return ProjectedTraining(problem, chosen).run(first)
         if group is not None:
             raise InputError("learning on the manifold itself is for SE(3); use TrainingOptions for another group")
-        return RiemannianTraining(problem, chosen, progress).run(first)
+        return RiemannianTraining(problem, chosen).run(first)

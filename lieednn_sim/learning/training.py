@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import fields, replace
 from enum import StrEnum
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -13,15 +12,13 @@ import numpy as np
 from scipy.linalg.lapack import dlange
 
 from lieednn_sim import io
-from lieednn_sim.budget import cpu_time
+from lieednn_sim.budget import cpu_time, report
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.manifold import Network, WeightManifold, WeightPoint
 from lieednn_sim.learning.options import LearningOptions
 from lieednn_sim.learning.sensitivity import EquilibriumSolver, FlatEquilibrium
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, check_fields, frozen
-
-Progress = Callable[[int, int], None]  # called with the epochs done and the most epochs
 
 
 @frozen
@@ -208,8 +205,8 @@ class Iterate(NamedTuple):
 class Training(ABC, Generic[_Options]):
     """A training; subclasses say how weights change from one epoch to the next."""
 
-    def __init__(self, problem: TrainingProblem, options: _Options, progress: Progress | None) -> None:
-        self.problem, self.options, self._progress = problem, options, progress
+    def __init__(self, problem: TrainingProblem, options: _Options) -> None:
+        self.problem, self.options = problem, options
         self.manifold, self.goal, self.ratio = problem.manifold, problem.target.ravel(), problem.ratio
         self.solver = EquilibriumSolver(problem.bias, problem.ratio, problem.activation)
         self.recorder = Recorder(problem.target, options.tolerance)
@@ -252,8 +249,7 @@ class Training(ABC, Generic[_Options]):
         reason = None if now.equilibrium.success else StopReason.LOST_EQUILIBRIUM
         while reason is None:
             now, reason = self.advance(now, end)
-            if self._progress is not None:
-                self._progress(self.epoch, self.options.most_epochs)
+            report(self.epoch, self.options.most_epochs)
         self.recorder.add(self.epoch, now.equilibrium.x, now.rate, now.weight)
         return now, reason
 

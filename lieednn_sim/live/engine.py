@@ -19,7 +19,7 @@ from lieednn_sim.live.settings import PLANNED, Settings
 from lieednn_sim.network import BlockNetwork
 from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.policies import FilteredPolicy, FilterOptions, MotionTracker, NetworkPolicy, Policy, make_policy
+from lieednn_sim.policies import FilteredPolicy, MotionTracker, NetworkPolicy, Policy, make_policy
 from lieednn_sim.simulation.disturbances import Push
 from lieednn_sim.simulation.following import ClosedLoop
 from lieednn_sim.stability import Certificate
@@ -124,10 +124,11 @@ def make_for(
         with reporting(lambda *_: check()):
             motion = plan(arm, target, planner=settings.planner, start=start, seed=seed).motion
     options = ShapedOptions(rate=settings.rho) if settings.policy == "lieednn-shaped" else None
-    safety = FilterOptions() if settings.filtered else None
-    policy = make_policy(
-        settings.policy, arm, target, rate=rate, start=start, motion=motion, safety=safety, options=options, seed=seed
-    )
+    goal = target if motion is None else motion
+    policy = make_policy(settings.policy, arm, goal, rate=rate, start=start, options=options, seed=seed)
+    if settings.filtered:
+        policy = FilteredPolicy(policy)
+        policy.reset(start)
     check()
     inner = network_policy(policy)
     return Made(settings, policy, motion, None if inner is None else Progress.of(inner))

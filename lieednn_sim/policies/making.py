@@ -15,7 +15,6 @@ from lieednn_sim.planning import Motion, Plan, plan
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
-from lieednn_sim.policies.safety_filter import FilteredPolicy, FilterOptions
 from lieednn_sim.registry import POLICIES
 from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields
@@ -28,7 +27,7 @@ class PolicyTask:
     """The task for which a policy is made.
 
     Its fields are the arguments of `make_policy`, with joint coordinates ``(n,)`` for start and first target, and
-    ``given`` for what was given as ``motion``.
+    ``given`` for a plan or motion that was given.
 
     Raises:
         InputError: a value is malformed.
@@ -78,28 +77,26 @@ def register_policy(name: str, options: type[PlannerOptions] | None = None) -> C
 def make_policy(
     name: str,
     arm: Arm,
-    target: ArrayLike | str,
+    target: ArrayLike | str | Plan | Motion,
     *,
     rate: float = 100.0,
     start: ArrayLike | str = "home",
-    motion: Motion | Plan | None = None,
     feedback: Feedback | None = FEEDBACK,
-    safety: FilterOptions | None = None,
     convergence_rate: float = 2.0,
     options: PlannerOptions | None = None,
     seed: Seed = 0,
 ) -> Policy:
-    """Make a policy by name, reset at the start.
+    """Make a policy by name, reset at the start; `FilteredPolicy` puts a safety filter around it.
 
     Args:
         name: a name of `POLICIES`.
         arm: the arm, in its scene.
         target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; a step may have another.
+            Or a plan or a motion, which ends there: the one that ``tracker`` tracks, and ``dmp`` and
+            ``lieednn-replanning`` begin with. By default these plan one.
         rate: control rate [Hz].
         start: joint coordinates ``(n,)`` at the beginning, or a keyframe's name.
-        motion: what ``tracker`` tracks and ``dmp`` imitates, from start to target; by default a planned one.
         feedback: settings of the feedback from the measured joints; None for no feedback.
-        safety: settings of a safety filter around the policy; None for none.
         convergence_rate: rate at which a policy without a motion approaches the target [1/s].
         options: options of the policy, of its class in `POLICIES`; by default that class's defaults.
         seed: seed of random draws; the same seed gives the same policy.
@@ -111,12 +108,14 @@ def make_policy(
     """
     entry = POLICIES.find(name)
     given = given_options(f"the policy {name!r}", entry.options, options)
-    ends = arm.check_start(start), arm.configuration(target, "target")
-    task = PolicyTask(arm, *ends, rate, feedback, convergence_rate, as_seed("seed", seed), motion)
+    planned = target if isinstance(target, Plan | Motion) else None
+    if isinstance(target, Plan):
+        target = target.target if len(target.target) else target.motion
+    end = target.q[-1] if isinstance(target, Motion) else target
+    ends = arm.check_start(start), arm.configuration(end, "target")
+    task = PolicyTask(arm, *ends, rate, feedback, convergence_rate, as_seed("seed", seed), planned)
     policy = entry.load()(task, *given)
     if not isinstance(policy, Policy):
         raise InputError(f"policy {name!r} must be a Policy, its function returned {type(policy).__name__}")
-    if safety is not None:
-        policy = FilteredPolicy(policy, safety)
     policy.reset(task.start)
     return policy

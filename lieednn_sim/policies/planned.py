@@ -1,7 +1,7 @@
 """Policies of a planned motion: one plays it, the other, a dynamic movement primitive, imitates it.
 
-The primitive's basis functions are those of `learning.demonstrations.primitives` and of the planner ``dmp``. The planner
-makes a whole motion; the policy advances step by step, its phase waits for the arm, and its target may move.
+The primitive's basis functions are those of `learning.demonstrations.primitives` and of the planner ``dmp``. The
+planner makes a whole motion; the policy advances step by step, its phase waits for the arm, and its target may move.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
+from lieednn_sim.budget import reporting
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning import ALGORITHMS, StopReason, TrainingOptions, train
 from lieednn_sim.learning.manifold import block_view
@@ -235,7 +236,8 @@ def test_first_weights_can_be_chosen():
 
 def test_progress_is_reported():
     calls: list[tuple[int, int]] = []
-    train(target(0), TrainingOptions(max_epochs=35), progress=lambda done, total: calls.append((done, total)))
+    with reporting(lambda done, total: calls.append((done, total))):
+        train(target(0), TrainingOptions(max_epochs=35))
     assert calls == [(10, 35), (20, 35), (30, 35), (35, 35)] + [(35, 35)] * (len(calls) - 4)
 
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from lieednn_sim.budget import reporting
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning import RiemannianOptions, StopReason, train
 from lieednn_sim.learning.manifold import SE3Weights
@@ -180,7 +181,8 @@ def test_gauss_newton_arrives_at_a_stable_equilibrium_along_a_path_without_jumps
 def test_every_gradient_step_lowers_the_error():
     seen = []
     options = RiemannianOptions(direction="gradient", restarts=0, max_start_epochs=150)
-    result = train(target(1), options, seed=1, progress=lambda *epochs: seen.append(epochs))
+    with reporting(lambda *epochs: seen.append(epochs)):
+        result = train(target(1), options, seed=1)
     assert (np.diff(result.history.error) < 0.0).all()
     assert result.history.error[-1] < 0.7 * result.history.error[0]
     assert result.reason is StopReason.EPOCHS_SPENT

@@ -44,7 +44,10 @@ def test_every_policy_arrives_and_a_reset_begins_anew_to_the_bit(name, gantry):
 
 @pytest.mark.parametrize(("name", "safety"), [*((name, None) for name in POLICIES), ("fabric", FilterOptions())])
 def test_a_copy_goes_on_as_the_policy_does(name, safety, gantry):
-    policy = make_policy(name, gantry, GOAL, rate=50.0, safety=safety)
+    policy = make_policy(name, gantry, GOAL, rate=50.0)
+    if safety is not None:
+        policy = FilteredPolicy(policy, safety)
+        policy.reset(gantry.keyframe("home"))
     for _ in range(10):
         policy.step(policy.q, GOAL)
     copies = [copy.deepcopy(policy), pickle.loads(pickle.dumps(policy))]
@@ -129,8 +132,8 @@ def test_networks_by_name_converge_at_the_rate_asked_for(name, options, gantry):
 def test_the_filter_goes_around_any_policy(gantry):
     # The ball of 0.1 m would be in the floor, which is at -1 m.
     low = np.array([0.0, 0.0, -1.2, 0.0])
-    policy = make_policy("linear-attractor", gantry, low, rate=50.0, safety=FilterOptions())
-    assert isinstance(policy, FilteredPolicy)
+    policy = FilteredPolicy(make_policy("linear-attractor", gantry, low, rate=50.0))
+    policy.reset(gantry.keyframe("home"))
     for _ in range(200):
         q, _ = policy.step(policy.q, low)
         assert q[2] > -0.9

@@ -11,7 +11,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.transition import straight
-from lieednn_sim.policies import Feedback, FilterOptions, ReplanningOptions, ReplanningPolicy, make_policy, replanning
+from lieednn_sim.policies import Feedback, FilteredPolicy, ReplanningOptions, ReplanningPolicy, make_policy, replanning
 from lieednn_sim.policies.surroundings import Surroundings
 from lieednn_sim.simulation import Disturbances, MovingObstacle, Push, follow
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
@@ -100,15 +100,21 @@ def test_it_goes_around_a_pole_that_walks_into_its_way(beside):
 def test_others_also_see_where_the_pole_is(name, beside):
     """They stop before it; the one without a filter does not see it."""
     target = ACROSS * [1.0, 1.0, 1.0, 0.0]
-    safety = FilterOptions() if name == "linear-attractor" else None
     walk = Disturbances(obstacles=(MovingObstacle("obstacle_pole", (0.0, 0.1), ((3.0, 0.8, 0.0), (1.0, 0.8, 0.0))),))
-    policy = make_policy(name, beside, target, rate=50.0, safety=safety, feedback=None)
+
+    def made():
+        policy = make_policy(name, beside, target, rate=50.0, feedback=None)
+        policy = FilteredPolicy(policy) if name == "linear-attractor" else policy
+        policy.reset(np.zeros(4))
+        return policy
+
+    policy = made()
     assert not follow(policy, target, 1.5, disturbances=walk).rollout.contacts.any()
-    if safety:
+    if name == "linear-attractor":
         assert follow(policy.inner, target, 1.5, disturbances=walk).rollout.contacts.any()
     # A reset puts the pole back.
     policy.reset(np.zeros(4))
-    fresh = make_policy(name, beside, target, rate=50.0, safety=safety, feedback=None)
+    fresh = made()
     for each in (policy, fresh):
         for _ in range(100):
             each.step(None, target)

@@ -22,10 +22,10 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import LIMIT_MARGIN
 from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.evaluation.metrics import evaluate
-from lieednn_sim.planning import ShapedOptions, plan
+from lieednn_sim.planning import Plan, ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.policies import FilterOptions, Policy, make_policy
+from lieednn_sim.policies import FilteredPolicy, Policy, make_policy
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
 from lieednn_sim.studies import markdown
 from lieednn_sim.studies.comparison.study import FREE, arm_and_target
@@ -129,18 +129,12 @@ class Task:
     def policy(self, name: str, *, obstructed: bool = False) -> Policy:
         """A policy of `COMPARED` for this task, or for one with a moving obstacle."""
         kind, options, filtered = COMPARED[name]
-        safety = FilterOptions() if filtered and (obstructed or self.scene != FREE) else None
-        return make_policy(
-            kind,
-            self.arm,
-            self.target,
-            rate=100.0,
-            motion=self.motion,
-            safety=safety,
-            convergence_rate=2.0,
-            options=options,
-            seed=self.seed,
-        )
+        goal = Plan(self.motion, target=self.target)
+        policy = make_policy(kind, self.arm, goal, rate=100.0, convergence_rate=2.0, options=options, seed=self.seed)
+        if filtered and (obstructed or self.scene != FREE):
+            policy = FilteredPolicy(policy)
+            policy.reset(self.motion.q[0])
+        return policy
 
 
 def run_reactions(
