@@ -77,10 +77,10 @@ def test_after_the_last_change_it_is_the_network_itself(gantry):
 def test_it_goes_around_a_pole_that_walks_into_its_way(beside):
     pytest.importorskip("ompl")
     motion = plan(beside, ACROSS, planner="minimum-jerk", duration=3.0).motion
-    make = {"motion": motion, "rate": 50.0, "start": np.zeros(4)}
-    touched = follow(make_policy("tracker", beside, ACROSS, **make), ACROSS, 3.0, disturbances=coming())
+    make = {"rate": 50.0, "start": np.zeros(4)}
+    touched = follow(make_policy("tracker", beside, motion, **make), ACROSS, 3.0, disturbances=coming())
     assert touched.rollout.contacts.any()
-    policy = make_policy("lieednn-replanning", beside, ACROSS, **make)
+    policy = make_policy("lieednn-replanning", beside, motion, **make)
     rollout, again = (follow(policy, ACROSS, end, disturbances=coming()).rollout for end in (4.5, 2.0))
     # To the bit, though the search is in another thread.
     np.testing.assert_array_equal(rollout.q[: len(again.q)], again.q)
