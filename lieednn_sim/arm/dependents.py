@@ -6,12 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import JOINT_KINDS
 from lieednn_sim.arm.closed_loops import ClosedLoops
 from lieednn_sim.arm.coordinates import Line, Sum
-from lieednn_sim.arm.equalities import dof_addresses, equality_name, involved_joints, names, position_addresses
+from lieednn_sim.arm.equalities import (
+    Residuals,
+    dof_addresses,
+    equality_name,
+    involved_joints,
+    names,
+    position_addresses,
+)
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
@@ -242,6 +250,22 @@ def independent_joints(model: mujoco.MjModel, chosen: Sequence[int]) -> list[int
                 continue
             led.add(seen[-1])
         result.append(joint)
+    return result
+
+
+def freely_moving(model: mujoco.MjModel, qpos: Floats, joints: Sequence[int]) -> list[int]:
+    """Those of some joints that can move independently of the ones before them, where closed loops are at ``(nq,)``."""
+    kinds = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
+    loops = np.flatnonzero(model.eq_active0 & np.isin(model.eq_type, kinds)).tolist()
+    if not loops:
+        return list(joints)
+    data = mujoco.MjData(model)
+    freedom = scipy.linalg.null_space(Residuals(model, data, loops, ()).at(qpos)[1], rcond=1e-9)
+    result: list[int] = []
+    for joint in joints:
+        dofs = dof_addresses(model, [*result, joint])
+        if np.linalg.matrix_rank(freedom[dofs], tol=1e-9) == len(dofs):
+            result.append(joint)
     return result
 
 

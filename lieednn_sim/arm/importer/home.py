@@ -60,10 +60,10 @@ def move_inside(arm: ModelArm, notes: list[str]) -> Floats:
     """Home ``(n,)``, kept 5 % of each range off the limits."""
     given, (low, high) = arm.keyframe("home"), arm.position_limits.T
     spare = MARGIN * (high - low)
-    balls = arm.space.balls.ravel()
-    inside = arm.within_angles(np.clip(given, low + spare, high - spare)) * np.where(
-        np.isin(np.arange(len(given)), balls) & (arm.limit_excess(given) > -spare), 1.0 - MARGIN, 1.0
-    )
+    inside = np.clip(given, low + spare, high - spare)
+    for ball in arm.space.balls:
+        angle = max(float(np.linalg.norm(given[ball])), 1e-300)
+        inside[ball] = given[ball] * min(1.0, (1.0 - MARGIN) * high[ball[0]] / angle)
     moved = [name for name, a, b in zip(arm.joint_names, inside, given, strict=True) if abs(a - b) > 1e-9]
     notes += [f"{name}: moved off its limits in the keyframe 'home'" for name in moved]
     return np.where(np.abs(inside - given) > 1e-9, inside, given)

@@ -70,7 +70,7 @@ def import_model(
     replace_integrator(spec, notes)
     compiled = compile_spec(spec)
     label, keyframe, qpos = choose_home(spec, compiled, given.get("keyframe"), given.get("home", {}), notes)
-    named = choose_chain(compiled, options, notes)
+    named = choose_chain(compiled, qpos, options, notes)
     qpos = fix_base(spec, compiled, _first_body(compiled, named), qpos, notes)
 
     def viewed() -> ModelArm:

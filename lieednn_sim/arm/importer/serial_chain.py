@@ -13,10 +13,12 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.chain import chain_joints, joint_groups
 from lieednn_sim.arm.checks import ancestry, joints_of
 from lieednn_sim.arm.coupled_joints import coefficients, driven_directly, driven_tendons
-from lieednn_sim.arm.dependents import tied_joints
+from lieednn_sim.arm.dependents import freely_moving, tied_joints
+from lieednn_sim.arm.equalities import involved_joints
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame, listed
 from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import InputError
+from lieednn_sim.values import Floats
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _TOOL = re.compile(r"tcp|tool|(^|_)ee($|_)|end.?effector|flange|grasp|pinch|attachment", re.IGNORECASE)
@@ -24,8 +26,10 @@ _FINGER = re.compile(r"jaw|finger|fngr|claw|pincer", re.IGNORECASE)
 _GRIPPER = re.compile(_FINGER.pattern + r"|grip", re.IGNORECASE)  # a body of that name may be the one it is fixed to
 
 
-def choose_chain(model: mujoco.MjModel, options: ImportOptions, notes: list[str]) -> dict[str, Any]:
+def choose_chain(model: mujoco.MjModel, qpos: Floats, options: ImportOptions, notes: list[str]) -> dict[str, Any]:
     """What names the arm, as arguments of `Arm.of`: the options, the sites of the package's arms, or the longest chain.
+
+    Of a chain that is found, joints that closed loops move are left out; ``qpos`` ``(nq,)`` is where the loops are.
 
     Raises:
         InputError: there is no such arm, or the choice is ambiguous.
@@ -48,7 +52,7 @@ def choose_chain(model: mujoco.MjModel, options: ImportOptions, notes: list[str]
             f"the end effector is {body_frame(model, last).name!r}; tip={tools[0]!r} (--tip) would choose that, of the "
             f"frames named like a tool: {', '.join(tools)}"
         )
-    return {**named, "joints": [model.joint(joint).name for joint in chain]}
+    return {**named, "joints": [model.joint(joint).name for joint in freely_moving(model, qpos, chain)]}
 
 
 def _tools(model: mujoco.MjModel, last: int) -> list[str]:
@@ -63,9 +67,10 @@ def longest_chain(model: mujoco.MjModel, base: str | None, tip: int | None = Non
     """Base frame and last moving body of the chain with the most driven joints, or of that to the body of a tip.
 
     A joint counts when an actuator drives it, directly or through a fixed tendon, or when an equality ties it to such a
-    joint; in a model without such actuators all joints count. A hand at the end of a path is cut off: what lies beyond
-    a fork when it is shorter than what lies before it and another branch is at least half as long, and a last joint
-    that joints off the path follow, as the fingers of a gripper do, or that is named like a gripper (`is_gripper`).
+    joint, or closes a loop with it; in a model without such actuators all joints count. A hand at the end of a path is
+    cut off: what lies beyond a fork when it is shorter than what lies before it and another branch is at least half as
+    long, and a last joint that joints off the path follow, as the fingers of a gripper do, or that is named like a
+    gripper (`is_gripper`).
 
     Raises:
         InputError: there is no such joint, or several chains are equally long.
@@ -120,8 +125,9 @@ def _driven_joints(model: mujoco.MjModel) -> set[int]:
     driven = usable & driven_directly(model).union(*(coefficients(model, t) for t in driven_tendons(model)))
     if not driven:
         return usable
-    ties = tied_joints(model)
-    while more := {joint for pair in ties if driven.intersection(pair) for joint in pair} - driven:
+    # Actuators also act through ties and loops.
+    ties = [involved_joints(model, int(equality)) & usable for equality in np.flatnonzero(model.eq_active0)]
+    while more := {joint for tie in ties if driven & tie for joint in tie} - driven:
         driven |= more
     return driven
 

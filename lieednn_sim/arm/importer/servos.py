@@ -14,7 +14,7 @@ from lieednn_sim.arm.chain import chain_joints
 from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.dependents import tied_joints
 from lieednn_sim.arm.equalities import dof_addresses
-from lieednn_sim.arm.forces import actuator_moments, force_ranges, servo_gains, tangent_basis
+from lieednn_sim.arm.forces import actuator_moments, force_ranges, servo_gains
 from lieednn_sim.arm.importer.loading import compile_spec, unused
 from lieednn_sim.arm.importer.report import Servo
 from lieednn_sim.arm.limits import largest_inertia
@@ -76,7 +76,7 @@ def add_servos(spec: mujoco.MjSpec, arm: ModelArm, configurations: Floats, rule:
     """
     if rule == "none":
         return set()
-    model, basis = arm.model, tangent_basis(arm.space)
+    model, basis = arm.model, arm.unit_rates()
     moments: Floats = np.abs(actuator_moments(model))
     ranges, moving = force_ranges(model, basis), (moments @ np.abs(basis)).max(axis=1, initial=0.0) > 1e-9
     holders = [*_holders(arm, np.asarray(moments.any(axis=0)), configurations[0])]
@@ -103,7 +103,7 @@ def add_servos(spec: mujoco.MjSpec, arm: ModelArm, configurations: Floats, rule:
 
 def describe_servos(arm: ModelArm, configurations: Floats, added: set[str]) -> Iterator[Servo]:
     """What drives each coordinate of an arm in its completed model; ``added`` are names of actuators."""
-    model, basis = arm.model, tangent_basis(arm.space)
+    model, basis = arm.model, arm.unit_rates()
     (kp, kv), ranges = servo_gains(model, basis), force_ranges(model, basis)
     inertia = largest_inertia(model, configurations[:16], basis)
     driving = np.abs(actuator_moments(model) @ basis) > 1e-9
