@@ -25,6 +25,7 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, SimulationError
 from lieednn_sim.live.engine import Engine, Made, foreseen, make_for
 from lieednn_sim.live.settings import Settings
+from lieednn_sim.planning.motion import usual_rate
 from lieednn_sim.policies import Policy
 from lieednn_sim.simulation.disturbances import Push
 from lieednn_sim.simulation.following import ClosedLoop
@@ -121,7 +122,7 @@ class Session:
         settings: policy, controller and disturbances; by default `Settings()`.
         target: ``(n,)`` the first joint target, or a keyframe's name; by default the start.
         start: ``(n,)`` joint coordinates at the beginning and after `reset`, or a keyframe's name.
-        rate: control rate [Hz].
+        rate: control rate [Hz]; by default 100, or the nearest that divides that of the model's steps.
         seed: seed of random draws.
 
     Attributes:
@@ -146,9 +147,10 @@ class Session:
         settings: Settings | None = None,
         target: ArrayLike | str | None = None,
         start: ArrayLike | str = "home",
-        rate: float = 100.0,
+        rate: float | None = None,
         seed: Seed = 0,
     ) -> None:
+        rate = usual_rate(arm.timestep) if rate is None else rate
         self.arm, self._rate, self.seed = arm, as_positive("rate", rate), as_seed("seed", seed)
         self.wanted = (settings or Settings()).chosen(arm)
         self.start = arm.check_start(start)

@@ -117,6 +117,11 @@ def steps_of_rate(what: str, rate: float, timestep: float) -> int:
     return round(ratio)
 
 
+def usual_rate(timestep: float) -> float:
+    """100 Hz, or the nearest control rate that divides the simulation's."""
+    return 1.0 / (timestep * max(1, round(0.01 / timestep)))
+
+
 def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
     """Least time [s] from rest at ``start`` to rest at ``target``, both ``(n,)``, under the limits of all rates.
 

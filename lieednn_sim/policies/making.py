@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import Motion, Plan, plan
+from lieednn_sim.planning.motion import usual_rate
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
@@ -79,7 +80,7 @@ def make_policy(
     arm: Arm,
     target: ArrayLike | str | Plan | Motion,
     *,
-    rate: float = 100.0,
+    rate: float | None = None,
     start: ArrayLike | str = "home",
     feedback: Feedback | None = FEEDBACK,
     convergence_rate: float = 2.0,
@@ -94,7 +95,7 @@ def make_policy(
         target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; a step may have another.
             Or a plan or a motion, which ends there: the one that ``tracker`` tracks, and ``dmp`` and
             ``lieednn-replanning`` begin with. By default these plan one.
-        rate: control rate [Hz].
+        rate: control rate [Hz]; by default 100, or the nearest that divides that of the model's steps.
         start: joint coordinates ``(n,)`` at the beginning, or a keyframe's name.
         feedback: settings of the feedback from the measured joints; None for no feedback.
         convergence_rate: rate at which a policy without a motion approaches the target [1/s].
@@ -113,6 +114,7 @@ def make_policy(
         target = target.target if len(target.target) else target.motion
     end = target.q[-1] if isinstance(target, Motion) else target
     ends = arm.check_start(start), arm.configuration(end, "target")
+    rate = usual_rate(arm.timestep) if rate is None else rate
     task = PolicyTask(arm, *ends, rate, feedback, convergence_rate, as_seed("seed", seed), planned)
     policy = entry.load()(task, *given)
     if not isinstance(policy, Policy):

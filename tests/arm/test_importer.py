@@ -326,7 +326,7 @@ def bad(xml, *replacements):
         (
             bad(BY_EQUALITY, ("<equality>", '<equality><weld name="w" body1="wrist" body2="cart"/>')),
             {},
-            r"cannot move independently, because of equality 'w' \(weld\)",
+            r"equality 'w' \(weld\) stays open by 0.0498",
         ),
         ("<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>", {}, "no hinge, slide or ball joint"),
     ],
