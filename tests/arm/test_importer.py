@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.errors import FileError, InputError, LieEDNNError
 
 EQUALITY = '<equality><joint name="belt" joint1="stage2" joint2="stage1" polycoef="0.01 0.8 0 0 0"/>'
 ROBOT = """
@@ -332,7 +332,7 @@ def bad(xml, *replacements):
     ],
 )
 def test_errors_say_what_to_do(xml, options, message):
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(LieEDNNError, match=message):
         Arm.from_spec(spec_of(xml), **options)
 
 
