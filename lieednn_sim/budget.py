@@ -20,6 +20,8 @@ from contextvars import ContextVar
 from lieednn_sim.errors import OutOfTimeError
 from lieednn_sim.validation import as_positive
 
+__all__ = ["reporting", "time_limit"]
+
 # CPU time of a planner [s]; far more than any needs for the arms of the package.
 DEFAULT_TIME_BUDGET = 60.0
 

@@ -125,7 +125,7 @@ def _annotated(value: Any) -> Iterator[type]:
                 yield found
 
 
-SUBPACKAGES = ("errors", *(subpackage for subpackage in lieednn_sim._SUBPACKAGES if subpackage != "cli"))
+SUBPACKAGES = ("errors", "budget", *(subpackage for subpackage in lieednn_sim._SUBPACKAGES if subpackage != "cli"))
 SUPPORT: list[str] = []
 ALL = [
     f"lieednn_sim.{subpackage}.{name}"
