@@ -48,8 +48,7 @@ class ModelArm(SerialArm):
             an imported file, which is a view as well, begin at rest, with the controls of the keyframe ``home``.
         named: of a view, the arguments joints, links, tip, base and limits of `Arm.of`.
         made: of a view, the limits that it was made with, by name.
-        collision_model: of a view, `geometry`.
-        left_out: of a view, offsets of pairs of geoms that do not count there (`rigid_groups`).
+        collision_model: another `geometry`, for what moves it.
         grasp: what it carries (`Arm.holding`).
         dependents: of a view, the joints that it moves by closed loops or curves, if any.
         stops: of a view, ranges of these and of tendons, if any; configurations beyond them are not allowed.
@@ -63,7 +62,6 @@ class ModelArm(SerialArm):
     named: Mapping[str, Any] = field(default_factory=dict)
     made: Mapping[str, Floats] = field(default_factory=dict)
     collision_model: mujoco.MjModel | None = None
-    left_out: dict[tuple[int, int], float] = field(default_factory=dict)
     grasp: Grasp | None = None
     dependents: Dependents | None = None
     stops: Stops | None = None
@@ -75,7 +73,7 @@ class ModelArm(SerialArm):
         view = read_view(own, data, name=more["name"], **named)
         made = {name: view.fields[name].copy() for name in LIMITS}
         arm = cls(model=own, named=named, made=made, **view.fields, **more)
-        return arm._in_groups() if view.held is None else arm.holding(view.held)
+        return arm if view.held is None else arm.holding(view.held)
 
     def data(self) -> mujoco.MjData:
         """New data of the model: of a view in its state, of a file's arm at ``home``, else at the model's reference."""
@@ -137,12 +135,19 @@ class ModelArm(SerialArm):
     @property
     def geometry(self) -> mujoco.MjModel:
         """The model for distances: in that of a view, what the arm does not move is welded to the world."""
-        return self.model if self.collision_model is None else self.collision_model
+        return self._groups[0] if self.collision_model is None else self.collision_model
 
     @property
     def offsets(self) -> dict[tuple[int, int], float]:
         """Offsets of pairs of geoms that are not the model's own, as of `contacts.ContactOffsets`."""
-        return self.left_out if self.grasp is None else {**self.left_out, **self.grasp.offsets}
+        return self._groups[1] if self.grasp is None else {**self._groups[1], **self.grasp.offsets}
+
+    @cached_property
+    def _groups(self) -> tuple[mujoco.MjModel, dict[tuple[int, int], float]]:
+        """The model with what the arm does not move welded to the world; pairs that do not count (`rigid_groups`)."""
+        if self.qpos_home is None:
+            return self.model, {}
+        return rigid_groups(self.model, self.dofs, () if self.grasp is None else self.grasp.bodies)
 
     def contact_finder(self, margin: float = 0.0) -> ContactFinder:
         """Finds geoms closer than a margin [m]; one for each thread."""
@@ -245,13 +250,7 @@ class ModelArm(SerialArm):
             InputError: the arm is no view, or there is no such body.
         """
         grasp = find_grasp(self.model, self._require_view(), self.frames[-1:], body, touching, self.clearance)
-        return replace(self, grasp=grasp)._in_groups()
-
-    def _in_groups(self) -> Self:
-        """This view with what it does not move against each other in groups."""
-        carried = () if self.grasp is None else self.grasp.bodies
-        geometry, left_out = rigid_groups(self.model, self.dofs, carried)
-        return replace(self, collision_model=geometry, left_out=left_out)
+        return replace(self, grasp=grasp)
 
     def check_reachable(self, q: ArrayLike | str, what: str = "q") -> Floats:
         """Return ``q`` as `check_position` does, or raise `InputError` if contact is nearer than `clearance`."""
@@ -303,8 +302,7 @@ class ModelArm(SerialArm):
     @cached_property
     def _bare(self) -> Self:
         spec, model = discard_visuals(self)
-        bare = replace(self, spec=spec, model=model, recipe=())
-        return bare if self.qpos_home is None else bare._in_groups()
+        return replace(self, spec=spec, model=model, recipe=())
 
     @cached_property
     def _touching(self) -> ContactFinder:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from functools import cached_property
 
 import numpy as np
 
@@ -64,10 +65,7 @@ class FeedbackLinearisation(Controller):
         # MuJoCo adds the gravity compensation of these dofs to the actuators' force.
         compensated = arm.model.jnt_actgravcomp[arm.model.dof_jntid] != 0
         self._compensated = np.flatnonzero(compensated & (self._mine > 0.0) & bool(arm.model.body_gravcomp.any()))
-        # The dynamics that the controller knows, without contacts and constraints, for when it cannot take the plant's.
-        self._model = copy.deepcopy(arm.model)
-        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
-        self._own = mujoco.MjData(self._model)
+        self._model = arm.model
         self._load = np.zeros(arm.model.nv)
         self._plant: mujoco.MjModel | None = None
         self._views: tuple[Floats, ...] = ()
@@ -123,13 +121,20 @@ class FeedbackLinearisation(Controller):
 
     def _measured(self, data: mujoco.MjData, noise: Noise) -> mujoco.MjData:
         """The arm's own dynamics at the measured state."""
-        own = self._own
+        model, own = self._own
         own.qpos[:], own.qvel[:] = data.qpos, data.qvel + noise.velocity
-        mujoco.mj_integratePos(self._model, own.qpos, noise.position, 1.0)
+        mujoco.mj_integratePos(model, own.qpos, noise.position, 1.0)
         own.mocap_pos[:], own.mocap_quat[:] = data.mocap_pos, data.mocap_quat
-        mujoco.mj_fwdPosition(self._model, own)
-        mujoco.mj_fwdVelocity(self._model, own)
+        mujoco.mj_fwdPosition(model, own)
+        mujoco.mj_fwdVelocity(model, own)
         return own
+
+    @cached_property
+    def _own(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """The dynamics that the controller knows, without contacts and constraints, if it cannot take the plant's."""
+        model = copy.deepcopy(self._model)
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+        return model, mujoco.MjData(model)
 
     def _goals(self, steps: range) -> list[tuple[Floats, ...]]:
         """Wanted positions, velocities and accelerations at some steps, and the controls of servos without forces."""

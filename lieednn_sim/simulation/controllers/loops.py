@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
@@ -39,7 +37,7 @@ class LoopLinearisation(Controller):
         self._frequency = np.where(servoed, 0.0, NATURAL_FREQUENCY)
         self._moved = np.zeros(arm.model.nv)
         self._moved[arm.dofs] = 1.0
-        self._model = copy.deepcopy(arm.model)
+        self._model = arm.model
         self._data, self._load = mujoco.MjData(self._model), np.zeros(arm.model.nv)
         self._compensated = arm.model.jnt_actgravcomp[arm.model.dof_jntid] != 0
 
