@@ -76,12 +76,11 @@ class ModelArm(SerialArm):
         return arm if view.held is None else arm.holding(view.held)
 
     def data(self) -> mujoco.MjData:
-        """New data of the model: of a view in its state, of a file's arm at ``home``, else at the model's reference."""
-        if self.state is None and self.qpos_home is not None:
+        """New data of the model: of a view of a compiled model in its state, else at ``home``."""
+        if self.state is None:
             return home_data(self.model)
         data = mujoco.MjData(self.model)
-        if self.state is not None:
-            mujoco.mj_setState(self.model, data, self.state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_setState(self.model, data, self.state, mujoco.mjtState.mjSTATE_INTEGRATION)
         return data
 
     @property

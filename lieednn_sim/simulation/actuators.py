@@ -65,10 +65,9 @@ class Actuators:
         self.gain = np.where(self.driving, model.actuator_gainprm[:, 0], 1.0)
         self.bias = np.where(self.driving, model.actuator_biasprm[:, :3].T, 0.0)
         self.servos = self.driving & (self.bias[1] / self.gain < 0.0)
-        view = arm.state is not None
-        self._idle = np.where(self.driving, 0.0, arm.data().ctrl if view else _home_controls(model))
+        self._idle = np.where(self.driving, 0.0, arm.data().ctrl)
         # In a model with more than an arm, somebody else may change the others' controls.
-        self._written: Any = self.driving if view else True
+        self._written: Any = True if arm.state is None else self.driving
         # The positions at which all lengths are zero: those of quaternions are their references.
         self._model, self._zero = model, model.qpos0.copy()
         self._zero[model.jnt_qposadr[np.isin(model.jnt_type, _SCALAR)]] = 0.0
@@ -185,8 +184,3 @@ def _check(model: mujoco.MjModel, driving: NDArray[np.bool_]) -> None:
                 "need <position>, <motor>, or <general> with fixed gain, affine bias and no dynamics, on joints or "
                 "fixed tendons"
             )
-
-
-def _home_controls(model: mujoco.MjModel) -> Floats:
-    home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
-    return np.zeros(model.nu) if home < 0 else np.array(model.key_ctrl[home])

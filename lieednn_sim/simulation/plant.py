@@ -11,6 +11,7 @@ import numpy as np
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.surroundings import moved_together
+from lieednn_sim.errors import InputError
 from lieednn_sim.lie import rotations
 from lieednn_sim.simulation.disturbances import Disturbances
 
@@ -28,7 +29,8 @@ def make_plant(
         add_bodies: called with a copy of the arm's spec, to add bodies after the arm's.
 
     Raises:
-        InputError: bodies are to be added to a view, which has no spec.
+        InputError: bodies are to be added to a view of a compiled model, or a payload to a body of one that MuJoCo
+            compensates for gravity, at its centre of mass.
     """
     changes = Disturbances() if disturbances is None else disturbances
     view = arm.spec is None
@@ -44,13 +46,12 @@ def make_plant(
         # The compiler derives servo damping from the inertia, which would include the payload.
         plant.actuator_gainprm[:], plant.actuator_biasprm[:] = arm.model.actuator_gainprm, arm.model.actuator_biasprm
     if changes.mass_scale != 1.0:
-        if view:
-            known = moved_together(arm.model, arm.space.rate_addresses) > 0
-        else:
-            known = np.array([plant.body(i).name != _PAYLOAD for i in range(plant.nbody)])
-        plant.body_mass[known] *= changes.mass_scale
-        plant.body_inertia[known] *= changes.mass_scale
-        plant.body_gravcomp[known] /= changes.mass_scale
+        own = np.flatnonzero(moved_together(arm.model, arm.dofs))
+        if plant.nbody > arm.model.nbody:
+            own = np.array([plant.body(arm.model.body(k).name).id for k in own.tolist()])
+        plant.body_mass[own] *= changes.mass_scale
+        plant.body_inertia[own] *= changes.mass_scale
+        plant.body_gravcomp[own] /= changes.mass_scale
     if view and changes.payload > 0.0:
         _load(plant, arm, changes.payload)
     if changes.mass_scale != 1.0 or (view and changes.payload > 0.0):
@@ -59,9 +60,14 @@ def make_plant(
 
 
 def _load(plant: mujoco.MjModel, arm: Arm, mass: float) -> None:
-    """Add a ball at the end effector's frame to the mass and inertia of its body, whose compensation stays as it is."""
+    """Add a ball at the end effector's frame to the mass and inertia of its body."""
     tip = arm.frames[-1:]
     body, turn = int(tip.bodies[0]), np.empty(9)
+    if plant.body_gravcomp[body]:
+        raise InputError(
+            f"a payload cannot be added to {plant.body(body).name!r} of a compiled model, whose gravity MuJoCo compensates "
+            "at its centre of mass: set its gravcomp to zero, or add the payload to the model as a body"
+        )
     mujoco.mju_quat2Mat(turn, plant.body_iquat[body])
     rotation, before = turn.reshape(3, 3), float(plant.body_mass[body])
     whole = before + mass
@@ -74,7 +80,6 @@ def _load(plant: mujoco.MjModel, arm: Arm, mass: float) -> None:
     axes *= np.sign(np.linalg.det(axes))
     plant.body_mass[body], plant.body_ipos[body], plant.body_inertia[body] = whole, centre, moments
     plant.body_iquat[body] = rotations(axes).as_quat(scalar_first=True)
-    plant.body_gravcomp[body] *= before / whole
 
 
 def _ball_inertia(mass: float) -> float:

@@ -182,6 +182,11 @@ def test_a_payload_is_that_of_the_same_body_in_the_spec(case):
     _, _, arm, _ = case
     plant = make_plant(arm, ls.Disturbances(payload=0.7))
     spec = mujoco.MjSpec.from_string(ROBOT)
+    compensated = mujoco.MjSpec.from_string(ROBOT.replace('<body name="d"', '<body name="d" gravcomp="1"')).compile()
+    with pytest.raises(
+        InputError, match="cannot be added to 'd' of a compiled model, whose gravity MuJoCo compensates"
+    ):
+        make_plant(view(compensated, mujoco.MjData(compensated)), ls.Disturbances(payload=0.7))
     frame = arm.frames[-1:]
     radius = (3.0 * 0.7 / (4.0 * np.pi * 7850.0)) ** (1.0 / 3.0)
     body = arm.model.body(int(frame.bodies[0])).name
