@@ -65,8 +65,8 @@ def _load(plant: mujoco.MjModel, arm: Arm, mass: float) -> None:
     body, turn = int(tip.bodies[0]), np.empty(9)
     if plant.body_gravcomp[body]:
         raise InputError(
-            f"a payload cannot be added to {plant.body(body).name!r} of a compiled model, whose gravity MuJoCo compensates "
-            "at its centre of mass: set its gravcomp to zero, or add the payload to the model as a body"
+            f"a payload cannot be added to {plant.body(body).name!r} of a compiled model, whose gravity MuJoCo "
+            "compensates at its centre of mass: set its gravcomp to zero, or add the payload to the model as a body"
         )
     mujoco.mju_quat2Mat(turn, plant.body_iquat[body])
     rotation, before = turn.reshape(3, 3), float(plant.body_mass[body])
