@@ -106,7 +106,8 @@ def label_of(source: Path) -> str:
 
 def chosen(options: ImportOptions) -> ImportOptions:
     """The options that differ from their defaults."""
-    return {name: value for name, value in options.items() if value not in (None, (), [], {}, "keep", "auto", "ignore")}  # type: ignore[return-value]
+    usual = {"servos": "keep", "overlaps": "ignore", "floor": "auto"}
+    return {name: value for name, value in options.items() if value not in (None, (), [], {}, usual.get(name))}  # type: ignore[return-value]
 
 
 def has_frames(spec: mujoco.MjSpec) -> bool:
