@@ -12,7 +12,8 @@ from lieednn_sim.errors import InputError
 # A torso that nothing drives carries two driven joints, with a hook that hangs from the last link.
 LIFTED = """
 <mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
-  <body name="torso" pos="0 0 1"><joint name="rise" type="slide" axis="0 0 1" range="-.2 .4"/><geom size=".1" mass="20"/>
+  <body name="torso" pos="0 0 1">
+    <joint name="rise" type="slide" axis="0 0 1" range="-.2 .4"/><geom size=".1" mass="20"/>
     <body name="a" pos=".2 0 0"><joint name="turn" axis="0 0 1" range="-100 100"/><geom size=".04" mass="2"/>
       <body name="b" pos=".3 0 0"><joint name="lift" axis="0 1 0" range="-60 60"/>
         <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="2"/><site name="tip" pos=".35 0 0"/>
