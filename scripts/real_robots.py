@@ -22,6 +22,7 @@ from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.importer.loading import load_spec
+from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.studies.markdown import table
 
@@ -132,15 +133,15 @@ class _Original:
         self._addresses = []
         for joint in range(arm.model.njnt):
             here, there = arm.model.jnt_qposadr[joint], self._model.joint(arm.model.joint(joint).name).qposadr[0]
-            width = 4 if arm.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL else 1
+            width = (7, 4, 1, 1)[arm.model.jnt_type[joint]]  # free, ball, slide, hinge
             self._addresses += [(int(there) + k, int(here) + k) for k in range(width)]
         self._frames = [self._model.body(link).id for link in report.links]
         ignored = {int(signature) for signature in arm.model.exclude_signature}
         names = [self._model.body(body).name for body in range(self._model.nbody)]
         self._body = {name: arm.model.body(name).id for name in names}
         self._names, self._ignored = names, ignored
-        # Bodies locked together, such as the fingers of a closed gripper, touch in every configuration or at none.
-        self._part = arm.model.body_weldid
+        # Bodies that move as one, such as the fingers of a closed gripper, touch in every configuration or at none.
+        self._part = moved_together(arm.model, arm.dofs)
 
     def forward_error(self) -> float:
         """Largest distance of the links' origins between the arm's forward map and the original model [m]."""

@@ -24,7 +24,7 @@ class ContactSlopes(ContactFinder):
     """
 
     def __init__(self, arm: Arm, margin: float, *, own: bool) -> None:
-        super().__init__(arm.without_visuals.geometry, margin, arm.offsets)
+        super().__init__(arm.without_visuals.geometry, margin, arm.without_visuals.offsets)
         self._arm, model = arm, self._model
         types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
         # Bits of their own for each direction of MuJoCo's filter, which has 31, so that a fixed geom meets the same

@@ -114,7 +114,7 @@ class Log:
         self._before = [(self._log[name][0].write, view) for name, view in before.items()]
         self._after = [(self._log[name][0].write, view) for name, view in after.items()]
         self._contacts: list[tuple[int, int, float]] = []
-        self._groups = _groups_of(arm)
+        self._groups = _groups_of(arm, simulation.model)
         for source in sources:
             if not isinstance(source, ChannelSource):
                 raise InputError(f"a quantity to log must be a Channel, got {quoted(source)}")
@@ -224,11 +224,14 @@ class Log:
         return len(contacts), largest
 
 
-def _groups_of(arm: Arm) -> NDArray[np.int_] | None:
-    """The group of each geom of a view ``(ngeom,)`` that the arm moves in one piece; zero for what it does not move."""
+def _groups_of(arm: Arm, plant: mujoco.MjModel) -> NDArray[np.int_] | None:
+    """The group of each geom of a plant ``(ngeom,)`` that a view moves in one piece; zero for what it does not move."""
     if arm.qpos_home is None:
         return None
-    groups = moved_together(arm.model, arm.space.rate_addresses)
+    groups = moved_together(plant, arm.space.rate_addresses)
     if arm.grasp is not None:
-        groups[list(arm.grasp.bodies)] = groups[arm.grasp.carrier]
-    return np.asarray(groups[arm.model.geom_bodyid])
+        bodies = [*arm.grasp.bodies, arm.grasp.carrier]
+        if plant.nbody > arm.model.nbody:
+            bodies = [plant.body(arm.model.body(body).name).id for body in bodies]
+        groups[bodies[:-1]] = groups[bodies[-1]]
+    return np.asarray(groups[plant.geom_bodyid])

@@ -11,11 +11,12 @@ from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.live.session import Session
 
 JAW = (
-    '<body name="{0}jaw{1}" pos=".12 {2} 0"><joint name="{0}jaw{1}" type="slide" axis="0 {3} 0" range="0 .03" '
+    '<body name="{0}jaw{1}" pos=".12 {2} 0"><joint name="{0}jaw{1}" type="slide" axis="0 {3} 0" range="-.03 .03" '
     'damping="2"/><geom name="{0}jaw{1}" type="box" size=".03 .005 .01"/></body>'
 )
 ARM = """
 <body name="{0}base" pos="0 {1} .3"><geom type="cylinder" size=".05 .05"/>
+  <geom size=".07" contype="0" conaffinity="0" rgba="1 1 1 .3"/>
   <body name="{0}a" pos="0 0 .1"><joint name="{0}turn" axis="0 0 1" range="-100 100" damping="1"/>
     <geom type="capsule" size=".03" fromto="0 0 0 .25 0 0"/>
     <body name="{0}b" pos=".25 0 0"><joint name="{0}lift" axis="0 1 0" range="-70 70" damping="1"/>
@@ -79,6 +80,7 @@ def test_a_run_is_physics_for_all_that_is_not_the_arms(arm):
     target = arm.keyframe("home") + np.array([-0.5, -0.3, 0.05])
     run = ls.simulate(arm, ls.plan(arm, target))
     assert ls.evaluate(run).final_worst_mm < 0.1
+    assert not run.contacts.any(), "neither a can on the table nor the jaws of one hand count"
     model, last = arm.model, run.qpos[-1]
     can = model.jnt_qposadr[next(j for j in range(model.njnt) if model.jnt_type[j] == 0)]
     assert last[can + 2] == pytest.approx(0.18 + 0.02 + 0.05, abs=2e-3)
