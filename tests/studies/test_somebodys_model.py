@@ -46,6 +46,7 @@ SCENE = f"""
     <geom name="table" type="box" size=".2 .5 .02" pos=".6 0 .18"/>
     <body name="can" pos=".55 -.2 .25"><freejoint/><geom type="cylinder" size=".03 .05" mass=".2"/></body>{arms()}
   </worldbody><actuator>{sides(SERVOS)}{sides(GRIP)}</actuator>
+  <keyframe><key name="home" qpos=".55 -.2 .25 1 0 0 0{" 0" * 10}" ctrl="{"0 " * 6}{"-.02 " * 4}"/></keyframe>
 </mujoco>"""
 JOINTS = ["right/turn", "right/lift", "right/reach"]
 LIMITS = {name: {"velocity": 1.5, "acceleration": 6.0} for name in JOINTS}
@@ -84,7 +85,12 @@ def test_a_run_is_physics_for_all_that_is_not_the_arms(arm):
     model, last = arm.model, run.qpos[-1]
     can = model.jnt_qposadr[next(j for j in range(model.njnt) if model.jnt_type[j] == 0)]
     assert last[can + 2] == pytest.approx(0.18 + 0.02 + 0.05, abs=2e-3)
-    others = [model.joint(name).qposadr[0] for name in arm.import_report.others if model.joint(name).type[0] != 0]
+    # The jaws are told to close, and the other arm to stay.
+    jaws, others = (
+        [model.joint(name).qposadr[0] for name in arm.import_report.others if word in name]
+        for word in ("jaw", "left/turn")
+    )
+    assert (last[jaws] < -0.01).all()
     assert np.abs(last[others] - arm.qpos_home[others]).max() < 1e-3
 
 
