@@ -13,11 +13,7 @@ from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.guides import GuideOptions
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.network_planners import (
-    RetargetedOptions,
-    TrainedOptions,
-    reference_network,
-)
+from lieednn_sim.planning.network_planners import RetargetedOptions, TrainedOptions, reference_network
 from lieednn_sim.planning.planners import OBSTACLE_PLANNER, default_planner, plan, register_planner
 from lieednn_sim.planning.problem import Plan, PlanningProblem
 from lieednn_sim.planning.retiming import retime

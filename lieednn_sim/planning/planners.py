@@ -51,7 +51,7 @@ def register_planner(name: str, options: type[PlannerOptions] | None = None) -> 
 def _solved(entry: PlannerEntry, problem: PlanningProblem, *options: PlannerOptions) -> Plan:
     """A planner's plan; that of another package is held to what every planner guarantees."""
     solve = entry.load()
-    result = solve(problem, *options) if entry.own else in_time(_checked, problem, solve, *options)
+    result = in_time(solve, problem, *options) if entry.own else in_time(_checked, problem, solve, *options)
     return Plan(result) if isinstance(result, Motion) else result
 
 
@@ -72,8 +72,7 @@ def _checked(problem: PlanningProblem, solve: Callable[..., Plan | Motion], *opt
             "the planner's motion has {} joints and a time step of {:g} s, ".format(*given)
             + "the arm has {} joints and its model steps of {:g} s".format(*needed)
         )
-    # Largest distance of a motion's ends from the start and target asked for, in joint coordinates [rad, m].
-    end_tolerance = 1e-3
+    end_tolerance = 1e-3  # of the start and target asked for [rad, m]
     for which, there, asked in (("begins", motion.q[0], problem.start), ("ends", motion.q[-1], problem.target)):
         missed = float(np.abs(there - asked).max())
         if missed > end_tolerance:

@@ -7,12 +7,11 @@ import numpy as np
 from lieednn_sim.lie import exp, left_jacobian_se3, log
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion, check_motion
-from lieednn_sim.planning.problem import PlanningProblem, made_in_time
+from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
 
-@made_in_time
 def minimum_jerk(problem: PlanningProblem) -> Motion:
     """A straight line in joint space, q(t) = q_0 + sigma(t/T) (q_1 - q_0), sigma = 10 s^3 - 15 s^4 + 6 s^5.
 
@@ -27,7 +26,6 @@ def minimum_jerk(problem: PlanningProblem) -> Motion:
     return joint_motion(problem, problem.start + sigma[:, None] * change, rate[:, None] * change, sigma)
 
 
-@made_in_time
 def se3_geodesic(problem: PlanningProblem) -> Motion:
     """Every compound joint's pose on a geodesic of SE(3): T_i(t) = T_i(0) exp(sigma(t/T) log(T_i(0)^-1 T_i(1))).
 

@@ -13,7 +13,7 @@ from lieednn_sim.learning.demonstrations.primitives import ALPHA, BETA, forcing,
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.problem import PlanningProblem, made_in_time
+from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 
 
@@ -30,7 +30,6 @@ class DmpOptions(PlannerOptions):
     least_fraction: float = 0.01
 
 
-@made_in_time
 def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
     """The motion of a primitive from start to target; it imitates minimum jerk from home to `reference_configuration`.
 

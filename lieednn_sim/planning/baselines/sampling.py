@@ -36,10 +36,7 @@ METHODS = {
     "bit-star": "BITstar",
     "aorrtc": "AORRTC",
 }
-# Least weight of a joint in the distances of balanced trees, as a fraction of that of the joint that moves links most.
-_LEAST_SWEEP = 0.1
-# A path of at most this many straight lengths is straight, up to rounding.
-_STRAIGHT = 1.0 + 1e-9
+_STRAIGHT = 1.0 + 1e-9  # a path of at most this many straight lengths is straight, up to rounding
 
 
 @dataclass(frozen=True)
@@ -198,8 +195,7 @@ def ompl_search(name: str) -> Search:
 
 def balanced_search(space: SearchSpace, options: PathOptions, seed: np.random.SeedSequence) -> Any:
     """The search by `trees`, with distances in the workspace."""
-    edges = space.edges
-    weight = np.maximum(edges.swept, _LEAST_SWEEP * edges.swept.max())
+    edges, weight = space.edges, space.edges.weight
     box = weight[:, None] * edges.limits / edges.scale[:, None]
     result = connected(
         *(weight * q / edges.scale for q in space.ends),

@@ -36,6 +36,7 @@ class EdgeTest:
         limits: ``(n, 2)`` position limits of the joints [rad, m].
         bounds: ``(n, 2)`` the same in the units of points.
         swept: ``(n,)`` largest distance that a unit of a coordinate moves a link frame [m].
+        weight: ``(n,)`` the same, but at least a tenth of its largest entry: weights for distances in the workspace.
     """
 
     def __init__(self, arm: Arm, workspace: Workspace, spacing: float) -> None:
@@ -43,6 +44,7 @@ class EdgeTest:
         self.scale, self.limits = joint_scale(arm), arm.position_limits
         self.bounds = self.limits / self.scale[:, None]
         self.swept = self.scale * sweeps(arm)
+        self.weight = np.maximum(self.swept, 0.1 * self.swept.max())
         self._density = self.swept / spacing
         self._balls = len(arm.space.balls) > 0
         self._known, self._looks = set[bytes](), itertools.count()
