@@ -22,7 +22,7 @@ from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
-from lieednn_sim.planning.joint_space import Workspace
+from lieednn_sim.planning.joint_space import Workspace, travelled
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.path_constraints import outside, projected
@@ -188,14 +188,10 @@ def shortened(
 ) -> Floats:
     """A path with corners ``(M, n)`` after attempts to connect two random points of it by a straight edge.
 
-    Args:
-        corners: the path.
-        clear: returns whether the edge between two clear points is clear.
-        attempts: number of pairs of points, drawn evenly along the path.
-        rng: generator of the points.
+    The points are drawn evenly along the path; ``clear`` returns whether the edge between two clear points is clear.
     """
     for _ in range(attempts):
-        length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
+        length = travelled(corners)
         at = np.sort(rng.uniform(0.0, length[-1], 2))
         first, second = np.clip(np.searchsorted(length, at, side="right") - 1, 0, len(corners) - 2)
         if first == second:

@@ -23,10 +23,7 @@ class TooWeakError(InputError):
 def check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
     """Raise `TooWeakError` if actuators are too weak for the arm's weight at rest; dry friction may help them.
 
-    Args:
-        arm: the arm.
-        q: configurations ``(K, n)``.
-        where: what they are, for the message.
+    It is checked at configurations q ``(K, n)``; ``where`` says what each is, for the message.
     """
     model, limits = arm.model, arm.force_limits
     moments, ranges = actuator_moments(model), actuator_ranges(model)

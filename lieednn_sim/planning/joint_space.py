@@ -20,21 +20,14 @@ SPLINE_DEGREE = 5
 class ClearanceTest:
     """A test whether all pairs of geoms are further apart than a margin, by MuJoCo's collision pass.
 
-    The test is an order of magnitude faster than measuring the distances (`Collisions`).
-
-    Args:
-        arm: the arm, in its scene.
-        margin: smallest allowed distance [m].
-
-    Attributes:
-        tests: number of configurations tested so far, a measure of work that does not depend on the machine.
+    The test is an order of magnitude faster than measuring the distances (`Collisions`). The margin is in metres.
     """
 
     def __init__(self, arm: Arm, margin: float) -> None:
         self._arm, self._margin = arm, margin
         # Visual geoms, which touch nothing, would take most of the time.
         self._finder = arm.without_visuals.contact_finder(margin)
-        self.tests = 0
+        self.tests = 0  # configurations tested so far: a measure of work that does not depend on the machine
 
     def __call__(self, q: Floats) -> bool:
         """True when nothing is closer than the margin at ``q`` ``(n,)``, and `Arm.stops` are kept."""
@@ -80,15 +73,9 @@ class ClearanceTest:
 
 
 class Workspace:
-    """Clearance tests of a problem, whose margin is reduced where start and target are closer to something.
+    """A problem's clearance test, and the signed distances of its geoms.
 
-    Args:
-        problem: if its start or target is closer to something than the margin, the margin is reduced.
-        margin: clearance to plan with [m].
-
-    Attributes:
-        clear: the clearance test with the reduced margin.
-        collisions: signed distances of the geoms.
+    Where start or target is closer to something than the margin [m], the test's margin is reduced.
     """
 
     def __init__(self, problem: PlanningProblem, margin: float) -> None:
@@ -109,6 +96,11 @@ def clamped_knots(count: int) -> Floats:
 def joint_scale(arm: Arm) -> Floats:
     """Units ``(n,)`` of the joints in path lengths: the velocity limit times 1 s, or the range where there is none."""
     return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
+
+
+def travelled(points: Floats) -> Floats:
+    """Length ``(M,)`` of a path through points ``(M, n)`` up to each of them."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
 def sweeps(arm: Arm) -> Floats:

@@ -18,14 +18,12 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_splin
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError, TooFastError
-from lieednn_sim.planning.joint_space import joint_scale
+from lieednn_sim.planning.joint_space import joint_scale, travelled
 from lieednn_sim.planning.motion import Motion, check_motion, count_steps, rates_and_limits
 from lieednn_sim.registry import optional_module
 
-# Pieces of the path, of equal length, with one acceleration of the law on each.
-_PIECES = 1000
-# Instants at which laws are sampled.
-_INSTANTS = 2000
+_PIECES = 1000  # of the path, of equal length, with one acceleration of the law on each
+_INSTANTS = 2000  # at which laws are sampled
 
 
 def retime(arm: Arm, motion: Motion) -> Motion:
@@ -65,8 +63,7 @@ class _Path:
     def __init__(self, arm: Arm, motion: Motion) -> None:
         if motion.q.shape[1] != arm.n_joints:
             raise InputError(f"the motion has {motion.q.shape[1]} joints, arm {arm.name!r} has {arm.n_joints}")
-        steps = np.linalg.norm(np.diff(motion.q / joint_scale(arm), axis=0), axis=1)
-        length = np.append(0.0, np.cumsum(steps))
+        length = travelled(motion.q / joint_scale(arm))
         if length[-1] <= 0.0:
             raise InputError("the motion goes nowhere, so that there is nothing to make faster")
         fraction = length / length[-1]

@@ -51,12 +51,8 @@ def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
     """A law that slows down where a motion by another law turns sharply; None if it does so nowhere.
 
     With a law that ignores the curvature kappa, the acceleration across the path, v^2 kappa, is unbounded. Here time is
-    stretched around every instant at which it exceeds a bound, by the square root of their ratio.
-
-    Args:
-        motion: a motion by the other law.
-        law: the other law.
-        units: ``(n,)`` units of the joints in the path's length.
+    stretched around every instant at which it exceeds a bound, by the square root of their ratio. The path's length has
+    ``units`` ``(n,)`` of the joints.
     """
     count, duration = len(motion.t), motion.t[-1]
     velocity = motion.qd / units

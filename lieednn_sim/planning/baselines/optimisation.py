@@ -175,15 +175,16 @@ class _Descent:
         smooth = (self.root @ (control[self.inner] - self.smoothest)).ravel()
         values, rows = [smooth], [np.kron(self.root, np.eye(n))]
         factor = math.sqrt(weight / self.options.instants)
-        basis = [table[:, self.inner] for table in self.weighed]
-        hinge, slope = self._closeness(self.scale * (self.weighed[0] @ control))
-        values.append(factor * hinge)
-        rows.append(factor * _chained(basis[0], slope * self.scale))
-        limits = (self.arm.velocity_limits, self.arm.acceleration_limits)
-        for table, rates, limit in zip(basis[1:], self.weighed[1:], limits, strict=True):
-            hinge, slope = _excess(self.scale * (rates @ control), self.options.rate_fraction * limit)
+        position, velocity, acceleration = (self.scale * (table @ control) for table in self.weighed)
+        hinges = (
+            self._closeness(position),
+            _excess(velocity, self.options.rate_fraction * self.arm.velocity_limits),
+            _excess(acceleration, self.options.rate_fraction * self.arm.acceleration_limits),
+        )
+        for table, (hinge, slope) in zip(self.weighed, hinges, strict=True):
             values.append(factor * hinge)
-            rows.append(factor * _chained(table, slope * self.scale))
+            of_control = np.einsum("kf,kn->kfn", table[:, self.inner], slope * self.scale)
+            rows.append(factor * of_control.reshape(len(table), -1))
         return np.concatenate(values), np.concatenate(rows)
 
     def motion(self, x: Floats) -> Motion:
@@ -213,8 +214,3 @@ def _excess(rate: Floats, limit: Floats) -> tuple[Floats, Floats]:
     hinge = np.maximum(np.abs(rate) / limit - 1.0, 0.0)
     value = np.linalg.norm(hinge, axis=1)
     return value, hinge * np.sign(rate) / (limit * np.maximum(value, 1e-12)[:, None])
-
-
-def _chained(basis: Floats, slope: Floats) -> Floats:
-    """Derivatives ``(K, F n)`` in the control points, from those ``(K, n)`` in the positions."""
-    return np.einsum("kf,kn->kfn", basis, slope).reshape(len(basis), -1)

@@ -140,9 +140,7 @@ def connecting_path(
     The result does not depend on earlier calls.
 
     Args:
-        problem: start, target and seed.
-        workspace: the problem's, with the margin.
-        options: options of the search.
+        problem, workspace, options: the problem, its workspace with the margin, and options of the search.
         search: `balanced_search`, or `ompl_search` of a name.
         attempt: number of the attempt; each has other samples, and later ones a finer spacing.
 

@@ -19,8 +19,7 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
-# How often a search may ask whether it is over, per test that it may make; usually it makes a test or more each time.
-_CALLS_PER_TEST = 2
+_CALLS_PER_TEST = 2  # of `over`, per test that a search may make; usually a test or more comes with each
 
 
 class EdgeTest:
@@ -84,11 +83,6 @@ class EdgeTest:
 
 class SearchSpace:
     """The joint space of a problem for OMPL.
-
-    Args:
-        problem: start, target and arm.
-        workspace: the problem's.
-        spacing: see `EdgeTest`.
 
     Attributes:
         edges: tests of points and edges.

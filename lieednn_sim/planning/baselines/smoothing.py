@@ -56,9 +56,7 @@ def motion_along(
     """The smoothest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
 
     Args:
-        problem: start, target and duration.
-        corners: corners of the polyline.
-        options: options of the smoothing.
+        problem, corners, options: the problem, the corners of the polyline, and how it is smoothed.
         blocked: numbers of control points whose curves are blocked at any duration, with the reasons. It is added to;
             pass it on to calls with other durations, in which these curves are skipped.
 
@@ -90,12 +88,10 @@ def motion_along_first(
     """The motion along the first path that can be followed, in the time that it needs.
 
     Args:
-        problem: the problem.
+        problem, options, name: the problem, how paths are smoothed, and the planner's name.
         path: function from the number of an attempt to corners ``(M, n)``, or None if it fails. Paths do not depend on
             the duration; it should remember them, since they are asked for again when the motion needs more time.
         attempts: largest number of paths to ask for.
-        options: options of the smoothing.
-        name: name of the planner.
 
     Raises:
         PlanError: there is no path, or none can be followed.
