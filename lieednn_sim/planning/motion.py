@@ -13,8 +13,7 @@ from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, check_fields, frozen
 
-# Positions may exceed a limit by this much [rad, m]: a target on a limit is reached up to the residual.
-LIMIT_TOLERANCE = 1e-6
+LIMIT_TOLERANCE = 1e-6  # by which positions may exceed a limit [rad, m]: a target on one is reached up to the residual
 _STRIDE = 16  # every 16th sample is tested for contact first, then the others: most contacts are found early
 _JUMP = 0.02  # by which a step between samples exceeds what the velocities explain [rad, m]
 _MAX_STEPS = 100_000  # 200 s at a simulation step of 2 ms; longer motions would take minutes to plan
