@@ -75,7 +75,7 @@ def _checked(problem: PlanningProblem, solve: Callable[..., Plan | Motion], *opt
             "the planner's motion has {} joints and a time step of {:g} s, ".format(*given)
             + "the arm has {} joints and its model steps of {:g} s".format(*needed)
         )
-    end_tolerance = 1e-3  # of the start and target asked for [rad, m]
+    end_tolerance = 1e-3  # distance of a motion's ends from the start and target asked for [rad, m]
     for which, there, asked in (("begins", motion.q[0], problem.start), ("ends", motion.q[-1], problem.target)):
         missed = float(np.abs(there - asked).max())
         if missed > end_tolerance:

@@ -28,7 +28,7 @@ from lieednn_sim.synthesis import CurveEncoder, ShapingOptions, shape
 from lieednn_sim.values import Floats, frozen
 
 _GUIDE = GuideOptions()
-_STRIDE = 2  # samples of the guide's motion for one of the curve
+_STRIDE = 2  # every second sample of the guide's motion is a sample of the curve
 
 
 @dataclass(frozen=True)

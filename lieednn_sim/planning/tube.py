@@ -47,7 +47,7 @@ from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
-_SMALLEST = 1e-4  # size at which the projection is bounded [m]
+_SMALLEST = 1e-4  # smallest size at which the projection is bounded [m]
 _SAME = 1e-6  # largest difference of a motion's states and joints from those computed again [rad, m]
 
 
