@@ -287,7 +287,7 @@ _PLANNERS = {
     "se3-geodesic": PlannerEntry(
         "planning.baselines.interpolation:se3_geodesic", "compound joints on geodesics of SE(3)"
     ),
-    "dmp": PlannerEntry("planning.baselines.primitives:dmp", "a dynamic movement primitive", "DmpOptions"),
+    "dmp": PlannerEntry("planning.baselines.interpolation:dmp", "a dynamic movement primitive", "DmpOptions"),
     "rrt-connect": PlannerEntry(
         "planning.baselines.sampling:rrt_connect", "OMPL's RRT-Connect", "RrtConnectOptions", "ompl"
     ),

@@ -4,8 +4,8 @@
 a class of options here.
 """
 
+from lieednn_sim.planning.baselines.interpolation import DmpOptions
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
-from lieednn_sim.planning.baselines.primitives import DmpOptions
 from lieednn_sim.planning.baselines.qshnn import QshnnOptions
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, RrtStarOptions
 from lieednn_sim.planning.baselines.stomp import StompOptions
@@ -13,17 +13,13 @@ from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.guides import GuideOptions
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.network_planners import (
-    RetargetedOptions,
-    TrainedOptions,
-    reference_network,
-)
+from lieednn_sim.planning.network_planners import RetargetedOptions, TrainedOptions, reference_network
 from lieednn_sim.planning.planners import OBSTACLE_PLANNER, default_planner, plan, register_planner
 from lieednn_sim.planning.problem import Plan, PlanningProblem
-from lieednn_sim.planning.retiming import retime
 from lieednn_sim.planning.sequence import PlanSequence, SequencePart, plan_sequence
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.planning.steps import Actuate, Move
+from lieednn_sim.planning.time_laws import retime
 from lieednn_sim.planning.tube import Tube, find_tube
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.typecheck import typecheck_public

@@ -27,9 +27,7 @@ from lieednn_sim.values import Floats, frozen
 
 # The stronger the bias, the less the weights have to do and the straighter the transient; tried in turn.
 BIAS_MAGNITUDES = (0.125, 0.25, 0.5)
-
-# Candidates made at once: more gain little, and would delay progress reports and interrupts.
-_BATCH_SIZE = 24
+_BATCH_SIZE = 24  # candidates made at once: more gain little, and would delay progress reports and interrupts
 
 
 @dataclass(frozen=True)
@@ -95,35 +93,21 @@ class CertifiedDetails:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A network and its roughly integrated path from a start (`_screened`), which a single candidate does not need.
-
-    Attributes:
-        arm: the arm.
-        network: the network.
-        start: ``(n,)`` joint position.
-        q: ``(K, n)`` joint positions along the path.
-        excess: their largest excess over the position limits [rad, m].
-        gap: their largest mechanism gap [m].
-    """
+    """A network and its roughly integrated path from a start (`_screened`), which a single candidate does not need."""
 
     arm: Arm
     network: LieEDNN
     start: Floats
-    q: Floats = field(default_factory=lambda: np.empty((0, 0)))
-    excess: float = 0.0
-    gap: float = 0.0
-
-    @property
-    def length(self) -> float:
-        """Length of the path, joints in units of `joint_scale`."""
-        steps = np.diff(self.q, axis=0) / joint_scale(self.arm)
-        return float(np.linalg.norm(steps, axis=1).sum())
+    q: Floats = field(default_factory=lambda: np.empty((0, 0)))  # along the path
+    excess: float = 0.0  # the largest over the position limits [rad, m]
+    gap: float = 0.0  # the largest mechanism gap [m]
 
     @property
     def rank(self) -> tuple[float, float, float]:
         """The smaller the better: excess over the limits, then the gap, then the length of the path."""
+        steps = np.diff(self.q, axis=0) / joint_scale(self.arm)
         # Links with six degrees of freedom have gaps by rounding alone.
-        return max(self.excess, LIMIT_TOLERANCE), max(self.gap, 1e-9), self.length
+        return max(self.excess, LIMIT_TOLERANCE), max(self.gap, 1e-9), float(np.linalg.norm(steps, axis=1).sum())
 
     @functools.cached_property
     def touches(self) -> bool:

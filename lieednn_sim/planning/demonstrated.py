@@ -32,10 +32,8 @@ from lieednn_sim.values import Floats, frozen
 
 # Steps of the phase, and the number of them that define the time law: recorded times are noisy.
 _STEPS, _LAW_STEPS = 200, 40
-# Length below which nothing moves [m].
-_LEAST_LENGTH = 1e-6
-# Default deviation, relative to the length of the mean.
-DEVIATION = 1e-3
+_LEAST_LENGTH = 1e-6  # below which nothing moves [m]
+DEVIATION = 1e-3  # default, relative to the length of the mean
 
 
 @frozen
@@ -101,8 +99,7 @@ class JointDemonstrations:
         ends = np.array([path[-1] for path in paths])
         goal = ends.mean(axis=0)
         k, joint = map(int, np.unravel_index(np.argmax(np.abs(ends - goal) / arm.ranges), ends.shape))
-        # Largest distance of a demonstration's end from the mean end, in the joints' ranges.
-        max_end_distance = 0.02
+        max_end_distance = 0.02  # of a demonstration's end from the mean end, in the joints' ranges
         if not kept and np.abs(ends[k, joint] - goal[joint]) > max_end_distance * arm.ranges[joint]:
             raise InputError(
                 f"demonstrations must end at one goal: {tables[k][0]} ends with joint {arm.joint_names[joint]!r} at "

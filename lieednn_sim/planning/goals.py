@@ -26,18 +26,6 @@ Goal: TypeAlias = "ArrayLike | str | RigidTransform | TaskSpaceRegion | Sequence
 Single: TypeAlias = "Floats | str | RigidTransform | TaskSpaceRegion"
 
 
-def single_goals(arm: Arm, target: Goal, what: str = "target") -> list[Single]:
-    """The goals of a set, or the only one: joint positions ``(n,)``, keyframes, poses and regions.
-
-    Raises:
-        InputError: one is malformed, or there is none.
-    """
-    result = list(_single(arm, target, what))
-    if not result:
-        raise InputError(f"{what} must hold at least one goal, got an empty {type(target).__name__}")
-    return result
-
-
 def resolved(arm: Arm, target: Goal) -> Any:
     """A goal or a set of goals with joint positions in place of the names of keyframes."""
     if isinstance(target, list | tuple):
@@ -46,6 +34,7 @@ def resolved(arm: Arm, target: Goal) -> Any:
 
 
 def _single(arm: Arm, target: Goal, what: str, *, outermost: bool = True) -> Iterator[Single]:
+    """The goals of a set, or the only one: joint positions ``(n,)``, keyframes, poses and regions."""
     if isinstance(target, str):
         arm.keyframe(target)
         yield target
@@ -86,7 +75,9 @@ def candidates(
         InputError: a goal is malformed; or the only one is a joint position that cannot be used.
         NoSolutionError: the only pose or region cannot be reached, or no goal of a set can.
     """
-    goals = single_goals(arm, target)
+    goals = list(_single(arm, target, "target"))
+    if not goals:
+        raise InputError(f"target must hold at least one goal, got an empty {type(target).__name__}")
     near = [] if path_constraint is None else list(_followed(arm, goals, start, path_constraint))
     yield from sorted(near, key=lambda q: least_duration(arm, start, q))
     result, refusals = list[Floats](), list[InputError | NoSolutionError]()

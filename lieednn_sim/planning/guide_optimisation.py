@@ -26,15 +26,14 @@ from scipy.interpolate import BSpline, CubicSpline
 
 from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.budget import check_time
-from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion
+from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion, travelled
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.path_constraints import check_path_constraint, excess_and_slopes, projected
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
-# Below this clearance [m] the logarithm is continued by a steep line, so that contact is left first.
-_TOUCHING = 2.5e-3
+_TOUCHING = 2.5e-3  # clearance [m] below which a steep line continues the logarithm, so that contact is left first
 
 
 class GuideOptimisation:
@@ -105,7 +104,7 @@ class GuideOptimisation:
     def near(self, corners: Floats) -> Floats:
         """The spline near a polyline ``(M, n)`` that is followed by minimum jerk, smoothed a little."""
         points = corners / self._scale
-        length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+        length = travelled(points)
         u = np.linspace(0.0, 1.0, 200)[1:-1]
         fraction = minimum_jerk_law(u)[0]
         target = np.stack([np.interp(fraction, length / length[-1], joint) for joint in points.T], axis=1)
@@ -116,12 +115,10 @@ class GuideOptimisation:
 
     def near_constraint(self, free: Floats) -> Floats:
         """The spline near the projections of a motion's positions onto the region that is kept; itself without one."""
-        if self._problem.path_constraint is None:
+        if (region := self._problem.path_constraint) is None:
             return free
-        q = self._scale * (self._kept_rows @ self._control(free))
-        left = (
-            projected(self._problem.arm, q, self._problem.path_constraint) / self._scale - self._kept_rows @ self._ends
-        )
+        q = projected(self._problem.arm, self._scale * (self._kept_rows @ self._control(free)), region)
+        left = q / self._scale - self._kept_rows @ self._ends
         return np.asarray(np.linalg.solve(self._kept_rows[:, self._free], left))
 
     def cost(self, free: Floats) -> float:

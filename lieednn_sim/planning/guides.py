@@ -22,7 +22,7 @@ from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
-from lieednn_sim.planning.joint_space import Workspace
+from lieednn_sim.planning.joint_space import Workspace, travelled
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.path_constraints import outside, projected
@@ -30,8 +30,6 @@ from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.values import Floats
 
 _RRT = RrtConnectOptions()
-# Least weight of a joint in the distances of the trees, as a fraction of that of the joint that moves links most.
-_LEAST_SWEEP = 0.1
 
 
 @dataclass(frozen=True)
@@ -94,8 +92,7 @@ def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[
     """What makes and checks a guide's motion, by the name of its planner, the one to ask first at the beginning."""
     yield "minimum-jerk", partial(_straight, problem)
     if options.optimised or problem.path_constraint is not None:
-        search = (_Search if problem.path_constraint is None else _ConstrainedSearch)(problem, options)
-        for _, name, motion in sorted(search.optimised(), key=itemgetter(0)):
+        for _, name, motion in sorted(_Search(problem, options).optimised(), key=itemgetter(0)):
             yield f"{name}, optimised", motion
     if problem.path_constraint is None:
         yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search)
@@ -108,27 +105,17 @@ def _straight(problem: PlanningProblem) -> Motion:
         # A small part of what is allowed; the rest is for the network that follows it.
         if outside(problem.arm, problem.path_constraint, some) > 0.01:
             raise PlanError("the straight motion leaves the region to keep")
-    return interpolation.minimum_jerk(problem)
+    return in_time(interpolation.minimum_jerk, problem)
 
 
 class _Search:
     """Optimised motions of a problem whose straight motion is blocked."""
 
     def __init__(self, problem: PlanningProblem, options: GuideOptions) -> None:
-        self.problem, self.options, arm = problem, options, problem.arm
-        self.workspace = Workspace(problem, options.margin)
-        self.edges = EdgeTest(arm, self.workspace, options.spacing)
-        self.ends = min(map(self.workspace.collisions.clearance, (problem.start, problem.target)))
-        self.intervals, self.checks, self.shortcuts = options.intervals, options.collision_checks, options.shortcuts
-
-    def enough(self, cost: float) -> bool:
-        """Whether a clear motion of this cost ends the search for more."""
-        # The straight motion, which none is below, costs 2.
-        return cost <= 1.05 * 2.0
-
-    def onto(self, scale: Floats) -> Callable[[Floats], Floats] | None:
-        """What moves points of a tree, in units of ``scale`` ``(n,)``, to where they may be; None for anywhere."""
-        return None
+        self.problem, self.options, self.constrained = problem, options, problem.path_constraint is not None
+        workspace = Workspace(problem, options.margin)
+        self.edges = EdgeTest(problem.arm, workspace, options.spacing)
+        self.ends = min(map(workspace.collisions.clearance, (problem.start, problem.target)))
 
     def optimisation(self, *, own: bool) -> GuideOptimisation:
         """With the arm's distances from itself, at twice the instants; without them, at a fraction of the cost."""
@@ -137,7 +124,7 @@ class _Search:
             self.edges.swept / self.edges.scale,
             self.ends,
             weight=self.options.clearance_weight,
-            intervals=self.intervals,
+            intervals=24 if self.constrained else self.options.intervals,
             instants=(1 + own) * self.options.instants,
             own=own,
         )
@@ -149,7 +136,8 @@ class _Search:
             measure, free, clear = optimisation.descend(optimisation.near_constraint(guess), self.options.steps)
             if clear:
                 yield measure, name, partial(self.motion, optimisation, free)
-                if self.enough(optimisation.cost(free)):
+                # The straight motion, which none is below, costs 2. Where a region is kept, any clear motion will do.
+                if self.constrained or optimisation.cost(free) <= 1.05 * 2.0:
                     break
 
     def motion(self, optimisation: GuideOptimisation, free: Floats) -> Motion:
@@ -169,47 +157,30 @@ class _Search:
 
     def path(self, attempt: int) -> Floats | None:
         """Corners ``(M, n)`` of a shortened path; each attempt has a seed and as many tests of its own."""
-        options, edges = self.options, self.edges
-        weight = np.maximum(edges.swept, _LEAST_SWEEP * edges.swept.max())
+        problem, options, edges = self.problem, self.options, self.edges
+        region, weight, checks = problem.path_constraint, edges.weight, options.collision_checks
         box, scale = weight[:, None] * edges.bounds, edges.scale / weight
 
         def clear(first: Floats, second: Floats) -> bool:
             return edges.passable(first / weight, second / weight)
 
-        search, shortcuts = np.random.SeedSequence([self.problem.seed, attempt]).spawn(2)
+        search, shortcuts = np.random.SeedSequence([problem.seed, attempt]).spawn(2)
         corners = connected(
-            self.problem.start / scale,
-            self.problem.target / scale,
+            problem.start / scale,
+            problem.target / scale,
             bounds=box,
             longest_edge=options.longest_edge * float(np.linalg.norm(np.ptp(box, axis=1))),
             clear=clear,
-            over=partial(edges.over, (attempt + 1) * self.checks),
+            # A projection takes as long as five tests.
+            over=partial(edges.over, (attempt + 1) * (checks if region is None else checks // 5)),
             seed=search,
-            onto=self.onto(scale),
+            onto=None if region is None else lambda at: projected(problem.arm, (scale * at)[None], region)[0] / scale,
         )
         check_time()
-        if corners is None:
-            return None
-        return scale * shortened(corners, clear, self.shortcuts, np.random.default_rng(shortcuts))
-
-
-class _ConstrainedSearch(_Search):
-    """The same where a region is kept on the way: the first clear motion will do."""
-
-    def __init__(self, problem: PlanningProblem, options: GuideOptions) -> None:
-        super().__init__(problem, options)
-        # A projection takes as long as five tests. Straight shortcuts would leave the region.
-        self.intervals, self.checks, self.shortcuts = 24, self.checks // 5, 0
-
-    def enough(self, cost: float) -> bool:
-        """See `_Search`."""
-        return True
-
-    def onto(self, scale: Floats) -> Callable[[Floats], Floats]:
-        """See `_Search`."""
-        arm, path_constraint = self.problem.arm, self.problem.path_constraint
-        assert path_constraint is not None
-        return lambda point: projected(arm, (scale * point)[None], path_constraint)[0] / scale
+        # Straight shortcuts would leave the region.
+        if corners is not None and region is None:
+            corners = shortened(corners, clear, options.shortcuts, np.random.default_rng(shortcuts))
+        return None if corners is None else scale * corners
 
 
 def shortened(
@@ -217,14 +188,10 @@ def shortened(
 ) -> Floats:
     """A path with corners ``(M, n)`` after attempts to connect two random points of it by a straight edge.
 
-    Args:
-        corners: the path.
-        clear: returns whether the edge between two clear points is clear.
-        attempts: number of pairs of points, drawn evenly along the path.
-        rng: generator of the points.
+    The points are drawn evenly along the path; ``clear`` returns whether the edge between two clear points is clear.
     """
     for _ in range(attempts):
-        length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1)))
+        length = travelled(corners)
         at = np.sort(rng.uniform(0.0, length[-1], 2))
         first, second = np.clip(np.searchsorted(length, at, side="right") - 1, 0, len(corners) - 2)
         if first == second:

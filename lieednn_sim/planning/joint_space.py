@@ -20,21 +20,14 @@ SPLINE_DEGREE = 5
 class ClearanceTest:
     """A test whether all pairs of geoms are further apart than a margin, by MuJoCo's collision pass.
 
-    The test is an order of magnitude faster than measuring the distances (`Collisions`).
-
-    Args:
-        arm: the arm, in its scene.
-        margin: smallest allowed distance [m].
-
-    Attributes:
-        tests: number of configurations tested so far, a measure of work that does not depend on the machine.
+    The test is an order of magnitude faster than measuring the distances (`Collisions`). The margin is in metres.
     """
 
     def __init__(self, arm: Arm, margin: float) -> None:
         self._arm, self._margin = arm, margin
         # Visual geoms, which touch nothing, would take most of the time.
         self._finder = arm.without_visuals.contact_finder(margin)
-        self.tests = 0
+        self.tests = 0  # configurations tested so far: a measure of work that does not depend on the machine
 
     def __call__(self, q: Floats) -> bool:
         """True when nothing is closer than the margin at ``q`` ``(n,)``, and `Arm.stops` are kept."""
@@ -62,8 +55,7 @@ class ClearanceTest:
         """Missing clearance ``(K,)`` [m] at ``q`` ``(K, n)``: the sum over pairs of geoms of margin minus distance.
 
         Only pairs closer than the margin count, so the sum, with what `Arm.stops` are exceeded by, is zero where a call
-        returns True. It grows with the depth
-        of a penetration up to half the thickness of a geom.
+        returns True. It grows with the depth of a penetration up to half the thickness of a geom.
         """
         positions = self._arm.qpos(q, strict=False)
         # What is beyond a range of the arm's stops lacks as much; where loops cannot be closed, a metre.
@@ -81,24 +73,17 @@ class ClearanceTest:
 
 
 class Workspace:
-    """Clearance tests of a problem, whose margin is reduced where start and target are closer to something.
+    """A problem's clearance test, and the signed distances of its geoms.
 
-    Args:
-        problem: if its start or target is closer to something than the margin, the margin is reduced.
-        margin: clearance to plan with [m].
-
-    Attributes:
-        clear: the clearance test with the reduced margin.
-        collisions: signed distances of the geoms.
+    Where start or target is closer to something than the margin [m], the test's margin is reduced.
     """
 
     def __init__(self, problem: PlanningProblem, margin: float) -> None:
         self.collisions = Collisions(problem.arm)
         ends = (problem.start, problem.target)
         nearest = min(self.collisions.distances(q, 2.0 * margin).distance.min(initial=np.inf) for q in ends)
+        kept_fraction = 0.8  # of the distance of start and target, where these are closer than the margin
         # The clearance that motions are checked for is kept.
-        # Fraction of the distance of start and target that is kept where these are closer than the margin.
-        kept_fraction = 0.8
         self.clear = ClearanceTest(problem.arm, min(margin, max(kept_fraction * nearest, problem.arm.clearance)))
 
 
@@ -113,19 +98,23 @@ def joint_scale(arm: Arm) -> Floats:
     return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
 
 
+def travelled(points: Floats) -> Floats:
+    """Length ``(M,)`` of a path through points ``(M, n)`` up to each of them."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+
+
 def sweeps(arm: Arm) -> Floats:
     """Largest distance ``(n,)`` that a unit of each joint moves a link frame at random configurations [m/rad, m/m]."""
     low, high = arm.position_limits.T
     step = 1e-3 * arm.ranges
-    # Random configurations: enough for their largest sweep to come within a few percent of the largest of all.
-    n_configurations = 64
+    n_configurations = 64  # enough for their largest sweep to come within a few percent of the largest of all
     q = np.random.default_rng(0).uniform(low + step, high - step, (n_configurations, 1, arm.n_joints))
     ahead, behind = (np.asarray(arm.link_poses(q + side * np.diag(step)).translation) for side in (1.0, -1.0))
     moved = np.linalg.norm(ahead - behind, axis=-1).max(axis=(0, 2))
     return np.asarray(moved / (2.0 * step))
 
 
-def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floats) -> Motion:
+def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floats, *, checked: bool = True) -> Motion:
     """The motion through given joint positions at `PlanningProblem.times`, checked against the arm's limits.
 
     The poses are those of the joints, so there is no mechanism gap.
@@ -135,25 +124,16 @@ def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floa
         q: ``(K, n)`` [rad, m], from start to target up to rounding.
         qd: ``(K, n)`` [rad/s, m/s], zero at both ends up to rounding.
         progress: ``(K,)`` from 0 to 1.
+        checked: whether limits and contact are checked.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.
     """
-    check_joints(problem.arm, problem.times(), *_at_rest(problem, q, qd))
-    return unchecked_motion(problem, q, qd, progress)
-
-
-def unchecked_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floats) -> Motion:
-    """As `joint_motion`, without checks of limits and contact."""
-    (q, qd), arm = _at_rest(problem, q, qd), problem.arm
+    arm, t = problem.arm, problem.times()
+    q, qd = (as_floats(name, value, (len(t), arm.n_joints)).copy() for name, value in (("q", q), ("qd", qd)))
+    # With exact ends: rounding might miss them, and exceed a limit there.
+    q[0], q[-1], qd[[0, -1]] = problem.start, problem.target, 0.0
+    if checked:
+        check_joints(arm, t, q, qd)
     none, xi = np.zeros((len(q), arm.n_links)), continued(arm.encode(q))
-    return Motion(problem.times(), as_floats("progress", progress, (len(q),)), xi, xi[-1], q, qd, none, none.copy())
-
-
-def _at_rest(problem: PlanningProblem, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
-    """The same with exact ends: rounding might miss them, and exceed a limit there."""
-    shape = (len(problem.times()), problem.arm.n_joints)
-    q, qd = as_floats("q", q, shape).copy(), as_floats("qd", qd, shape).copy()
-    q[0], q[-1] = problem.start, problem.target
-    qd[[0, -1]] = 0.0
-    return q, qd
+    return Motion(t, as_floats("progress", progress, (len(q),)), xi, xi[-1], q, qd, none, none.copy())

@@ -13,12 +13,10 @@ from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, check_fields, frozen
 
-# Positions may exceed a limit by this much [rad, m]: a target on a limit is reached up to the residual.
-LIMIT_TOLERANCE = 1e-6
-# Every 16th sample of a motion is tested for contact first, then the others, so that most contacts are found early.
-_STRIDE = 16
-# 200 s at a simulation step of 2 ms; longer motions would take minutes to plan.
-_MAX_STEPS = 100_000
+LIMIT_TOLERANCE = 1e-6  # by which positions may exceed a limit [rad, m]: a target on one is reached up to the residual
+_STRIDE = 16  # every 16th sample is tested for contact first, then the others: most contacts are found early
+_JUMP = 0.02  # by which a step between samples exceeds what the velocities explain [rad, m]
+_MAX_STEPS = 100_000  # 200 s at a simulation step of 2 ms; longer motions would take minutes to plan
 
 
 @frozen
@@ -188,7 +186,15 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
     if outside[k, joint] > LIMIT_TOLERANCE:
         raise PlanError(f"at t = {t[k]:.2f} s {arm.describe_excess(q[k], joint)}")
-    _check_continuity(arm, t, q, qd)
+    # Steps much longer than twice what the velocities at their ends explain are jumps.
+    step, speed = np.abs(np.diff(q, axis=0)), np.maximum(np.abs(qd[1:]), np.abs(qd[:-1]))
+    unexplained = step - 2.0 * timestep * speed
+    k, joint = map(int, np.unravel_index(unexplained.argmax(), unexplained.shape))
+    if unexplained[k, joint] > _JUMP:
+        raise PlanError(
+            f"joint {arm.joint_names[joint]!r} would jump by {step[k, joint]:.3g} {arm.unit(joint)} at "
+            f"t = {t[k + 1]:.2f} s, where the nearest configuration changes abruptly"
+        )
     too_fast: list[tuple[float, str]] = []
     words = (("move", "/s"), ("accelerate", "/s^2"), ("jerk", "/s^3"))
     for (what, suffix), (values, limits, power) in zip(words, rates_and_limits(arm, qd, timestep), strict=True):
@@ -204,7 +210,6 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     if too_fast:
         enough, reason = max(too_fast)
         raise TooFastError(f"{reason}; a duration of at least {enough:.2f} s keeps it", float(enough))
-    # Coarsely first, so that contacts are found early.
     order = np.argsort(np.arange(len(q)) % _STRIDE != 0, kind="stable")
     for count, (k, touching) in enumerate(zip(order.tolist(), arm.near_contacts_along(q[order]), strict=True)):
         if count % _STRIDE == 0:
@@ -212,18 +217,3 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
         if touching:
             near = f"come within {1e3 * arm.clearance:g} mm of" if arm.clearance else "touch"
             raise PlanError(f"{touching[0][0]!r} would {near} {touching[0][1]!r} at t = {t[k]:.2f} s")
-
-
-def _check_continuity(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
-    """Refuse steps much longer than twice what the velocities at their ends explain."""
-    step = np.abs(np.diff(q, axis=0))
-    speed = np.maximum(np.abs(qd[1:]), np.abs(qd[:-1]))
-    unexplained = step - 2.0 * (t[1] - t[0]) * speed
-    k, joint = map(int, np.unravel_index(unexplained.argmax(), unexplained.shape))
-    # A step between samples that exceeds what the velocities explain by more than this is a jump [rad, m].
-    jump = 0.02
-    if unexplained[k, joint] > jump:
-        raise PlanError(
-            f"joint {arm.joint_names[joint]!r} would jump by {step[k, joint]:.3g} {arm.unit(joint)} at "
-            f"t = {t[k + 1]:.2f} s, where the nearest configuration changes abruptly"
-        )

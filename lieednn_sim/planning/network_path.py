@@ -28,8 +28,7 @@ from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law, ste
 from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.values import Floats
 
-# Distance to the equilibrium at which the network's path is cut [network coordinates: rad, length_scale m].
-RESIDUAL = 1e-8
+RESIDUAL = 1e-8  # distance to the equilibrium at which the path is cut [network coordinates: rad, length_scale m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +95,8 @@ class NetworkPath:
                 f"{equilibrium.spectral_abscissa:.2g}); use another network"
             )
         # Between its samples, the speed is interpolated with a lower order than the states.
-        fraction = np.arange(8) / 8
-        grid = (trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * fraction).ravel()
-        grid = np.append(grid, trajectory.t[-1])
+        between = trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * (np.arange(8) / 8)
+        grid = np.append(between, trajectory.t[-1])
         states = trajectory(grid)
         field = network.visible(network.vector_field(states))
         if units is None:
@@ -153,7 +151,13 @@ class NetworkPath:
 
     def _timed(self, duration: float, timestep: float, law: Law) -> Motion:
         t = timestep * np.arange(count_steps(duration, timestep) + 1, dtype=np.float64)
-        position, rate = self._positions(t, law)
+        position, rate = np.zeros_like(t), np.zeros_like(t)
+        if (speed := self.speed) is not None:
+            length = speed.antiderivative()
+            total = float(length(speed.x[-1]))
+            progress, progress_rate = law(t / t[-1])
+            position = _invert(length, speed, speed.x, total * progress)
+            rate = total * progress_rate / (t[-1] * np.maximum(speed(position), 1e-300))
         states = self.states(position)
         if self.joints is None:
             tau, xi = position, self.network.visible(states)
@@ -165,16 +169,6 @@ class NetworkPath:
         qd = along * rate[:, None]
         qd[[0, -1]] = 0.0
         return Motion(t, tau, xi, self.target, q, qd, *gaps)
-
-    def _positions(self, t: Floats, law: Law) -> tuple[Floats, Floats]:
-        """Positions on the path and their rates, by a law, at times ``(K,)`` [s]."""
-        if (speed := self.speed) is None:
-            return np.zeros_like(t), np.zeros_like(t)
-        length = speed.antiderivative()
-        total = float(length(speed.x[-1]))
-        progress, progress_rate = law(t / t[-1])
-        position = _invert(length, speed, speed.x, total * progress)
-        return position, total * progress_rate / (t[-1] * np.maximum(speed(position), 1e-300))
 
 
 def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> None:

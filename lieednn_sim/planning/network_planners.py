@@ -127,12 +127,8 @@ def linear_attractor(problem: PlanningProblem) -> Plan:
 def without_weights(target: Floats) -> LieEDNN:
     """The certified network whose visible neurons go straight to ``target`` ``(N, 6)``, independently."""
     n = len(target)
-    return LieEDNN(
-        alpha=np.zeros((n, n)),
-        rotation=np.broadcast_to(np.eye(3), (n, n, 3, 3)),
-        translation=np.zeros((n, n, 3)),
-        bias=target,
-    ).certify()
+    unturned = np.broadcast_to(np.eye(3), (n, n, 3, 3))
+    return LieEDNN(alpha=np.zeros((n, n)), rotation=unturned, translation=np.zeros((n, n, 3)), bias=target).certify()
 
 
 def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPath:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -63,16 +62,13 @@ class NetworkOptions(PlannerOptions):
     activation: str = field(default=DEFAULT_ACTIVATION, kw_only=True, metadata={"choices": ACTIVATIONS})
 
 
-_NUMBERS: dict[Any, Callable[[str, Any], Any]] = {int: as_count, float: as_positive}
-
-
 def _checked(name: str, value: Any, kind: Any) -> Any:
     if get_origin(kind) is tuple:
         if not isinstance(value, tuple | list) or not value:
             raise InputError(f"{name} must be a tuple of at least one number, got {quoted(value)}")
         return tuple(_checked(name, item, get_args(kind)[0]) for item in value)
-    if kind in _NUMBERS:
-        return _NUMBERS[kind](name, value)
+    if kind in (int, float):
+        return as_count(name, value) if kind is int else as_positive(name, value)
     if not isinstance(value, kind):
         raise InputError(f"{name} must be a {kind.__name__}, got {quoted(value)}")
     return value

@@ -116,8 +116,7 @@ def end_outside(arm: Arm, region: TaskSpaceRegion | None, q: Floats) -> str | No
         return None
     distance, angle = region.distance(arm.link_poses(q)[-1])
     # Start and target lie in it up to the accuracy of inverse kinematics [m, rad].
-    ends = 1e-4
-    return None if max(distance, angle) <= ends else _words(float(distance), float(angle))
+    return None if max(distance, angle) <= 1e-4 else _words(float(distance), float(angle))
 
 
 def _words(distance: float, angle: float) -> str:

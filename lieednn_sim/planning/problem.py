@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property, wraps
-from typing import Any, TypeVar, cast
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,8 +19,6 @@ from lieednn_sim.validation import as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields, frozen, read_only, set_fields
 
 _Made = TypeVar("_Made")
-_Solve = TypeVar("_Solve", bound=Callable[..., Any])
-
 
 #: The duration of a motion [s], or that and the longest one that it may take.
 Duration = float | tuple[float, float]
@@ -144,8 +142,7 @@ def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any)
     Raises:
         TooFastError: even ``problem.longest`` is not enough.
     """
-    # Factor on the duration that a too fast motion needs, since that is estimated from samples.
-    time_reserve = 1.02
+    time_reserve = 1.02  # on the duration that a too fast motion needs, since that is estimated from samples
     while True:
         try:
             return make(problem, *options)
@@ -154,13 +151,3 @@ def in_time(make: Callable[..., _Made], problem: PlanningProblem, *options: Any)
             if slower > problem.longest:
                 raise
             problem = replace(problem, duration=slower)
-
-
-def made_in_time(make: _Solve) -> _Solve:
-    """Decorator of a planner's function that calls it by `in_time`."""
-
-    @wraps(make)
-    def solve(problem: PlanningProblem, *options: Any) -> Any:
-        return in_time(make, problem, *options)
-
-    return cast(_Solve, solve)

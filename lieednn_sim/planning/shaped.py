@@ -28,8 +28,7 @@ from lieednn_sim.synthesis import CurveEncoder, ShapingOptions, shape
 from lieednn_sim.values import Floats, frozen
 
 _GUIDE = GuideOptions()
-# Every second sample of the guide's motion is a sample of the curve.
-_STRIDE = 2
+_STRIDE = 2  # every second sample of the guide's motion is a sample of the curve
 
 
 @dataclass(frozen=True)

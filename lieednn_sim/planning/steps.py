@@ -76,9 +76,8 @@ class Actuate:
     name: str = ""
 
     def __post_init__(self) -> None:
-        values = {
-            name: float(as_floats(f"the control of {quoted(name)}", value, ())) for name, value in self.controls.items()
-        }
+        given = self.controls.items()
+        values = {name: float(as_floats(f"the control of {quoted(name)}", value, ())) for name, value in given}
         if isinstance(self.until, str):
             as_choice("event", self.until, (SETTLED,))
         label = self.name or ", ".join(f"{name} {value:g}" for name, value in values.items()) or "wait"
@@ -86,12 +85,7 @@ class Actuate:
 
 
 class Gripping:
-    """A step of controls in a model: sets them, and knows when the step is over.
-
-    Args:
-        arm: the arm, which the actuators must not move.
-        model: its model, or a simulated one like it.
-        step: the step.
+    """A step of controls in an arm's model, or a simulated one like it: sets them, and knows when the step is over.
 
     Raises:
         InputError: there is no such actuator or body, it moves the arm, or a control is out of its range.
@@ -152,5 +146,5 @@ class Gripping:
         known = [model.body(k).name for k in range(model.nbody)]
         carried[known.index(as_choice("body", name, filter(None, known)))] = True
         for body in range(1, model.nbody):
-            carried[body] |= carried[model.body_parentid[body]] and body != 0
+            carried[body] |= carried[model.body_parentid[body]]
         return carried

@@ -1,15 +1,28 @@
-"""Time laws: how fast a motion follows its path."""
+"""Time laws: how fast a motion follows its path, and the fastest one within the arm's limits.
+
+TOPP-RA (Pham and Pham, IEEE Transactions on Robotics 34(3), 2018; the library toppra) finds the fastest time law within
+limits of velocity and acceleration. That law switches between full acceleration and braking, without a bound on jerk,
+and where the path turns sharply its pieces are too coarse for the limits to hold in between. So `retime` averages it
+over a window of time, which smooths it, and stretches it until it keeps the limits; of several windows the one with the
+shortest motion is taken. A network's motion keeps its path: its field is only multiplied by a positive number at every
+instant, so what is proven of the path still holds.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator, make_interp_spline
 from scipy.ndimage import convolve1d, maximum_filter1d
 
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError, PlanError, TooFastError
+from lieednn_sim.planning.joint_space import joint_scale, travelled
+from lieednn_sim.planning.motion import Motion, check_motion, count_steps, rates_and_limits
+from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
 # Fraction of a path's length and its slope, both ``(K,)``, at fractions ``(K,)`` of the duration.
@@ -21,6 +34,8 @@ _SHARP_TURN = 10.0
 # Half width of the maximum and of the average by which a motion slows down around a sharp turn, as a fraction of the
 # duration: it begins to slow down twice as long before.
 _EASING_WIDTH = 0.1
+_PIECES = 1000  # of the path, of equal length, with one acceleration of the law on each
+_INSTANTS = 2000  # at which laws are sampled
 
 
 def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
@@ -51,12 +66,8 @@ def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
     """A law that slows down where a motion by another law turns sharply; None if it does so nowhere.
 
     With a law that ignores the curvature kappa, the acceleration across the path, v^2 kappa, is unbounded. Here time is
-    stretched around every instant at which it exceeds a bound, by the square root of their ratio.
-
-    Args:
-        motion: a motion by the other law.
-        law: the other law.
-        units: ``(n,)`` units of the joints in the path's length.
+    stretched around every instant at which it exceeds a bound, by the square root of their ratio. The path's length has
+    ``units`` ``(n,)`` of the joints.
     """
     count, duration = len(motion.t), motion.t[-1]
     velocity = motion.qd / units
@@ -84,3 +95,118 @@ def _through(s: Floats, fraction: Floats, slope: Floats) -> Law:
     law = CubicHermiteSpline(s, fraction, np.where((s > 0.0) & (s < 1.0), slope, 0.0))
     rate = law.derivative()
     return lambda x: (np.clip(law(x), 0.0, 1.0), np.maximum(rate(x), 0.0))
+
+
+def retime(arm: Arm, motion: Motion) -> Motion:
+    """Make a motion along the path of another one, as fast as velocity, acceleration and jerk limits allow.
+
+    Args:
+        arm: the motion's arm, in its scene.
+        motion: a motion from rest to rest, at any pace.
+
+    Returns:
+        The motion; its duration is the least one found, rounded up to a time step, or a few thousandths more.
+
+    Raises:
+        InputError: no joint moves, or a joint that moves has no limit of acceleration.
+        PlanError: the path breaks a limit of position, or touches something.
+        LieEDNNError: toppra is not installed; the message names the extra.
+    """
+    path = _Path(arm, motion)
+    law = path.fastest()
+    duration = max(float(law.x[-1]), 2.0 * arm.timestep)
+    count_steps(duration, arm.timestep)
+    for _ in range(20):
+        result = path.motion(law, math.ceil(duration / arm.timestep))
+        try:
+            check_motion(arm, result)
+        except TooFastError:
+            # Rates sampled at the model's time step may exceed those of the law slightly.
+            duration *= 1.002
+            continue
+        return result
+    raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")
+
+
+class _Path:
+    """A motion's path over its length, in units of the joints' limits."""
+
+    def __init__(self, arm: Arm, motion: Motion) -> None:
+        if motion.q.shape[1] != arm.n_joints:
+            raise InputError(f"the motion has {motion.q.shape[1]} joints, arm {arm.name!r} has {arm.n_joints}")
+        length = travelled(motion.q / joint_scale(arm))
+        if length[-1] <= 0.0:
+            raise InputError("the motion goes nowhere, so that there is nothing to make faster")
+        fraction = length / length[-1]
+        moving = np.ptp(motion.q, axis=0) > 0.0
+        if (free := np.flatnonzero(moving & np.isinf(arm.acceleration_limits))).size:
+            raise InputError(
+                f"joint {arm.joint_names[free[0]]!r} has no limit of acceleration, so that the fastest motion has no "
+                "end; name one: Arm.load(..., limits={...}), or the custom numeric acceleration_limit"
+            )
+        # Samples are dense where the motion is slow; too dense ones would make noise of the second derivative.
+        kept = np.unique(np.searchsorted(fraction, np.linspace(0.0, 1.0, _PIECES + 1)))
+        self._arm, self._motion, self._kept, self._fraction = arm, motion, kept, fraction[kept]
+        self._q = CubicSpline(self._fraction, motion.q[kept])
+        speed = np.linalg.norm(motion.qd[kept] / joint_scale(arm), axis=1)
+        self._own = CubicHermiteSpline(motion.t[kept], self._fraction, speed / length[-1])
+
+    def fastest(self) -> CubicHermiteSpline:
+        """The law with the shortest duration, from time to the fraction of the path's length."""
+        topp = optional_module("toppra")
+        constraint, algorithm = optional_module("toppra.constraint"), optional_module("toppra.algorithm")
+        # The solver wants numbers about one, also for a motion of a micrometre: each joint in units of what its
+        # acceleration limit gives in the unit of time, which is about the motion's duration.
+        q, velocity, acceleration = self._motion.q[self._kept], self._arm.velocity_limits, self._arm.acceleration_limits
+        unit = float(np.sqrt((np.ptp(q, axis=0) / acceleration).max()))
+        size = np.where(np.isfinite(acceleration), acceleration, 1.0) * unit**2
+        # It wants bounds in place of missing limits, too, far above all rates.
+        limits = [np.minimum(bound, 1e6)[:, None] * [-1.0, 1.0] for bound in (velocity * unit / size, 0.0 * size + 1.0)]
+        grid = np.linspace(0.0, 1.0, _PIECES + 1)
+        solver = algorithm.TOPPRA(
+            [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])],
+            topp.SplineInterpolator(self._fraction, (q - q[0]) / size),
+            gridpoints=grid,
+            solver_wrapper="seidel",
+        )
+        _, rate, _ = solver.compute_parameterization(0.0, 0.0)
+        if rate is None or not np.isfinite(rate).all():
+            raise PlanError("toppra finds no time law for this path; it turns too sharply")
+        # Constant acceleration on each piece.
+        t = unit * np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
+        law = CubicHermiteSpline(t, grid, rate / unit)
+        laws = [self._own, law, *(_averaged(law, window * t[-1]) for window in np.geomspace(0.002, 1.0, 20))]
+        return min(map(self._stretched, laws), key=lambda item: float(item.x[-1]))
+
+    def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
+        """The law, stretched or compressed to the least time in which it keeps all limits."""
+        t = np.linspace(0.0, law.x[-1], _INSTANTS + 1)
+        qd = self._q(law(t), 1) * law(t, 1)[:, None]
+        rates = rates_and_limits(self._arm, qd, t[1])
+        factor = max(float((np.abs(values) / limits).max()) ** power for values, limits, power in rates)
+        return CubicHermiteSpline(law.x * factor, law(law.x), law(law.x, 1) / factor)
+
+    def motion(self, law: CubicHermiteSpline, steps: int) -> Motion:
+        """The motion by a law, in a given number of time steps."""
+        old, kept, arm = self._motion, self._kept, self._arm
+        t = arm.timestep * np.arange(steps + 1, dtype=np.float64)
+        pace = law.x[-1] / t[-1]
+        fraction = np.clip(law(t * pace), 0.0, 1.0)
+        q, qd = self._q(fraction), self._q(fraction, 1) * (law(t * pace, 1) * pace)[:, None]
+        q[[0, -1]], qd[[0, -1]] = old.q[[0, -1]], 0.0
+        xi = CubicSpline(self._fraction, old.xi[kept])(fraction)
+        xi[[0, -1]] = old.xi[[0, -1]]
+        tau, translation, rotation = (
+            make_interp_spline(self._fraction, values[kept], k=1)(fraction)
+            for values in (old.tau, old.gap_translation, old.gap_rotation)
+        )
+        return Motion(t, tau, xi, old.xi_target, q, qd, translation, rotation)
+
+
+def _averaged(law: CubicHermiteSpline, window: float) -> CubicHermiteSpline:
+    """A law averaged over a window of time: steps of its acceleration become ramps, and it takes a window longer."""
+    duration = float(law.x[-1])
+    t = np.linspace(0.0, duration + window, _INSTANTS + 1)
+    rate = (law(np.minimum(t, duration)) - law(np.maximum(t - window, 0.0))) / window
+    fraction = cumulative_trapezoid(rate, dx=t[1], initial=0.0)
+    return CubicHermiteSpline(t, fraction / fraction[-1], rate / fraction[-1])

@@ -71,13 +71,11 @@ class TimedPath:
     """A transition that a universal network makes, from its visible state on.
 
     Args:
-        arm: the arm.
-        encoder: encoder for its number of links.
+        arm, encoder: the arm, and the encoder for its number of links.
         transition: the motion of the joints.
         visible: ``(N, 6)`` visible state, whose nearest configuration is the transition's first.
 
     Attributes:
-        transition: the transition.
         state: the network's state, from now on.
         clock: z as a function of time.
 

@@ -89,8 +89,7 @@ def transition(
     Positions, velocities and accelerations are checked at samples, the latter two against `FRACTION` of their limits.
 
     Args:
-        arm: the arm.
-        now: the state at the beginning.
+        arm, now: the arm, and its state at the beginning.
         base: motion from rest to rest, such as `straight` or `along` make.
         clear: says what is in the way at configurations ``(K, n)``, or None; by default nothing is checked.
 

@@ -47,10 +47,8 @@ from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
-# Smallest size at which the projection is bounded [m].
-_SMALLEST = 1e-4
-# Largest difference of a motion's states and joints from those computed again [rad, m].
-_SAME = 1e-6
+_SMALLEST = 1e-4  # smallest size at which the projection is bounded [m]
+_SAME = 1e-6  # largest difference of a motion's states and joints from those computed again [rad, m]
 
 
 @frozen
@@ -84,11 +82,8 @@ class Tube:
     pair: tuple[str, ...]
 
     def __repr__(self) -> str:
-        limit = (
-            f"limited by {' and '.join(map(repr, self.pair))} at {self.t:.2f} s"
-            if self.pair
-            else "not limited by contact"
-        )
+        by = f"limited by {' and '.join(map(repr, self.pair))} at {self.t:.2f} s"
+        limit = by if self.pair else "not limited by contact"
         return (
             f"<Tube: {1e3 * self.size:.3g} mm for every link at once, pushes up to {self.push:.3g} [rad, m], {limit}>"
         )
@@ -130,7 +125,12 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
     if not network.certified:
         raise NotCertifiedError("only certified networks have a tube; see network.certify()")
     cascade = not network.blocks[:, : network.n_visible].any()
-    gain = 1.0 if cascade else _gain(network)
+    gain = 1.0
+    if not cascade:
+        proved = network.robustness().contracting
+        if proved is None:
+            raise NotCertifiedError("nothing is proved about the growth of deviations, since contraction is not")
+        gain = max(1.0, proved.push_gain())
     _check_path(arm, network, motion)
     path = _Path(arm, motion, errors, keep)
     units = np.stack([1.0 / lever_units(arm, motion.q)[:, 0], np.full(arm.n_links, 1.0)], axis=1)
@@ -142,14 +142,6 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
         size = push / float(np.linalg.norm(each))
     rotation, translation = size * each.T
     return Tube(size, rotation, translation, push, gain, t, path.bounds.names(pair) if pair[0] >= 0 else ())
-
-
-def _gain(network: ComponentwiseNetwork) -> float:
-    """Largest growth of a deviation of the visible neurons; raises `NotCertifiedError` if none is proved."""
-    proved = network.robustness().contracting
-    if proved is None:
-        raise NotCertifiedError("nothing is proved about the growth of deviations, since contraction is not")
-    return max(1.0, proved.push_gain())
 
 
 def _check_path(arm: Arm, network: ComponentwiseNetwork, motion: Motion) -> None:
@@ -230,9 +222,8 @@ class _Path:
 
     def _scales(self, a: float, b: float, spread: Floats, most: float) -> tuple[float, float, tuple[int, int]]:
         """As `ClearanceBounds`, for an interval of samples: for all its instants, and for its middle alone."""
-        first, last = int(np.floor(a)), max(int(np.ceil(b)), int(np.floor(a)) + 1)
-        last = min(last, len(self._accelerations))
-        first = min(first, last - 1)
+        last = min(max(int(np.ceil(b)), int(np.floor(a)) + 1), len(self._accelerations))
+        first = min(int(np.floor(a)), last - 1)
         step = self._motion.timestep
         middle, half = 0.5 * (a + b) * step, 0.5 * (b - a) * step
         curve = 0.5 * half**2 * self._accelerations[first:last].max(axis=0)

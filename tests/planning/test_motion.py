@@ -270,7 +270,7 @@ def test_candidates_are_screened_by_hand(gantry, monkeypatch):
     assert other.gap == pytest.approx(0.1 * 2.0)
     assert other.excess <= 0.0
     # There and back along y, of which 2 m are a second's way at most.
-    assert (one.length, other.length) == pytest.approx((2.25, 0.0), abs=1e-8)
+    assert (one.rank[2], other.rank[2]) == pytest.approx((2.25, 0.0), abs=1e-8)
     # To keep the limits counts more than to have no gap.
     assert other.rank < one.rank
 

@@ -11,7 +11,7 @@ import lieednn_sim as ls
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning import GuideOptions, PlanningProblem
 from lieednn_sim.planning.goals import candidates
-from lieednn_sim.planning.guides import _ConstrainedSearch
+from lieednn_sim.planning.guides import _Search
 from lieednn_sim.planning.path_constraints import outside, projected
 
 from .arms import coarse
@@ -119,7 +119,7 @@ def test_a_path_that_is_searched_for_has_all_corners_in_the_region(arm, start):
     problem = PlanningProblem(
         arm, start, next(candidates(arm, goal, start, path_constraint=region)), path_constraint=region
     )
-    corners = _ConstrainedSearch(problem, GuideOptions()).path(0)
+    corners = _Search(problem, GuideOptions()).path(0)
     assert outside(arm, region, corners[1:-1]) < 1e-6
 
 

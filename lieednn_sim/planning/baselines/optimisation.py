@@ -28,12 +28,11 @@ from lieednn_sim.planning.joint_space import (
 )
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.problem import PlanningProblem, made_in_time
+from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
-# Control points fixed at each end by its position and zero velocity and acceleration.
-_FIXED = 3
+_FIXED = 3  # control points at each end, by its position and zero velocity and acceleration
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,6 @@ class OptimisationOptions(PlannerOptions):
     inset: float = field(default=1e-9, metadata={"range": (0.0, 0.1)})
 
 
-@made_in_time
 def trajectory_optimisation(problem: PlanningProblem, options: OptimisationOptions) -> Motion:
     """The first of a few locally optimal trajectories that the arm can follow.
 
@@ -143,17 +141,11 @@ class _Descent:
             shift = rng.uniform(low, high) - self.smoothest[peak]
             control = np.clip(self.smoothest + (shape / shape[peak])[:, None] * rng.uniform() * shift, low, high)
             drawn.append(control.ravel())
-            blocked.append(sum(self._blocked(q) for q in self.positions(control.ravel())))
+            check_time()
+            positions = self.scale * (self.weighed[0] @ self._control(control))
+            blocked.append(sum(not self.workspace.clear(q) for q in positions))
         for index in np.argsort(blocked, kind="stable")[: self.options.guesses - 1]:
             yield drawn[index]
-
-    def _blocked(self, q: Floats) -> bool:
-        check_time()
-        return not self.workspace.clear(q)
-
-    def positions(self, x: Floats) -> Floats:
-        """Joint positions ``(K, n)`` at the instants."""
-        return np.asarray(self.scale * (self.weighed[0] @ self._control(x)))
 
     def _control(self, x: Floats) -> Floats:
         """All control points over the joints' scale ``(F + 6, n)``, from the free ones, flat."""
@@ -183,15 +175,16 @@ class _Descent:
         smooth = (self.root @ (control[self.inner] - self.smoothest)).ravel()
         values, rows = [smooth], [np.kron(self.root, np.eye(n))]
         factor = math.sqrt(weight / self.options.instants)
-        basis = [table[:, self.inner] for table in self.weighed]
-        hinge, slope = self._closeness(self.scale * (self.weighed[0] @ control))
-        values.append(factor * hinge)
-        rows.append(factor * _chained(basis[0], slope * self.scale))
-        limits = (self.arm.velocity_limits, self.arm.acceleration_limits)
-        for table, rates, limit in zip(basis[1:], self.weighed[1:], limits, strict=True):
-            hinge, slope = _excess(self.scale * (rates @ control), self.options.rate_fraction * limit)
+        position, velocity, acceleration = (self.scale * (table @ control) for table in self.weighed)
+        hinges = (
+            self._closeness(position),
+            _excess(velocity, self.options.rate_fraction * self.arm.velocity_limits),
+            _excess(acceleration, self.options.rate_fraction * self.arm.acceleration_limits),
+        )
+        for table, (hinge, slope) in zip(self.weighed, hinges, strict=True):
             values.append(factor * hinge)
-            rows.append(factor * _chained(table, slope * self.scale))
+            of_control = np.einsum("kf,kn->kfn", table[:, self.inner], slope * self.scale)
+            rows.append(factor * of_control.reshape(len(table), -1))
         return np.concatenate(values), np.concatenate(rows)
 
     def motion(self, x: Floats) -> Motion:
@@ -221,8 +214,3 @@ def _excess(rate: Floats, limit: Floats) -> tuple[Floats, Floats]:
     hinge = np.maximum(np.abs(rate) / limit - 1.0, 0.0)
     value = np.linalg.norm(hinge, axis=1)
     return value, hinge * np.sign(rate) / (limit * np.maximum(value, 1e-12)[:, None])
-
-
-def _chained(basis: Floats, slope: Floats) -> Floats:
-    """Derivatives ``(K, F n)`` in the control points, from those ``(K, n)`` in the positions."""
-    return np.einsum("kf,kn->kfn", basis, slope).reshape(len(basis), -1)

@@ -30,7 +30,7 @@ from lieednn_sim.learning import TrainingOptions, TrainingResult, train
 from lieednn_sim.learning.manifold import QuaternionWeights
 from lieednn_sim.network.componentwise import HopfieldNetwork
 from lieednn_sim.planning.baselines.smoothing import smoothed
-from lieednn_sim.planning.joint_space import joint_motion, joint_scale
+from lieednn_sim.planning.joint_space import joint_motion, joint_scale, travelled
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
@@ -94,11 +94,7 @@ def qshnn(problem: PlanningProblem, options: QshnnOptions) -> Motion:
 class JointQuaternions:
     """Joint positions as quaternions (w, x, y, z), one for each hinge, slide or ball joint.
 
-    Coupled joints, which share a coordinate, share a quaternion.
-
-    Args:
-        arm: the arm.
-        modulus: modulus of the quaternions.
+    Coupled joints, which share a coordinate, share a quaternion. All have the same modulus.
     """
 
     def __init__(self, arm: Arm, modulus: float) -> None:
@@ -154,14 +150,12 @@ def path_of(problem: PlanningProblem, joints: JointQuaternions, network: Hopfiel
         raise PlanError(
             f"the learned network does not arrive: {left:.2g} from the target after {_LONGEST_RUN:g} of its time"
         )
-    # Samples of the path, between which waypoints are interpolated.
-    samples = 2000
-    fraction = np.linspace(0.0, 1.0, samples)
+    # Waypoints are interpolated between so many samples.
+    fraction = np.linspace(0.0, 1.0, 2000)
     times = np.interp(fraction, np.linspace(0.0, 1.0, len(trajectory.t)), trajectory.t)
     q = joints.positions(trajectory(times))
     q[0], q[-1] = problem.start, problem.target
-    scale = joint_scale(problem.arm)
-    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q / scale, axis=0), axis=1)))
+    length = travelled(q / joint_scale(problem.arm))
     even = np.linspace(0.0, length[-1], count)
     return np.stack([np.interp(even, length, joint) for joint in q.T], axis=1)
 

@@ -36,10 +36,7 @@ METHODS = {
     "bit-star": "BITstar",
     "aorrtc": "AORRTC",
 }
-# Least weight of a joint in the distances of balanced trees, as a fraction of that of the joint that moves links most.
-_LEAST_SWEEP = 0.1
-# A path of at most this many straight lengths is straight, up to rounding.
-_STRAIGHT = 1.0 + 1e-9
+_STRAIGHT = 1.0 + 1e-9  # a path of at most this many straight lengths is straight, up to rounding
 
 
 @dataclass(frozen=True)
@@ -143,9 +140,7 @@ def connecting_path(
     The result does not depend on earlier calls.
 
     Args:
-        problem: start, target and seed.
-        workspace: the problem's, with the margin.
-        options: options of the search.
+        problem, workspace, options: the problem, its workspace with the margin, and options of the search.
         search: `balanced_search`, or `ompl_search` of a name.
         attempt: number of the attempt; each has other samples, and later ones a finer spacing.
 
@@ -198,8 +193,7 @@ def ompl_search(name: str) -> Search:
 
 def balanced_search(space: SearchSpace, options: PathOptions, seed: np.random.SeedSequence) -> Any:
     """The search by `trees`, with distances in the workspace."""
-    edges = space.edges
-    weight = np.maximum(edges.swept, _LEAST_SWEEP * edges.swept.max())
+    edges, weight = space.edges, space.edges.weight
     box = weight[:, None] * edges.limits / edges.scale[:, None]
     result = connected(
         *(weight * q / edges.scale for q in space.ends),

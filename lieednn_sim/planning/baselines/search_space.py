@@ -19,8 +19,7 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
-# How often a search may ask whether it is over, per test that it may make; usually it makes a test or more each time.
-_CALLS_PER_TEST = 2
+_CALLS_PER_TEST = 2  # of `over`, per test that a search may make; usually a test or more comes with each
 
 
 class EdgeTest:
@@ -36,6 +35,7 @@ class EdgeTest:
         limits: ``(n, 2)`` position limits of the joints [rad, m].
         bounds: ``(n, 2)`` the same in the units of points.
         swept: ``(n,)`` largest distance that a unit of a coordinate moves a link frame [m].
+        weight: ``(n,)`` the same, but at least a tenth of its largest entry: weights for distances in the workspace.
     """
 
     def __init__(self, arm: Arm, workspace: Workspace, spacing: float) -> None:
@@ -43,6 +43,7 @@ class EdgeTest:
         self.scale, self.limits = joint_scale(arm), arm.position_limits
         self.bounds = self.limits / self.scale[:, None]
         self.swept = self.scale * sweeps(arm)
+        self.weight = np.maximum(self.swept, 0.1 * self.swept.max())
         self._density = self.swept / spacing
         self._balls = len(arm.space.balls) > 0
         self._known, self._looks = set[bytes](), itertools.count()
@@ -82,11 +83,6 @@ class EdgeTest:
 
 class SearchSpace:
     """The joint space of a problem for OMPL.
-
-    Args:
-        problem: start, target and arm.
-        workspace: the problem's.
-        spacing: see `EdgeTest`.
 
     Attributes:
         edges: tests of points and edges.

@@ -18,18 +18,11 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from lieednn_sim.errors import PlanError, TooFastError
-from lieednn_sim.planning.joint_space import (
-    SPLINE_DEGREE,
-    clamped_knots,
-    joint_motion,
-    joint_scale,
-    unchecked_motion,
-)
+from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion, joint_scale
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
-from lieednn_sim.planning.retiming import retime
-from lieednn_sim.planning.time_laws import minimum_jerk_law
+from lieednn_sim.planning.time_laws import minimum_jerk_law, retime
 from lieednn_sim.values import Floats
 
 # A curve to be followed at the limits is first sampled as a motion of this many durations, and every 32nd sample tested
@@ -62,9 +55,7 @@ def motion_along(
     """The smoothest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
 
     Args:
-        problem: start, target and duration.
-        corners: corners of the polyline.
-        options: options of the smoothing.
+        problem, corners, options: the problem, the corners of the polyline, and how it is smoothed.
         blocked: numbers of control points whose curves are blocked at any duration, with the reasons. It is added to;
             pass it on to calls with other durations, in which these curves are skipped.
 
@@ -91,21 +82,15 @@ def motion_along(
 
 
 def motion_along_first(
-    problem: PlanningProblem,
-    path: Callable[[int], Floats | None],
-    attempts: int,
-    options: SmoothingOptions,
-    name: str,
+    problem: PlanningProblem, path: Callable[[int], Floats | None], attempts: int, options: SmoothingOptions, name: str
 ) -> Motion:
     """The motion along the first path that can be followed, in the time that it needs.
 
     Args:
-        problem: the problem.
+        problem, options, name: the problem, how paths are smoothed, and the planner's name.
         path: function from the number of an attempt to corners ``(M, n)``, or None if it fails. Paths do not depend on
             the duration; it should remember them, since they are asked for again when the motion needs more time.
         attempts: largest number of paths to ask for.
-        options: options of the smoothing.
-        name: name of the planner.
 
     Raises:
         PlanError: there is no path, or none can be followed.
@@ -135,7 +120,7 @@ def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float)
     curve = smoothed(slow, corners, count, bend)
     if any(problem.arm.near_contacts_along(curve[0][::_STRIDE])):
         raise PlanError("the curve touches something")
-    return retime(problem.arm, unchecked_motion(slow, *curve))
+    return retime(problem.arm, joint_motion(slow, *curve, checked=False))
 
 
 def smoothed(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> tuple[Floats, Floats, Floats]:
@@ -146,9 +131,8 @@ def smoothed(problem: PlanningProblem, corners: Floats, count: int, bend: float)
         return _resting(problem)
     control = _laid(scaled, lengths, count)
     curve = BSpline(clamped_knots(len(control)), control, SPLINE_DEGREE)
-    # Nodes of the arc length; with these its inverse is accurate to about 1e-12.
-    nodes = 4097
-    u = np.linspace(0.0, 1.0, nodes)
+    # With so many nodes of the arc length its inverse is accurate to about 1e-12.
+    u = np.linspace(0.0, 1.0, 4097)
     speed = _weighted(curve(u, nu=1), curve(u, nu=2), bend)
     length = cumulative_simpson(speed, x=u, initial=0.0)
     inverse = CubicHermiteSpline(length, u, 1.0 / speed)

@@ -34,8 +34,7 @@ from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
-# Configurations tested between two checks of the time budget.
-_TESTS_PER_CHECK = 100
+_TESTS_PER_CHECK = 100  # configurations tested between two checks of the time budget
 
 
 @dataclass(frozen=True)
@@ -109,13 +108,7 @@ def motion_along(problem: PlanningProblem, path: Floats) -> Motion:
 
 
 class StompSearch:
-    """The search for one problem's path.
-
-    Args:
-        problem: start, target and arm.
-        options: options of the planner.
-        spacing: spacing of the configurations tested, as in the options [m].
-        rng: generator of the noise.
+    """The search for one problem's path, with configurations tested at a spacing [m] and noise by a generator.
 
     Attributes:
         metric: R, ``(N, N)``.
@@ -143,11 +136,6 @@ class StompSearch:
         self.path = self.straight
         self.cost = self.costs(self.path)
 
-    def _beyond(self, q: Floats) -> Floats:
-        """How far coordinates ``(K, n)`` are beyond their own limits; what else has a range, `ClearanceTest` counts."""
-        excess = self.problem.arm.limit_excess(q)[:, : len(self._weights)]
-        return np.asarray(np.maximum(excess, 0.0) @ self._weights)
-
     def noise(self, count: int) -> Floats:
         """``count`` samples ``(count, N, n)`` of N(0, R^-1) for each joint, over the largest standard deviation."""
         n, joints = self.straight.shape
@@ -167,8 +155,9 @@ class StompSearch:
         for begin in range(0, len(configurations), _TESTS_PER_CHECK):
             check_time()
             part = slice(begin, begin + _TESTS_PER_CHECK)
-            beyond = self._beyond(configurations[part])
-            lack[part] = self._clear.lack(configurations[part]) + beyond
+            # Of the coordinates' own limits; what else has a range, `ClearanceTest` counts.
+            excess = self.problem.arm.limit_excess(configurations[part])[:, : len(self._weights)]
+            lack[part] = self._clear.lack(configurations[part]) + np.maximum(excess, 0.0) @ self._weights
         worst = np.maximum.reduceat(lack, first)
         return np.maximum(worst[:-1], worst[1:])
 
@@ -196,9 +185,8 @@ class StompSearch:
         step = np.einsum("kt,ktj->tj", weights, paths - self.path)
         average = np.clip(self.path + self.smoother @ step, low, high)
         best = int(costs.sum(axis=1).argmin())
-        result = min(
-            ((average, self.costs(average)), (paths[best], costs[best])), key=lambda pair: float(pair[1].sum())
-        )
+        tried = ((average, self.costs(average)), (paths[best], costs[best]))
+        result = min(tried, key=lambda pair: float(pair[1].sum()))
         better = bool(result[1].sum() < self.cost.sum())
         if better:
             self.path, self.cost = result
@@ -215,9 +203,8 @@ class StompSearch:
                 if not bends.any():
                     continue
                 trial = path.copy()
-                trial[:, joint] = self.straight[:, joint] + vectors @ (
-                    bends / (1.0 + damping[joint] * values / values[0])
-                )
+                damped = bends / (1.0 + damping[joint] * values / values[0])
+                trial[:, joint] = self.straight[:, joint] + vectors @ damped
                 clear = not self.costs(trial).any()
                 path = trial if clear else path
                 damping[joint] = 1.0 if np.isinf(damping[joint]) else damping[joint] * (2.0 if clear else 0.25)

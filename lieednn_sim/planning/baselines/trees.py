@@ -17,8 +17,8 @@ from scipy.spatial.distance import cdist
 
 from lieednn_sim.values import Floats
 
-# Radius of a node's domain after a failed extension, in longest edges; as VAMP's.
-_DOMAIN = 4.0
+_DOMAIN = 4.0  # radius of a node's domain after a failed extension, in longest edges; as VAMP's
+_STRETCHED = 2.0  # longest edge after a projection, in longest edges
 # Samples drawn at once. Extensions towards those within the domains of their nearest nodes are tried in turn until one
 # succeeds; if there are none, towards the sample that is least outside.
 _DRAWN = 64
@@ -56,9 +56,7 @@ def connected(
 
     def near_enough(point: Floats, new: Floats) -> bool:
         """A projection may lead far away."""
-        # Longest edge after a projection, in longest edges.
-        stretched = 2.0
-        return onto is None or bool(np.linalg.norm(new - point) < stretched * longest_edge)
+        return onto is None or bool(np.linalg.norm(new - point) < _STRETCHED * longest_edge)
 
     def extension() -> tuple[int, Floats] | None:
         """A node and the new point that it can be extended to, or None if no extension succeeds."""
