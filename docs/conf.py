@@ -102,6 +102,7 @@ EXAMPLES = (
         "straight_line",
         "own_urdf_table",
         "plan_in_model",
+        "luffing_crane",
         "pick_and_place",
         "plan_in_menagerie",
         "plan_in_robosuite",
