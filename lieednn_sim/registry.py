@@ -11,11 +11,13 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import re
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
+from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from lieednn_sim.errors import InputError, LieEDNNError
@@ -25,6 +27,7 @@ TYPICAL, SLOW = 0.6, 1.0
 
 _Given = TypeVar("_Given")
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+_IN_FILE = re.compile(r"(?s)(.+\.py):([^:/\\]*)")
 
 
 class Library(NamedTuple):
@@ -151,7 +154,8 @@ _Entry = TypeVar("_Entry", bound=Entry)
 class Registry(Mapping[str, _Entry], Generic[_Entry]):
     """All things of one kind by name, those of installed packages included, which are looked for once.
 
-    An entry point that cannot be loaded is left out, with a warning that names its package.
+    An entry point that cannot be loaded is left out, with a warning that names its package. Where others may add to a
+    kind, `find` also takes ``file.py:thing``, and runs that file.
 
     Args:
         kind: name of the kind.
@@ -188,9 +192,14 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         return len(self._all())
 
     def find(self, name: str) -> _Entry:
-        """The row of that name; `InputError` that lists the names if there is none."""
+        """The row of that name; `InputError` that lists the names if there is none, or says what a file lacks."""
         from lieednn_sim.validation import as_choice  # NumPy is slow to import
 
+        new = self._make is not None and isinstance(name, str) and name not in self.entries
+        if new and (parts := _IN_FILE.fullmatch(name)):
+            given = _of_file(f"{self.kind} {name!r}", *parts.groups())
+            registered = (entry for entry in self.entries.values() if entry.place is given)
+            self.entries[name] = next(registered, None) or self._row(name, given)
         return self[as_choice(self.kind, name, self)]
 
     def register(self, name: str, options: type | None = None) -> Callable[[_Given], _Given]:
@@ -201,19 +210,22 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         """
 
         def decorate(given: _Given) -> _Given:
-            assert self._make is not None, f"others add no {self.kind}"
             if not _NAME.fullmatch(name):
                 raise InputError(
                     f"a {self.kind}'s name must be lower-case letters, digits and hyphens, got {name[:80]!r}"
                 )
             if name in self.entries:
                 raise InputError(f"{self.kind} {name!r} is already registered; choose another name")
-            if not callable(given):
-                raise InputError(f"{self.kind} {name!r} must be {self._wanted}, got {type(given).__name__}")
-            self.entries[name] = self._make(given, takes=options)
+            self.entries[name] = self._row(name, given, options)
             return given
 
         return decorate
+
+    def _row(self, name: str, given: Any, options: type | None = None) -> _Entry:
+        assert self._make is not None, f"others add no {self.kind}"
+        if not callable(given):
+            raise InputError(f"{self.kind} {name!r} must be {self._wanted}, got {type(given).__name__}")
+        return self._make(given, takes=options)
 
     def missing(self) -> dict[str, str]:
         """Names of those whose library is not installed, with the commands that install them."""
@@ -257,6 +269,27 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
                 text = f"{self.kind} {point.name!r} of package {package!r} ({point.value}) is left out: {error}"
                 warnings.warn(text, RuntimeWarning, stacklevel=4)
         return self.entries
+
+
+def _of_file(what: str, path: str, name: str) -> Any:
+    """A thing of a Python file, whose folder is searched last for what it imports."""
+    file = Path(path).resolve()
+    folder, module = str(file.parent), file.stem
+    if not file.is_file():
+        raise InputError(f"{what}: there is no file {path}")
+    if folder not in sys.path:
+        sys.path.append(folder)
+    try:
+        importlib.invalidate_caches()
+        found = importlib.import_module(module)
+    except (Exception, SystemExit) as error:
+        raise InputError(f"{what}: running {path} fails: {type(error).__name__}: {error}") from error
+    if Path(getattr(found, "__file__", None) or "").resolve() != file:
+        raise InputError(f"{what}: there is another module named {module!r}: give the file another name")
+    if not hasattr(found, name):
+        own = [each for each, value in vars(found).items() if getattr(value, "__module__", None) == module]
+        raise InputError(f"{what}: {path} has no {name!r}; it has {', '.join(own) or 'nothing of its own'}")
+    return getattr(found, name)
 
 
 def install_command(library: str) -> str:

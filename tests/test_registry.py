@@ -9,7 +9,7 @@ import pytest
 
 from lieednn_sim import registry
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.registry import FORMATS, LIBRARIES, PLANNERS, Entry, Registry
+from lieednn_sim.registry import FORMATS, LIBRARIES, PLANNERS, SCENES, Entry, Registry
 
 ALL = [value for value in vars(registry).values() if isinstance(value, Registry)]
 
@@ -65,3 +65,30 @@ def test_things_of_others_come_with_their_options_and_where_they_are_from():
     assert line.startswith(f"thing own-thing: {__name__}.")
     with pytest.raises(InputError, match="thing 'other' must be a function, got int"):
         kind.register("other")(3)
+
+
+def test_a_thing_of_a_file_is_run_only_when_it_is_named_and_says_what_is_wrong(tmp_path, monkeypatch):
+    kind = Registry("thing", {}, make=Entry, wanted="a function", group="lieednn_sim.things")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "beside_mine.py").write_text("VALUE = 7\n")
+    mine = tmp_path / "things-of-mine.py"
+    mine.write_text("from beside_mine import VALUE\nnumber = 3\ndef thing(): return VALUE\n")
+    name = f"{mine}:thing"
+    assert name not in kind
+    assert "things-of-mine" not in sys.modules
+    assert kind.find(name).load()() == 7
+    assert not kind[name].own
+    (tmp_path / "failing.py").write_text("raise SystemExit(3)\n")
+    (tmp_path / "json.py").write_text("def thing(): ...\n")
+    for wrong, words in {
+        f"{tmp_path}/nowhere.py:thing": "there is no file .*nowhere.py",
+        f"{mine}:other": "has no 'other'; it has thing$",
+        f"{mine}:number": "must be a function, got int",
+        f"{tmp_path}/failing.py:thing": "running .*failing.py fails: SystemExit: 3",
+        f"{tmp_path}/json.py:thing": "another module named 'json': give the file another name",
+    }.items():
+        with pytest.raises(InputError, match=words):
+            kind.find(wrong)
+        assert wrong not in kind
+    with pytest.raises(InputError, match="no scene"):
+        SCENES.find(name)

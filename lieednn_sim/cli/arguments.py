@@ -131,8 +131,9 @@ class Planning(Goal):
     """A motion to plan.
 
     Attributes:
-        planner: a name of `PLANNERS` (default: lieednn-certified; lieednn-shaped among obstacles, with
-            --path-constraint, or where three hinges move a link).
+        planner: one of your own as FILE.py:FUNCTION, or a name of `PLANNERS` (default:
+            lieednn-certified; lieednn-shaped among obstacles, with --path-constraint, or where three hinges move a
+            link).
         option: an option of the planner; --planner NAME --help lists them.
         path_constraint: line or orientation: let the end effector go on a straight line, or keep its orientation, on
             the way.
@@ -167,7 +168,7 @@ class Simulating:
     """How a motion is simulated.
 
     Attributes:
-        controller: a name of `CONTROLLERS`.
+        controller: one of your own as FILE.py:CLASS, or a name of `CONTROLLERS`.
         reference_rate: rate of the references that the controller gets, held in between [Hz] (default: every time
             step).
         hold: time simulated after the motion [s].

@@ -27,9 +27,10 @@ from lieednn_sim.live.engine import Engine, Made, foreseen, make_for
 from lieednn_sim.live.settings import Settings
 from lieednn_sim.planning.motion import usual_rate
 from lieednn_sim.policies import Policy
+from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
 from lieednn_sim.simulation.disturbances import Push
 from lieednn_sim.simulation.following import ClosedLoop
-from lieednn_sim.validation import Seed, as_count, as_floats, as_positive, as_seed
+from lieednn_sim.validation import Seed, as_choice, as_count, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats
 
 # Slowest and fastest speed of the simulation, relative to real time.
@@ -239,6 +240,10 @@ class Session:
         Raises:
             InputError: a value is malformed or unknown.
         """
+        # What runs a file is named when the session is made, not by whoever sees its page.
+        for name, known in (("policy", POLICIES), ("planner", PLANNERS), ("controller", CONTROLLERS)):
+            if settings.get(name) is not None:
+                as_choice(name, settings[name], known)
         self.wanted = self.wanted.changed(**settings).chosen(self.arm)
         self._requests.put(self._remake)
 

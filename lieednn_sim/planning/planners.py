@@ -175,7 +175,8 @@ def plan(
             or a list of goals. A pose or region has several joint positions (`arm.ik_candidates`). Of all of them the
             plan's target is the one that is reached soonest (`motion.least_duration`) among those to which the planner
             finds a motion.
-        planner: a name of `PLANNERS`; by default the `default_planner`, or ``lieednn-shaped`` where a region is kept.
+        planner: a name of `PLANNERS`, or ``file.py:function`` of one's own; by default the `default_planner`, or
+            ``lieednn-shaped`` where a region is kept.
         start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name; ``home`` of a view is its state. Within
             `Arm.start_tolerance` beyond a limit it is taken as at that.
         duration: duration of the motion [s], rounded to a whole number of the model's time steps; or that, and the

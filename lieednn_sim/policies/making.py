@@ -90,7 +90,7 @@ def make_policy(
     """Make a policy by name, reset at the start; `FilteredPolicy` puts a safety filter around it.
 
     Args:
-        name: a name of `POLICIES`.
+        name: a name of `POLICIES`, or ``file.py:function`` of one's own.
         arm: the arm, in its scene.
         target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; a step may have another.
             Or a plan or a motion, which ends there: the one that ``tracker`` tracks, and ``dmp`` and

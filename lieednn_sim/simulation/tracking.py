@@ -107,7 +107,7 @@ def simulate(
         motion: a plan, or a motion sampled at the model's time step; or, for a view, a sequence, whose steps of
             controls end by time or by their events, which may come sooner or later than planned.
         target: ``(n,)`` joint position to reach; by default the plan's, or the motion's end.
-        controller: a name of `CONTROLLERS`; by default that of `default_controller`.
+        controller: a name of `CONTROLLERS`, or ``file.py:class`` of one's own; by default that of `default_controller`.
         hold: time after the end of the motion [s].
         reference_rate: rate of the samples of the motion that the controller sees, held in between [Hz]; a divisor of
             the simulation's rate. By default it sees every step.

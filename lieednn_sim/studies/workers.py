@@ -24,8 +24,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from lieednn_sim.errors import LieEDNNError
-from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
+from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Registry
 
+_OF_USERS: tuple[Registry[Any], ...] = PLANNERS, POLICIES, CONTROLLERS  # kinds to which users add
 # When `released` last did its work, by `monotonic` [s].
 _last_released = -math.inf
 
@@ -61,7 +62,7 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     if sys.platform == "win32":
         workers = min(workers, 61)  # the most that a pool can have there
     others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker, initargs=(_modules(),))
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker, initargs=_added())
     try:
         yield pool
     except BaseException:
@@ -168,17 +169,24 @@ def _trim() -> Callable[[int], Any]:
         return lambda _: 0
 
 
-def _modules() -> list[str]:
-    """Modules of the user's planners, policies and controllers, which workers must import to register these."""
-    entries = [entry for kind in (PLANNERS, POLICIES, CONTROLLERS) for entry in kind.entries.values()]
-    return sorted({str(entry.place.__module__) for entry in entries if not entry.own} - {"__main__"})
+def _added() -> tuple[list[str], list[tuple[int, str]]]:
+    """What workers must import to have the user's planners, policies and controllers.
+
+    That is modules, and names as ``file.py:thing``, each after the number of its kind.
+    """
+    entries = [entry for kind in _OF_USERS for entry in kind.entries.values()]
+    modules = sorted({str(entry.place.__module__) for entry in entries if not entry.own} - {"__main__"})
+    return modules, [(k, name) for k, kind in enumerate(_OF_USERS) for name in kind.entries if ":" in name]
 
 
-def _prepare_worker(modules: Sequence[str]) -> None:
+def _prepare_worker(modules: Sequence[str], files: Sequence[tuple[int, str]]) -> None:
+    # Rows report what is missing then.
     for name in modules:
-        # Rows report what is missing then.
         with contextlib.suppress(Exception):
             importlib.import_module(name)
+    for kind, name in files:
+        with contextlib.suppress(Exception):
+            _OF_USERS[kind].find(name)
     # Ctrl-C reaches the whole process group; the main process stops the workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()

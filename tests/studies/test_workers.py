@@ -7,6 +7,7 @@ import multiprocessing
 import operator
 import os
 import signal
+import sys
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 
 import pytest
@@ -22,14 +23,28 @@ def test_workers_import_the_modules_of_ones_own_planners_policies_and_controller
     for number, kind in enumerate((PLANNERS, POLICIES, CONTROLLERS)):
         made = type("Mine", (), {"__module__": f"mine_{number}"})
         monkeypatch.setitem(kind.entries, "mine", Entry(made))
-    assert {"mine_0", "mine_1", "mine_2"} <= set(workers._modules())
+    assert {"mine_0", "mine_1", "mine_2"} <= set(workers._added()[0])
+
+
+def _has_planner(name):
+    return name in PLANNERS
+
+
+def test_workers_run_the_files_of_ones_own_planners(tmp_path, monkeypatch):
+    monkeypatch.setattr(PLANNERS, "entries", dict(PLANNERS.entries))
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "planner_of_a_file.py").write_text("def halver(problem): ...\n")
+    name = f"{tmp_path}/planner_of_a_file.py:halver"
+    PLANNERS.find(name)
+    with worker_pool(1) as pool:
+        assert pool.submit(_has_planner, name).result()
 
 
 @pytest.mark.parametrize("reason", [KeyboardInterrupt, ValueError])
 def test_a_block_that_fails_leaves_no_worker_and_no_other_child_is_stopped(reason, monkeypatch):
     """A worker that waits for ever is ended with the block; the child beside it is not."""
     # To import the package takes longer than all else, and nothing of it is asked of this worker.
-    monkeypatch.setattr(workers, "_prepare_worker", tuple)
+    monkeypatch.setattr(workers, "_prepare_worker", print)
     other = multiprocessing.get_context("spawn").Process(target=signal.pause)
     other.start()
     try:

@@ -225,7 +225,8 @@ class Comparison(Study[Row]):
     planners first, so that a worker loads the arm once.
 
     Attributes:
-        planners: a name of `PLANNERS`, or several; by default all, without those whose package is missing.
+        planners: a name of `PLANNERS`, or several, or ``file.py:function`` of one's own; by default all, without
+            those whose package is missing.
         arms: a name of `ARMS`, or several, or files as for `Arm.load`, which are replaced by their names; by default
             all of the package.
         scenes: a name of `SCENES`, or several, or files of obstacles, likewise; by default free,window.
@@ -260,6 +261,10 @@ class Comparison(Study[Row]):
 
     def __post_init__(self) -> None:
         user_files = list(self.user_files)
+        for value in self.planners:
+            PLANNERS.find(value)  # which adds those of files
+        for value in self.controllers:
+            CONTROLLERS.find(value)
         for name, known, default in (
             ("planners", list(PLANNERS), list(PLANNERS)),
             ("arms", arm_names(), list(DEFAULT_ARMS)),
