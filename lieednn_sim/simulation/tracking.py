@@ -36,7 +36,9 @@ def make_controlled(
     """A controller by name, and the simulation of the plant that it drives, without visual geoms."""
     bare = arm.without_visuals
     driver = make_controller(controller, bare, reference)
-    plant = make_plant(bare, disturbances, driver.add_bodies)
+    same = not driver.changes_plant and driver.add_bodies is None and not disturbances.obstacles
+    same = same and (disturbances.payload, disturbances.mass_scale) == (0.0, 1.0)
+    plant = bare.model if same else make_plant(bare, disturbances, driver.add_bodies)
     driver.equip(plant)
     return driver, Simulation(arm, plant, disturbances=disturbances)
 

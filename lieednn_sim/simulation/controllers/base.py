@@ -37,9 +37,12 @@ class Controller(ABC):
 
     Attributes:
         add_bodies: a method that adds the bodies that the controller needs to a copy of the arm's spec; None for none.
+        changes_plant: whether `equip` changes the plant, which is otherwise the arm's model itself where nothing else
+            changes it: to copy large meshes takes as long as to simulate seconds.
         channel_units: see `ChannelSource`.
     """
 
+    changes_plant = True
     add_bodies: Callable[[Any], None] | None = None
     channel_units: Mapping[str, str] = MappingProxyType({})
 

@@ -36,6 +36,8 @@ class FeedbackLinearisation(Controller):
         InputError: what moves the arm are actuators of other kinds, such as muscles, or they cannot move it.
     """
 
+    changes_plant = False
+
     def __init__(self, arm: Arm, reference: Reference) -> None:
         self._reference, self._foreseen = reference, Foreseen(reference)
         self._actuators = actuators = Actuators(arm, complete=False)
