@@ -75,7 +75,8 @@ def random_world(rng: np.random.Generator) -> str:
     def part(name: str, kind: str, inside: str = "", wide: float = 1.0) -> str:
         where, axis = numbers(*rng.uniform(-0.25, 0.25, 3)), numbers(*rng.normal(size=3))
         bounds = "" if kind == "ball" else f'range="{numbers(-wide * rng.uniform(0.3, 1), wide * rng.uniform(0.3, 1))}"'
-        joint = f'<joint name="{name}" type="{kind}" axis="{axis}" {bounds}/>' if kind else ""
+        margin = rng.choice([0.0, 0.0, 0.05])
+        joint = f'<joint name="{name}" type="{kind}" axis="{axis}" margin="{margin}" {bounds}/>' if kind else ""
         return f'<body name="b{name}" pos="{where}">{joint}{geom("g" + name)}{inside}</body>'
 
     kinds = list(rng.choice(["hinge", "slide"], 3)) + ["ball"] * (rng.random() < 0.3)
@@ -95,7 +96,8 @@ def random_world(rng: np.random.Generator) -> str:
         for a, b, m in (("gj0", "gj1", 0.1), ("gpalm", "t0", 0.3), ("gfinger1", "gj2", 0.0), ("gbase", "gj0", 0.02))
         if rng.random() < 0.3
     )
-    rope = '<fixed name="rope" range="-.9 .9"><joint joint="j0" coef=".7"/><joint joint="j2" coef="-1"/></fixed>'
+    rope = '<joint joint="j0" coef=".7"/><joint joint="j2" coef="-1"/>'
+    rope = f'<fixed name="rope" range="-.9 .9" margin="{rng.choice([0.0, 0.1])}">{rope}</fixed>'
     return f"""<mujoco><compiler angle="radian" autolimits="true"/><worldbody>{things}{part("drum", "hinge", wide=9.0)}
       {part("base", "slide", tree)}</worldbody><contact>{pairs}<exclude body1="bj0" body2="bpalm"/></contact>
       <tendon>{rope if rng.random() < 0.5 else ""}</tendon><equality>{ties}</equality></mujoco>"""

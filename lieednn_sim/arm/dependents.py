@@ -17,6 +17,7 @@ from lieednn_sim.arm.equalities import (
     dof_addresses,
     equality_name,
     involved_joints,
+    joint_range,
     names,
     position_addresses,
 )
@@ -161,7 +162,7 @@ class Dependents:
         model, limits = self._model, np.tile([-np.inf, np.inf], (len(self.dofs), 1))
         for joint, (leader, ratio, shift) in self.lines.items():
             if model.jnt_limited[joint]:
-                low, high = np.sort((model.jnt_range[joint] - shift) / ratio)
+                low, high = np.sort((joint_range(model, joint) - shift) / ratio)
                 k = int(np.searchsorted(self.dofs, model.jnt_dofadr[leader]))
                 limits[k] = max(limits[k, 0], low), min(limits[k, 1], high)
         empty = np.flatnonzero(limits[:, 0] > limits[:, 1])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import ancestry, joints_of
+from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
 Indices = NDArray[np.int_]
@@ -168,6 +169,23 @@ def _between(model: mujoco.MjModel, bodies: Iterable[int]) -> set[int]:
     ]
     shared = above[0].intersection(*above[1:]) if above else set()
     return set().union(*above) - shared
+
+
+def free_ranges(ranges: Floats, margins: Floats) -> Floats:
+    """Ranges ``(K, 2)`` of joints or tendons without their margins ``(K,)``, from which on MuJoCo pushes back.
+
+    What has no margin keeps its range to the last bit; `InputError` if a margin leaves nothing.
+    """
+    narrow = np.flatnonzero(2.0 * margins >= ranges[:, 1] - ranges[:, 0])
+    if (margins[narrow] > 0.0).any():
+        (low, high), margin = ranges[narrow[0]], margins[narrow[0]]
+        raise InputError(f"a margin of {margin:g} leaves nothing of the range [{low:g}, {high:g}]; make it smaller")
+    return np.where(margins[:, None] > 0.0, ranges + margins[:, None] * [1.0, -1.0], ranges)
+
+
+def joint_range(model: mujoco.MjModel, joint: int) -> Floats:
+    """The range ``(2,)`` of a joint, see `free_ranges`; that of a ball joint begins at 0."""
+    return free_ranges(model.jnt_range[[joint]], model.jnt_margin[[joint]])[0]
 
 
 def tendon_joints(model: mujoco.MjModel, tendon: int) -> set[int]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.coupled_joints import Couplings
+from lieednn_sim.arm.equalities import joint_range
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
@@ -72,7 +73,7 @@ def joint_ranges(
 
 def _span(model: mujoco.MjModel, joint: int, notes: list[str], around: Floats | None, *, alone: bool) -> Floats:
     name, kind = model.joint(joint).name, int(model.jnt_type[joint])
-    given = model.jnt_range[joint].copy() if model.jnt_limited[joint] else np.array([-np.inf, np.inf])
+    given = joint_range(model, joint) if model.jnt_limited[joint] else np.array([-np.inf, np.inf])
     if kind == _SLIDE:
         return given
     if kind == _BALL:

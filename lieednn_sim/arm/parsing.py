@@ -26,6 +26,7 @@ from lieednn_sim.arm.checks import (
 )
 from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
 from lieednn_sim.arm.dependents import Dependents, independent_joints
+from lieednn_sim.arm.equalities import joint_range
 from lieednn_sim.arm.forces import force_ranges, tangent_basis
 from lieednn_sim.arm.frames import BodyFrames, Frame, site_frame
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
@@ -83,7 +84,7 @@ def read_arm(
     if ranges is None:
         for joint in group:
             check_limited(model, arm, joint)
-        ranges = {joint: model.jnt_range[joint] for joint in group}
+        ranges = {joint: joint_range(model, joint) for joint in group}
     lines = _leaders(model, arm, group) if lines is None else lines
     space = read_coordinates(model, chain, _rest(model) if rest is None else rest, lines, sums or {})
     joints, base, mounts, tips = read_joints(model, arm, chain, space, ranges)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.equalities import names, tendon_joints
+from lieednn_sim.arm.equalities import free_ranges, joint_range, names, tendon_joints
 from lieednn_sim.values import Floats
 
 # How far beyond a range rounding may lead [rad, m].
@@ -33,7 +33,8 @@ class Stops:
             for tendon in np.flatnonzero(model.tendon_limited).tolist()
             if tendon_joints(model, tendon).intersection(moving)
         ]
-        ranges = [*model.jnt_range[self._joints], *model.tendon_range[self._tendons]]
+        ranges = [*(joint_range(model, joint) for joint in self._joints)]
+        ranges += [*free_ranges(model.tendon_range[self._tendons], model.tendon_margin[self._tendons])]
         self._low, self._high = np.array(ranges, dtype=float).reshape(-1, 2).T
         self._data = mujoco.MjData(model) if self._tendons else None
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.dependents import tied_joints
+from lieednn_sim.arm.equalities import joint_range
 from lieednn_sim.arm.forces import actuator_moments, resting_load
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_floats, quoted
@@ -142,7 +143,7 @@ def _set_joints(model: mujoco.MjModel, qpos: NDArray[np.float64], home: Mapping[
                 "the position of that one"
             )
         position = float(as_floats(f"home position of joint {name!r}", value, ()))
-        low, high = model.jnt_range[joint]
+        low, high = joint_range(model, joint)
         if model.jnt_limited[joint] and not low <= position <= high:
             raise InputError(f"home position {position:g} of joint {name!r} is outside of [{low:.4g}, {high:.4g}]")
         qpos[model.jnt_qposadr[joint]] = position
