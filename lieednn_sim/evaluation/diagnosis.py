@@ -1,14 +1,19 @@
-"""Causes of an arm's final error, from its model: dry friction, loads, force limits, slow servos."""
+"""Causes of an arm's final error, from its model: contacts, ranges, dry friction, loads, force limits, slow servos."""
 
 from __future__ import annotations
+
+import copy
 
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.contacts import fixed_body
+from lieednn_sim.arm.equalities import equality_name
 from lieednn_sim.arm.forces import dry_friction, resting_load, servo_gains, tangent_basis
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.simulation import Rollout
+from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY
 from lieednn_sim.values import Floats
 
 # Least fraction of a joint's error that a cause must explain to be reported.
@@ -38,7 +43,7 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     lines = [
         f"joint {arm.joint_names[j]!r} ends {_amount(arm, j, error[j])} off, which alone moves a link by "
         f"{1e3 * distance[j]:.3g} mm and {np.rad2deg(angle[j]):.3g} degrees: "
-        + ("; ".join(result[j]) or "neither friction, a load nor a force limit of the model explains it")
+        + ("; ".join(result[j]) or "no contact, range, friction, load or force limit of the model explains it")
         for j in map(int, ranked)
     ]
     help_with = dict.fromkeys(item for j in ranked for item in helpful[j])
@@ -50,23 +55,31 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm.space)
     (kp, _), friction = servo_gains(model, basis), dry_friction(model, basis)
     load = np.abs(resting_load(model, rollout.qpos[-1:])[0] @ basis)
-    pace, limits = _pace(rollout), arm.force_limits
+    (pace, mass), limits = _pace(rollout), arm.force_limits
+    stiffness, held = kp if rollout.controller in _SERVO_CONTROLLERS else mass * NATURAL_FREQUENCY**2, _held(rollout)
     slow = np.abs(rollout.qd[-1]) > _LEAST_EXPLAINED * pace * np.abs(error)
     # A slow servo leaves more than this part of an error at the end of the hold.
     slow &= (np.exp(-pace * rollout.hold) > 0.05) & (rollout.controller in _SERVO_CONTROLLERS)
-    full = np.mean(np.abs(rollout.force) >= 0.999 * limits, axis=0)
+    full = np.abs(rollout.force) >= 0.999 * limits
     reasons: list[list[str]] = [[] for _ in error]
     helpful: list[list[str]] = [[] for _ in error]
     design = "designed servos (servos='design', --servos design)"
     for j, off in enumerate(np.abs(error)):
         unit = "N" if arm.unit(j) == "m" else "N m"
         stiffer = [design] if arm.import_report is not None and arm.import_report.servos[j].kept else []
+        pull = min(stiffness[j] * off, limits[j])
+        if blocks := [item for item in held if abs(item[1][j]) > _LEAST_EXPLAINED * pull]:
+            for what, exerted, remedy in blocks:
+                reasons[j].append(f"{what} holds it off with {abs(exerted[j]):.3g} {unit}")
+                helpful[j].append(remedy)
+            continue
         if load[j] > limits[j]:
             reasons[j].append(f"its load is {load[j]:.3g} {unit}, its force limit {limits[j]:.3g}")
             helpful[j].append("another target")
-        elif full[j]:
+        elif full[:, j].any():
             reasons[j].append(
-                f"its force limit of {limits[j]:.3g} {unit} is reached in {100 * full[j]:.2g} % of the time"
+                f"its force limit of {limits[j]:.3g} {unit} is reached in {100 * full[:, j].mean():.2g} % of the time, "
+                f"first at t = {rollout.t[full[:, j].argmax()]:.2f} s"
             )
             helpful[j].append("a longer duration")
         if rollout.controller == "position-servo":
@@ -76,8 +89,8 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
                 (load[j] if arm.qpos_home is None else 0.0, "its load of", "pulls it off by"),
             ):
                 if force > _LEAST_EXPLAINED * kp[j] * off:
-                    held = _amount(arm, j, force / kp[j])
-                    reasons[j].append(f"{says} {force:.3g} {unit} / kp {kp[j]:.4g} {does} {held}")
+                    far = _amount(arm, j, force / kp[j])
+                    reasons[j].append(f"{says} {force:.3g} {unit} / kp {kp[j]:.4g} {does} {far}")
                     helpful[j] += ["the controller inverse-dynamics", *stiffer]
         if slow[j]:
             reasons[j].append(f"its servo is slow: it still moves, and halves its error in {np.log(2) / pace[j]:.2g} s")
@@ -87,8 +100,50 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     return reasons, helpful
 
 
-def _pace(rollout: Rollout) -> Floats:
-    """Decay rates ``(n,)`` [1/s] of errors under servos, others held: slower roots of M r^2 + (kv + D) r + kp = 0."""
+def _held(rollout: Rollout) -> list[tuple[str, Floats, str]]:
+    """Contacts, ranges and equalities at the end: in words, their forces ``(n,)`` along the coordinates, and a remedy.
+
+    MuJoCo solves them again for the forces of that instant.
+    """
+    arm, basis = rollout.arm, tangent_basis(rollout.arm.space)
+    model = copy.deepcopy(arm.model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    model.body_gravcomp[:] = 0.0  # the forces have it
+    for obstacle in rollout.disturbances.obstacles:
+        model.body_pos[fixed_body(model, obstacle.body)] = obstacle.at(float(rollout.t[-1]))
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = rollout.qpos[-1], arm.qvel(rollout.q[-1], rollout.qd[-1])
+    data.qfrc_applied[:] = np.linalg.pinv(basis).T @ rollout.force[-1]
+    mujoco.mj_forward(model, data)
+    found: dict[tuple[str, str], Floats] = {}
+    kinds, one, exerted = mujoco.mjtConstraint, np.zeros(data.nefc), np.zeros(model.nv)
+    for row, (kind, which) in enumerate(zip(data.efc_type.tolist(), data.efc_id.tolist(), strict=True)):
+        if kind == kinds.mjCNSTR_EQUALITY:
+            key = equality_name(model, which), "a target that it allows"
+        elif kind in (kinds.mjCNSTR_LIMIT_JOINT, kinds.mjCNSTR_LIMIT_TENDON):
+            item = model.joint(which) if kind == kinds.mjCNSTR_LIMIT_JOINT else model.tendon(which)
+            what = "joint" if kind == kinds.mjCNSTR_LIMIT_JOINT else "tendon"
+            key = f"the range of {what} {item.name or f'number {which}'!r}", "a target that it allows"
+        elif kind in (kinds.mjCNSTR_FRICTION_DOF, kinds.mjCNSTR_FRICTION_TENDON):
+            continue
+        else:
+            first, second = (
+                model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
+                for geom in data.contact.geom[which].tolist()
+            )
+            key = f"the contact of {first!r} and {second!r}", "a motion planned with what it touches in the arm's scene"
+        one[:] = 0.0
+        one[row] = data.efc_force[row]
+        mujoco.mj_mulJacTVec(model, data, exerted, one)
+        found[key] = found.get(key, 0.0) + exerted @ basis
+    return [(what, force, remedy) for (what, remedy), force in found.items()]
+
+
+def _pace(rollout: Rollout) -> tuple[Floats, Floats]:
+    """Decay rates of errors under servos, others held, ``(n,)`` [1/s], and the masses or inertias M that each moves.
+
+    The rates are the slower roots of M r^2 + (kv + D) r + kp = 0.
+    """
     model, basis = rollout.arm.model, tangent_basis(rollout.arm.space)
     data = mujoco.MjData(model)
     data.qpos[:] = rollout.qpos[-1]
@@ -99,7 +154,7 @@ def _pace(rollout: Rollout) -> Floats:
     kp, kv = servo_gains(model, basis)
     damping = (kv + model.dof_damping @ basis**2) / (2.0 * mass)
     roots = -damping + np.sqrt((damping**2 - kp / mass).astype(complex))
-    return np.maximum(-roots.real, 1e-9)
+    return np.maximum(-roots.real, 1e-9), mass
 
 
 def _amount(arm: Arm, joint: int, value: float) -> str:

@@ -99,3 +99,29 @@ def test_angles_are_in_degrees_and_times_at_a_limit_in_percent(gantry):
     assert turn.startswith("joint 'turn' ends 7 degrees off, which alone moves a link by 0 mm and 7 degrees")
     assert x.startswith("joint 'x' ends 50 mm off, which alone moves a link by 50 mm and 0 degrees")
     assert f"its force limit of {limit:.3g} N is reached in 25 % of the time" in x
+
+
+POST = '<geom name="post" type="box" size=".1 .3 .3" pos=".5 0 0" solref=".004 1"/></worldbody>'
+ROPE = """</worldbody><tendon><fixed name="rope" range="-1 .4"><joint joint="drive" coef="1"/></fixed></tendon>"""
+
+
+@pytest.mark.parametrize(
+    ("added", "what", "force", "remedy"),
+    [
+        # The cart of +-0.1 m stops at 0.3 m; its servo of 1000 N/m would pull with 200 N.
+        (POST, "the contact of 'post' and 'a geom of cart'", 150.0, "a motion planned with what it touches"),
+        (ROPE, "the range of tendon 'rope'", 100.0, "a target that it allows"),
+    ],
+)
+def test_what_blocks_a_joint_is_named_with_its_force_and_nothing_else_is(added, what, force, remedy):
+    xml = HOIST.format(drive="", lift="", force='forcerange="-150 150"', compensation=1, kp=2000, kv=90)
+    free, blocked = (
+        Arm.from_spec(mujoco.MjSpec.from_string(text), floor="none")
+        for text in (xml, xml.replace("</worldbody>", added))
+    )
+    motion = plan(free, np.array([0.5, 0.4]), planner="minimum-jerk", duration=1.0).motion
+    first, helps = evaluate(simulate(blocked, motion, controller="position-servo")).causes
+    assert first.startswith("joint 'drive' ends")
+    assert what in first
+    assert float(first.split("holds it off with ")[1].removesuffix(" N")) == pytest.approx(force, rel=0.05)
+    assert helps == f"what helps: {remedy}" + " in the arm's scene" * (added is POST)
