@@ -23,7 +23,7 @@ from lieednn_sim.arm.view import read_view
 from lieednn_sim.arm.visuals import discard_visuals, moves_alike
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie import rotations
-from lieednn_sim.validation import as_count, as_floats
+from lieednn_sim.validation import as_choice, as_count, as_floats
 from lieednn_sim.values import Floats
 
 #: The limits of an arm, by the names of its fields.
@@ -205,6 +205,31 @@ class ModelArm(SerialArm):
             positions[..., grasp.qpos : grasp.qpos + 3] = held[..., :3, 3]
             positions[..., grasp.qpos + 3 : grasp.qpos + 7] = rotations(held[..., :3, :3]).as_quat(scalar_first=True)
         return positions
+
+    def coordinates_at(self, positions: Mapping[str, float]) -> Floats:
+        """The coordinates ``(n,)`` where joints of the model are at ``positions`` [rad, m], the others as at home.
+
+        Each joint, such as the stroke of a cylinder, takes the place of the coordinate that moves it most.
+
+        Raises:
+            InputError: a joint is no hinge or slide that the arm moves, or two of them move one coordinate.
+            NoSolutionError: the loops cannot be closed there.
+        """
+        model, data, rates = self.model, self.data(), self.unit_rates(self.keyframe("home"))
+        data.qpos[:] = qpos = self.qpos(self.keyframe("home"))
+        given: dict[int, int] = {}
+        joints = model.dof_jntid[np.flatnonzero(rates.any(axis=1))].tolist()
+        moved = {model.joint(j).name: j for j in joints if joints.count(j) == 1}
+        for name, position in positions.items():
+            joint = moved[as_choice("joint that the arm moves", name, moved)]
+            k = int(np.abs(rates[model.jnt_dofadr[joint]]).argmax())
+            if k in given:
+                raise InputError(f"give one of the joints that move with {self.joint_names[k]!r}, not {name!r} as well")
+            given[k], qpos[model.jnt_qposadr[joint]] = joint, float(as_floats(name, position, ()))
+        balls = set(self.space.balls.ravel().tolist())
+        own = [model.joint(name[:-2] if k in balls else name).id for k, name in enumerate(self.joint_names)]
+        chosen = dict.fromkeys(given.get(k, joint) for k, joint in enumerate(own))
+        return self.coordinates(Dependents(model, data, [*chosen]).to_qpos(qpos))
 
     def qvel(self, q: ArrayLike, qd: ArrayLike) -> Floats:
         """MuJoCo's velocities ``(..., nv)`` at coordinates and rates ``(..., n)``, of what is carried too."""

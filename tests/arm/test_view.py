@@ -133,6 +133,28 @@ def test_loops_are_closed_and_their_ranges_kept(xml, joints, tip, moved):
     check_slopes(arm, rng.uniform(low, high))
 
 
+def test_targets_of_a_crane_may_be_strokes_of_its_cylinder():
+    arm = ls.Arm.load(CRANE)
+    q = arm.coordinates_at({"stroke": 0.4, "slew": 0.5})
+    assert q[[0, 2]] == pytest.approx([0.5, arm.keyframe("home")[2]])
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(q)
+    mujoco.mj_kinematics(arm.model, data)
+    eyes = data.site("barrel_eye").xpos - data.site("rod_eye").xpos
+    assert data.joint("stroke").qpos == pytest.approx(0.4, abs=1e-9)
+    home = arm.qpos(arm.keyframe("home"))
+    data.qpos[:] = home
+    mujoco.mj_kinematics(arm.model, data)
+    longer = np.linalg.norm(data.site("barrel_eye").xpos - data.site("rod_eye").xpos) - np.linalg.norm(eyes)
+    assert longer == pytest.approx(home[arm.model.joint("stroke").qposadr[0]] - 0.4, abs=1e-9)
+    with pytest.raises(InputError, match="one of the joints that move with 'luff', not 'luff' as well"):
+        arm.coordinates_at({"stroke": 0.4, "luff": 0.3})
+    with pytest.raises(InputError, match="no joint that the arm moves 'swing_along'; allowed: extend, extend2, luff"):
+        arm.coordinates_at({"swing_along": 0.1})
+    with pytest.raises(NoSolutionError, match="'stroke' = 9: equality 'cylinder'"):
+        arm.coordinates_at({"stroke": 9.0})
+
+
 def test_a_crane_plans_around_what_is_in_the_way_of_its_cylinder():
     model, data = made(CRANE)
     joints = ["slew", "luff", "extend"]
