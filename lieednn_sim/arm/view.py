@@ -142,8 +142,8 @@ def _chain(
         if moved:
             raise InputError(
                 f"joint {names(model, [joint])} is not on the way to {quoted(tip or model.body(way[-1]).name)}; it "
-                f"moves {names(model, moved)} there, so name that in its place: coordinates are joints of the chain, but "
-                "targets may be given by others, see `coordinates_at`"
+                f"moves {names(model, moved)} there, so name that in its place: coordinates are joints of the chain, "
+                "but targets may be given by others, see `coordinates_at`"
             )
     path = common_path(model, chosen)
     # A telescope's last stages may follow the one that is named.
