@@ -42,7 +42,8 @@ REFERENCE = ROOT / "results/reference"
 STUDIES: dict[str, dict[str, Any]] = tomllib.loads((REFERENCE / "studies.toml").read_text(encoding="utf-8"))
 # Columns of measured times, which are not compared.
 TIMED = re.compile(
-    r"planning \[s\]|CPU|control step|encoding|fit \[m?s\]|fit s|solve time|time of an epoch|times minimum|^(measured|seconds)$"
+    r"planning \[s\]|CPU|control step|encoding|fit \[m?s\]|fit s|solve time|time of an epoch|times minimum|"
+    r"^(measured|seconds)$"
 )
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 # Two numbers agree within this, the last of three digits, or this much: of a distance [mm] it is rounding.
