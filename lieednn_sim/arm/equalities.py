@@ -176,10 +176,9 @@ def free_ranges(ranges: Floats, margins: Floats) -> Floats:
 
     What has no margin keeps its range to the last bit; `InputError` if a margin leaves nothing.
     """
-    narrow = np.flatnonzero(2.0 * margins >= ranges[:, 1] - ranges[:, 0])
-    if (margins[narrow] > 0.0).any():
-        (low, high), margin = ranges[narrow[0]], margins[narrow[0]]
-        raise InputError(f"a margin of {margin:g} leaves nothing of the range [{low:g}, {high:g}]; make it smaller")
+    for (low, high), margin in zip(ranges, margins, strict=True):
+        if margin > 0.0 and 2.0 * margin >= high - low:
+            raise InputError(f"a margin of {margin:g} leaves nothing of the range [{low:g}, {high:g}]; make it smaller")
     return np.where(margins[:, None] > 0.0, ranges + margins[:, None] * [1.0, -1.0], ranges)
 
 

@@ -116,25 +116,23 @@ def _held(rollout: Rollout) -> list[tuple[str, Floats, str]]:
     data.qfrc_applied[:] = np.linalg.pinv(basis).T @ rollout.force[-1]
     mujoco.mj_forward(model, data)
     found: dict[tuple[str, str], Floats] = {}
-    kinds, one, exerted = mujoco.mjtConstraint, np.zeros(data.nefc), np.zeros(model.nv)
-    for row, (kind, which) in enumerate(zip(data.efc_type.tolist(), data.efc_id.tolist(), strict=True)):
-        if kind == kinds.mjCNSTR_EQUALITY:
+    exerted = np.zeros(model.nv)
+    for row, (number, which) in enumerate(zip(data.efc_type.tolist(), data.efc_id.tolist(), strict=True)):
+        kind, _, what = mujoco.mjtConstraint(number).name.removeprefix("mjCNSTR_").lower().partition("_")
+        if kind == "equality":
             key = equality_name(model, which), "a target that it allows"
-        elif kind in (kinds.mjCNSTR_LIMIT_JOINT, kinds.mjCNSTR_LIMIT_TENDON):
-            item = model.joint(which) if kind == kinds.mjCNSTR_LIMIT_JOINT else model.tendon(which)
-            what = "joint" if kind == kinds.mjCNSTR_LIMIT_JOINT else "tendon"
-            key = f"the range of {what} {item.name or f'number {which}'!r}", "a target that it allows"
-        elif kind in (kinds.mjCNSTR_FRICTION_DOF, kinds.mjCNSTR_FRICTION_TENDON):
-            continue
-        else:
+        elif kind == "limit":
+            name = getattr(model, what)(which).name or f"number {which}"
+            key = f"the range of {what} {name!r}", "a target that it allows"
+        elif kind == "contact":
             first, second = (
                 model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
                 for geom in data.contact.geom[which].tolist()
             )
             key = f"the contact of {first!r} and {second!r}", "a motion planned with what it touches in the arm's scene"
-        one[:] = 0.0
-        one[row] = data.efc_force[row]
-        mujoco.mj_mulJacTVec(model, data, exerted, one)
+        else:
+            continue
+        mujoco.mj_mulJacTVec(model, data, exerted, data.efc_force * (np.arange(data.nefc) == row))
         found[key] = found.get(key, 0.0) + exerted @ basis
     return [(what, force, remedy) for (what, remedy), force in found.items()]
 

@@ -36,9 +36,9 @@ def make_controlled(
     """A controller by name, and the simulation of the plant that it drives, without visual geoms."""
     bare = arm.without_visuals
     driver = make_controller(controller, bare, reference)
-    same = not driver.changes_plant and driver.add_bodies is None and not disturbances.obstacles
-    same = same and (disturbances.payload, disturbances.mass_scale) == (0.0, 1.0)
-    plant = bare.model if same else make_plant(bare, disturbances, driver.add_bodies)
+    changed = disturbances.obstacles or (disturbances.payload, disturbances.mass_scale) != (0.0, 1.0)
+    changed = changed or driver.changes_plant or driver.add_bodies is not None
+    plant = make_plant(bare, disturbances, driver.add_bodies) if changed else bare.model
     driver.equip(plant)
     return driver, Simulation(arm, plant, disturbances=disturbances)
 

@@ -10,6 +10,9 @@ from hypothesis import strategies as st
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
+from lieednn_sim.evaluation import evaluate
+from lieednn_sim.planning import plan
+from lieednn_sim.simulation import simulate
 
 EQUALITY = '<equality><joint name="belt" joint1="stage2" joint2="stage1" polycoef="0.01 0.8 0 0 0"/>'
 ROBOT = """
@@ -447,6 +450,20 @@ def test_moving_links_without_an_inertia_get_a_small_one(tmp_path):
     assert arm.model.body("basex").mass == 0.01
     assert not any("named like a tool" in note for note in arm.import_report.notes)
     assert "links without <inertial> got a mass of 10 g: basex" in arm.import_report.notes
+
+
+def test_no_motor_has_to_hold_a_mass_that_mujoco_guesses_from_a_shape(tmp_path):
+    """A ball of 0.3 m in radius would weigh 1.1 kN: spherised models have no inertias, but the efforts of the robot."""
+    path = tmp_path / "lift.urdf"
+    path.write_text("""
+<robot name="lift"><link name="base"/>
+<link name="cage"><collision><geometry><sphere radius=".3"/></geometry></collision></link>
+<joint name="up" type="prismatic"><parent link="base"/><child link="cage"/><axis xyz="0 0 1"/><origin xyz="0 0 1"/>
+<limit lower="0" upper="1" effort="450" velocity="1"/></joint></robot>""")
+    arm = Arm.load(path)
+    assert arm.model.body("cage").mass > 100.0
+    assert "links without <inertial> have masses by their shapes, and no weight: cage" in arm.import_report.notes
+    assert evaluate(simulate(arm, plan(arm, [0.5]))).final_worst_mm < 0.1
 
 
 def test_geoms_that_collide_in_explicit_pairs_alone_are_seen():

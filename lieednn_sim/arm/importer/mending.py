@@ -18,10 +18,13 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
     """Give inertias to moving links of a URDF without any, and enlarge impossible ones: A + B >= C > 0 must hold.
 
-    Other simulators accept both; links without an inertia are usual in mobile bases.
+    Other simulators accept both. Where MuJoCo guesses masses from shapes, no motor has to hold what nobody has weighed.
     """
-    mended, massless = [], []
-    for body in spec.bodies:
+    mended, massless, guessed = [], [], []
+    for body in spec.bodies[1:]:
+        if not body.explicitinertial and len(body.geoms):
+            body.gravcomp = 1.0
+            guessed.append(body.name)
         if body.joints and not body.explicitinertial and not body.geoms:
             # As light as MuJoCo's solver bears between links of some kilograms.
             body.mass, body.inertia, body.explicitinertial = 0.01, [1e-5] * 3, True
@@ -41,6 +44,8 @@ def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
             mended.append(body.name)
     if massless:
         notes.append(f"links without <inertial> got a mass of 10 g: {', '.join(massless)}")
+    if guessed:
+        notes.append(f"links without <inertial> have masses by their shapes, and no weight: {', '.join(guessed)}")
     if mended:
         notes.append(f"physically impossible inertias made larger: {', '.join(mended)}")
 
