@@ -1,13 +1,14 @@
 """A certified network shaped after the motion of a guide.
 
 The guide is the best of a few quick motions (`guides`). It is encoded as a start of the arm's universal network
-(`synthesis.CurveEncoder`); for a clock rate below 1, which that network cannot have, one is shaped by
+(`synthesis.CurveEncoder`); where the path is too long for a code, or the clock rate below 1, one is shaped by
 `synthesis.shape`. The motion follows the network's path by the guide's time law. It is proved that the network ends
 at the target from every start; its distance from the guide's path, limits and clearance are only checked.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -38,12 +39,12 @@ class ShapedOptions(NetworkOptions):
     Attributes:
         deviation: largest deviation of the end effector's path from the guide's [m].
         rate: rho of the network's clock (`ShapingOptions`). With 1 the motion is encoded in the arm's universal network
-            (`synthesis.CurveEncoder`), which is as fast as the arm; with less a network is shaped that returns to its
-            path after a push.
+            (`synthesis.CurveEncoder`), which is as fast as the arm; one that is too long or too sharply bent for that
+            has a network of its own. With less a network is shaped that returns to its path after a push.
         guides: largest number of guides' motions to try until a network follows one, each from the next seed;
             minimum jerk is tried once.
-        neurons: with a rate below 1, numbers of hidden neurons to try in turn until the network comes within a fifth of
-            the deviation.
+        neurons: for a network of its own, numbers of hidden neurons to try in turn until it comes within a fifth of the
+            deviation.
         guide: how the guide's motion is found.
 
     Raises:
@@ -99,12 +100,12 @@ def _following(problem: PlanningProblem, options: ShapedOptions, guide: Plan) ->
         path = NetworkPath.integrate(arm, network, problem.start)
         return Plan(in_time(timed_motion, asked, path), network, ShapedDetails(0.0, 0.0), guide=guide)
     units, start = lever_units(arm, given.q), cpu_time()
-    network = _network(arm, options, np.concatenate([given.xi[:-1:_STRIDE], given.xi_target[None]]), units)
+    network, encoded = _network(arm, options, np.concatenate([given.xi[:-1:_STRIDE], given.xi_target[None]]), units)
     fit_time = cpu_time() - start
-    if options.rate < 1.0:
-        path = NetworkPath.integrate(arm, network, problem.start, units)
-    else:
+    if encoded:
         path = NetworkPath.encoded(arm, network, given, units)
+    else:
+        path = NetworkPath.integrate(arm, network, problem.start, units)
     motion = in_time(timed_motion, asked, path, law_of(given, units))
     check_path_constraint(arm, problem.path_constraint, motion)
     some = motion.q[:: max(1, len(motion.q) // 400)]
@@ -117,17 +118,16 @@ def _following(problem: PlanningProblem, options: ShapedOptions, guide: Plan) ->
     return Plan(motion, path.network, ShapedDetails(deviation, fit_time), guide=guide)
 
 
-def _network(arm: Arm, options: ShapedOptions, curve: Floats, units: Floats) -> LieEDNN:
-    """A network that follows a curve ``(K, N, 6)``, with ``units`` as of `lever_units`."""
-    if options.rate < 1.0:
-        shaping = ShapingOptions(options.rate, options.neurons, options.activation)
-        # The deviation allowed is the effector's, and this one is of all links. With less than a fifth there are more
-        # neurons, and up to 1.3 times the jerk at a rate of 0.1.
-        return shape(curve, 0.2 * options.deviation, units=units, options=shaping).network
-    try:
-        return CurveEncoder(arm.n_links, options.activation).encode(curve, units)
-    except InputError as error:
-        raise PlanError(f"{error}; with a rate below 1 a network of its own is shaped") from None
+def _network(arm: Arm, options: ShapedOptions, curve: Floats, units: Floats) -> tuple[LieEDNN, bool]:
+    """A network along a curve ``(K, N, 6)``, with ``units`` as of `lever_units`, and whether it is the universal."""
+    if options.rate == 1.0:
+        # Other curves are too long or too sharply bent for a code.
+        with suppress(InputError):
+            return CurveEncoder(arm.n_links, options.activation).encode(curve, units), True
+    shaping = ShapingOptions(options.rate, options.neurons, options.activation)
+    # The deviation allowed is the effector's, and this one is of all links. With less than a fifth there are more
+    # neurons, and up to 1.3 times the jerk at a rate of 0.1.
+    return shape(curve, 0.2 * options.deviation, units=units, options=shaping).network, False
 
 
 def lever_units(arm: Arm, q: Floats) -> Floats:

@@ -170,7 +170,7 @@ def _trim() -> Callable[[int], Any]:
 
 
 def _added() -> tuple[list[str], list[tuple[int, str]]]:
-    """Modules of what users added, which workers must import, and names as ``file.py:thing`` with their kind's index."""
+    """Modules of what users added, which workers must import, and names as ``file.py:thing`` by kinds' indices."""
     entries = [entry for kind in _OF_USERS for entry in kind.entries.values()]
     modules = sorted({str(entry.place.__module__) for entry in entries if not entry.own} - {"__main__"})
     return modules, [(k, name) for k, kind in enumerate(_OF_USERS) for name in kind.entries if ":" in name]
