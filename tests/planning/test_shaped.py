@@ -57,6 +57,18 @@ def test_the_motion_is_the_guides_and_the_network_is_certified(scene, seed, plan
     assert nearest.max() <= made.details.deviation + 0.5 * spacing
 
 
+def test_a_path_too_long_for_a_code_has_a_network_of_its_own(monkeypatch):
+    arm = FREE.with_scene("shelf", 2)
+    target = draw_target(arm, 2)
+    usual = planned(arm, target)
+    monkeypatch.setattr("lieednn_sim.synthesis.shaping.encoder.LARGEST_CODE", 1e-6)
+    made = planned(arm, target)
+    assert made.network.certified
+    assert made.network.n_neurons < usual.network.n_neurons
+    assert made.details.deviation < 5e-3
+    np.testing.assert_allclose(made.motion.q, made.guide.motion.q, atol=0.02)
+
+
 def test_the_universal_network_is_integrated_to_the_same_motion():
     """What the planner has in closed form, the equation itself has too; and the network is the same for all targets."""
     made = [planned(FREE, draw_target(FREE, seed)) for seed in (2, 4)]
@@ -105,13 +117,6 @@ def test_who_stays_where_it_is_has_a_network_without_hidden_neurons():
 def test_what_is_too_far_off_is_refused():
     with pytest.raises(PlanError, match=r"the motion of minimum-jerk: the end effector would be .* mm off its path"):
         planned(FREE, draw_target(FREE, 0), deviation=1e-9)
-
-
-def test_a_curve_beyond_the_universal_network_is_refused_but_for_a_slower_clock(monkeypatch):
-    monkeypatch.setattr("lieednn_sim.synthesis.shaping.encoder.LARGEST_CODE", 1e-6)
-    with pytest.raises(PlanError, match=r"the motion of minimum-jerk: the curve's code must .* a rate below"):
-        planned(FREE, draw_target(FREE, 1))
-    assert planned(FREE, draw_target(FREE, 1), rate=0.3).network.n_clock == 2
 
 
 @needs_ompl
