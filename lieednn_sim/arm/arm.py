@@ -14,8 +14,9 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, fixed_body
+from lieednn_sim.arm.equalities import loop_closures
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
 from lieednn_sim.arm.importer.importing import import_model
 from lieednn_sim.arm.importer.loading import compile_spec, read_model
@@ -127,8 +128,7 @@ class Arm(ModelArm):
         given = chosen(options)
         if has_frames(spec) and not given:
             compiled = compile_spec(spec)
-            loops = np.isin(compiled.eq_type, (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)))
-            if not (loops & compiled.eq_active0).any():
+            if not loop_closures(compiled):
                 return cls(name=name, source=source, spec=spec, model=compiled, **read_arm(compiled, name))
             chain = read_chain(compiled, name)
             named = {"links": [frame.name for frame in chain.frames[1:]], "base": chain.frames[0].name}
@@ -273,8 +273,7 @@ class Arm(ModelArm):
         if self.qpos_home is None:
             return replace(Arm.from_spec(spec, self.source, self.name), clearance=self.clearance)
         model = compile_spec(spec)
-        data = mujoco.MjData(model)
-        data.qpos[:] = self.qpos_home
+        data = kinematics_at(model, self.qpos_home)
         kept = ("name", "source", "import_report", "clearance", "start_tolerance")
         return Arm.viewing(model, data, self.named, spec=spec, **{name: getattr(self, name) for name in kept})
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.arm.equalities import (
     EXACT,
     Indices,
@@ -278,8 +279,7 @@ class ClosedLoops:
 
 def _determining(model: mujoco.MjModel, loose: Sequence[int], free: Floats, dofs: Indices) -> list[int]:
     """Hinges and slides that determine the free directions ``(F, D)``, those that move most first."""
-    kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-    columns = {j: free[:, dofs == model.jnt_dofadr[j]][:, 0] for j in loose if model.jnt_type[j] in kinds}
+    columns = {j: free[:, dofs == model.jnt_dofadr[j]][:, 0] for j in loose if model.jnt_type[j] in SCALAR}
     chosen: list[int] = []
     for _ in free:
         best = max(columns, key=lambda j: float(np.linalg.norm(columns[j])), default=None)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.arm.contacts import ContactOffsets, move_bodies, moving_geoms
+from lieednn_sim.arm.contacts import ContactOffsets, geom_name, move_bodies, moving_geoms
 from lieednn_sim.errors import InputError
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_count, as_floats
@@ -216,9 +216,7 @@ class Collisions:
         return self._name(int(first)), self._name(int(second))
 
     def _name(self, geom: int) -> str:
-        model = self.arm.model
-        as_count("geom", geom, 0, model.ngeom - 1)
-        return model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
+        return geom_name(self.arm.model, as_count("geom", geom, 0, self.arm.model.ngeom - 1))
 
     def _move(self, q: ArrayLike) -> None:
         self._move_to(self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))))

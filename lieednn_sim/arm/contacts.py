@@ -139,6 +139,11 @@ def moved_by(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
     return moved
 
 
+def geom_name(model: mujoco.MjModel, geom: int) -> str:
+    """What a geom is called in messages; one without a name is called after its body."""
+    return model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
+
+
 def fixed_body(model: mujoco.MjModel, name: str) -> int:
     """The id of a body that no joint moves and that carries no joint; `InputError` lists the names of such bodies."""
     result = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))

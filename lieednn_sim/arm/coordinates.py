@@ -64,6 +64,13 @@ class Coordinates:
         """Their addresses in qvel."""
         return np.union1d(np.flatnonzero(self.rates.any(axis=1)), self.ball_rate_addresses)
 
+    @property
+    def own_rate_addresses(self) -> NDArray[np.int_]:
+        """Address in qvel of each coordinate's own joint ``(n,)``, the leader of those that follow it."""
+        addresses = np.empty(len(self), dtype=int)
+        addresses[self.scalars], addresses[self.balls] = self.scalar_rate_addresses, self.ball_rate_addresses
+        return addresses
+
     def to_qpos(self, q: Floats) -> Floats:
         """``(..., n)`` to ``(..., nq)``."""
         qpos = q @ self.coupling.T + self.offset

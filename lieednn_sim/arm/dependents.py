@@ -18,6 +18,7 @@ from lieednn_sim.arm.equalities import (
     equality_name,
     involved_joints,
     joint_range,
+    loop_closures,
     names,
     position_addresses,
 )
@@ -256,8 +257,7 @@ def independent_joints(model: mujoco.MjModel, chosen: Sequence[int]) -> list[int
 
 def freely_moving(model: mujoco.MjModel, qpos: Floats, joints: Sequence[int]) -> list[int]:
     """Those of some joints that can move independently of the ones before them, where closed loops are at ``(nq,)``."""
-    kinds = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
-    loops = np.flatnonzero(model.eq_active0 & np.isin(model.eq_type, kinds)).tolist()
+    loops = loop_closures(model)
     if not loops:
         return list(joints)
     data = mujoco.MjData(model)

@@ -125,6 +125,12 @@ def involved_joints(model: mujoco.MjModel, equality: int) -> set[int]:
     return set()
 
 
+def loop_closures(model: mujoco.MjModel) -> list[int]:
+    """The equalities that hold bodies together, `connect` and `weld`, of those that are active at the beginning."""
+    kinds = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
+    return [int(equality) for equality in np.flatnonzero(model.eq_active0 & np.isin(model.eq_type, kinds))]
+
+
 def equality_name(model: mujoco.MjModel, equality: int) -> str:
     """What an equality is called in messages."""
     kind = mujoco.mjtEq(int(model.eq_type[equality])).name.removeprefix("mjEQ_").lower()

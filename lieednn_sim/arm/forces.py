@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.values import Floats
@@ -54,6 +55,18 @@ def constant_moments(model: mujoco.MjModel) -> Floats:
     return np.where(np.array(constant, dtype=bool)[:, None], actuator_moments(model), 0.0)
 
 
+def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which actuators ``(nu,)`` exert g ctrl + b0 + b1 l + b2 v, g not zero, whatever their dynamics are."""
+    affine = model.actuator_biastype <= int(mujoco.mjtBias.mjBIAS_AFFINE)
+    affine &= model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_FIXED)
+    return np.asarray(affine & (model.actuator_gainprm[:, 0] != 0.0))
+
+
+def compensating_dofs(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which dofs ``(nv,)`` have ``actgravcomp``: MuJoCo adds gravity compensation to the forces of their actuators."""
+    return np.asarray(model.jnt_actgravcomp[model.dof_jntid] != 0)
+
+
 def actuator_ranges(model: mujoco.MjModel) -> Floats:
     """Least and largest force ``(nu, 2)`` of each actuator, infinite where nothing limits it."""
     return np.array([_force_range(model, a) for a in range(model.nu)]).reshape(-1, 2)
@@ -96,8 +109,7 @@ def resting_load(model: mujoco.MjModel, configurations: Floats, *, limited: bool
     """
     # One for all configurations: making it takes a hundred times as long as using it.
     data = mujoco.MjData(model)
-    # Where actgravcomp is set, MuJoCo adds the compensation to the actuator's force instead of the passive ones.
-    by_actuator = model.jnt_actgravcomp[model.dof_jntid] != 0
+    by_actuator = compensating_dofs(model)
     if limited:
         by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0
     loads = np.empty((len(configurations), model.nv))

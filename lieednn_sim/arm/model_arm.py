@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moved_by
 from lieednn_sim.arm.dependents import Dependents
 from lieednn_sim.arm.equalities import dof_addresses
@@ -92,12 +93,10 @@ class ModelArm(SerialArm):
     @cached_property
     def continuous(self) -> NDArray[np.bool_]:
         """Which coordinates ``(n,)`` are turns of hinges without a range, alone: a whole turn changes nothing."""
-        model, space = self.model, self.space
-        result = np.zeros(self.n_joints, dtype=bool)
-        joints = model.dof_jntid[space.scalar_rate_addresses]
+        model, joints = self.model, self.model.dof_jntid[self.space.own_rate_addresses]
         free = (model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)) & (model.jnt_limited[joints] == 0)
-        result[space.scalars] = free & (np.count_nonzero(space.rates, axis=0)[space.scalars] == 1)
-        return result if self.dependents is None else np.zeros_like(result)
+        free &= np.count_nonzero(self.space.rates, axis=0) == 1
+        return free if self.dependents is None else np.zeros_like(free)
 
     def nearest_turn(self, q: ArrayLike, near: ArrayLike) -> Floats:
         """Coordinates ``(n,)`` with whole turns of `continuous` ones added so that they are nearest to others."""
@@ -219,15 +218,14 @@ class ModelArm(SerialArm):
         data.qpos[:] = qpos = self.qpos(self.keyframe("home"))
         given: dict[int, int] = {}
         joints = model.dof_jntid[np.flatnonzero(rates.any(axis=1))].tolist()
-        moved = {model.joint(j).name: j for j in joints if joints.count(j) == 1}
+        moved = {model.joint(j).name: j for j in joints if model.jnt_type[j] in SCALAR}
         for name, position in positions.items():
             joint = moved[as_choice("joint that the arm moves", name, moved)]
             k = int(np.abs(rates[model.jnt_dofadr[joint]]).argmax())
             if k in given:
                 raise InputError(f"give one of the joints that move with {self.joint_names[k]!r}, not {name!r} as well")
             given[k], qpos[model.jnt_qposadr[joint]] = joint, float(as_floats(name, position, ()))
-        balls = set(self.space.balls.ravel().tolist())
-        own = [model.joint(name[:-2] if k in balls else name).id for k, name in enumerate(self.joint_names)]
+        own = model.dof_jntid[self.space.own_rate_addresses].tolist()
         chosen = dict.fromkeys(given.get(k, joint) for k, joint in enumerate(own))
         return self.coordinates(Dependents(model, data, [*chosen]).to_qpos(qpos))
 

@@ -31,6 +31,7 @@ from lieednn_sim.arm.forces import force_ranges, tangent_basis
 from lieednn_sim.arm.frames import BodyFrames, Frame, site_frame
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.arm.limits import read_numeric
+from lieednn_sim.arm.surroundings import home_data
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
@@ -86,7 +87,7 @@ def read_arm(
             check_limited(model, arm, joint)
         ranges = {joint: joint_range(model, joint) for joint in group}
     lines = _leaders(model, arm, group) if lines is None else lines
-    space = read_coordinates(model, chain, _rest(model) if rest is None else rest, lines, sums or {})
+    space = read_coordinates(model, chain, home_data(model).qpos if rest is None else rest, lines, sums or {})
     joints, base, mounts, tips = read_joints(model, arm, chain, space, ranges)
     unlimited = np.full(len(space), np.inf)
     return {
@@ -225,12 +226,6 @@ def read_force_limits(model: mujoco.MjModel, coordinates: Coordinates) -> Floats
     """The force ``(n,)`` that actuators can exert on each coordinate in both directions; infinite without a limit."""
     low, high = force_ranges(model, tangent_basis(coordinates)).T
     return np.minimum(-low, high)
-
-
-def _rest(model: mujoco.MjModel) -> Floats:
-    """Where joints that are not the arm's stay: the keyframe ``home``, else the model's reference position."""
-    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
-    return np.array(model.qpos0 if key < 0 else model.key_qpos[key])
 
 
 def _leaders(model: mujoco.MjModel, arm: str, joints: list[int]) -> dict[int, Line]:

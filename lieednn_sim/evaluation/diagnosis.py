@@ -8,7 +8,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.contacts import fixed_body
+from lieednn_sim.arm.contacts import fixed_body, geom_name
 from lieednn_sim.arm.equalities import equality_name
 from lieednn_sim.arm.forces import dry_friction, resting_load, servo_gains, tangent_basis
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
@@ -101,10 +101,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
 
 
 def _held(rollout: Rollout) -> list[tuple[str, Floats, str]]:
-    """Contacts, ranges and equalities at the end: in words, their forces ``(n,)`` along the coordinates, and a remedy.
-
-    MuJoCo solves them again for the forces of that instant.
-    """
+    """Contacts, ranges and equalities at the end, as MuJoCo solves them: in words, their forces ``(n,)``, a remedy."""
     arm, basis = rollout.arm, tangent_basis(rollout.arm.space)
     model = copy.deepcopy(arm.model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
@@ -115,8 +112,7 @@ def _held(rollout: Rollout) -> list[tuple[str, Floats, str]]:
     data.qpos[:], data.qvel[:] = rollout.qpos[-1], arm.qvel(rollout.q[-1], rollout.qd[-1])
     data.qfrc_applied[:] = np.linalg.pinv(basis).T @ rollout.force[-1]
     mujoco.mj_forward(model, data)
-    found: dict[tuple[str, str], Floats] = {}
-    exerted = np.zeros(model.nv)
+    found, exerted = dict[tuple[str, str], Floats](), np.zeros(model.nv)
     for row, (number, which) in enumerate(zip(data.efc_type.tolist(), data.efc_id.tolist(), strict=True)):
         kind, _, what = mujoco.mjtConstraint(number).name.removeprefix("mjCNSTR_").lower().partition("_")
         if kind == "equality":
@@ -125,10 +121,7 @@ def _held(rollout: Rollout) -> list[tuple[str, Floats, str]]:
             name = getattr(model, what)(which).name or f"number {which}"
             key = f"the range of {what} {name!r}", "a target that it allows"
         elif kind == "contact":
-            first, second = (
-                model.geom(geom).name or f"a geom of {model.body(model.geom_bodyid[geom]).name}"
-                for geom in data.contact.geom[which].tolist()
-            )
+            first, second = (geom_name(model, geom) for geom in data.contact.geom[which].tolist())
             key = f"the contact of {first!r} and {second!r}", "a motion planned with what it touches in the arm's scene"
         else:
             continue

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import actuator_moments, on_fixed_tendon
+from lieednn_sim.arm.checks import SCALAR
+from lieednn_sim.arm.forces import actuator_moments, affine_actuators, on_fixed_tendon
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.values import Floats
@@ -31,6 +32,7 @@ class Actuators:
         driving: ``(nu,)`` whether actuators move the arm's joints. The others keep their controls of a view's state, of
             the keyframe ``home``, or zero.
         servos: ``(nu,)`` which of the driving ones are position servos; the others exert forces alone.
+        servoed: ``(n,)`` which coordinates position servos act on.
         transmission: ``(nu, n)`` lengths' rates at unit rates of the coordinates; zero for those that do not drive.
         moment: ``(nu, nv)`` generalised force per unit force; zero likewise.
         allocation: ``(nu, nv)`` forces of least norm with the effect of generalised forces on the arm.
@@ -65,12 +67,13 @@ class Actuators:
         self.gain = np.where(self.driving, model.actuator_gainprm[:, 0], 1.0)
         self.bias = np.where(self.driving, model.actuator_biasprm[:, :3].T, 0.0)
         self.servos = self.driving & (self.bias[1] / self.gain < 0.0)
+        self.servoed = np.abs(transmission[self.servos]).max(axis=0, initial=0.0) > 1e-9
         self._idle = np.where(self.driving, 0.0, arm.data().ctrl)
         # In a model with more than an arm, somebody else may change the others' controls.
         self._written: Any = True if arm.state is None else self.driving
         # The positions at which all lengths are zero: those of quaternions are their references.
         self._model, self._zero = model, model.qpos0.copy()
-        self._zero[model.jnt_qposadr[np.isin(model.jnt_type, _SCALAR)]] = 0.0
+        self._zero[model.jnt_qposadr[np.isin(model.jnt_type, SCALAR)]] = 0.0
 
     def require_servos(self) -> None:
         """Raise `InputError` unless every driving actuator is a position servo."""
@@ -152,33 +155,25 @@ def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
 def has_servos(arm: Arm) -> bool:
     """Whether position servos alone drive each coordinate, and no closed loop is between them."""
     model, basis = arm.model, arm.unit_rates()
-    moments = actuator_moments(model) @ basis
-    driving = _moving(actuator_moments(model), basis)
+    moments = actuator_moments(model)
+    driving = _moving(moments, basis)
     servos = model.actuator_biasprm[:, 1] / np.where(driving, model.actuator_gainprm[:, 0], 1.0) < 0.0
-    return arm.dependents is None and bool(moments.any(axis=0).all() and servos[driving].all())
+    return arm.dependents is None and bool((moments @ basis).any(axis=0).all() and servos[driving].all())
 
 
 def _moving(moments: Floats, basis: Floats) -> NDArray[np.bool_]:
     return np.asarray(np.abs(moments @ basis).max(axis=1, initial=0.0) > 1e-9)
 
 
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-
-
 def _check(model: mujoco.MjModel, driving: NDArray[np.bool_]) -> None:
-    kinds = mujoco.mjtTrn
+    kinds, affine = mujoco.mjtTrn, affine_actuators(model)
     for i in np.flatnonzero(driving):
         kind, target = int(model.actuator_trntype[i]), int(model.actuator_trnid[i, 0])
         on_joint = kind == int(kinds.mjTRN_JOINT) or (
-            kind == int(kinds.mjTRN_JOINTINPARENT) and int(model.jnt_type[target]) in _SCALAR
+            kind == int(kinds.mjTRN_JOINTINPARENT) and int(model.jnt_type[target]) in SCALAR
         )
-        affine = (
-            int(model.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_FIXED)
-            and int(model.actuator_biastype[i]) in (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-            and int(model.actuator_dyntype[i]) == int(mujoco.mjtDyn.mjDYN_NONE)
-            and model.actuator_gainprm[i, 0] != 0.0
-        )
-        if not (affine and (on_joint or on_fixed_tendon(model, int(i)))):
+        static = int(model.actuator_dyntype[i]) == int(mujoco.mjtDyn.mjDYN_NONE)
+        if not (affine[i] and static and (on_joint or on_fixed_tendon(model, int(i)))):
             raise InputError(
                 f"actuator {model.actuator(int(i)).name!r} moves the arm in a way the controllers do not know: they "
                 "need <position>, <motor>, or <general> with fixed gain, affine bias and no dynamics, on joints or "

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import tangent_basis
+from lieednn_sim.arm.forces import compensating_dofs, tangent_basis
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import rotations, same_signs
@@ -169,8 +169,7 @@ class Log:
         for row, touching, force in self._contacts:
             contacts[row], contact_force[row] = touching, force
         # The gravity compensation of some dofs bypasses MuJoCo's actuators, which have to exert it, too.
-        bypassing = ~model.jnt_actgravcomp[model.dof_jntid].astype(bool)
-        exerted, basis = log["actuators"] + bypassing * log["compensation"], tangent_basis(arm.space)
+        exerted, basis = log["actuators"] + ~compensating_dofs(model) * log["compensation"], tangent_basis(arm.space)
         places, turns = self._frames.poses(log["positions"], log["rotations"])
         q = arm.coordinates(log["qpos"])
         channels, units = self._channels()

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.arm.dependents import tied_joints
 from lieednn_sim.arm.equalities import joint_range
-from lieednn_sim.arm.forces import actuator_moments, resting_load
+from lieednn_sim.arm.forces import actuator_moments, affine_actuators, resting_load
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_floats, quoted
 from lieednn_sim.values import Floats
@@ -19,7 +20,6 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from lieednn_sim.arm.model_arm import ModelArm
 
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 MARGIN = 0.05  # fraction of its range that home keeps away from each limit
 
 
@@ -118,8 +118,7 @@ def _controls(model: mujoco.MjModel, qpos: Floats, forces: Floats | float) -> Fl
     data.qpos[:] = qpos
     mujoco.mj_fwdPosition(model, data)
     gain, (constant, stiffness) = model.actuator_gainprm[:, 0], model.actuator_biasprm[:, :2].T
-    affine = (gain != 0.0) & (model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_FIXED))
-    affine &= model.actuator_biastype <= int(mujoco.mjtBias.mjBIAS_AFFINE)
+    affine = affine_actuators(model)
     return np.where(affine, (forces - constant - stiffness * data.actuator_length) / np.where(affine, gain, 1.0), 0.0)
 
 
@@ -133,7 +132,7 @@ def _holds_another(model: mujoco.MjModel, keyframe: int) -> bool:
 
 def _set_joints(model: mujoco.MjModel, qpos: NDArray[np.float64], home: Mapping[str, float]) -> None:
     """Set hinges and slides in ``qpos`` ``(nq,)`` by name."""
-    joints = {model.joint(j).name: j for j in range(model.njnt) if model.jnt_type[j] in _SCALAR}
+    joints = {model.joint(j).name: j for j in range(model.njnt) if model.jnt_type[j] in SCALAR}
     leaders = dict(tied_joints(model))
     for name, value in home.items():
         joint = joints[as_choice("joint of the home configuration", name, joints)]

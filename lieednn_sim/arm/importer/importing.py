@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.chain import chosen_joints, joint_groups, named_frames
 from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.importer.floor import AUTO, add_floor, as_floor
@@ -75,10 +75,11 @@ def import_model(
 
     def viewed() -> ModelArm:
         now = compile_spec(spec)
-        return ModelArm.viewing(now, _data(now, qpos), named, name=name, source=source, spec=spec)
+        return ModelArm.viewing(now, kinematics_at(now, qpos), named, name=name, source=source, spec=spec)
 
-    compiled = compile_spec(spec)
-    view = read_view(compiled, _data(compiled, qpos), name=name, **named)
+    if len(qpos) < compiled.nq:
+        compiled = compile_spec(spec)
+    view = read_view(compiled, kinematics_at(compiled, qpos), name=name, **named)
     tie_stages(spec, compiled, view.couplings, notes)
     named["limits"] = _limits(view, compiled, source, given.get("limits", {}), notes)
     arm = viewed()
@@ -95,12 +96,6 @@ def import_model(
     servos = tuple(describe_servos(arm, _closed(arm, home, samples), added))
     report = _report(arm, view, label, servos, notes)
     return arm, replace(report, notes=(*notes, *remarks(arm, report.groups, servos, samples)))
-
-
-def _data(model: mujoco.MjModel, qpos: Floats) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    return data
 
 
 def _closed(arm: ModelArm, home: Floats, samples: Floats) -> Floats:

@@ -117,8 +117,8 @@ class _Overlaps:
         self._data = kinematics_at(arm.model, arm.qpos(home))
         self._moved = {int(arm.model.dof_jntid[dof]) for dof in arm.dofs}
         # By each coordinate, its joints.
-        moving = arm.qvel(np.tile(home, (arm.n_joints, 1)), np.eye(arm.n_joints)) != 0.0
-        self._movers = [{int(arm.model.dof_jntid[dof]) for dof in np.flatnonzero(row)} for row in moving]
+        rates = arm.unit_rates(home).T
+        self._movers = [{int(arm.model.dof_jntid[dof]) for dof in np.flatnonzero(row)} for row in rates]
 
     def at(self, qpos: Floats) -> _Distances:
         """Pairs of geoms of one robot that are near each other, and their distances [m]; none where loops are open."""

@@ -121,16 +121,16 @@ def _drivers(
     if not len(bare):
         return
     inertia = largest_inertia(arm.model, configurations, basis)
+    model, dofs = arm.model, arm.space.own_rate_addresses
     for k in bare.tolist():
-        ball = np.argwhere(arm.space.balls == k)
-        axis = int(ball[0, 1]) if len(ball) else 0
-        name, (low, high) = arm.joint_names[k], ranges[k]
-        joint = name[:-2] if len(ball) else name
+        joint = int(model.dof_jntid[dofs[k]])
+        axis = int(dofs[k] - model.jnt_dofadr[joint])
         # The force range of a joint bounds all its actuators together, so it is none of the servo.
-        limited = np.isfinite([low, high]).all() and not arm.model.jnt_actfrclimited[arm.model.joint(joint).id]
+        limited = np.isfinite(ranges[k]).all() and not model.jnt_actfrclimited[joint]
         force = ranges[k] if limited else None
         tied = bool(np.count_nonzero(basis[:, k]) > 1)
-        yield _Servo(name, joint, axis, float(inertia[k]), arm.position_limits[k], force, tied=tied)
+        name = arm.joint_names[k], model.joint(joint).name
+        yield _Servo(*name, axis, float(inertia[k]), arm.position_limits[k], force, tied=tied)
 
 
 def _holders(arm: ModelArm, driven: NDArray[np.bool_], qpos: Floats) -> Iterator[_Servo]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import tangent_basis
+from lieednn_sim.arm.forces import compensating_dofs, tangent_basis
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY, Controller
 from lieednn_sim.simulation.controllers.loops import LoopLinearisation
@@ -43,8 +43,7 @@ class FeedbackLinearisation(Controller):
         self._actuators = actuators = Actuators(arm, complete=False)
         basis, transmission = tangent_basis(arm.space), actuators.transmission
         driven = transmission.any(axis=0)
-        servoed = np.abs(transmission[actuators.servos]).max(axis=0, initial=0.0) > 0.0
-        frequency, rates = np.where(servoed, 0.0, NATURAL_FREQUENCY), np.linalg.pinv(basis)
+        frequency, rates = np.where(actuators.servoed, 0.0, NATURAL_FREQUENCY), np.linalg.pinv(basis)
         space = arm.space
         self._mine, self._dofs = np.asarray(basis.any(axis=1), dtype=float), space.rate_addresses
         # Of hinges and slides the errors of positions are differences; of balls MuJoCo finds them.
@@ -65,7 +64,7 @@ class FeedbackLinearisation(Controller):
         self._bare = np.flatnonzero(basis[:, ~driven].any(axis=1))
         self._applied = arm.data().qfrc_applied[self._bare]
         # MuJoCo adds the gravity compensation of these dofs to the actuators' force.
-        compensated = arm.model.jnt_actgravcomp[arm.model.dof_jntid] != 0
+        compensated = compensating_dofs(arm.model)
         self._compensated = np.flatnonzero(compensated & (self._mine > 0.0) & bool(arm.model.body_gravcomp.any()))
         self._model = arm.model
         self._load = np.zeros(arm.model.nv)

@@ -6,7 +6,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import tangent_basis
+from lieednn_sim.arm.forces import compensating_dofs, tangent_basis
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY, Controller
@@ -33,13 +33,12 @@ class LoopLinearisation(Controller):
         self._arm, self._reference, self._loops = arm, reference, arm.dependents
         self._actuators = actuators = Actuators(arm)
         self._unit = tangent_basis(arm.space)[arm.dependents.dofs]
-        servoed = np.abs(actuators.transmission[actuators.servos]).max(axis=0, initial=0.0) > 1e-9
-        self._frequency = np.where(servoed, 0.0, NATURAL_FREQUENCY)
+        self._frequency = np.where(actuators.servoed, 0.0, NATURAL_FREQUENCY)
         self._moved = np.zeros(arm.model.nv)
         self._moved[arm.dofs] = 1.0
         self._model = arm.model
         self._data, self._load = mujoco.MjData(self._model), np.zeros(arm.model.nv)
-        self._compensated = arm.model.jnt_actgravcomp[arm.model.dof_jntid] != 0
+        self._compensated = compensating_dofs(arm.model)
 
     def equip(self, plant: mujoco.MjModel) -> None:
         """See `Controller`."""
