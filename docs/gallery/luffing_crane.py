@@ -17,7 +17,7 @@ arm = ls.Arm.load("telescopic_crane")
 print(arm.joint_names, "of", arm.model.njnt, "joints")
 
 # %%
-# A certified network leads the boom over poles. The plan has all joints of the model, the cylinder's among them.
+# A certified network leads the boom between poles. The plan has all joints of the model, the cylinder's among them.
 
 arm = arm.with_scene("poles", seed=1)
 plan = ls.plan(arm, ls.draw_target(arm, seed=3), duration=16.0)
@@ -34,13 +34,13 @@ run = ls.simulate(arm, plan, hold=2.0, log=[force])
 print(f"the boom point ends {ls.evaluate(run, clearance=False).final_worst_mm:.3f} mm off")
 
 figure, (above, below) = plt.subplots(2, 1, sharex=True, figsize=(6.4, 4.4), layout="constrained")
-above.plot(run.t, 1e-3 * run.channels["cylinder"], label="cylinder")
+above.plot(run.t, 1e-3 * run.channels["cylinder"])
 above.set_ylabel("cylinder's force [kN]")
 swing = [arm.model.joint(name).qposadr[0] for name in ("swing_along", "swing_across")]
 luff = arm.model.joint("luff").qposadr[0]
 hook = run.qpos[:, swing]
 hook[:, 0] -= run.qpos[:, luff]
 below.plot(run.t, np.rad2deg(hook), label=["along the boom", "across"])
-below.set(xlabel="time [s]", ylabel="hook off the vertical [degrees]")
+below.set(xlabel="time [s]", ylabel="hook off vertical [degrees]")
 below.legend()
 ls.render_page(run, "motion.html")
