@@ -24,7 +24,8 @@ class ContactSlopes(ContactFinder):
     """
 
     def __init__(self, arm: Arm, margin: float, *, own: bool) -> None:
-        super().__init__(arm.without_visuals.geometry, margin, arm.without_visuals.offsets)
+        bare = arm.without_visuals
+        super().__init__(bare.geometry, margin, bare.offsets, bare.leaving_qpos)
         self._arm, model = arm, self._model
         types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
         # Bits of their own for each direction of MuJoCo's filter, which has 31, so that a fixed geom meets the same
@@ -56,8 +57,7 @@ class ContactSlopes(ContactFinder):
                 continue
             mujoco.mj_comPos(model, data)
             mujoco.mj_makeConstraint(model, data)
-            contact = data.contact
-            distance = contact.dist if self._offsets.none else contact.dist - self._offsets(contact.geom)
+            contact, distance = data.contact, self._distances()
             used = (contact.exclude == 0) & (distance < self._margin)
             counts[k] = used.sum()
             distances.append(distance[used])

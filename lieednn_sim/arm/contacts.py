@@ -16,6 +16,8 @@ from lieednn_sim.values import Floats
 #: Distance [m] that planned motions keep from obstacles and between the arm's own parts by default. It allows for
 #: tracking errors of a millimetre or two.
 PLANNED_CLEARANCE = 0.002
+# Change of qpos in which an arm leaves what it is too near to [rad, m]; and what rounding adds to distances [m].
+_LEFT, _ROUNDING = 0.1, 1e-9
 
 
 class ContactOffsets:
@@ -57,10 +59,16 @@ class ContactFinder:
         model: the compiled model, which is not changed.
         margin: distance [m] beyond their offset (`ContactOffsets`) below which geoms count as touching.
         offsets: as of `ContactOffsets`.
+        leaving: ``(nq,)`` where a motion begins, if that is too near to something. Geoms that are closer than the
+            margin there may be as close there, and less so with the distance from there, in qpos.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, margin: float = 0.0, offsets: Mapping[tuple[int, int], float] | None = None
+        self,
+        model: mujoco.MjModel,
+        margin: float = 0.0,
+        offsets: Mapping[tuple[int, int], float] | None = None,
+        leaving: Floats | None = None,
     ) -> None:
         self._margin, self._offsets = margin, ContactOffsets(model, offsets)
         self._model = copy.deepcopy(model)
@@ -68,6 +76,25 @@ class ContactFinder:
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
         self._model.opt.o_margin = margin + self._offsets.largest
         self._data = mujoco.MjData(self._model)
+        self._left: dict[tuple[int, ...], int] = {}
+        self._begin, self._lack = leaving, np.zeros(0)
+        if leaving is not None:
+            pairs = np.unique(np.sort(self.geoms(leaving)[1]), axis=0)
+            self._left = {tuple(pair): k for k, pair in enumerate(pairs.tolist())}
+            self._lack = margin - self.left(leaving) + _ROUNDING
+
+    def left(self, qpos: Floats) -> Floats:
+        """Distances ``(L,)`` of the pairs of geoms that a motion is to leave, at most the margin, at ``(nq,)``."""
+        least = np.full(len(self._left), self._margin)
+        self._found(qpos)
+        contact = self._data.contact
+        which, distance = self._leaving(contact.geom), contact.dist - self._offsets(contact.geom)
+        np.minimum.at(least, which[which >= 0], distance[which >= 0])
+        return least
+
+    def _leaving(self, geoms: NDArray[np.int_]) -> NDArray[np.int_]:
+        """Which pair to be left each of ``(C, 2)`` is, or -1."""
+        return np.array([self._left.get((min(a, b), max(a, b)), -1) for a, b in geoms.tolist()], dtype=int)
 
     def move(self, places: Mapping[str, ArrayLike]) -> None:
         """See `move_bodies`."""
@@ -83,19 +110,24 @@ class ContactFinder:
 
     def _near(self) -> tuple[Floats, NDArray[np.int_]]:
         """As `geoms`, where contacts have been found."""
-        contact = self._data.contact
-        distance = contact.dist if self._offsets.none else contact.dist - self._offsets(contact.geom)
+        distance = self._distances()
         # MuJoCo may also report pairs that are not nearer than the margin.
         near = distance < self._margin
-        return distance[near], contact.geom[near]
+        return distance[near], self._data.contact.geom[near]
+
+    def _distances(self) -> Floats:
+        """Distances ``(C,)`` of the contacts found; those of geoms to be left are greater by what they may lack."""
+        contact = self._data.contact
+        distance: Floats = contact.dist if self._offsets.none else contact.dist - self._offsets(contact.geom)
+        if not self._left:
+            return distance
+        still = max(1.0 - float(np.linalg.norm(self._data.qpos - self._begin)) / _LEFT, 0.0)
+        # The last one is for all others.
+        return distance + still * np.append(self._lack, 0.0)[self._leaving(contact.geom)]
 
     def any(self, qpos: Floats) -> bool:
         """Whether some geoms are closer than the margin at MuJoCo's positions ``(nq,)``."""
-        if not self._found(qpos):
-            return False
-        if self._offsets.none:
-            return bool(self._data.contact.dist.min() < self._margin)
-        return len(self._near()[0]) > 0
+        return bool(self._found(qpos) and self._distances().min() < self._margin)
 
     def _found(self, qpos: Floats) -> int:
         """The number of contacts, which are then in ``_data``."""

@@ -44,6 +44,7 @@ class ModelArm(SerialArm):
             `dataclasses.replace`.
         start_tolerance: how far a start may be beyond a limit, such as by a sensor's noise or on a soft stop [rad, m];
             it is then taken as at the limit (`check_start`).
+        leaves: of `leaving`, ``(n,)`` where motions begin.
         qpos_home: of a view, ``(nq,)`` the positions of its model in the state that it was made of: its ``home``.
         state: of a view of a compiled model, the whole of that state (`state_of`), in which simulations begin. Those of
             an imported file, which is a view as well, begin at rest, with the controls of the keyframe ``home``.
@@ -58,6 +59,7 @@ class ModelArm(SerialArm):
     recipe: tuple[tuple[str, tuple[Any, ...], Any], ...] = ()
     clearance: float = PLANNED_CLEARANCE
     start_tolerance: float = 1e-3
+    leaves: Floats | None = None
     qpos_home: Floats | None = None
     state: Floats | None = None
     named: Mapping[str, Any] = field(default_factory=dict)
@@ -149,7 +151,40 @@ class ModelArm(SerialArm):
 
     def contact_finder(self, margin: float = 0.0) -> ContactFinder:
         """Finds geoms closer than a margin [m]; one for each thread."""
-        return ContactFinder(self.geometry, margin, self.offsets)
+        return ContactFinder(self.geometry, margin, self.offsets, self.leaving_qpos)
+
+    @property
+    def leaving_qpos(self) -> Floats | None:
+        """The positions ``(nq,)`` at which motions begin that leave what is too near there, if any."""
+        return None if self.leaves is None else self.qpos(self.leaves)
+
+    def leaving(self, start: Floats) -> tuple[Self, str]:
+        """This arm for motions from ``start`` ``(n,)``, which may be closer to something than the `clearance`.
+
+        It may touch that, and be up to `start_tolerance` deep in it. Motions from there leave it: distances grow to the
+        clearance before a coordinate has changed by 0.1 rad or m, and never shrink (`planning.motion.check_joints`).
+
+        Returns:
+            The arm, itself where nothing is that close, or something is deeper; and what is close, in words.
+        """
+        qpos = self.qpos(start)
+        distance, _ = self._nearly_touching.geoms(qpos)
+        if not len(distance) or distance.min() < -self.start_tolerance:
+            return self, ""
+        pairs = ", ".join(f"{first!r} to {second!r}" for first, second in self._nearly_touching.bodies(qpos))
+        depth, near = -1e3 * distance.min(), f"nearer than the clearance of {1e3 * self.clearance:g} mm"
+        how = f"{depth:.2g} mm deep" if depth > 1e-3 else f"{round(max(-depth, 0.0), 3):g} mm, {near}"
+        return replace(self, leaves=start), f"{pairs} ({how}){self._if_held(qpos)}"
+
+    def _if_held(self, qpos: Floats) -> str:
+        """What to do if a hand holds a free body that is nearer than the clearance at ``(nq,)``; empty without one."""
+        near = {body for pair in self._nearly_touching.bodies(qpos) for body in pair}
+        held = min(self._free_bodies().intersection(near), default="")
+        return f"; if the hand holds it, plan with arm.holding({held!r})" if held else ""
+
+    def left_along(self, q: Floats) -> Iterator[Floats]:
+        """Distances of what an arm of `leaving` leaves at configurations ``(K, n)``, at most the `clearance`."""
+        return map(self._nearly_touching.left, self.qpos(q))
 
     def moved_by(self, body: int) -> NDArray[np.bool_]:
         """Which degrees of freedom ``(nv,)`` move a body, by its id; for what is carried, those of what carries it."""
@@ -281,13 +316,16 @@ class ModelArm(SerialArm):
         if touching:
             loose = self._free_bodies()
             first, second = next((pair for pair in touching if loose.intersection(pair)), touching[0])
-            hint = "".join(
-                f"; if the hand holds it, plan with arm.holding({body!r})"
-                for body in sorted(loose.intersection((first, second)))[:1]
-            )
-            if not hint and not self.contacts(position):
+            hint = self._if_held(self.qpos(position))
+            depth = -1e3 * self._nearly_touching.geoms(self.qpos(position))[0].min()
+            if not hint and depth <= 0.0:
                 near = f"nearer than the clearance of {1e3 * self.clearance:g} mm"
                 hint = f", or come {near}, which dataclasses.replace(arm, clearance=...) sets"
+            elif not hint:
+                hint = f", {depth:.4g} mm deep"
+                if what == "start":
+                    hint += f"; motions lead out of contact from {1e3 * self.start_tolerance:g} mm deep at most: bring "
+                    hint += "the arm out, or allow more by dataclasses.replace(arm, start_tolerance=...)"
             raise InputError(f"{what} is out of reach: {first!r} would touch {second!r} there{hint}")
         return position
 

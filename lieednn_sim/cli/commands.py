@@ -199,6 +199,8 @@ def _print_plan(result: Plan) -> None:
     rows = table("plan", "quantity", "value")
     rows.add_row("planner", result.planner)
     rows.add_row("duration", f"{motion.t[-1]:.2f} s")
+    if result.leaves:
+        rows.add_row("leaves at the start", result.leaves)
     rows.add_row("mechanism gap", f"{rounded(millimetres)} mm and {rounded(degrees)} degrees at most, 0 at the target")
     if isinstance(details, CertifiedDetails):
         rows.add_row("networks", f"{details.n_networks} networks drawn, {details.within_limits} keep the joint limits")

@@ -146,8 +146,8 @@ def rms_jerk(arm: Arm, motion: Motion) -> float:
 
 
 def check_motion(arm: Arm, motion: Motion) -> None:
-    """Check a motion as `check_joints` does."""
-    check_joints(arm, motion.t, motion.q, motion.qd)
+    """Check a motion as `check_joints` does; it may leave what is near at its start (`Arm.leaving`)."""
+    check_joints(arm.leaving(motion.q[0])[0], motion.t, motion.q, motion.qd)
 
 
 def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Floats, Floats, float], ...]:
@@ -217,3 +217,17 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
         if touching:
             near = f"come within {1e3 * arm.clearance:g} mm of" if arm.clearance else "touch"
             raise PlanError(f"{touching[0][0]!r} would {near} {touching[0][1]!r} at t = {t[k]:.2f} s")
+    if arm.leaves is not None:
+        _check_leaving(arm, t, q)
+
+
+def _check_leaving(arm: Arm, t: Floats, q: Floats) -> None:
+    """Raise `PlanError` where a motion comes nearer again to what it leaves (`Arm.leaving`)."""
+    rounding = 1e-5  # of MuJoCo's distances between meshes [m]
+    furthest = np.asarray(-np.inf)
+    for time, distances in zip(t, arm.left_along(q), strict=True):
+        if (distances < furthest - rounding).any():
+            raise PlanError(
+                f"at t = {time:.2f} s the arm would come nearer again to what it is too near to at the start"
+            )
+        furthest = np.maximum(furthest, distances)

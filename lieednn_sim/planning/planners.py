@@ -178,7 +178,8 @@ def plan(
         planner: a name of `PLANNERS`, or ``file.py:function`` of one's own; by default the `default_planner`, or
             ``lieednn-shaped`` where a region is kept.
         start: joint position at rest ``(n,)`` [rad, m], or a keyframe's name; ``home`` of a view is its state. Within
-            `Arm.start_tolerance` beyond a limit it is taken as at that.
+            `Arm.start_tolerance` beyond a limit it is taken as at that; closer to something than the clearance, or as
+            deep in it, the motion leaves it (`Arm.leaving`), and `Plan.leaves` says what.
         duration: duration of the motion [s], rounded to a whole number of the model's time steps; or that, and the
             longest one that the motion may take if the arm's limits require it, by default three times as long. Learned
             networks always keep the duration.
@@ -209,9 +210,10 @@ def plan(
         optional_module("toppra")  # before the work
     begin, number = cpu_time(), as_seed("seed", seed)
     q = arm.check_start(start)
+    free, leaves = arm.leaving(q)
     # The rest of a bad problem is refused before goals are searched for.
     shortest, longest = durations(duration)
-    first = PlanningProblem(arm, q, q, shortest, number, longest, path_constraint)
+    first = PlanningProblem(free, q, q, shortest, number, longest, path_constraint)
     _check_held(arm, first.start[None], ["the start"])
     refusal: LieEDNNError = NoSolutionError("there is no goal")
     with default_limit():
@@ -219,12 +221,15 @@ def plan(
             try:
                 _check_held(arm, goal[None], ["the target"])
                 result = _solved(entry, replace(first, target=goal), *given)
-                motion = retime(arm, result.motion) if fastest else result.motion
+                motion = retime(free, result.motion) if fastest else result.motion
                 check_path_constraint(arm, path_constraint, motion)
                 _check_held_along(arm, motion)
             except (PlanError, NotCertifiedError, _TooWeakError) as error:
                 refusal = error
             else:
                 spent = cpu_time() - begin
-                return replace(result, motion=motion, target=goal, planner=planner, cpu_time=spent, arm=arm)
+                result = replace(result, motion=motion, target=goal, planner=planner, cpu_time=spent)
+                return replace(result, arm=arm, leaves=leaves)
+    if leaves:
+        refusal.args = (f"{refusal}; from the start the motion must leave what is near: {leaves}",)
     raise refusal

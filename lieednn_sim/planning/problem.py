@@ -102,6 +102,7 @@ class Plan:
         cpu_time: CPU time that planning took [s].
         guide: the plan that the motion follows, with its planner's name; None if it follows none.
         arm: the arm that it was planned for.
+        leaves: what is nearer than the arm's clearance at the start, and how near, in words; empty where nothing is.
     """
 
     motion: Motion
@@ -112,6 +113,7 @@ class Plan:
     cpu_time: float = math.nan
     guide: Plan | None = None
     arm: Arm | None = field(default=None, repr=False, compare=False)
+    leaves: str = ""
 
     @property
     def t(self) -> Floats:

@@ -70,7 +70,8 @@ def test_plan_prints_what_was_found_and_what_is_proved(printed, how):
     details, told = HOW[how]
     network = None if how == "nothing" else Network()
     guide = SimpleNamespace(planner="rrt-connect")
-    result = SimpleNamespace(planner="some", network=network, motion=MOTION, details=details, guide=guide)
+    found = {"motion": MOTION, "details": details, "guide": guide, "leaves": "'a' to 'b' (1 mm)"}
+    result = SimpleNamespace(planner="some", network=network, **found)
     commands._print_plan(result)
     lines = printed()
     proof = {"largest bias": "0.7", "1-norm of W": "3.46 (no network with this equilibrium below 2.35)"}
@@ -78,6 +79,7 @@ def test_plan_prints_what_was_found_and_what_is_proved(printed, how):
         "quantity": "value",
         "planner": "some",
         "duration": "4.25 s",
+        "leaves at the start": "'a' to 'b' (1 mm)",
         "mechanism gap": "12.5 mm and 3.5 degrees at most, 0 at the target",
         **told,
         **({"proof": "none, as this planner makes no network"} if network is None else proof),

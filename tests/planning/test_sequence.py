@@ -174,7 +174,7 @@ def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(grasp
         (
             down(0.62, -0.40, 0.3),
             None,
-            r"start is out .* if the hand holds it, plan with arm.holding\('box'\)",
+            r"from the start the motion must leave .* if the hand holds it, plan with arm.holding\('box'\)",
         ),
     ):
         with pytest.raises(ls.LieEDNNError, match=message):

@@ -12,6 +12,7 @@ import pytest
 
 import lieednn_sim as ls
 from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.planning.motion import check_joints, check_motion
 
 JACO = Path(dm_control.__file__).parent / "third_party" / "kinova" / "jaco_arm.xml"
 # Two arms, whose joints take turns in qpos only by tree; things that lie, hang from a moved mocap body, and are tied.
@@ -229,11 +230,60 @@ def test_a_sensor_that_reads_below_a_limit_is_at_it(state, under):
         ls.plan(replace(arm, start_tolerance=1e-12), arm.position_limits.mean(axis=1))
 
 
-def test_a_start_within_the_clearance_says_what_sets_it():
-    ball = '<body pos="0 0 .101"><joint name="up" type="slide" axis="0 0 1" range="0 1"/><geom size=".1"/></body>'
-    world = f'<mujoco><worldbody><geom type="plane" size="1 1 1"/>{ball}</worldbody></mujoco>'
-    model = mujoco.MjModel.from_xml_string(world)
-    arm = ls.Arm.of(model, mujoco.MjData(model), ["up"])
+FINGER = """<mujoco><compiler angle="radian"/><worldbody>
+  <geom name="table" type="box" size=".6 .6 .02" pos=".3 0 .02"/>
+  <body name="boom" pos="0 0 .5"><joint name="turn" axis="0 0 1" range="-1.5 1.5"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02"/>
+    <body name="finger" pos=".3 0 -.1"><joint name="down" type="slide" axis="0 0 -1" range="0 .4"/>
+      <geom name="finger" type="capsule" fromto="0 0 0 0 0 -.1" size=".01"/></body></body>
+</worldbody></mujoco>"""
+
+
+def finger_at(gap):
+    model = mujoco.MjModel.from_xml_string(FINGER)
+    data = mujoco.MjData(model)
+    data.joint("down").qpos = 0.25 - gap
+    return ls.Arm.of(model, data, ["turn", "down"])
+
+
+def distances(arm, q):
+    data, geoms = mujoco.MjData(arm.model), [arm.model.geom(name).id for name in ("finger", "table")]
+    result = []
+    for data.qpos[:] in arm.qpos(q):
+        mujoco.mj_forward(arm.model, data)
+        result.append(mujoco.mj_geomDistance(arm.model, data, *geoms, 1.0, None))
+    return np.array(result)
+
+
+@pytest.mark.parametrize("planner", ["minimum-jerk", "rrt-connect", "lieednn-certified", "lieednn-shaped"])
+@pytest.mark.parametrize("gap", [1e-3, 0.0, -5e-4, -9e-4])
+def test_a_motion_leaves_what_is_nearer_than_the_clearance_at_its_start(planner, gap):
+    arm = finger_at(gap)
+    planned = ls.plan(arm, [1.0, 0.05], planner=planner)
+    near = np.minimum(distances(arm, planned.motion.q), arm.clearance)
+    assert near[0] == pytest.approx(gap, abs=1e-9)
+    assert (np.diff(near) > -1e-5).all()
+    assert near[-1] == arm.clearance
+    assert planned.leaves.startswith(("'world' to 'finger' (", "'finger' to 'world' ("))
+    check_motion(arm, planned.motion)
+    slid = replace(planned.motion, q=planned.motion.q * [1.0, 0.0] + [0.0, planned.motion.q[0, 1]])
+    with pytest.raises(PlanError, match="would come within 2 mm of"):
+        check_motion(arm, replace(slid, qd=slid.qd * [1.0, 0.0]))
+
+
+def test_only_a_start_may_be_near_and_no_deeper_than_the_tolerance():
+    with pytest.raises(InputError, match=r"2 mm deep; motions lead out of contact from 1 mm deep at most"):
+        ls.plan(finger_at(-2e-3), [1.0, 0.05])
     with pytest.raises(InputError, match=r"come nearer than the clearance of 2 mm, which dataclasses\.replace"):
-        ls.plan(arm, [0.5])
-    assert ls.plan(replace(arm, clearance=5e-4), [0.5]).qpos[-1, 0] == pytest.approx(0.5)
+        ls.plan(finger_at(0.0), [0.02, 0.249])
+    with pytest.raises(PlanError, match=r"from the start the motion must leave what is near: .* \(0 mm, nearer than"):
+        ls.plan(finger_at(0.0), [1.0, 0.05], planner="dmp")
+    assert not ls.plan(finger_at(3e-3), [1.0, 0.05]).leaves
+
+
+def test_a_motion_that_comes_back_to_what_it_leaves_is_refused():
+    arm, t = finger_at(0.0), 0.002 * np.arange(1001)
+    lifted = 1e-3 * np.sin(np.pi * t) ** 2
+    q = np.stack([0.0 * t, 0.25 - lifted], axis=1)
+    with pytest.raises(PlanError, match="the arm would come nearer again to what"):
+        check_joints(arm.leaving(q[0])[0], t, q, np.gradient(q, t, axis=0))
