@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from lieednn_sim.planning import Move as Move
     from lieednn_sim.planning import Plan as Plan
     from lieednn_sim.planning import plan as plan
+    from lieednn_sim.planning import plan_learned as plan_learned
     from lieednn_sim.planning import plan_sequence as plan_sequence
     from lieednn_sim.planning import register_planner as register_planner
     from lieednn_sim.policies import Feedback as Feedback
@@ -72,7 +73,7 @@ _NAMES = {
     "learning": ("train",),
     "live": ("view",),
     "network": ("LieEDNN",),
-    "planning": ("Actuate", "Move", "Plan", "plan", "plan_sequence", "register_planner"),
+    "planning": ("Actuate", "Move", "Plan", "plan", "plan_learned", "plan_sequence", "register_planner"),
     "policies": ("Feedback", "NetworkPolicy", "Policy", "control_loop", "make_policy"),
     "rendering.page": ("render_page",),
     "rendering.still": ("render_still",),

@@ -26,7 +26,7 @@ _DESCRIPTION = (
 COMMANDS = {
     "one motion": {
         "demo": "commands",
-        "plan": "commands",
+        "plan": "planning",
         "train": "training",
         "learn": "demonstrations",
         "simulate": "commands",

@@ -18,7 +18,7 @@ from lieednn_sim.arm.models import chosen, is_arm_file
 from lieednn_sim.arm.obstacles import is_scene_file
 from lieednn_sim.arm.targets import draw_target, goes_to_extended
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
-from lieednn_sim.cli.kinds import KINDS, Force, Joints, Point, Pose, Setting, kind_of, numbers
+from lieednn_sim.cli.kinds import KINDS, Directory, Force, Joints, Point, Pose, Setting, kind_of, numbers
 from lieednn_sim.cli.run_directory import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
@@ -88,17 +88,22 @@ class Goal(ChosenArm):
         position: target position of the end effector in the world [m], instead of --target.
         pose: target pose of the end effector in the world, instead of --target: position [m] and rotation vector
             [rad]; of several, the one that is reached soonest.
-        start: joints at the start, given as for --target.
-        duration: duration of the motion [s].
+        start: joints at the start, given as for --target (default: home).
+        duration: duration of the motion [s] (default: 4).
         seed: seed of random draws.
     """
 
     target: Joints | None = None
     position: Point | None = None
     pose: tuple[Pose, ...] = ()
-    start: Joints = "home"
-    duration: float = 4.0
+    start: Joints | None = None
+    duration: float | None = None
     seed: int = 0
+
+    @property
+    def asked_duration(self) -> float:
+        """The duration, if need be the default [s]."""
+        return 4.0 if self.duration is None else self.duration
 
     def usual_target(self, arm: Arm) -> str | None:
         """The target if none is given: ``extended``; a random one among obstacles, or without such a keyframe."""
@@ -116,7 +121,7 @@ class Goal(ChosenArm):
         """
         if (self.target is not None) + (self.position is not None) + bool(self.pose) > 1:
             raise InputError("give one of --target, --position and --pose")
-        start = arm.check_start(joint_position(arm, self.start, "start"))
+        start = arm.check_start(joint_position(arm, self.start or "home", "start"))
         if self.position is not None:
             there = self.position
             return start, TaskSpaceRegion.box(there, there) if place else solve_ik(arm, there, start=start)
@@ -138,6 +143,9 @@ class Planning(Goal):
         path_constraint: line or orientation: let the end effector go on a straight line, or keep its orientation, on
             the way.
         fastest: follow the planned path as fast as the arm's limits allow.
+        learned: directory of 'learn' with a motion of an end effector: this arm's moves like that, from where the
+            recordings began or from --start, in their duration, and to their goal or to another one.
+        turning: with --learned: whether the end effector turns as was recorded.
         time_budget: largest CPU time for planning [s]; inf for no limit.
     """
 
@@ -145,6 +153,8 @@ class Planning(Goal):
     option: tuple[Setting, ...] = ()
     path_constraint: str | None = None
     fastest: bool = False
+    learned: Directory | None = None
+    turning: bool = True
     time_budget: float = DEFAULT_TIME_BUDGET
 
     def constraint_region(self, arm: Arm, start: Floats, goal: _Goal) -> TaskSpaceRegion | None:

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from lieednn_sim import io
-from lieednn_sim.budget import reporting, time_limit
-from lieednn_sim.cli.arguments import RANDOM, Look, Planning, Simulating, check_look, read_options, still_look
-from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
+from lieednn_sim.cli.arguments import Look, Planning, Simulating, check_look, still_look
+from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
+from lieednn_sim.cli.planning import plan_run
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError, SimulationError
-from lieednn_sim.evaluation.display import rounded, table
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
-from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner
-from lieednn_sim.planning import plan as plan_motion
-from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.motion import check_motion
-from lieednn_sim.planning.shaped import ShapedDetails
-from lieednn_sim.registry import PLANNERS
 from lieednn_sim.rendering import opengl
 from lieednn_sim.rendering.video import render_video
 from lieednn_sim.simulation import Rollout
@@ -66,7 +55,7 @@ def demo(
     run = RunDirectory(output, plots)
     with run.at_work():
         # The paper's bias leaves more to the weights.
-        _plan(run, planning, ["bias_magnitudes=0.125"])
+        plan_run(run, planning, ["bias_magnitudes=0.125"])
         _simulate(run, simulating)
         _evaluate(run)
         if page:
@@ -80,20 +69,6 @@ def demo(
             except RenderingUnavailableError as error:
                 console.print(f"no video: {error}")
     console.print(f"done in {time.perf_counter() - start:.1f} s")
-
-
-def plan(*, planning: Planning, output: Directory = "results/run") -> None:
-    """Plan a motion to a target with any planner, in a run directory, with a certified network if it makes one.
-
-    Continue with 'simulate', 'evaluate' and 'render'.
-
-    Args:
-        planning: the motion.
-        output: directory for the files of the run.
-    """
-    run = RunDirectory(output)
-    with run.at_work():
-        _plan(run, planning)
 
 
 def simulate(run: Directory, *, simulating: Simulating) -> None:
@@ -140,82 +115,6 @@ def render(run: Directory, *, output: File | None = None, look: Look) -> None:
     io.check_outputs([path])
     with directory.at_work(shared=True):
         _render(directory, path, look)
-
-
-def _plan(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) -> None:
-    """Plan, and write what is made; ``usual`` are options of ``lieednn-certified`` if no others are given."""
-    arm = planning.load()
-    # The default does not depend on what is installed: if it cannot run, that is an error.
-    if planning.planner is not None:
-        planner, reason = planning.planner, "asked for"
-    elif planning.path_constraint is not None:
-        planner, reason = OBSTACLE_PLANNER, "the default where a region is kept"
-    else:
-        planner, reason = default_planner(arm)
-    kind = PLANNERS.require(planner).options
-    texts = [*usual, *planning.option] if planner == "lieednn-certified" else planning.option
-    if kind is None and texts:
-        raise InputError(f"the planner {planner} has no options, got {texts[0]!r}")
-    options = None if kind is None else read_options(kind(), texts)
-    console.print(f"planner: {planner} ({reason}), at most {planning.time_budget:g} s of CPU time")
-    target = planning.usual_target(arm)
-    if target is not None and target.startswith(RANDOM):
-        console.print(f"target: {target}")
-    start, goal = planning.start_and_goal(arm, place=planning.path_constraint is not None)
-    path_constraint = planning.constraint_region(arm, start, goal)
-    shown = {
-        # JSON has no infinity.
-        "time_budget": None if planning.time_budget == math.inf else planning.time_budget,
-        "fastest": planning.fastest,
-        "path_constraint": planning.path_constraint,
-        "option": {} if options is None else asdict(options),
-    }
-    about = {"planner": planner, "reason": reason, "options": shown}
-    task = planning.task(arm, start, start, planning.duration, planning.seed, **about)
-    own = planner == "lieednn-certified" and not planning.fastest
-    with progress("plan") as report, reporting(report), time_limit(planning.time_budget):
-        result = plan_motion(
-            arm,
-            goal,
-            planner=planner,
-            start=start,
-            duration=(planning.duration, planning.duration) if own else planning.duration,
-            seed=planning.seed,
-            options=options,
-            fastest=planning.fastest,
-            path_constraint=path_constraint,
-        )
-    task = replace(task, target=tuple(result.target.tolist()))
-    written = run.save_network(task, result.network, result.motion)
-    print_import_report(arm)
-    _print_plan(result)
-    wrote(*written)
-
-
-def _print_plan(result: Plan) -> None:
-    """Print a plan's duration, mechanism gap and network, how it was found, and what is proved of it."""
-    network, motion, details = result.network, result.motion, result.details
-    millimetres, degrees = 1e3 * motion.gap_translation.max(), np.rad2deg(motion.gap_rotation.max())
-    rows = table("plan", "quantity", "value")
-    rows.add_row("planner", result.planner)
-    rows.add_row("duration", f"{motion.t[-1]:.2f} s")
-    if result.leaves:
-        rows.add_row("leaves at the start", result.leaves)
-    rows.add_row("mechanism gap", f"{rounded(millimetres)} mm and {rounded(degrees)} degrees at most, 0 at the target")
-    if isinstance(details, CertifiedDetails):
-        rows.add_row("networks", f"{details.n_networks} networks drawn, {details.within_limits} keep the joint limits")
-    if isinstance(details, ShapedDetails) and result.guide is not None:
-        rows.add_row("guide", result.guide.planner)
-        rows.add_row("off its path", f"{1e3 * details.deviation:.2g} mm at the end effector")
-    if network is None:
-        rows.add_row("proof", "none, as this planner makes no network")
-        console.print(rows)
-        return
-    goal = network.goal(motion.xi_target)
-    rows.add_row("largest bias", f"{np.abs(network.bias).max():.3g}")
-    rows.add_row("1-norm of W", one_norm(network, goal))
-    console.print(rows)
-    print_stability(network, goal)
 
 
 def _simulate(run: RunDirectory, simulating: Simulating) -> None:

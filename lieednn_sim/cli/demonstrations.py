@@ -154,6 +154,7 @@ def _learn_poses(files: Sequence[str], reading: Reading, fitting: Fitting, run: 
                 "goal_distance_m": apart,
                 "goal_position_m": goal.translation.tolist(),
                 "goal_quaternion_wxyz": goal.rotation.as_quat(scalar_first=True).tolist(),
+                "start_twist": shaped.start.tolist(),
                 "network_state": ["turn from the goal [rad]"] * 3 + ["position from the goal [m]"] * 3,
                 "family_deviation_m": family_deviation(shaped, demonstrations),
                 # The time law: at t [s] the network is at its own time tau.

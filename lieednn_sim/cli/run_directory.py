@@ -150,9 +150,10 @@ class RunDirectory:
     def existing(self) -> RunDirectory:
         """Return self, or raise `FileError` if there is no such run."""
         if not io.is_file(self.task):
-            raise FileError(
-                f"{self.path} holds no run (no {self.task.name}); make one with 'lieednn-sim plan' or 'train'"
-            )
+            hint = "make one with 'lieednn-sim plan' or 'train'"
+            if io.is_file(self.report):
+                hint = f"put a learned motion on an arm by 'lieednn-sim plan --learned {self.path} --arm NAME_OR_FILE'"
+            raise FileError(f"{self.path} holds no run (no {self.task.name}); {hint}")
         return self
 
     def load_task(self) -> tuple[Task, Arm]:

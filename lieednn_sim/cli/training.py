@@ -80,7 +80,7 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
     arm.check_position(target, "target")
     count = as_count("candidates", learning.candidates)
     about = {"planner": "train", "reason": "asked for", "options": asdict(learning)}
-    task = goal.task(arm, start, target, goal.duration, goal.seed, **about)
+    task = goal.task(arm, start, target, goal.asked_duration, goal.seed, **about)
     xi = arm.encode(target)
     learner = _learner(learning, xi)
     print_import_report(arm)

@@ -12,6 +12,7 @@ from lieednn_sim.planning.baselines.stomp import StompOptions
 from lieednn_sim.planning.certified import CertifiedOptions
 from lieednn_sim.planning.guides import GuideOptions
 from lieednn_sim.planning.joint_space import joint_motion
+from lieednn_sim.planning.learned import plan_learned
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.network_planners import RetargetedOptions, TrainedOptions, reference_network
 from lieednn_sim.planning.planners import OBSTACLE_PLANNER, default_planner, plan, register_planner
@@ -50,6 +51,7 @@ __all__ = [
     "find_tube",
     "joint_motion",
     "plan",
+    "plan_learned",
     "plan_sequence",
     "reference_network",
     "register_planner",

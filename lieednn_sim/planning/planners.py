@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
-from lieednn_sim.arm.forces import actuator_moments, actuator_ranges, dry_friction, resting_load
-from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.budget import cpu_time, default_limit
 from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning.goals import Goal, candidates
@@ -19,13 +17,12 @@ from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Duration, Plan, PlanningProblem, durations, in_time
+from lieednn_sim.planning.statics import TooWeakError, check_held, check_held_along
 from lieednn_sim.planning.time_laws import retime
 from lieednn_sim.registry import PLANNERS, PlannerEntry, optional_module
 from lieednn_sim.validation import Seed, as_seed
-from lieednn_sim.values import Floats
 
 _Solve = TypeVar("_Solve", bound=Callable[..., Plan | Motion])
-_LOOKS = 33  # at samples of a motion, whether it can be held there
 
 
 def register_planner(name: str, options: type[PlannerOptions] | None = None) -> Callable[[_Solve], _Solve]:
@@ -82,53 +79,6 @@ def _checked(problem: PlanningProblem, solve: Callable[..., Plan | Motion], *opt
             raise PlanError(f"the planner's motion {which} {missed:.2g} (rad or m) from where it was asked to")
     check_motion(problem.arm, motion)
     return result
-
-
-class _TooWeakError(InputError):
-    """Actuators cannot hold an arm's weight at rest."""
-
-
-def _check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
-    """Raise `_TooWeakError` if actuators are too weak for the arm's weight at rest; dry friction may help them.
-
-    It is checked at configurations q ``(K, n)``; ``where`` says what each is, for the message.
-    """
-    model, limits = arm.model, arm.force_limits
-    moments, ranges = actuator_moments(model), actuator_ranges(model)
-    looped = arm.dependents is not None
-    if not np.isfinite(ranges if looped else limits).any():
-        return
-    loads = resting_load(model, arm.qpos(q), limited=True)
-    for row, at_rest, what in zip(q, loads, where, strict=True):
-        basis = arm.unit_rates(row)
-        load, friction = at_rest @ basis, dry_friction(model, basis)
-        if looped:
-            # Actuators act through the loops: forces of least norm that hold the load.
-            force = np.linalg.lstsq((moments @ basis).T, load, rcond=None)[0]
-            short = np.maximum(ranges[:, 0] - force, force - ranges[:, 1])
-            k = int(short.argmax())
-            if short[k] > 0.0 and short[k] > friction.max():
-                raise _TooWeakError(
-                    f"actuator {model.actuator(k).name!r} cannot hold the arm at {what}: it would need {force[k]:.4g}, "
-                    f"its range is [{ranges[k, 0]:.4g}, {ranges[k, 1]:.4g}] (N or N m)"
-                )
-            continue
-        short = np.abs(load) - friction - limits
-        j = int(short.argmax())
-        if short[j] > 0.0:
-            unit = "N" if arm.unit(j) == "m" else "N m"
-            raise _TooWeakError(
-                f"joint {arm.joint_names[j]!r} cannot be held at {what}: its load is {abs(load[j]):.4g} {unit}, its "
-                f"force limit {limits[j]:.4g} {unit}"
-            )
-
-
-def _check_held_along(arm: Arm, motion: Motion) -> None:
-    """As `_check_held` at some samples of a motion, where gravity is not compensated in the model itself."""
-    moved = moved_together(arm.model, arm.dofs) > 0
-    if arm.grasp is not None or not (arm.model.body_gravcomp[moved] == 1.0).all():
-        some = np.linspace(0, len(motion.t) - 1, _LOOKS).round().astype(int)
-        _check_held(arm, motion.q[some], [f"t = {t:.2f} s" for t in motion.t[some]])
 
 
 #: Name of the default planner among obstacles: the LieEDNN planner with the most successes and the smoothest motions
@@ -214,17 +164,17 @@ def plan(
     # The rest of a bad problem is refused before goals are searched for.
     shortest, longest = durations(duration)
     first = PlanningProblem(free, q, q, shortest, number, longest, path_constraint)
-    _check_held(arm, first.start[None], ["the start"])
+    check_held(arm, first.start[None], ["the start"])
     refusal: LieEDNNError = NoSolutionError("there is no goal")
     with default_limit():
         for goal in candidates(arm, target, q, number, path_constraint):
             try:
-                _check_held(arm, goal[None], ["the target"])
+                check_held(arm, goal[None], ["the target"])
                 result = _solved(entry, replace(first, target=goal), *given)
                 motion = retime(free, result.motion) if fastest else result.motion
                 check_path_constraint(arm, path_constraint, motion)
-                _check_held_along(arm, motion)
-            except (PlanError, NotCertifiedError, _TooWeakError) as error:
+                check_held_along(arm, motion)
+            except (PlanError, NotCertifiedError, TooWeakError) as error:
                 refusal = error
             else:
                 spent = cpu_time() - begin

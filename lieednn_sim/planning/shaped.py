@@ -81,7 +81,7 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
     for attempt in range(options.guides):
         guide = best_guide(replace(problem, seed=problem.seed + attempt), options.guide)
         try:
-            return _following(problem, options, guide)
+            return followed_guide(problem, options, guide)
         except PlanError as error:
             # Minimum jerk does not depend on the seed.
             if attempt + 1 == options.guides or guide.planner == "minimum-jerk":
@@ -89,8 +89,8 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
     raise AssertionError("options.guides is at least one")
 
 
-def _following(problem: PlanningProblem, options: ShapedOptions, guide: Plan) -> Plan:
-    """A network shaped after a guide's motion."""
+def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan) -> Plan:
+    """A network shaped after a guide's motion; raises `PlanError` as `shaped`."""
     given, arm = guide.motion, problem.arm
     lasts = float(given.t[-1])
     # The guide's duration, which may be longer than the problem's.

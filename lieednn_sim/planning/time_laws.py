@@ -34,6 +34,9 @@ _SHARP_TURN = 10.0
 # Half width of the maximum and of the average by which a motion slows down around a sharp turn, as a fraction of the
 # duration: it begins to slow down twice as long before.
 _EASING_WIDTH = 0.1
+# Which fraction of recorded times leads up to speed where they do not begin or end at rest: at less than this fraction
+# of the speed to which it leads.
+_RAMP, _MOVING = 0.15, 0.5
 _PIECES = 1000  # of the path, of equal length, with one acceleration of the law on each
 _INSTANTS = 2000  # at which laws are sampled
 
@@ -57,8 +60,18 @@ def law_of(motion: Motion, units: Floats) -> Law:
 
 
 def law_of_times(t: Floats, fraction: Floats) -> Law:
-    """The monotonic law from rest to rest with the given fractions ``(K,)`` of the length at times ``(K,)``."""
-    s = t / t[-1]
+    """The monotonic law from rest to rest with the given fractions ``(K,)`` of the length at times ``(K,)``.
+
+    Where they do not begin or end at rest, as a recording that was cut, they are given time to get up to speed.
+    """
+    steps, pace = np.diff(t), np.diff(fraction) / np.diff(t)
+    count = max(1, round(_RAMP * len(steps)))
+    # With constant acceleration the speed grows with the root of the distance.
+    ramp = np.sqrt((np.arange(count) + 0.5) / count)
+    for end, speed in ((steps, pace), (steps[::-1], pace[::-1])):
+        if speed[0] > _MOVING * speed[count - 1]:
+            end[:count] /= ramp
+    s = np.append(0.0, np.cumsum(steps)) / steps.sum()
     return _through(s, fraction, PchipInterpolator(s, fraction).derivative()(s))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.cli import arms, commands, doctor, main, training
+from lieednn_sim.cli import arms, doctor, main, planning, training
 from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.shaped import ShapedDetails
 from lieednn_sim.rendering.opengl import Backend
@@ -72,7 +72,7 @@ def test_plan_prints_what_was_found_and_what_is_proved(printed, how):
     guide = SimpleNamespace(planner="rrt-connect")
     found = {"motion": MOTION, "details": details, "guide": guide, "leaves": "'a' to 'b' (1 mm)"}
     result = SimpleNamespace(planner="some", network=network, **found)
-    commands._print_plan(result)
+    planning.print_plan(result)
     lines = printed()
     proof = {"largest bias": "0.7", "1-norm of W": "3.46 (no network with this equilibrium below 2.35)"}
     assert dict(line for line in lines if len(line) == 2) == {

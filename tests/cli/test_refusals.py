@@ -98,7 +98,7 @@ def test_what_is_wrong_is_said_before_the_work(words, capsys, tmp_path, monkeypa
     # No further start helps where nothing reaches.
     monkeypatch.setattr(importlib.import_module("lieednn_sim.arm.inverse_kinematics"), "_ATTEMPTS", 2)
     if words.startswith("demo"):
-        monkeypatch.setattr("lieednn_sim.cli.commands.plan_motion", lambda *_, **__: pytest.fail("it was planned"))
+        monkeypatch.setattr("lieednn_sim.cli.planning.plan_motion", lambda *_, **__: pytest.fail("it was planned"))
     assert main(shlex.split(words)) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("lieednn-sim: error: ")

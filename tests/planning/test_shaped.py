@@ -131,7 +131,7 @@ def test_where_no_network_follows_another_path_is_asked_for(monkeypatch):
             raise PlanError("not this one")
         return replace(guide, guide=guide)
 
-    monkeypatch.setattr(shaped, "_following", picky)
+    monkeypatch.setattr(shaped, "followed_guide", picky)
     made = planned(arm, draw_target(arm, 0), guides=2, guide=UNPOLISHED)
     first, second = (guide.motion for guide in guides_taken)
     assert made.guide is guides_taken[1]

@@ -96,9 +96,7 @@ class Demonstrations:
 
     def to_world(self, twists: Floats) -> RigidTransform:
         """World poses of twists ``(..., 6)``."""
-        seen = exp(twists)
-        origin = self.goal.rotation.as_matrix()
-        return transforms(seen.rotation.as_matrix() @ origin, seen.translation + self.goal.translation)
+        return in_world(twists, self.goal)
 
 
 def align(
@@ -166,6 +164,20 @@ def at_phases(fractions: Floats, samples: Floats, t: Floats, steps: Floats, phas
     fraction = passed[kept] / passed[kept[-1]]
     reached = np.stack([np.interp(fractions, fraction, entry) for entry in samples[kept].T], axis=-1)
     return reached, np.interp(fractions, fraction, t[kept])
+
+
+def in_world(twists: Floats, goal: RigidTransform) -> RigidTransform:
+    """World poses of twists ``(..., 6)`` relative to a goal."""
+    seen = exp(twists)
+    turned = seen.rotation.as_matrix() @ goal.rotation.as_matrix()
+    return transforms(turned, seen.translation + goal.translation)
+
+
+def from_goal(pose: RigidTransform, goal: RigidTransform) -> Floats:
+    """The twist ``(6,)`` of a world pose relative to a goal: the inverse of `in_world`."""
+    return twist_of(
+        np.concatenate([(pose.rotation * goal.rotation.inv()).as_rotvec(), pose.translation - goal.translation])
+    )
 
 
 def shown_part(dof: int) -> slice:

@@ -16,19 +16,17 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, twist_of, warp
+from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, warp
 from lieednn_sim.learning.demonstrations.family import CodeSpread, Response, with_response
-from lieednn_sim.learning.demonstrations.models import run_field
-from lieednn_sim.network import LieEDNN
+from lieednn_sim.learning.demonstrations.learned import LearnedMotion, network_grid
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
 from lieednn_sim.synthesis.shaping.cascade import PAIRS, codes_of, shifts
-from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive, as_times
+from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_positive
 from lieednn_sim.values import Floats, frozen
 
 DEVIATION = 2e-3  # default of the requested deviation, in extents of the demonstrations
-# Network time, times rho, after which less than a millionth of the path is left; longest time step; and step in the
-# fraction that the clock has left, a tenth of the width of the steepest switch.
-_NETWORK_TIME, _LONGEST_STEP, _FRACTION_STEP = 16.0, 0.2, 1.0 / 600.0
+# Network time, times rho, after which less than a millionth of the path is left.
+_NETWORK_TIME = 16.0
 # Corrections of a code until the motion is at its via point, and how near that must be, in standard deviations of the
 # motion: far from the demonstrations bumps are not linear in their codes.
 _CORRECTIONS, _NEAR = 50, 1e-4
@@ -37,26 +35,16 @@ _PER_SWITCH = {2: 4, 3: 5, 6: 5}
 
 
 @frozen
-class ShapedMotion:
+class ShapedMotion(LearnedMotion):
     """A model of demonstrations: a certified network that follows their mean, with their time law.
 
     Attributes:
-        network: certified network with one visible neuron: rotation and position relative to the goal [rad, m].
-        rate: rho of its clock.
-        t: ``(K,)`` times of the demonstrations' phases [s].
-        tau: ``(K,)`` network times at these phases.
-        dof: 2, 3 or 6.
         shaping: the search that found the network of their mean.
         response: how the motion depends on its start, realised by the hidden neurons' start; None if it does not.
         spread: the distribution of the demonstrations' codes; None without a response, or with one demonstration.
         cpu_time: of the fit [s].
     """
 
-    network: LieEDNN
-    rate: float
-    t: Floats
-    tau: Floats
-    dof: int
     shaping: Shaping
     response: Response | None = None
     spread: CodeSpread | None = None
@@ -90,7 +78,8 @@ class ShapedMotion:
         shaping = shape(curve, asked, units=demonstrations.scale, options=chosen)
         times = np.array([0.0, demonstrations.duration])
         ends = np.array([0.0, _NETWORK_TIME / chosen.rate])
-        result = cls(shaping.network, chosen.rate, times, ends, demonstrations.dof, shaping)
+        shown = (demonstrations.dof, demonstrations.goal, demonstrations.mean[0])
+        result = cls(shaping.network, chosen.rate, times, ends, *shown, shaping)
         result = replace(result, t=demonstrations.t, tau=result._beside(demonstrations), cpu_time=cpu_time() - start)
         if not family or chosen.rate < 1.0:
             return result
@@ -111,26 +100,6 @@ class ShapedMotion:
         """The number of parameters of the mean motion's switches that are not zero by construction."""
         network = self.shaping.network
         return _PER_SWITCH[self.dof] * (network.n_hidden - network.n_clock)
-
-    def reproduce(self, start: Floats, t: Floats) -> Floats:
-        """As `MotionModel.reproduce`: the network runs from ``start``, see `LieEDNN.start`.
-
-        After the demonstrations' duration the network continues at its mean pace, for at most 100 durations.
-
-        Raises:
-            InputError: a value is malformed, or times do not increase from 0 or go on too long.
-        """
-        start, tau = as_floats("start", start, (6,), batched=True), self._network_times(t)
-        return twist_of(self._run(displacement(start).reshape(-1, 6), tau)).reshape(*start.shape[:-1], len(tau), 6)
-
-    def toward(self, goal: Floats) -> ShapedMotion:
-        """The motion to another goal, a twist ``(6,)`` from the demonstrations' (mean) goal, under the same proof.
-
-        If demonstrations kept their goals, it is as they would go there; else the motion shifted, see
-        `LieEDNN.retarget`.
-        """
-        target = displacement(as_floats("goal", goal, (6,)))
-        return replace(self, network=self.network.retarget(target[None]))
 
     def covariance(self, start: Floats, t: Floats) -> Floats:
         """Predictive covariance ``(..., K, 6, 6)`` [rad, m] of the motion about `reproduce`, in rotation and position.
@@ -268,37 +237,12 @@ class ShapedMotion:
         )
         return replace(self, network=result, spread=spread)
 
-    def _network_times(self, t: Floats) -> Floats:
-        """Network times ``(K,)`` at times [s]."""
-        t, latest = as_times("t", t), 100.0 * self.t[-1]  # when the network has long come to rest
-        if t[0] < 0.0 or t[-1] > latest:
-            raise InputError(f"t must be from 0 to {latest:g} s, got {t[0]:g} to {t[-1]:g} s")
-        pace = self.tau[-1] / self.t[-1]
-        return np.where(t > self.t[-1], self.tau[-1] + pace * (t - self.t[-1]), np.interp(t, self.t, self.tau))
-
-    def _run(self, start: Floats, tau: Floats) -> Floats:
-        """Displacements ``(n, K, 6)`` at network times ``tau``, from displacements ``(n, 6)``."""
-        states = np.stack([self.network.start(item[None]).ravel() for item in start])
-        return run_field(
-            self.network.flat_vector_field, states, _grid(max(tau[-1], _FRACTION_STEP), self.rate), tau, kept=6
-        )
-
     def _beside(self, demonstrations: Demonstrations) -> Floats:
         """Network times ``(K,)`` that match the phases of the mean demonstration."""
-        tau = _grid(_NETWORK_TIME / self.rate, self.rate)
+        tau = network_grid(_NETWORK_TIME / self.rate, self.rate)
         shown = displacement(demonstrations.mean)
         phase, index = warp(*(path * demonstrations.scale for path in (shown, self._run(shown[:1], tau)[0]))).pairs.T
         # The mean of all times matched with a phase; the last is at rest.
         beside = np.bincount(phase, tau[index]) / np.bincount(phase)
         beside[0], beside[-1] = 0.0, tau[-1]
         return beside
-
-
-def _grid(end: float, rate: float) -> Floats:
-    """Network times ``(G,)`` from 0 to ``end``, denser while its switches are steep."""
-    # dt = d ln(1 / fraction) / rho in equal steps of the fraction, until the longest step.
-    fractions = np.arange(1.0, _FRACTION_STEP / (_LONGEST_STEP * rate), -_FRACTION_STEP)
-    first = -np.log(fractions) / rate
-    first = first[first < end]
-    rest = np.linspace(first[-1], end, int(np.ceil((end - first[-1]) / _LONGEST_STEP)) + 1)
-    return np.concatenate([first, rest[1:]])

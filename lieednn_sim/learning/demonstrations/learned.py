@@ -1,0 +1,134 @@
+"""A learned motion of a frame: a certified network with one visible neuron, and the recordings' time law.
+
+The network's state is the frame's displacement (omega, p) from the goal: the pose is Exp(0, p) Exp(omega, 0).
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from lieednn_sim import io
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.learning.demonstrations.alignment import displacement, from_goal, in_world, twist_of
+from lieednn_sim.learning.demonstrations.models import run_field
+from lieednn_sim.learning.demonstrations.recording import as_dof
+from lieednn_sim.lie import transforms
+from lieednn_sim.network import LieEDNN
+from lieednn_sim.validation import as_floats, as_path, as_positive, as_times
+from lieednn_sim.values import Floats, frozen
+
+# Longest time step, and step in the fraction that the clock has left, a tenth of the width of the steepest switch.
+_LONGEST_STEP, _FRACTION_STEP = 0.2, 1.0 / 600.0
+
+
+@frozen
+class LearnedMotion:
+    """A motion of a frame to a goal, such as `lieednn-sim learn` writes.
+
+    Attributes:
+        network: certified network with one visible neuron: rotation and position relative to the goal [rad, m].
+        rate: rho of its clock.
+        t: ``(K,)`` times of the demonstrations' phases [s].
+        tau: ``(K,)`` network times at these phases.
+        dof: 2, 3 or 6.
+        goal: world pose at which they end, their mean.
+        start: ``(6,)`` twist relative to it at which they begin, their mean.
+    """
+
+    network: LieEDNN
+    rate: float
+    t: Floats
+    tau: Floats
+    dof: int
+    goal: RigidTransform
+    start: Floats
+
+    @classmethod
+    def load(cls, directory: str | os.PathLike[str]) -> LearnedMotion:
+        """Read the network and the report in a directory of `lieednn-sim learn`; without a spread.
+
+        Raises:
+            FileError: it holds no learned motion of an end effector.
+        """
+        path = as_path("the directory of a learned motion", directory) / "report.json"
+        if not io.is_file(path):
+            raise FileError(f"{path.parent} holds no learned motion (no report.json), as 'lieednn-sim learn' writes")
+        report = io.load_json(path, "report.json of a learned motion of an end effector")
+        try:
+            goal = transforms(
+                Rotation.from_quat(report["goal_quaternion_wxyz"], scalar_first=True).as_matrix(),
+                as_floats("goal_position_m", report["goal_position_m"], (3,)),
+            )
+            t, tau = (as_times(name, report[name]) for name in ("t_s", "tau"))
+            start = as_floats("start_twist", report["start_twist"], (6,))
+            known = (as_positive("clock_rate", report["clock_rate"]), t, tau, as_dof(report["dof"]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise FileError(f"{path} is no report of a learned motion of an end effector: {error!r}") from None
+        return cls(LieEDNN.load(path.with_name("network.npz")), *known, goal, start)
+
+    def poses(self, start: RigidTransform | None = None, goal: RigidTransform | None = None) -> RigidTransform:
+        """World poses ``(K,)`` of the motion at the times `t`.
+
+        Args:
+            start: world pose of the frame at the start, by default that of the demonstrations; of its rotation nothing
+                is used where none was recorded.
+            goal: world pose at the end, by default that of the demonstrations.
+        """
+        for name, pose in (("start", start), ("goal", goal)):
+            if pose is not None:
+                as_floats(f"the translation of {name}", pose.translation, (3,))
+        end = self.goal if goal is None else goal
+        begin = self.start if start is None else from_goal(start, end)
+        if start is not None and self.dof < 6:
+            begin = np.append(np.zeros(3), start.translation - end.translation)
+        return in_world(self.reproduce(begin, self.t), end)
+
+    def reproduce(self, start: Floats, t: Floats) -> Floats:
+        """As `MotionModel.reproduce`: the network runs from ``start``, see `LieEDNN.start`.
+
+        After the demonstrations' duration the network continues at its mean pace, for at most 100 durations.
+
+        Raises:
+            InputError: a value is malformed, or times do not increase from 0 or go on too long.
+        """
+        start, tau = as_floats("start", start, (6,), batched=True), self._network_times(t)
+        return twist_of(self._run(displacement(start).reshape(-1, 6), tau)).reshape(*start.shape[:-1], len(tau), 6)
+
+    def toward(self, goal: Floats) -> Self:
+        """The motion to another goal, a twist ``(6,)`` from the demonstrations' (mean) goal, under the same proof.
+
+        If demonstrations kept their goals, it is as they would go there; else the motion shifted, see
+        `LieEDNN.retarget`.
+        """
+        target = displacement(as_floats("goal", goal, (6,)))
+        return replace(self, network=self.network.retarget(target[None]))
+
+    def _network_times(self, t: Floats) -> Floats:
+        """Network times ``(K,)`` at times [s]."""
+        t, latest = as_times("t", t), 100.0 * self.t[-1]  # when the network has long come to rest
+        if t[0] < 0.0 or t[-1] > latest:
+            raise InputError(f"t must be from 0 to {latest:g} s, got {t[0]:g} to {t[-1]:g} s")
+        pace = self.tau[-1] / self.t[-1]
+        return np.where(t > self.t[-1], self.tau[-1] + pace * (t - self.t[-1]), np.interp(t, self.t, self.tau))
+
+    def _run(self, start: Floats, tau: Floats) -> Floats:
+        """Displacements ``(n, K, 6)`` at network times ``tau``, from displacements ``(n, 6)``."""
+        states = np.stack([self.network.start(item[None]).ravel() for item in start])
+        return run_field(
+            self.network.flat_vector_field, states, network_grid(max(tau[-1], _FRACTION_STEP), self.rate), tau, kept=6
+        )
+
+
+def network_grid(end: float, rate: float) -> Floats:
+    """Network times ``(G,)`` from 0 to ``end``, denser while its switches are steep."""
+    # dt = d ln(1 / fraction) / rho in equal steps of the fraction, until the longest step.
+    fractions = np.arange(1.0, _FRACTION_STEP / (_LONGEST_STEP * rate), -_FRACTION_STEP)
+    first = -np.log(fractions) / rate
+    first = first[first < end]
+    rest = np.linspace(first[-1], end, int(np.ceil((end - first[-1]) / _LONGEST_STEP)) + 1)
+    return np.concatenate([first, rest[1:]])

@@ -1,0 +1,157 @@
+"""Motions of an end effector that were learned from recordings, on an arm.
+
+The end effector follows the learned poses; joint positions with them are found from each to the next by Newton's
+method, from several solutions of the inverse kinematics at the first one. The motion of the joints, with the
+recordings' time law, is the guide of a network of the arm (`planning.shaped`), with its own certificate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+
+from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
+from lieednn_sim.budget import check_time, cpu_time, default_limit
+from lieednn_sim.errors import LieEDNNError, NoSolutionError, PlanError
+from lieednn_sim.learning.demonstrations import LearnedMotion
+from lieednn_sim.planning.joint_space import joint_motion, joint_scale, travelled
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.path_constraints import excess_and_slopes, projected
+from lieednn_sim.planning.problem import Duration, Plan, PlanningProblem, durations, in_time
+from lieednn_sim.planning.shaped import ShapedOptions, followed_guide
+from lieednn_sim.planning.statics import check_held, check_held_along
+from lieednn_sim.planning.time_laws import law_of_times, retime
+from lieednn_sim.validation import Seed, as_floats, as_seed
+from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
+
+#: The name of such a guide in `Plan.guide`.
+LEARNED = "learned motion"
+# How near joint positions bring the end effector to a learned pose [m, rad].
+_NEAR = 1e-6
+# Steps of the time law; recorded times are noisy.
+_LAW_STEPS = 40
+
+
+def plan_learned(
+    arm: Arm,
+    learned: LearnedMotion,
+    *,
+    start: ArrayLike | str | None = None,
+    goal: RigidTransform | None = None,
+    turning: bool = True,
+    duration: Duration | None = None,
+    fastest: bool = False,
+    seed: Seed = 0,
+) -> Plan:
+    """Plan a motion in which the arm's end effector moves as it was learned.
+
+    Args:
+        arm: the arm, in its scene.
+        learned: the motion, as of `ShapedMotion.fit` or `LearnedMotion.load`.
+        start: joint position ``(n,)`` at rest [rad, m], or a keyframe's name, from which the end effector goes as it
+            was learned; by default one where the recordings began.
+        goal: pose of the end effector at the end in the world; by default that of the recordings.
+        turning: whether the end effector turns as was recorded, if it was; else its orientation is free.
+        duration: as of `plan`; by default that of the recordings, and at most three times as long.
+        fastest: as of `plan`.
+        seed: seed of the inverse kinematics.
+
+    Raises:
+        InputError: a value is malformed, or the arm cannot be at the start.
+        NoSolutionError: the end effector cannot reach the first pose.
+        PlanError: it cannot follow the others, or the motion breaks a limit of the arm.
+    """
+    if goal is not None:
+        as_floats("the translation of goal", goal.translation, (3,))
+    begin, shortest, longest = cpu_time(), *durations(float(learned.t[-1]) if duration is None else duration)
+    q = None if start is None else arm.check_start(start)
+    poses = learned.poses(None if q is None else arm.link_poses(q)[-1], goal)
+    turning = turning and learned.dof == 6
+    regions = [_region(pose, turning) for pose in poses]
+    refusal: LieEDNNError | None = None
+    with default_limit():
+        for first in _starts(arm, regions[0], seed) if q is None else [q]:
+            free, leaves = arm.leaving(first)
+            try:
+                path = _followed(arm, first, regions)
+                problem = PlanningProblem(free, path[0], path[-1], shortest, as_seed("seed", seed), longest)
+                check_held(arm, path[[0, -1]], ["the start", "the target"])
+                guide = Plan(_timed(problem, path, learned.t), target=path[-1], planner=LEARNED)
+                result = followed_guide(problem, ShapedOptions(), guide)
+                motion = retime(free, result.motion) if fastest else result.motion
+                check_held_along(arm, motion)
+            except LieEDNNError as error:
+                refusal = refusal or error
+                continue
+            spent = cpu_time() - begin
+            result = replace(result, motion=motion, target=path[-1], planner="lieednn-shaped", cpu_time=spent)
+            return replace(result, arm=arm, leaves=leaves)
+    assert refusal is not None
+    raise PlanError(
+        f"the arm cannot do the learned motion: {refusal}; move it by its goal or begin elsewhere"
+        + ("; or leave the orientation free (turning=False)" if turning else "")
+    ) from refusal
+
+
+def _region(pose: RigidTransform, turning: bool) -> TaskSpaceRegion:
+    """The learned pose, or all poses at its place."""
+    if turning:
+        return TaskSpaceRegion(pose, np.zeros(6), np.zeros(6))
+    return TaskSpaceRegion.box(pose.translation, pose.translation)
+
+
+def _starts(arm: Arm, region: TaskSpaceRegion, seed: Seed) -> list[Floats]:
+    try:
+        return ik_candidates(arm, region, seed=seed)
+    except NoSolutionError as error:
+        place = ", ".join(f"{x:.3g}" for x in region.project(arm.link_poses(arm.keyframe("home"))[-1]).translation)
+        raise NoSolutionError(
+            f"at the start of the learned motion, ({place}) m, {error}; give another start or goal"
+        ) from None
+
+
+def _followed(arm: Arm, start: Floats, regions: list[TaskSpaceRegion]) -> Floats:
+    """Joint positions ``(K, n)`` in regions in turn, each near the one before; the first one is ``start``."""
+    # A little inside the limits, which the network's path could pass where this one bends at them.
+    (low, high), inset = arm.position_limits.T, 0.005 * arm.ranges
+    bounds = np.stack([np.minimum(low + inset, start), np.maximum(high - inset, start)], axis=1)
+    arm, path = replace(arm, position_limits=bounds), [start]
+    for k, region in enumerate(regions[1:], start=1):
+        check_time()
+        q = projected(arm, path[-1][None], region)
+        if np.abs(excess_and_slopes(arm, q, region)[0]).max() > _NEAR:
+            distance, angle = region.distance(arm.link_poses(q[0])[-1])
+            raise PlanError(
+                f"at {100 * k / (len(regions) - 1):.0f} % of the way the end effector cannot come nearer than "
+                f"{1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} degrees to it"
+            )
+        path.append(q[0])
+    return np.array(path)
+
+
+def _timed(problem: PlanningProblem, path: Floats, t: Floats) -> Motion:
+    """The checked motion along joint positions ``(K, n)`` by the time law of their times ``(K,)``."""
+    length = travelled(path / joint_scale(problem.arm))
+    if length[-1] <= 0.0:
+        raise PlanError("no joint moves")
+    fraction = length / length[-1]
+    kept = np.flatnonzero(np.append(True, np.diff(fraction) > 1e-9))
+    curve = CubicSpline(fraction[kept], path[kept])
+    knots = np.linspace(0, len(t) - 1, _LAW_STEPS + 1).round().astype(int)
+    law = law_of_times(t[knots], fraction[knots])
+
+    def motion(asked: PlanningProblem) -> Motion:
+        times = asked.times()
+        progress, rate = law(times / times[-1])
+        # Between joint positions at a limit the curve may pass it a little.
+        q = np.clip(curve(progress), *problem.arm.position_limits.T)
+        return joint_motion(asked, q, curve(progress, 1) * (rate / times[-1])[:, None], progress)
+
+    return in_time(motion, problem)
