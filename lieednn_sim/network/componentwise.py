@@ -164,22 +164,23 @@ class ComponentwiseNetwork(BlockNetwork):
         """
         return write_c(self, self.activation, folder)
 
-    def to_onnx(self, path: str | os.PathLike[str]) -> None:
+    def to_onnx(self, path: str | os.PathLike[str], *, bias_input: bool = False) -> None:
         """Write one Runge-Kutta step as a graph of ONNX, in double precision; needs the extra ``onnx``.
 
-        Inputs are the flat state ``x``, the step ``h`` in the network's time, and ``bias``, mu b flat, which may be
-        left out; a target is moved by the bias of a network that `retarget` made. The output is ``x_next``. The
-        metadata has the certificate in words.
+        Inputs are the flat state ``x`` and the step ``h`` in the network's time. The output is ``x_next``. The metadata
+        has the certificate in words.
 
         Args:
             path: the file, which is replaced if it exists.
+            bias_input: whether there is a third input ``bias``, mu b flat, so that the target can be moved: by the bias
+                of a network that `retarget` made.
 
         Raises:
             InputError: the activation is not tanh.
             LieEDNNError: the library onnx is not installed.
             FileError: the file cannot be written.
         """
-        write_onnx(self, self.activation, path)
+        write_onnx(self, self.activation, path, bias_input)
 
     def phi(self, x: Floats) -> Floats:
         """Activation, entry by entry, of an array of any shape; unchecked."""

@@ -148,7 +148,7 @@ _STAGE = """
 """
 # Doubles of MatMul, Add and Tanh need operators of 17; every runtime of the last years has them.
 _MODEL = f"""<ir_version: 8, opset_import: ["": 17]>
-lieednn_step (double[{{size}}] x, double h, double[{{size}}] bias) => (double[{{size}}] x_next) {{{{
+lieednn_step (double[{{size}}] x, double h{{bias}}) => (double[{{size}}] x_next) {{{{
     x1 = Identity(x)
     half_h = Mul(half, h)
     {_STAGE.format(k=1)}
@@ -245,7 +245,7 @@ def _array(values: Floats) -> str:
     return "{\n" + ",\n".join(map(_array, values)) + "}"
 
 
-def write_onnx(network: BlockNetwork, activation: str, path: str | os.PathLike[str]) -> None:
+def write_onnx(network: BlockNetwork, activation: str, path: str | os.PathLike[str], bias_input: bool) -> None:
     """Write the graph to a file; see `ComponentwiseNetwork.to_onnx`."""
     try:
         import onnx
@@ -262,10 +262,10 @@ def write_onnx(network: BlockNetwork, activation: str, path: str | os.PathLike[s
         "half": np.array(0.5),
         "two": np.array(2.0),
         "six": np.array(6.0),
-        # An input with an initialiser may be left out by the caller.
-        "bias": network.mu * network.bias.ravel(),
     }
-    model = onnx.parser.parse_model(_MODEL.format(size=size))
+    if not bias_input:
+        constants["bias"] = network.mu * network.bias.ravel()
+    model = onnx.parser.parse_model(_MODEL.format(size=size, bias=f", double[{size}] bias" if bias_input else ""))
     model.graph.initializer.extend(onnx.numpy_helper.from_array(value, name) for name, value in constants.items())
     proof = str(network.certificate) if network.certificate is not None else "not certified"
     onnx.helper.set_model_props(model, {"certificate": proof})

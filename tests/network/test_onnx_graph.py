@@ -19,15 +19,19 @@ def network() -> LieEDNN:
     return ls.synthesize(target, seed=1).unwrap()
 
 
-def test_onnxruntime_steps_as_ours_and_takes_another_target_by_its_bias(network, tmp_path):
+@pytest.mark.parametrize("bias_input", [False, True])
+def test_onnxruntime_steps_as_ours_and_takes_another_target_by_its_bias(network, tmp_path, capfd, bias_input):
     runtime = pytest.importorskip("onnxruntime")
-    network.to_onnx(tmp_path / "step.onnx")
+    network.to_onnx(tmp_path / "step.onnx", bias_input=bias_input)
     session = runtime.InferenceSession(tmp_path / "step.onnx", providers=["CPUExecutionProvider"])
+    # It warns of initialisers among the inputs.
+    assert capfd.readouterr().err == ""
     assert session.get_modelmeta().custom_metadata_map == {"certificate": str(network.certificate)}
     ours = theirs = np.random.default_rng(1).normal(size=network.bias.size)
     h, other = np.array(0.05), network.retarget(0.5 * network.equilibrium().xi)
     for step in range(200):
-        used, given = (network, {}) if step < 100 else (other, {"bias": other.mu * other.bias.ravel()})
+        used = other if bias_input and step >= 100 else network
+        given = {"bias": used.mu * used.bias.ravel()} if bias_input else {}
         ours = runge_kutta_step(used.flat_vector_field, ours, 0.05)
         (theirs,) = session.run(None, {"x": theirs, "h": h, **given})
         np.testing.assert_allclose(theirs, ours, rtol=0.0, atol=1e-12)
