@@ -46,7 +46,7 @@ class LoopReport:
         periods, worst = len(self.lateness), 1e6 * float(self.step_time.max())
         typical = 1e6 * float(np.median(self.step_time))
         late = "none late" if not self.missed else f"{self.missed} late, by up to {1e3 * self.lateness.max():.3g} ms"
-        return f"{periods} periods, {late}; the policy took {typical:.3g} us in the median, {worst:.3g} at most"
+        return f"{periods} periods, {late}; the policy took {typical:.0f} us in the median, {worst:.0f} at most"
 
 
 def control_loop(
