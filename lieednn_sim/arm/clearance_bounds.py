@@ -32,10 +32,12 @@ from lieednn_sim.values import Floats
 
 # Distance below which normals are lost in rounding, so that nothing is proved [m].
 _TOUCHING = 1e-6
+# Kinds of geoms that are not convex.
+_HOLLOW = (int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_SDF))
 
 
 class ClearanceBounds:
-    """Proves that nothing touches while the joints are anywhere near a configuration.
+    """Proves that nothing touches while the joints are anywhere near a few configurations.
 
     Args:
         arm: the arm, in its scene.
@@ -74,53 +76,94 @@ class ClearanceBounds:
 
     def __call__(
         self, q: Floats, path: Floats, rest: Floats, spread: Floats, most: float
-    ) -> tuple[float, float, tuple[int, int]]:
-        """Largest scale s for which nothing touches at any q + c path + r + d, |c| <= 1, |r_j| <= rest_j.
+    ) -> tuple[Floats, Floats, Pairs]:
+        """Largest scales s for which nothing touches at any q + c path + r + d, |c| <= 1, |r_j| <= rest_j.
 
         The deviation d is any with |W d| <= s ``spread`` in each group, W being the group's weights.
 
         Args:
-            q: ``(n,)`` configuration.
-            path: ``(n,)`` direction.
-            rest: ``(2, n)`` bounds with the path, and without it.
-            spread: ``(G,)`` sizes at s = 1.
+            q: ``(I, n)`` configurations.
+            path: ``(I, n)`` directions.
+            rest: ``(I, 2, n)`` bounds with the path, and without it.
+            spread: ``(I, G)`` sizes at s = 1.
             most: no larger scale is looked for.
 
         Returns:
-            The scale, the scale without the path (c = 0), and the geoms that limit the latter.
+            The scales ``(I,)``, those without the path (c = 0), and the geoms ``(I, 2)`` that limit the latter, or -1.
         """
-        model, data = self._arm.model, self._data
-        data.qpos[:] = self._arm.qpos(q)
-        mujoco.mj_kinematics(model, data)
         each = spread @ self._members
         # Displacements of joints: along the path, without it, and by the deviation.
-        steps = self._displacements(np.stack([np.abs(path) + rest[0], rest[1], each]))
+        steps = self._displacements(np.stack([np.abs(path) + rest[:, 0], rest[:, 1], each]))
         if len(self._balls):
-            steps[2, self._ball_joints] = each[self._balls[:, 0]]
-        near = self._near(q, steps[0] + most * steps[2])
-        if near is None:
-            return most, most, (-1, -1)
-        gaps, normals, pairs = near
+            steps[2][:, self._ball_joints] = each[:, self._balls[:, 0]]
+        at, pairs, free, gap, slope, square = self._rows(q, path, rest, spread, steps, steps[0] + most * steps[2], 0.0)
+        corners = _largest(free, slope, square[:, None]).min(axis=-1)
+        found = np.maximum(corners, _largest(gap, slope.max(axis=-1, initial=0.0), square))
+        whole, _ = _least(found.min(axis=0), at, pairs, len(q), most)
+        there, limiting = _least(found[1], at, pairs, len(q), most)
+        return whole, there, limiting
+
+    def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
+        """Lower bounds ``(I,)`` of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
+
+        They are no larger than the cutoff, and not below -1. The geoms ``(I, 2)`` are those of the bound, or -1.
+
+        Args:
+            q: ``(I, n)`` configurations.
+            path: ``(I, n)`` directions.
+            rest: ``(I, n)`` bounds.
+            cutoff: distance beyond which geoms do not count [m].
+        """
+        steps = self._displacements(np.stack([np.abs(path) + rest, 0.0 * rest, 0.0 * rest]))
+        rests, still = np.stack([rest, 0.0 * rest], axis=1), np.zeros((len(q), len(self._members)))
+        at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)
+        found = np.maximum(np.maximum(free[0].min(axis=-1, initial=cutoff), gap[0]), -1.0)
+        return _least(found, at, pairs, len(q), cutoff)
+
+    def _rows(
+        self, q: Floats, path: Floats, rest: Floats, spread: Floats, steps: Floats, widest: Floats, cutoff: float
+    ) -> tuple[NDArray[np.int_], Pairs, Floats, Floats, Floats, Floats]:
+        """Pairs of geoms that displacements ``widest`` ``(I, J)`` of the joints could bring nearer than a cutoff.
+
+        Returns:
+            Which configuration each is at, ``(P,)``; its geoms; what is left by corners, ``(2, P, V)``, and in all,
+            ``(2, P)``, with the path and without it, less what deviations of scale s take: ``(P, V)`` times s and
+            ``(P,)`` times its square.
+        """
+        qpos = self._arm.qpos(q)
+        place = _Places(self._arm.model, self._data, qpos)
+        levers = np.linalg.norm(place.geoms[:, :, None] - place.anchors[:, None], axis=3) + self._radius[:, None]
+        reach = np.where(self._turns, levers, 1.0) * self._moves
+        table = (reach * widest[:, None]) @ ~self._moves.T
+        moved = table[:, self._first, self._second] + table[:, self._second, self._first]
+        at, index, gaps, points = self._collisions.separations_near(
+            qpos, place.geoms, place.turns, moved + (cutoff + self._margin)
+        )
+        pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
         margin = self._margin + self._collisions.offsets(pairs)
-        nearest = int((gaps - margin).argmin())
-        if gaps[nearest] - margin[nearest] <= _TOUCHING:
-            return 0.0, 0.0, (int(pairs[nearest, 0]), int(pairs[nearest, 1]))
         fixed, moving = pairs.T
         alone = self._moves[moving] & ~self._moves[fixed]
-        places, come, deviated, levers = self._corners(q, moving, normals, alone, path, rest, spread)
+        rates = self._rates(q)
+        places, come, deviated, levers = self._corners(
+            place, at, moving, normals, alone, rates, path[at], rest[at], spread[at]
+        )
         # Where the other one moves alone, too, as in a branch of the arm, its reach is subtracted.
-        also = self._reach[fixed] * (self._moves[fixed] & ~self._moves[moving])
-        constant, linear, square = self._rests(alone, levers, steps)
-        constant, linear = constant + (also @ steps[:2].T).T, linear + also @ steps[2]
-        free, slope = places - come, deviated + linear[..., None]
+        also = reach[at, fixed] * (self._moves[fixed] & ~self._moves[moving])
+        taken = steps[:, at]
+        constant, linear, square = self._rests(alone, levers, taken)
+        constant, linear = constant + (also * taken[:2]).sum(axis=-1), linear + (also * taken[2]).sum(axis=-1)
+        slope = deviated + linear[..., None]
         # Each corner against the plane at the other geom, or all of them against the measured gap.
-        support = (self._support(fixed, normals) + margin)[:, None]
-        each = _largest(free - support - constant[..., None], slope, square[:, None]).min(axis=-1)
-        gap = gaps - margin - come.max(axis=-1) - constant
-        scales = np.maximum(each, _largest(gap, slope.max(axis=-1), square))
-        worst = int(scales[1].argmin())
-        result = np.minimum(scales.min(axis=1), most)
-        return float(result[0]), float(result[1]), (int(fixed[worst]), int(moving[worst]))
+        support = (self._support(place, at, fixed, normals) + margin)[:, None]
+        free = places - come - support - constant[..., None]
+        gap = gaps - margin - come.max(axis=-1, initial=0.0) - constant
+        # No plane separates what is not convex; and where geoms touch, there is no normal.
+        touching = gaps - margin <= _TOUCHING
+        free[:, touching], gap[:, touching] = np.minimum(free[:, touching], 0.0), np.minimum(gap[:, touching], 0.0)
+        hollow = np.isin(self._arm.model.geom_type[pairs], _HOLLOW).any(axis=1)
+        free[:, hollow], gap[0, hollow] = -np.inf, (gaps - margin)[hollow] - moved[at, index][hollow]
+        gap[1, hollow] = gap[0, hollow]
+        return at, pairs, free, gap, slope, square
 
     def names(self, pair: tuple[int, int]) -> tuple[str, str]:
         """Names of two geoms."""
@@ -133,42 +176,36 @@ class ClearanceBounds:
             result[..., self._ball_joints] = np.linalg.norm(q[..., self._balls], axis=-1)
         return np.asarray(result)
 
-    def _near(self, q: Floats, steps: Floats) -> tuple[Floats, Floats, Pairs] | None:
-        """Gaps ``(P,)``, normals ``(P, 3)`` and geoms ``(P, 2)`` of the pairs that the steps could bring together.
-
-        Normals lead from the first geom to the second one, which is moved by more joints.
-        """
-        data = self._data
-        levers = np.linalg.norm(data.geom_xpos[:, None] - data.xanchor, axis=2) + self._radius[:, None]
-        self._reach = np.where(self._turns, levers, 1.0) * self._moves
-        table = (self._reach * steps) @ ~self._moves.T
-        needed = table[self._first, self._second] + table[self._second, self._first] + self._margin
-        gaps, points, pairs = self._collisions.separations(q, np.maximum(needed, 1e-9))
-        if not len(gaps):
-            return None
+    def _normals(
+        self, place: _Places, at: NDArray[np.int_], pairs: Pairs, gaps: Floats, points: Floats
+    ) -> tuple[Pairs, Floats]:
+        """Pairs with the geom last that more joints move, and unit normals ``(P, 3)`` that lead to it."""
         normals = (points[:, 1] - points[:, 0]) / np.where(np.abs(gaps) > _TOUCHING, gaps, np.inf)[:, None]
         swapped = self._moves[pairs].sum(axis=2) @ [1, -1] > 0
         normals[swapped] *= -1.0
         pairs = np.where(swapped[:, None], pairs[:, ::-1], pairs)
         planes = self._arm.model.geom_type[pairs[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE
-        normals[planes] = data.geom_xmat[pairs[planes, 0]].reshape(-1, 3, 3)[:, :, 2]
-        return gaps, normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None], pairs
+        normals[planes] = place.turns[at[planes], pairs[planes, 0], :, 2]
+        return pairs, normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
 
-    def _points(self, geoms: NDArray[np.int_]) -> Floats:
+    def _points(self, place: _Places, at: NDArray[np.int_], geoms: NDArray[np.int_]) -> Floats:
         """Corners ``(P, V, 3)`` of the hulls of geoms."""
-        rotation = self._data.geom_xmat[geoms].reshape(-1, 3, 3)
-        return self._data.geom_xpos[geoms][:, None] + self._hulls[geoms] @ np.swapaxes(rotation, -1, -2)
+        turned = self._hulls[geoms] @ np.swapaxes(place.turns[at, geoms], -1, -2)
+        return np.asarray(place.geoms[at, geoms][:, None] + turned)
 
-    def _support(self, geoms: NDArray[np.int_], normals: Floats) -> Floats:
+    def _support(self, place: _Places, at: NDArray[np.int_], geoms: NDArray[np.int_], normals: Floats) -> Floats:
         """How far geoms reach along normals, ``(P,)``."""
-        return np.asarray((self._points(geoms) @ normals[..., None])[..., 0].max(axis=1) + self._round[geoms])
+        points = self._points(place, at, geoms)
+        return np.asarray((points @ normals[..., None])[..., 0].max(axis=1) + self._round[geoms])
 
     def _corners(
         self,
-        q: Floats,
+        place: _Places,
+        at: NDArray[np.int_],
         geoms: NDArray[np.int_],
         normals: Floats,
         alone: Floats,
+        rates: Floats,
         path: Floats,
         rest: Floats,
         spread: Floats,
@@ -179,47 +216,85 @@ class ClearanceBounds:
             Their places along the normals, ``(P, V)``; how far they move along them, to first order, by path and rests,
             ``(2, P, V)``, and by the deviation, ``(P, V)``; and the longest lever arms ``(P, J)``.
         """
-        points, ahead = self._points(geoms), normals[:, None]
-        axes, anchors = self._axes()
+        points, ahead = self._points(place, at, geoms), normals[:, None]
+        axes, anchors = place.axes[:, self._joints], place.anchors[:, self._joints]
+        if self._is_ball.any():
+            axes = place.ball_axes(self._arm.model, axes)
         # n . (z x (x - o)) = z . (x x n) - (z x o) . n
-        turning = np.cross(points, ahead) @ (axes * self._dof_turns[:, None]).T
-        slopes = turning + ahead @ np.where(self._dof_turns[:, None], -np.cross(axes, anchors), axes).T
-        slopes = (slopes * alone[:, None, self._joints]) @ self._rates(q)
+        turn = np.swapaxes(axes * self._dof_turns[:, None], -1, -2)
+        shift = np.swapaxes(np.where(self._dof_turns[:, None], -np.cross(axes, anchors), axes), -1, -2)
+        slopes = np.cross(points, ahead) @ turn[at] + ahead @ shift[at]
+        slopes = (slopes * alone[:, None, self._joints]) @ rates[at]
         sizes = np.abs(slopes)
-        come = np.stack([np.abs(slopes @ path) + sizes @ rest[0], sizes @ rest[1]])
-        deviated = np.sqrt(np.square(slopes) @ np.square(self._members).T) @ spread
-        anchors, axes = self._data.xanchor, self._data.xaxis
-        square = np.square(points).sum(axis=-1)[..., None] - 2.0 * points @ anchors.T + np.square(anchors).sum(axis=1)
-        along = np.where(self._is_ball, 0.0, points @ axes.T - (anchors * axes).sum(axis=1))
+        moved = np.abs((slopes @ path[..., None])[..., 0])
+        come = (sizes @ np.swapaxes(rest, -1, -2)).transpose(2, 0, 1)
+        come[0] += moved
+        deviated = (np.sqrt(np.square(slopes) @ np.square(self._members).T) @ spread[..., None])[..., 0]
+        anchors, axes = place.anchors[at], place.axes[at]
+        square = np.square(points).sum(axis=-1)[..., None] - 2.0 * points @ np.swapaxes(anchors, -1, -2)
+        square += np.square(anchors).sum(axis=-1)[:, None]
+        along = points @ np.swapaxes(axes, -1, -2) - (anchors * axes).sum(axis=-1)[:, None]
+        along = np.where(self._is_ball, 0.0, along)
         levers = np.where(self._turns, np.sqrt(np.maximum(square - np.square(along), 0.0)).max(axis=1), 1.0)
         places = (points @ normals[..., None])[..., 0] - self._round[geoms][:, None]
         return places, come, deviated, alone * levers
 
     def _rates(self, q: Floats) -> Floats:
-        """Rates ``(nv, n)`` of MuJoCo's velocities by the coordinates'."""
-        return np.ascontiguousarray(self._arm.qvel(np.broadcast_to(q, self._identity.shape), self._identity).T)
-
-    def _axes(self) -> tuple[Floats, Floats]:
-        """Axes and anchors ``(nv, 3)`` of the degrees of freedom."""
-        model, data = self._arm.model, self._data
-        axes = data.xaxis[self._joints].copy()
-        for joint in np.flatnonzero(self._is_ball):
-            first = model.jnt_dofadr[joint]
-            axes[first : first + 3] = data.xmat[model.jnt_bodyid[joint]].reshape(3, 3).T
-        return axes, data.xanchor[self._joints]
+        """Rates ``(I, nv, n)`` of MuJoCo's velocities by the coordinates'."""
+        shape = (len(q), *self._identity.shape)
+        rates = self._arm.qvel(np.broadcast_to(q[:, None], shape), np.broadcast_to(self._identity, shape))
+        return np.ascontiguousarray(np.swapaxes(rates, -1, -2))
 
     def _rests(self, alone: Floats, levers: Floats, steps: Floats) -> tuple[Floats, Floats, Floats]:
         """The rests as a polynomial of degree two in s: constant ``(2, P)``, linear ``(2, P)``, quadratic ``(P,)``."""
 
         def rests(displacements: Floats) -> Floats:
             taken = alone * displacements
-            turned = np.cumsum(taken * self._turns, axis=1) - taken * self._turns
-            return np.asarray((levers * taken * (turned + self._bend * taken)).sum(axis=1))
+            turned = np.cumsum(taken * self._turns, axis=-1) - taken * self._turns
+            return np.asarray((levers * taken * (turned + self._bend * taken)).sum(axis=-1))
 
-        bent = rests(steps[2])
-        constant = np.stack([rests(steps[0]), rests(steps[1])])
-        both = np.stack([rests(steps[0] + steps[2]), rests(steps[1] + steps[2])])
-        return constant, both - constant - bent, bent
+        each, both = rests(steps), rests(steps[:2] + steps[2])
+        return each[:2], both - each[:2] - each[2], each[2]
+
+
+class _Places:
+    """Where MuJoCo has geoms and joints at positions ``(I, nq)``.
+
+    Attributes:
+        geoms: ``(I, ngeom, 3)``.
+        turns: ``(I, ngeom, 3, 3)``.
+        anchors: ``(I, njnt, 3)``.
+        axes: ``(I, njnt, 3)``.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats) -> None:
+        count = len(qpos)
+        self.geoms, self.turns = np.empty((count, model.ngeom, 3)), np.empty((count, model.ngeom, 9))
+        self.anchors, self.axes = np.empty((count, model.njnt, 3)), np.empty((count, model.njnt, 3))
+        self._bodies = np.empty((count, model.nbody, 9))
+        for k, data.qpos[:] in enumerate(qpos):
+            mujoco.mj_kinematics(model, data)
+            self.geoms[k], self.turns[k] = data.geom_xpos, data.geom_xmat
+            self.anchors[k], self.axes[k], self._bodies[k] = data.xanchor, data.xaxis, data.xmat
+        self.turns = self.turns.reshape(count, model.ngeom, 3, 3)
+
+    def ball_axes(self, model: mujoco.MjModel, axes: Floats) -> Floats:
+        """Axes ``(I, nv, 3)`` of all degrees of freedom, from those of scalar joints."""
+        axes = axes.copy()
+        for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_BALL):
+            first = model.jnt_dofadr[joint]
+            turn = self._bodies[:, model.jnt_bodyid[joint]].reshape(-1, 3, 3)
+            axes[:, first : first + 3] = np.swapaxes(turn, -1, -2)
+        return axes
+
+
+def _least(found: Floats, at: NDArray[np.int_], pairs: Pairs, count: int, most: float) -> tuple[Floats, Pairs]:
+    """The least of values ``(P,)`` at each of ``count`` configurations, at most ``most``, and the pairs with it."""
+    least, limiting = np.full(count, most), np.full((count, 2), -1)
+    np.minimum.at(least, at, found)
+    which = np.flatnonzero((found == least[at]) & (found < most))
+    limiting[at[which]] = pairs[which]
+    return least, limiting
 
 
 def _check_provable(arm: Arm, pairs: Pairs) -> None:

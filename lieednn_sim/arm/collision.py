@@ -150,6 +150,51 @@ class Collisions:
             self.pairs[chosen],
         )
 
+    def separations_near(
+        self, qpos: Floats, places: Floats, turns: Floats, cutoff: Floats
+    ) -> tuple[NDArray[np.int_], NDArray[np.int_], Floats, Floats]:
+        """As `separations`, at positions ``(I, nq)`` at once, unsorted.
+
+        Args:
+            qpos: positions of everything in the model.
+            places: ``(I, ngeom, 3)`` of all geoms there.
+            turns: ``(I, ngeom, 3, 3)`` their rotations.
+            cutoff: ``(I, P)`` [m].
+
+        Returns:
+            Which of the positions each is at, ``(C,)``, which pair it is, distances, and witness points.
+        """
+        model, count = self.arm.model, len(as_floats("qpos", qpos, ("I", self.arm.model.nq)))
+        as_floats("cutoff", cutoff, (count, len(self.pairs)), largest=np.inf)
+        places = as_floats("places", places, (count, model.ngeom, 3))
+        turns = as_floats("turns", turns, (count, model.ngeom, 3, 3))[:, self._used]
+        center = places[:, self._used] + (turns @ self._center[:, :, None])[..., 0]
+        reach, first, second = self._radius, self._first, self._second
+        wanted = cutoff + self._offset + _SLACK
+        apart = np.linalg.norm(center[:, second] - center[:, first], axis=-1) - reach[first] - reach[second]
+        at, index = np.nonzero(apart < wanted)
+        # Boxes along the normals of the faces of each.
+        one, other = first[index], second[index]
+        between = center[at, other] - center[at, one]
+        cosines = np.swapaxes(turns[at, one], -1, -2) @ turns[at, other]
+        half, halves = self._half[one], self._half[other]
+        beyond = np.abs(np.vecmat(between, turns[at, one])) - half - np.matvec(np.abs(cosines), halves)
+        back = np.abs(np.vecmat(between, turns[at, other])) - halves - np.vecmat(half, np.abs(cosines))
+        near = np.flatnonzero(np.maximum(beyond.max(axis=1), back.max(axis=1)) < wanted[at, index])
+        distance, segments, kept, last = [], [], [], -1
+        for row in near.tolist():
+            k, pair = int(at[row]), int(index[row])
+            if k != last:
+                self._move_to(qpos[k])
+                last = k
+            value = self._measure(pair, cutoff[k, pair])
+            if value < cutoff[k, pair]:
+                segments.append(self._segment.copy())
+                distance.append(value)
+                kept.append(row)
+        at, index = at[kept], index[kept]
+        return at, index, np.array(distance) + self._offset[index], np.array(segments).reshape(-1, 2, 3)
+
     def clearance(self, q: ArrayLike) -> float:
         """The smallest signed distance at ``q`` ``(n,)`` [m]; negative in penetration, infinite without pairs."""
         self._move(q)

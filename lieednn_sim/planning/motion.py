@@ -8,13 +8,12 @@ import numpy as np
 
 from lieednn_sim import io
 from lieednn_sim.arm import Arm
-from lieednn_sim.budget import check_time
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
+from lieednn_sim.planning.clearance import check_clearance
 from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, check_fields, frozen
 
 LIMIT_TOLERANCE = 1e-6  # by which positions may exceed a limit [rad, m]: a target on one is reached up to the residual
-_STRIDE = 16  # every 16th sample is tested for contact first, then the others: most contacts are found early
 _JUMP = 0.02  # by which a step between samples exceeds what the velocities explain [rad, m]
 _MAX_STEPS = 100_000  # 200 s at a simulation step of 2 ms; longer motions would take minutes to plan
 
@@ -166,7 +165,7 @@ def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Float
 
 
 def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
-    """Check limits of position, velocity, acceleration and jerk and the arm's `clearance` at every sample of a motion.
+    """Check limits of position, velocity, acceleration and jerk at every sample of a motion, and its clearance.
 
     A motion that jumps from one sample to the next is refused: where two configurations are equally near to the
     network's state, the nearest one changes abruptly, and joints cannot follow.
@@ -210,13 +209,7 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     if too_fast:
         enough, reason = max(too_fast)
         raise TooFastError(f"{reason}; a duration of at least {enough:.2f} s keeps it", float(enough))
-    order = np.argsort(np.arange(len(q)) % _STRIDE != 0, kind="stable")
-    for count, (k, touching) in enumerate(zip(order.tolist(), arm.near_contacts_along(q[order]), strict=True)):
-        if count % _STRIDE == 0:
-            check_time()
-        if touching:
-            near = f"come within {1e3 * arm.clearance:g} mm of" if arm.clearance else "touch"
-            raise PlanError(f"{touching[0][0]!r} would {near} {touching[0][1]!r} at t = {t[k]:.2f} s")
+    check_clearance(arm, t, q, qd)
     if arm.leaves is not None:
         _check_leaving(arm, t, q)
 

@@ -13,6 +13,7 @@ import numpy as np
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
+from lieednn_sim.planning.clearance import Clearance, proved_clearance
 from lieednn_sim.planning.motion import Motion, count_steps
 from lieednn_sim.planning.path_constraints import end_outside
 from lieednn_sim.validation import as_floats, as_positive, as_seed
@@ -129,6 +130,16 @@ class Plan:
     def qvel(self) -> Floats:
         """``(K, nv)`` velocities in that order; zero where they are not the arm's."""
         return read_only(self._of_arm().qvel(self.motion.q, self.motion.qd))
+
+    @cached_property
+    def clearance(self) -> Clearance:
+        """A proved lower bound of its distances from contact at every instant, found when it is first asked for."""
+        return proved_clearance(self._of_arm(), self.motion)
+
+    @property
+    def proved(self) -> bool:
+        """Whether it is proved that nothing touches at any instant; else `clearance` says in which stretches not."""
+        return self.clearance.proved
 
     def _of_arm(self) -> Arm:
         if self.arm is None:

@@ -229,4 +229,7 @@ class _Path:
         curve = 0.5 * half**2 * self._accelerations[first:last].max(axis=0)
         rest = np.stack([self._rest + curve, self._rest])
         widest = spread[first : last + 1].max(axis=0)
-        return self.bounds(self._spline(middle), half * self._rates(middle), rest, widest, most)
+        whole, there, pairs = self.bounds(
+            self._spline(middle)[None], half * self._rates(middle)[None], rest[None], widest[None], most
+        )
+        return float(whole[0]), float(there[0]), (int(pairs[0, 0]), int(pairs[0, 1]))

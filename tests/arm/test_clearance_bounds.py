@@ -12,6 +12,12 @@ from lieednn_sim.arm.collision import Collisions
 NOTHING = np.zeros((2, 4))
 
 
+def at(bounds, *given, most):
+    """The scales and the geoms at one configuration."""
+    whole, there, pairs = bounds(*(value[None] for value in given), most)
+    return whole[0], there[0], pairs[0]
+
+
 def test_a_ball_over_a_floor_by_hand(gantry):
     """The ball of radius 0.1 is 1 m over the floor: only z brings it nearer, by what it moves."""
     bounds = ClearanceBounds(gantry, [(np.array([i]), np.ones(1)) for i in range(4)], margin=0.2)
@@ -25,9 +31,9 @@ def test_a_ball_over_a_floor_by_hand(gantry):
         (2.0 * z, still, np.stack([0.3 * z, 0.2 * z]), (0.2, 0.25)),
         (2.0 * z, 0.9 * z, NOTHING, (0.0, 0.35)),
     ):
-        whole, there, _ = bounds(home, path, rest, spread, 0.6)
+        whole, there, _ = at(bounds, home, path, rest, spread, most=0.6)
         assert (whole, there) == pytest.approx(expected, abs=1e-9)
-    assert bounds.names(bounds(home, still, NOTHING, z, 1.0)[2]) == ("floor", "ball")
+    assert bounds.names(at(bounds, home, still, NOTHING, z, most=1.0)[2]) == ("floor", "ball")
 
 
 @pytest.mark.parametrize(("name", "scene"), [("telescopic_pr", "poles"), ("telescopic_compound", "window")])
@@ -42,7 +48,7 @@ def test_within_the_scale_nothing_comes_nearer_than_the_margin(name, scene):
         q = home + 0.02 * rng.uniform(-1.0, 1.0, arm.n_joints)
         path, spread = 0.002 * rng.uniform(-1.0, 1.0, arm.n_joints), rng.uniform(0.5, 2.0, len(groups))
         rest = np.full((2, arm.n_joints), 1e-3)
-        scale, there, _ = bounds(q, path, rest, spread, 0.3)
+        scale, there, _ = at(bounds, q, path, rest, spread, most=0.3)
         assert scale <= there
         largest = max(largest, scale)
         for _ in range(60):
@@ -71,7 +77,7 @@ def test_turns_count_to_second_order_by_hand(tmp_path):
     path.write_text(ELBOW)
     bounds = ClearanceBounds(Arm.load(path, floor="none"), [(np.array([i]), np.ones(1)) for i in range(2)])
     for spread, bent in (([1.0, 0.0], 0.5), ([0.0, 1.0], 0.2), ([1.0, 1.0], 1.1)):
-        scale, _, _ = bounds(np.zeros(2), np.zeros(2), np.zeros((2, 2)), np.array(spread), 2.0)
+        scale, _, _ = at(bounds, np.zeros(2), np.zeros(2), np.zeros((2, 2)), np.array(spread), most=2.0)
         assert scale == pytest.approx(np.sqrt(0.2 / bent), rel=1e-6)
 
 
@@ -94,5 +100,5 @@ def test_geoms_reach_as_far_as_they_do_by_hand(tmp_path, geom, reach):
         "</worldbody></mujoco>"
     )
     bounds = ClearanceBounds(Arm.load(path), [(np.array([0]), np.ones(1))])
-    scale, _, _ = bounds(np.zeros(1), np.zeros(1), np.zeros((2, 1)), np.ones(1), 2.0)
+    scale, _, _ = at(bounds, np.zeros(1), np.zeros(1), np.zeros((2, 1)), np.ones(1), most=2.0)
     assert scale == pytest.approx(1.0 - reach, abs=1e-6)

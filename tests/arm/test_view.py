@@ -87,7 +87,7 @@ def test_random_trees_are_as_mujoco_says(seed):
     if arm.dependents is None:
         bounds = ClearanceBounds(arm, [(np.array([k]), np.ones(1)) for k in range(arm.n_joints)])
         q, spread, none = rng.uniform(low, high), rng.uniform(0.2, 1.0, arm.n_joints), np.zeros((2, arm.n_joints))
-        scale = bounds(q, none[0], none, spread, 0.8)[0]
+        scale = bounds(q[None], none[:1], none[None], spread[None], 0.8)[0][0]
         corners = q + scale * spread * rng.choice([-1.0, 1.0], (10 * (scale > 0.0), arm.n_joints))
         assert Collisions(arm).least_clearance(corners) > -1e-9
 

@@ -170,12 +170,14 @@ def test_between_samples_the_motion_is_covered(monkeypatch):
     arm, made, _ = tubed("telescopic_pr")
     path = tube._Path(arm, made.motion, np.zeros(arm.n_joints), 0.0)
     spread, given = path._spread(1e-3, np.ones((arm.n_links, 2))), []
-    monkeypatch.setattr(path, "bounds", lambda *arguments: given.append(arguments) or (0.0, 0.0, (-1, -1)))
+    monkeypatch.setattr(
+        path, "bounds", lambda *arguments: given.append(arguments) or (np.zeros(1), np.zeros(1), -np.ones((1, 2)))
+    )
     motion, spline = made.motion, CubicHermiteSpline(made.motion.t, made.motion.q, made.motion.qd)
     last, largest = len(motion.t) - 1, 0.0
     for a, b in ((0.0, last / 4), (last / 4, last / 2), (last / 2 + 0.2, last / 2 + 0.7), (0.7 * last, last)):
         path._scales(a, b, spread, 1.0)
-        q, way, rest = given[-1][:3]
+        q, way, rest = (value[0] for value in given[-1][:3])
         c = np.linspace(-1.0, 1.0, 101)[:, None]
         off = np.abs(spline(motion.timestep * (0.5 * (a + b) + 0.5 * (b - a) * c[:, 0])) - q - c * way)
         assert (off <= rest[0]).all()

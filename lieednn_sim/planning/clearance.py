@@ -1,0 +1,218 @@
+"""Clearance of a motion at every instant: a continuous-time collision certificate.
+
+Between its samples a motion is the cubic through their positions and velocities. Around the middle of an interval of
+time of half width h it is q + c p + r with |c| <= 1, where p is h times the rate there, and |r| at most h^2 / 2 times
+the largest acceleration, which is linear on each step of the cubic. `arm.clearance_bounds` bounds the distance of all
+geoms for such joints from below; intervals in which it does not suffice are halved. A sample can step over a thin
+obstacle, a bound cannot.
+
+Assumed: MuJoCo's kinematics and distances, and geoms that are convex, as MuJoCo takes meshes. For height fields, what
+moves counts with its whole reach. Nothing is proved of parts that closed loops or curves move (`Arm.dependents`).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.clearance_bounds import ClearanceBounds
+from lieednn_sim.budget import check_time
+from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.values import Floats, frozen
+
+if TYPE_CHECKING:
+    from lieednn_sim.planning.motion import Motion
+
+# Intervals to begin with; and how many bounds are worth while, besides one for every fourth sample.
+_FIRST, _MOST = 16, 256
+# Intervals shorter than this fraction of a step are not divided.
+_SHORTEST = 1.0 / 4096.0
+# Distance beyond which nothing is measured, and one up to which all is [m]; and how near the proved clearance comes to
+# the least that was measured.
+_FAR, _NEAR, _SHARP = 0.1, 1e-4, 0.95
+
+
+@frozen
+class Clearance:
+    """What is proved of the distances from contact along a motion.
+
+    Attributes:
+        bound: lower bound of all distances at all instants outside of `unproved`, at most 0.1 [m]; -inf if these are
+            all.
+        t: the instant [s] near which it is that small.
+        pair: names of the geoms; empty if nothing comes nearer than 0.1 m.
+        unproved: ``(U, 2)`` begin and end [s] of stretches where contact is not excluded but at the samples.
+    """
+
+    bound: float
+    t: float
+    pair: tuple[str, ...]
+    unproved: Floats
+
+    @property
+    def proved(self) -> bool:
+        """Whether no contact at any instant is proved."""
+        return not len(self.unproved)
+
+    def __str__(self) -> str:
+        by = f", {self.pair[0]!r} from {self.pair[1]!r} at {self.t:.2f} s" if self.pair else ""
+        least = f"at least {1e3 * self.bound:.3g} mm{by}"
+        if self.proved:
+            return f"{least}, proved at every instant"
+        some = ", ".join(f"{begin:.3f} to {end:.3f} s" for begin, end in self.unproved[:3])
+        more = f" and {len(self.unproved) - 3} more stretches" if len(self.unproved) > 3 else ""
+        return f"not proved from {some}{more}" + ("" if self.bound == -np.inf else f"; elsewhere {least}")
+
+
+class Cubics:
+    """The cubics between the samples of a motion, at times ``(K,)`` in equal steps.
+
+    Args:
+        step: time between samples [s].
+        q: ``(K, n)`` positions [rad, m].
+        qd: ``(K, n)`` rates [rad/s, m/s].
+    """
+
+    def __init__(self, step: float, q: Floats, qd: Floats) -> None:
+        self._q, self._moved = q, step * qd
+        chords, before, after = np.diff(q, axis=0), self._moved[:-1], self._moved[1:]
+        # Accelerations at the ends of each step, times its square.
+        self._ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
+        self._largest = np.abs(self._ends).max(axis=0)
+
+    def around(self, begin: ArrayLike, end: ArrayLike) -> tuple[Floats, Floats, Floats]:
+        """Joints ``(I, n)`` in the middle of intervals, directions, and bounds of what the motion deviates from these.
+
+        Begin and end ``(I,)`` count steps; they may be fractions.
+        """
+        begin, end = np.asarray(begin, dtype=float), np.asarray(end, dtype=float)
+        middle, half = 0.5 * (begin + end), 0.5 * (end - begin)[:, None]
+        k = np.minimum(middle.astype(int), len(self._largest) - 1)
+        s = (middle - k)[:, None]
+        q, moved, first, last = self._q[k], self._moved[k], *self._ends[:, k]
+        jerk = last - first
+        at = q + s * (moved + s * (0.5 * first + s * jerk / 6.0))
+        rate = moved + s * (first + 0.5 * s * jerk)
+        # Steps that an interval touches.
+        edges = np.stack([np.floor(begin), np.maximum(np.ceil(end), np.floor(begin) + 1.0)], axis=1).astype(int)
+        edges = np.minimum(edges, len(self._largest) - np.array([1, 0]))
+        widest = np.array([self._largest[a:b].max(axis=0) for a, b in edges.tolist()])
+        return at, half * rate, 0.5 * half**2 * widest
+
+
+def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
+    """Check that a motion keeps the arm's `clearance`.
+
+    It is proved over intervals. Those in which it cannot be are tested at their samples; where contact is not excluded
+    even so, between samples too, for contact.
+
+    Args:
+        arm: the arm, in its scene.
+        t: ``(K,)`` evenly spaced times [s].
+        q: ``(K, n)`` joint positions [rad, m].
+        qd: ``(K, n)`` their rates [rad/s, m/s].
+
+    Raises:
+        PlanError: something is nearer; the message names it, and the time.
+    """
+    step, bounds, cubics = float(t[1] - t[0]), _bounds(arm), Cubics(float(t[1] - t[0]), q, qd)
+    begin, end = _edges(len(t) - 1)
+    tested = 0
+    while len(begin):
+        check_time()
+        if bounds is None or tested > _MOST + len(t) // 4:
+            every = [np.arange(np.floor(a), np.ceil(b) + 1.0) for a, b in zip(begin, end, strict=True)]
+            _test(arm, step, cubics, np.unique(np.concatenate(every)))
+            return
+        tested += len(begin)
+        least, _ = bounds.least(*cubics.around(begin, end), arm.clearance)
+        begin, end, least = (values[least < arm.clearance] for values in (begin, end, least))
+        middle, whole = 0.5 * (begin + end), end - begin > 1.0
+        _test(arm, step, cubics, np.concatenate([np.floor(middle[whole]), begin[~whole], end[~whole]]))
+        begin, end = _divided(begin, end, whole | (least <= 0.0))
+
+
+def _test(arm: Arm, step: float, cubics: Cubics, at: Floats) -> None:
+    """Raise `PlanError` where something is nearer than the arm's clearance, at times ``(I,)`` in steps."""
+    at = at[np.argsort(np.arange(len(at)) % _FIRST != 0, kind="stable")]
+    for time, touching in zip(step * at, arm.near_contacts_along(cubics.around(at, at)[0]), strict=True):
+        if touching:
+            near = f"come within {1e3 * arm.clearance:g} mm of" if arm.clearance else "touch"
+            raise PlanError(f"{touching[0][0]!r} would {near} {touching[0][1]!r} at t = {time:.2f} s")
+
+
+def proved_clearance(arm: Arm, motion: Motion) -> Clearance:
+    """Bound the distances from contact along a motion, at every instant."""
+    bounds, step = _bounds(arm), motion.timestep
+    if bounds is None:
+        return Clearance(-np.inf, 0.0, (), motion.t[None, [0, -1]])
+    cubics = Cubics(step, motion.q, motion.qd)
+    begin, end = _edges(len(motion.t) - 1)
+    nearest, bound, at, pair = _FAR, _FAR, 0.0, (-1, -1)
+    unproved: list[tuple[float, float]] = []
+    measured = 0
+    while len(begin):
+        check_time()
+        measured += len(begin)
+        where = cubics.around(begin, end)
+        least, pairs = bounds.least(*where, nearest)
+        there, _ = bounds.least(where[0], 0.0 * where[1], 0.0 * where[2], nearest)
+        nearest = max(float(there.min(initial=nearest)), _NEAR)
+        done = (least > 0.0) & ((least >= _SHARP * nearest) | (end - begin <= 1.0))
+        if measured > _MOST + len(motion.t) // 4:
+            done |= least > 0.0
+        worst = int(np.where(done, least, np.inf).argmin())
+        if done[worst] and least[worst] < bound:
+            bound, at = float(least[worst]), 0.5 * step * float(begin[worst] + end[worst])
+            pair = tuple(pairs[worst].tolist())
+        # What touches in the middle cannot be proved.
+        last = (
+            (end - begin < _SHORTEST)
+            | ((there <= 0.0) & (end - begin < 0.1))
+            | (measured > 4 * (_MOST + len(motion.t)))
+        )
+        last &= ~done
+        unproved += zip(begin[last].tolist(), end[last].tolist(), strict=True)
+        begin, end = _divided(begin, end, ~done & ~last)
+    stretches = step * np.array(_joined(sorted(unproved)), dtype=float).reshape(-1, 2)
+    return Clearance(bound, at, bounds.names(pair) if pair[0] >= 0 else (), stretches)
+
+
+def _edges(last: int) -> tuple[Floats, Floats]:
+    """Begin and end of the first intervals of ``last`` steps."""
+    edges = np.unique(np.linspace(0, last, _FIRST + 1).round())
+    return edges[:-1], edges[1:]
+
+
+def _divided(begin: Floats, end: Floats, chosen: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Begin and end of the parts of some intervals, four of each, at samples if they are longer than a step."""
+    parts = [np.zeros(1)]
+    for a, b in zip(begin[chosen], end[chosen], strict=True):
+        if b - a >= _SHORTEST:
+            edges = np.linspace(a, b, 5)
+            parts.append(np.unique(edges.round()) if b - a > 1.0 else edges)
+    return np.concatenate([part[:-1] for part in parts]), np.concatenate([part[1:] for part in parts])
+
+
+def _joined(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Intervals in order, those that follow on each other as one."""
+    result: list[tuple[float, float]] = []
+    for begin, end in intervals:
+        if result and result[-1][1] == begin:
+            begin = result.pop()[0]
+        result.append((begin, end))
+    return result
+
+
+@lru_cache(maxsize=8)
+def _bounds(arm: Arm) -> ClearanceBounds | None:
+    """What bounds an arm's distances; None where closed loops or curves move what could touch something."""
+    n = arm.n_joints
+    try:
+        return ClearanceBounds(arm.without_visuals, [(np.arange(n), np.ones(n))])
+    except InputError:
+        return None

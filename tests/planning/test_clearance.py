@@ -1,0 +1,135 @@
+"""The clearance of motions at every instant: against MuJoCo's distances at random instants, and by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+
+import lieednn_sim as ls
+from lieednn_sim.errors import PlanError
+from lieednn_sim.planning import Motion, clearance
+from lieednn_sim.planning.clearance import Cubics, check_clearance, proved_clearance
+
+# A thin rod of two links, and a wire of a tenth of a millimetre.
+SWING = """<mujoco><option timestep="{step}"/><worldbody>
+  <geom name="wire" type="box" size="{width} .3 .00005" pos="{x} 0 {z}" euler="{tilt} 0 0"/>
+  <body pos="0 0 .5"><joint name="j" axis="0 1 0" range="-3 3"/>
+    <geom type="capsule" fromto="0 0 0 .4 0 0" size=".0002"/>
+    <body pos=".4 0 0"><joint name="k" axis="0 1 0" range="-3 3"/>
+      <geom type="capsule" fromto="0 0 0 .3 0 0" size=".0002"/></body></body>
+</worldbody></mujoco>"""
+
+
+def motion_of(arm, t, q, qd):
+    none, xi = np.zeros((len(t), arm.n_links)), arm.encode(q)
+    return Motion(t, t / t[-1], xi, xi[-1], q, qd, none, none)
+
+
+def swing(seed):
+    """A fast motion in long steps, most of which step over the wire."""
+    rng = np.random.default_rng(seed)
+    step = rng.choice([0.002, 0.01, 0.03])
+    where = {"x": rng.uniform(0.3, 0.7), "z": rng.uniform(0.2, 0.8), "tilt": rng.uniform(-60.0, 60.0)}
+    model = mujoco.MjModel.from_xml_string(SWING.format(step=step, width=rng.choice([5e-5, 0.05]), **where))
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["j", "k"], clearance=0.0)
+    t = step * np.arange(round(1.0 / step) + 1)
+    start, target = rng.uniform(-1.5, 1.5, (2, 2))
+    s = (t / t[-1])[:, None]
+    law, rate = s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2 / t[-1]
+    return arm, t, start + law * (target - start), rate * (target - start), rng
+
+
+def least_distance(arm, q):
+    """The least distance from the wire, as MuJoCo measures it."""
+    data, result = mujoco.MjData(arm.model), []
+    for data.qpos[:] in q:
+        mujoco.mj_kinematics(arm.model, data)
+        result.append(min(mujoco.mj_geomDistance(arm.model, data, 0, geom, 1.0, None) for geom in (1, 2)))
+    return np.array(result)
+
+
+def test_a_wire_between_samples_is_found_or_proved_to_be_clear():
+    found, proved = 0, 0
+    for seed in range(40):
+        arm, t, q, qd, rng = swing(seed)
+        if any(arm.near_contacts_along(q)):
+            continue
+        result = proved_clearance(arm, motion_of(arm, t, q, qd))
+        instants = rng.uniform(0.0, t[-1], 400)
+        distances = least_distance(arm, CubicHermiteSpline(t, q, qd)(instants))
+        if result.proved:
+            proved += 1
+            check_clearance(arm, t, q, qd)
+            assert 0.0 < result.bound <= distances.min() + 1e-9
+        else:
+            found += 1
+            with pytest.raises(PlanError, match="would touch"):
+                check_clearance(arm, t, q, qd)
+            inside = ((instants[:, None] > result.unproved[:, 0]) & (instants[:, None] < result.unproved[:, 1])).any(
+                axis=1
+            )
+            assert distances[~inside].min() >= result.bound - 1e-9
+            assert np.ptp(result.unproved, axis=1).max() < 0.5 * (t[1] - t[0])
+    assert found > 5
+    assert proved > 5
+
+
+@pytest.mark.parametrize(
+    ("name", "scene", "planner"),
+    [
+        ("telescopic_pr", "window", "lieednn-shaped"),
+        ("telescopic_rrp", "poles", "rrt-connect"),
+        ("telescopic_compound", "shelf", "lieednn-shaped"),
+        ("telescopic_pr", "free", "lieednn-certified"),
+    ],
+)
+def test_every_instant_of_a_plan_is_as_clear_as_is_proved(name, scene, planner):
+    arm = ls.Arm.load(name, scene, 1)
+    plan = ls.plan(arm, ls.draw_target(arm, 1), planner=planner)
+    found = plan.clearance
+    assert plan.proved
+    assert found.bound >= arm.clearance
+    instants = np.random.default_rng(0).uniform(0.0, plan.t[-1], 100)
+    spline = CubicHermiteSpline(plan.t, plan.motion.q, plan.motion.qd)
+    collisions = clearance._bounds(arm)._collisions
+    measured = collisions.least_clearance(spline(np.sort(instants)))
+    assert found.bound <= measured + 1e-9
+    if found.pair:
+        there = collisions.distances(spline(found.t), 0.2)
+        assert set(collisions.names(there.pairs[0])) == set(found.pair)
+        # Sharp to a twentieth, and to how far the geoms move within an interval.
+        assert found.bound > 0.8 * there.distance[0]
+        assert str(found).startswith(
+            f"at least {1e3 * found.bound:.3g} mm, '{found.pair[0]}' from '{found.pair[1]}' at "
+        )
+
+
+def test_pieces_hold_the_cubic():
+    rng = np.random.default_rng(0)
+    q, qd, step = rng.normal(size=(9, 3)), rng.normal(size=(9, 3)), 0.1
+    spline, largest = CubicHermiteSpline(step * np.arange(9), q, qd), 0.0
+    for begin, end in ((0.0, 8.0), (1.0, 3.0), (2.25, 2.5), (3.5, 5.25), (8.0, 8.0), (7.5, 8.0)):
+        at, way, rest = (value[0] for value in Cubics(step, q, qd).around([begin], [end]))
+        c = np.linspace(-1.0, 1.0, 201)[:, None]
+        off = np.abs(spline(step * (0.5 * (begin + end) + 0.5 * (end - begin) * c[:, 0])) - at - c * way)
+        assert (off <= rest + 1e-12).all()
+        largest = max(largest, (off / np.maximum(rest, 1e-300)).max() if end > begin else 0.0)
+    assert largest > 0.5
+
+
+def test_where_nothing_can_be_proved_samples_are_tested(monkeypatch):
+    arm, t, q, qd, _ = swing(0)
+    monkeypatch.setattr(clearance, "_bounds", lambda _: None)
+    touching = [k for k, near in enumerate(arm.near_contacts_along(q)) if near]
+    assert not touching
+    check_clearance(arm, t, q, qd)
+    result = proved_clearance(arm, motion_of(arm, t, q, qd))
+    assert not result.proved
+    assert str(result) == f"not proved from 0.000 to {t[-1]:.3f} s"
+    wide = replace(arm, clearance=0.5)
+    with pytest.raises(PlanError, match="would come within 500 mm of"):
+        check_clearance(wide, t, q, qd)
