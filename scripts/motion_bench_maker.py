@@ -30,15 +30,16 @@ PLANNERS = ("rrt-connect", "lieednn-shaped", "minimum-jerk")
 BUDGET = 10.0
 METHOD = (
     "Motions lead from the published start to the published joint goal, within the limits of position and velocity of "
-    "the robot's URDF and of accelerations derived from its efforts, free of contact at every sample of 2 ms. No "
-    "clearance is required, since starts and goals have none. A planner has {budget:g} s of CPU time, on one core, for "
-    "a problem. Problems whose start or goal touches something or breaks a limit are skipped: they count neither as "
-    "solved nor as failed. The solve time covers everything from the problem to the timed motion. Statistics are over "
-    "solved problems. The C-space path is a Euclidean length in radians, for slides in metres."
+    "the robot's URDF and of accelerations derived from its efforts, free of contact. No clearance is required, since "
+    "starts and goals have none. Proved is the mean fraction of a motion's time over which it is proved, for every "
+    "instant, that nothing touches: all but moments at the ends. A planner has {budget:g} s of CPU time, on one core, "
+    "for a problem. Problems whose start or goal touches something or breaks a limit are skipped: they count neither "
+    "as solved nor as failed. The solve time covers everything from the problem to the timed motion. Statistics are "
+    "over solved problems. The C-space path is a Euclidean length in radians, for slides in metres."
 )
 HEADINGS = (
     *("robot", "planner", "problems", "skipped", "solved, of asked"),
-    *("solve time [s]", "C-space path [rad]", "motion time [s]"),
+    *("solve time [s]", "C-space path [rad]", "motion time [s]", "proved"),
 )
 SHOWN = ("solve_time", "cspace_path_length", "motion_time")
 
@@ -55,6 +56,8 @@ def report(rows: dict[str, Sequence[Solution]]) -> str:
             for values in ([getattr(row, name) for row in solved] for name in SHOWN):
                 shown = (np.mean(values), *np.percentile(values, (50, 75, 98))) if values else ()
                 cells[-1].append(" / ".join(f"{value:.3g}" for value in shown) or "-")
+            proved = [row.proved_fraction or 0.0 for row in solved]
+            cells[-1].append(f"{np.mean(proved):.3%}" if proved else "-")
             lost = [f"{row.problem} {row.number}" for row in asked if not row.success]
             if lost and planner != "minimum-jerk":
                 failures.append(f"- {robot}, `{planner}`: {', '.join(lost)}")

@@ -41,7 +41,7 @@ def test_pushes_that_never_come_back_count_but_have_no_fraction():
 
 
 def test_published_problems_that_are_skipped_are_not_asked_and_lost_ones_are_named():
-    times = {"cspace_path_length": 2.0, "motion_time": 3.0}
+    times = {"cspace_path_length": 2.0, "motion_time": 3.0, "proved_fraction": 0.5}
     rows = [Solution("box", k, "rrt-connect", solve_time=float(k), **times) for k in range(5)]
     rows += [
         Solution("box", 5, "rrt-connect", reason="plan: no"),
@@ -50,9 +50,19 @@ def test_published_problems_that_are_skipped_are_not_asked_and_lost_ones_are_nam
     rows += [Solution("box", 1, "minimum-jerk", reason="plan: no")]
     lines = motion_bench_maker.report({"a robot": rows}).splitlines()
     assert cells(lines[6]) == [
-        *("a robot", "`rrt-connect`", "7", "1", "5 of 6", "2 / 2 / 3 / 3.92", "2 / 2 / 2 / 2", "3 / 3 / 3 / 3"),
+        *(
+            "a robot",
+            "`rrt-connect`",
+            "7",
+            "1",
+            "5 of 6",
+            "2 / 2 / 3 / 3.92",
+            "2 / 2 / 2 / 2",
+            "3 / 3 / 3 / 3",
+            "50.000%",
+        ),
     ]
-    assert cells(lines[7])[2:] == ["1", "0", "0 of 1", "-", "-", "-"]
+    assert cells(lines[7])[2:] == ["1", "0", "0 of 1", "-", "-", "-", "-"]
     assert lines[-1] == "- a robot, `rrt-connect`: box 5"
 
 

@@ -140,6 +140,7 @@ def print_plan(result: Plan) -> None:
     rows.add_row("duration", f"{motion.t[-1]:.2f} s")
     if result.leaves:
         rows.add_row("leaves at the start", result.leaves)
+    rows.add_row("clearance", str(result.clearance))
     rows.add_row("mechanism gap", f"{rounded(millimetres)} mm and {rounded(degrees)} degrees at most, 0 at the target")
     if isinstance(details, CertifiedDetails):
         rows.add_row("networks", f"{details.n_networks} networks drawn, {details.within_limits} keep the joint limits")

@@ -46,12 +46,14 @@ class Clearance:
         t: the instant [s] near which it is that small.
         pair: names of the geoms; empty if nothing comes nearer than 0.1 m.
         unproved: ``(U, 2)`` begin and end [s] of stretches where contact is not excluded but at the samples.
+        proved_fraction: the fraction of the motion's time that is left.
     """
 
     bound: float
     t: float
     pair: tuple[str, ...]
     unproved: Floats
+    proved_fraction: float = 1.0
 
     @property
     def proved(self) -> bool:
@@ -149,7 +151,7 @@ def proved_clearance(arm: Arm, motion: Motion) -> Clearance:
     """Bound the distances from contact along a motion, at every instant."""
     bounds, step = _bounds(arm), motion.timestep
     if bounds is None:
-        return Clearance(-np.inf, 0.0, (), motion.t[None, [0, -1]])
+        return Clearance(-np.inf, 0.0, (), motion.t[None, [0, -1]], 0.0)
     cubics = Cubics(step, motion.q, motion.qd)
     begin, end = _edges(len(motion.t) - 1)
     nearest, bound, at, pair = _FAR, _FAR, 0.0, (-1, -1)
@@ -179,7 +181,8 @@ def proved_clearance(arm: Arm, motion: Motion) -> Clearance:
         unproved += zip(begin[last].tolist(), end[last].tolist(), strict=True)
         begin, end = _divided(begin, end, ~done & ~last)
     stretches = step * np.array(_joined(sorted(unproved)), dtype=float).reshape(-1, 2)
-    return Clearance(bound, at, bounds.names(pair) if pair[0] >= 0 else (), stretches)
+    proved = 1.0 - float(np.ptp(stretches, axis=1).sum()) / float(motion.t[-1])
+    return Clearance(bound, at, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved)
 
 
 def _edges(last: int) -> tuple[Floats, Floats]:

@@ -70,7 +70,7 @@ def test_plan_prints_what_was_found_and_what_is_proved(printed, how):
     details, told = HOW[how]
     network = None if how == "nothing" else Network()
     guide = SimpleNamespace(planner="rrt-connect")
-    found = {"motion": MOTION, "details": details, "guide": guide, "leaves": "'a' to 'b' (1 mm)"}
+    found = {"motion": MOTION, "details": details, "guide": guide, "leaves": "'a' to 'b' (1 mm)", "clearance": 7}
     result = SimpleNamespace(planner="some", network=network, **found)
     planning.print_plan(result)
     lines = printed()
@@ -80,6 +80,7 @@ def test_plan_prints_what_was_found_and_what_is_proved(printed, how):
         "planner": "some",
         "duration": "4.25 s",
         "leaves at the start": "'a' to 'b' (1 mm)",
+        "clearance": "7",
         "mechanism gap": "12.5 mm and 3.5 degrees at most, 0 at the target",
         **told,
         **({"proof": "none, as this planner makes no network"} if network is None else proof),

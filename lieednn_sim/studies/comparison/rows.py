@@ -82,6 +82,14 @@ class Row(TableRow):
         "RMS curvature along the planned end-effector path, where its speed is above 5 % of the peak",
         shown=9,
     )
+    proved_fraction: float | None = _of_motion(
+        "proved",
+        "fraction of the plan's time over which it is proved, for every instant, that nothing touches",
+        shown=3,
+    )
+    proved_clearance_mm: float | None = _of_motion(
+        "proved clearance [mm]", "proved lower bound of the clearance there, at every instant; at most 100", shown=3
+    )
     tube_mm: float | None = _of_motion(
         "tube [mm]",
         "largest deviation of all links at once that is proved to end at the target without contact",

@@ -128,6 +128,10 @@ def run_case(
             raise
         planned = {"planning_s": cpu_time() - start, **_stability(plan.network)}
         planned |= _measured(motion_metrics(arm, plan.motion))
+        clearance = plan.clearance
+        planned["proved_fraction"] = clearance.proved_fraction
+        if clearance.bound > 0.0:
+            planned["proved_clearance_mm"] = 1e3 * clearance.bound
         with contextlib.suppress(LieEDNNError):  # the plan has no tube
             planned["tube_mm"] = 1e3 * find_tube(arm, plan).size
         rows = []

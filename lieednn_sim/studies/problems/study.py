@@ -90,6 +90,9 @@ class Solution(TableRow):
     eef_position_path_length: float | None = column("effector path [m]", "length of the end effector's path")
     eef_orientation_path_length: float | None = column("effector turn [deg]", "angle that the end effector turns by")
     jerk: float | None = column("jerk [rad/s³]", "largest jerk of a joint")
+    proved_fraction: float | None = column(
+        "proved", "fraction of the motion's time over which it is proved, for every instant, that nothing touches"
+    )
 
     @property
     def skipped(self) -> bool:
@@ -157,6 +160,7 @@ def measured(arm: Arm, result: Plan) -> dict[str, Any]:
         "eef_position_path_length": float(np.linalg.norm(np.diff(tips[:, :3, 3], axis=0), axis=1).sum()),
         "eef_orientation_path_length": float(np.rad2deg((turns[:-1].inv() * turns[1:]).magnitude().sum())),
         "jerk": float(np.abs(jerk).max()),
+        "proved_fraction": result.clearance.proved_fraction,
     }
 
 
