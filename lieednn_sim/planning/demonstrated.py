@@ -19,7 +19,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.learning.demonstrations.alignment import GOALS, PHASES, at_phases
 from lieednn_sim.learning.demonstrations.family import Response, with_response
-from lieednn_sim.learning.demonstrations.recording import TIMES, read_tables
+from lieednn_sim.learning.demonstrations.tables import TIME, read_tables
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
@@ -67,7 +67,7 @@ class JointDemonstrations:
         """Read files as `load_demonstrations` does, but with the arm's joints as columns.
 
         A table has n columns in the order of `Arm.joint_names`, or the time [s] and these; a csv file may name them, in
-        any order, and the time t or time.
+        any order, and the time t, time or timestamp.
 
         Args:
             arm: the arm.
@@ -229,7 +229,7 @@ def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:
     """The names of the joints' columns; a table may have others."""
     joints = [name.lower() for name in arm.joint_names]
     if missing := [name for name in joints if name not in names]:
-        strange = [name for name in names if name not in (*joints, *TIMES)]
+        strange = [name for name in names if name not in joints and not TIME.fullmatch(name)]
         raise InputError(
             f"{path} must name the joints of {arm.name}: {', '.join(arm.joint_names)}; it lacks {', '.join(missing)}"
             + (f", and names {', '.join(strange)}" if strange else "")

@@ -61,12 +61,46 @@ def test_quaternions_in_either_order_apart_and_named(tmp_path):
         assert one.t.tolist() == ([0.0, 0.5, 1.5] if name == "named.csv" else [0.0, 0.01, 0.02])
 
 
-def test_the_column_of_times_is_t_or_time(tmp_path):
-    for name in ("t", "time"):
-        np.savetxt(
-            tmp_path / "a.csv", [[0, 1, 2], [3, 4, 5], [4, 6, 7]], delimiter=",", header=f"{name},x,y", comments=""
-        )
-        assert load_demonstrations([tmp_path / "a.csv"])[0].t.tolist() == [0.0, 3.0, 4.0]
+NAMED_TIMES = ("t,x,y", "time,x,y", "timestamp,x,y", "time_s,x,y", "time [s],x,y", "stamp,x,y", "secs,x,y")
+
+
+@pytest.mark.parametrize("header", [*NAMED_TIMES, "# t,x,y", "#Time (s),x,y", '"t","x","y"', "# by hand\n# t, x, y"])
+def test_the_column_of_times_by_its_name(tmp_path, header):
+    (tmp_path / "a.csv").write_text(f"{header}\n0,1,2\n3,4,5\n4,6,7\n")
+    (one,) = load_demonstrations([tmp_path / "a.csv"])
+    assert one.t.tolist() == [0.0, 3.0, 4.0]
+    np.testing.assert_array_equal(one.position[:, :2], [[1, 2], [4, 5], [6, 7]])
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ("time [min],x,y", r"'time \[min\]' may be the time, but is not named so; name it t,"),
+        ("elapsed,x,y", "'elapsed' may be the time"),
+        ("tick,x,y", "'tick' may be the time"),
+        ("t,x,y,stamp", "one column of times alone, it has: t, stamp"),
+        ("t,x", "names 2 columns, and its rows have 3"),
+        ("frame,x,y", ""),
+        (",x,y", ""),
+    ],
+)
+def test_what_may_be_the_time_is_not_passed_over(tmp_path, header, message):
+    columns = [0.04 * np.arange(5) if message else np.arange(5.0), np.arange(5) ** 2, np.ones(5), np.arange(5)]
+    rows = np.column_stack(columns[: max(3, len(header.split(",")))])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=header, comments="")
+    if not message:  # numbers of rows are no times
+        assert load_demonstrations([tmp_path / "a.csv"])[0].t[1] == 0.01
+        return
+    with pytest.raises(InputError, match=message):
+        load_demonstrations([tmp_path / "a.csv"])
+
+
+def test_times_of_an_archive_by_their_name(tmp_path):
+    np.savez(tmp_path / "a.npz", positions=PLANE[0], timestamps=[0.0, 3.0, 4.0])
+    assert load_demonstrations([tmp_path / "a.npz"])[0].t.tolist() == [0.0, 3.0, 4.0]
+    np.savez(tmp_path / "a.npz", positions=PLANE[0], minutes=[0.0, 0.1, 0.2])
+    with pytest.raises(InputError, match="'minutes' may be the time"):
+        load_demonstrations([tmp_path / "a.npz"])
 
 
 @pytest.mark.parametrize(

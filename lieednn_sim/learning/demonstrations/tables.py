@@ -1,0 +1,160 @@
+"""Tables of recordings in files: the samples, by the names of their columns where they have names, and their times."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.io import Archive, opened, read_array
+from lieednn_sim.validation import as_path, quoted
+
+Table = tuple[NDArray[Any], NDArray[Any] | None]  # samples, and their times if the file has them
+# Maps a csv file and the names of its columns to those of the samples, in order.
+Columns = Callable[[Path, list[str]], Sequence[str]]
+
+_LARGEST_TABLE = 10**8  # bytes of a csv or mat file
+#: Names of the column of times, which may name the unit, too, as in time_s.
+TIME = re.compile(r"(t|times?|ts|time[ _]?stamps?|stamps?|secs?|seconds)([ _]*[\[(]?(s|secs?|seconds)[\])]?)?")
+_LIKE_A_TIME = re.compile("time|stamp|clock|epoch|elapsed|date|sec|milli|micro|nano")
+_STRAIGHT = 0.02  # largest deviation of times from equal steps, as a fraction of the duration
+
+
+def read_tables(
+    files: Iterable[str | os.PathLike[str]], columns: Columns
+) -> list[tuple[str, NDArray[Any], NDArray[Any] | None]]:
+    """The source of each table in the files, its samples, and its times if it has them.
+
+    Raises:
+        FileError: a file cannot be read, or is of another kind.
+        InputError: there is no table, a csv file's columns are not those of ``columns``, or which holds the times is
+            not clear.
+    """
+    results = []
+    for name in files:
+        path = as_path("the name of a file of demonstrations", name)
+        tables = list(_tables(path, columns))
+        for number, table in enumerate(tables):
+            results.append((path.name if len(tables) == 1 else f"{path.name}[{number}]", *table))
+    if not results:
+        raise InputError("there is no demonstration; name at least one file")
+    return results
+
+
+def _tables(path: Path, columns: Columns) -> Iterator[Table]:
+    read = {".npy": _npy, ".npz": _npz, ".csv": _csv, ".mat": _mat}.get(path.suffix.lower())
+    if read is None:
+        raise FileError(f"{path} is no file of demonstrations; allowed are .npy, .npz, .csv and .mat")
+    try:
+        yield from read(path, columns)
+    except (FileError, InputError):
+        raise
+    except Exception as error:  # the readers raise all kinds of exceptions on a damaged file
+        raise FileError(f"{path} is not a readable file of demonstrations ({type(error).__name__}: {error})") from None
+
+
+def _several(path: Path, samples: NDArray[Any], t: NDArray[Any] | None = None) -> Iterator[Table]:
+    """The demonstrations of an array ``(K, D)`` or ``(n, K, D)``."""
+    if samples.ndim not in (2, 3):
+        raise InputError(f"{path}: demonstrations must have shape (K, D) or (n, K, D), got {samples.shape}")
+    if t is not None and t.shape not in (samples.shape[-2:-1], samples.shape[:-1]):
+        raise InputError(f"{path}: times must have shape {samples.shape[-2:-1]}, one for each sample, got {t.shape}")
+    if samples.ndim == 2:
+        yield samples, t
+    else:
+        for number, item in enumerate(samples):
+            yield item, t if t is None or t.ndim == 1 else t[number]
+
+
+def _npy(path: Path, _: Columns) -> Iterator[Table]:
+    with opened(path) as stream:
+        return _several(path, read_array(stream, path.stat().st_size))
+
+
+def _npz(path: Path, _: Columns) -> Iterator[Table]:
+    with opened(path) as stream:
+        archive = Archive(stream)
+        arrays = {name: archive.read(name) for name in archive.names}
+    quaternions = arrays.pop("quaternions", None)
+    named: list[str] = [name for name in ("poses", "positions") if name in arrays]
+    named = named or [name for name in arrays if not TIME.fullmatch(name.lower())]
+    if len(named) != 1:
+        raise InputError(f"{path} must hold one array named 'poses' or 'positions'; it holds: {', '.join(arrays)}")
+    samples = arrays.pop(named[0])
+    if quaternions is not None:
+        samples = np.concatenate([samples, quaternions], axis=-1)
+    return _several(path, samples, _times(path, {name.lower(): array for name, array in arrays.items() if array.ndim}))
+
+
+def _csv(path: Path, columns: Columns) -> Iterator[Table]:
+    with opened(path, _LARGEST_TABLE) as stream:
+        lines = [line for line in map(str.strip, stream.read().decode("utf-8-sig").splitlines()) if line]
+    comments = next(k for k, line in enumerate(lines) if line[0] not in "#%")
+    first = lines[comments]
+    if ";" in first or "\t" in first:
+        raise FileError(
+            f"{path} must be separated by commas, with points in its numbers; its first line is {quoted(first)}"
+        )
+
+    def words(line: str) -> list[str]:
+        return [name.strip(" #%\"'").lower() for name in line.split(",")]
+
+    headed = any(name[:1].isalpha() and name not in ("nan", "inf") for name in words(first))
+    table = np.loadtxt(lines[comments + headed :], delimiter=",", ndmin=2, quotechar='"')
+    if headed:
+        names = words(first)
+        if len(names) != table.shape[1]:
+            raise InputError(f"{path} names {len(names)} columns, and its rows have {table.shape[1]}")
+    else:  # a comment may name them, as np.savetxt writes it
+        names = next((found for found in map(words, lines[:comments][::-1]) if len(found) == table.shape[1]), [])
+    if not names:
+        return _several(path, table)
+    chosen = columns(path, names)
+    others = {name: table[:, k] for k, name in enumerate(names) if name not in chosen}
+    return _several(path, table[:, [names.index(name) for name in chosen]], _times(path, others))
+
+
+def _times(path: Path, others: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
+    """The times among what is no sample, by their names in lower-case letters; None if nothing could be these.
+
+    Raises:
+        InputError: it is not clear what the times are.
+    """
+    found = [name for name in others if TIME.fullmatch(name)]
+    if len(found) > 1:
+        raise InputError(f"{path} may have one column of times alone, it has: {', '.join(found)}")
+    if found:
+        return others[found[0]]
+    for name, values in others.items():
+        counter = values.ndim == 1 and (np.diff(values) == 1.0).all()
+        if _LIKE_A_TIME.search(name) or (not counter and is_steady(values)):
+            raise InputError(
+                f"{path}: {quoted(name)} may be the time, but is not named so; name it t, time, timestamp or time_s, "
+                "or leave it out"
+            )
+    return None
+
+
+def is_steady(values: NDArray[Any]) -> bool:
+    """Whether numbers ``(K,)`` increase, and all along by about as much, as times do; joints seldom do."""
+    if values.ndim != 1 or len(values) < 2:
+        return False
+    apart = values - np.linspace(values[0], values[-1], len(values))
+    return bool((np.diff(values) > 0.0).all() and np.abs(apart).max() <= _STRAIGHT * (values[-1] - values[0]))
+
+
+def _mat(path: Path, _: Columns) -> Iterator[Table]:
+    from scipy.io import loadmat
+
+    with opened(path, _LARGEST_TABLE) as stream:
+        demos = loadmat(stream, simplify_cells=True, variable_names=["demos"]).get("demos")
+    if demos is None:
+        raise InputError(f"{path} has no 'demos', as the files of the LASA data set have")
+    for demo in [demos] if isinstance(demos, dict) else demos:
+        yield np.asarray(demo["pos"]).T, np.ravel(demo["t"]) if "t" in demo else None
