@@ -13,13 +13,12 @@ from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.learning.demonstrations.alignment import GOALS, PHASES, at_phases
 from lieednn_sim.learning.demonstrations.family import Response, with_response
-from lieednn_sim.learning.demonstrations.tables import TIME, read_tables
+from lieednn_sim.learning.demonstrations.tables import TIME, Layout, read_tables
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
@@ -27,7 +26,7 @@ from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.planning.time_laws import Law, law_of_times, step_lengths
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
-from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
+from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import Floats, frozen
 
 # Steps of the phase, and the number of them that define the time law: recorded times are noisy.
@@ -83,13 +82,14 @@ class JointDemonstrations:
         """
         as_choice("phase", phase, PHASES)
         kept = as_choice("goals", goals, GOALS) == "kept"
-        rate = as_positive("rate", rate)
-        tables = read_tables(files, partial(_joint_columns, arm))
-        shown = [_motion(arm, source, samples, t, rate) for source, samples, t in tables]
-        units = lever_units(arm, np.concatenate([q for q, _ in shown]))
+        words = f"{arm.n_joints} columns, the joints {', '.join(arm.joint_names)}, or the time and these"
+        layout = Layout([arm.n_joints], words, partial(_joint_columns, arm), as_positive("rate", rate))
+        tables = read_tables(files, layout)
+        shown = [_within_limits(arm, source, samples) for source, samples, _ in tables]
+        units = lever_units(arm, np.concatenate(shown))
         fractions = np.linspace(0.0, 1.0, _STEPS + 1)
         paths, times = [], []
-        for (q, t), (source, *_) in zip(shown, tables, strict=True):
+        for q, (source, _, t) in zip(shown, tables, strict=True):
             steps = step_lengths(arm.encode(q), units)
             if steps.sum() < _LEAST_LENGTH:
                 raise InputError(f"{source} does not move")
@@ -237,23 +237,10 @@ def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:
     return joints
 
 
-def _motion(arm: Arm, source: str, samples: ArrayLike, t: ArrayLike | None, rate: float) -> tuple[Floats, Floats]:
-    """Joint positions ``(K, n)`` and times ``(K,)`` of a table, checked."""
-    table = as_floats(source, samples, ("K", "D"))
-    if t is None and table.shape[1] == arm.n_joints + 1:
-        t, table = table[:, 0], table[:, 1:]
-    if table.shape[1] != arm.n_joints:
-        raise InputError(
-            f"{source} must have {arm.n_joints} columns, the joints {', '.join(arm.joint_names)}, or the time and "
-            f"these; got {table.shape[1]}"
-        )
-    if len(table) < 2:
-        raise InputError(f"{source} must have at least two samples, got {len(table)}")
-    times = np.arange(len(table)) / rate if t is None else as_times(f"times of {source}", t)
-    if len(times) != len(table):
-        raise InputError(f"{source} has {len(table)} samples and {len(times)} times")
+def _within_limits(arm: Arm, source: str, table: Floats) -> Floats:
+    """Recorded joint positions ``(K, n)``, or `InputError` if the arm cannot take them."""
     outside = arm.limit_excess(table)
     k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
     if outside[k, joint] > LIMIT_TOLERANCE:
         raise InputError(f"in row {k} of {source} {arm.describe_excess(table[k], joint)}")
-    return arm.within_angles(np.clip(table, *arm.position_limits.T)), times - times[0]
+    return arm.within_angles(np.clip(table, *arm.position_limits.T))

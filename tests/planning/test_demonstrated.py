@@ -69,7 +69,9 @@ def test_what_is_no_motion_of_the_arm_says_why(gantry, files, tmp_path):
     for samples, message in (
         (bend()[:, :3], "4 columns, the joints x, y, z, turn, or the time and these; got 3"),
         (outside, r"in row 7 of wrong.npy joint 'y' would be at 2.5 m, its range is \[-2, 2\]"),
-        (np.column_stack([S[::-1], bend()]), "times of wrong.npy must hold at least two increasing times"),
+        # A gripper last: the first joint is no time, although x rises all the way.
+        (np.column_stack([bend(), S]), "got 5, and the first is no time, .* such as a gripper, or name the columns"),
+        (np.column_stack([bend()[::-1], S]), r"the first is no time, .*: row 1 has 0.49\d+ after 0.5;"),
         (np.tile(bend()[:1], (5, 1)), "wrong.npy does not move"),
         (bend()[:1], "at least two samples"),
         # The ball would be in the floor.

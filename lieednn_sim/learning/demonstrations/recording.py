@@ -16,12 +16,15 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations.tables import read_tables
+from lieednn_sim.learning.demonstrations.tables import Layout, as_recording, read_tables
 from lieednn_sim.lie import left_jacobian_so3
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
 QUATERNIONS = ("wxyz", "xyzw")
+_COUNTS = (2, 3, 7)
+_WORDS = "2, 3 or 7 columns: x y, x y z, or these and a quaternion; or 4 or 8, the time and x y z or a pose"
+_LARGEST = 1e9  # of a sample, in any unit
 _SHOWN = {2: "positions in a plane", 3: "positions", 7: "poses"}  # what a table shows, by its number of columns
 _NORMS = (0.9, 1.1)  # accepted norms of recorded unit quaternions, which may be rounded
 _LARGEST_TURN = 2.0 * np.pi - 0.2  # largest angle of a rotation vector [rad]: the chart is singular at a full turn
@@ -90,17 +93,10 @@ class Demonstration:
         """
         length, rate = as_positive("length", length), as_positive("rate", rate)
         as_choice("order of quaternions", quaternion, QUATERNIONS)
-        table = as_floats(source, samples, ("K", "D"), largest=1e9)  # in any unit
+        table, times = as_recording(source, samples, t, Layout(_COUNTS, _WORDS, rate=rate))
+        if np.abs(table).max() > _LARGEST:
+            raise InputError(f"{source} must not exceed {_LARGEST:g} in size, got {np.abs(table).max():g}")
         count, columns = table.shape
-        if columns not in _SHOWN:
-            raise InputError(
-                f"{source} must have 2, 3 or 7 columns: x y, x y z, or these and a quaternion; got {columns}"
-            )
-        if count < 2:
-            raise InputError(f"{source} must have at least two samples, got {count}")
-        times = np.arange(count) / rate if t is None else as_times(f"times of {source}", t)
-        if len(times) != count:
-            raise InputError(f"{source} has {count} samples and {len(times)} times")
         position = np.zeros((count, 3))
         position[:, : min(columns, 3)] = length * table[:, :3]
         rotation = np.broadcast_to(np.eye(3), (count, 3, 3))
@@ -110,7 +106,7 @@ class Demonstration:
                 worst = int(np.argmax(np.abs(norms - 1.0)))
                 raise InputError(f"quaternions of {source} must be units, got norm {norms[worst]:g} in row {worst}")
             rotation = Rotation.from_quat(table[:, 3:], scalar_first=quaternion == "wxyz").as_matrix()
-        result = cls(times - times[0], position, rotation, 6 if columns == 7 else columns, source)
+        result = cls(times, position, rotation, 6 if columns == 7 else columns, source)
         if result.steps(lever=1.0).sum() < 1e-9:  # [m]
             raise InputError(f"{source} does not move")
         return result
@@ -180,7 +176,7 @@ def load_demonstrations(
     as_positive("rate", rate)
     result = [
         Demonstration.from_samples(samples, t, length, quaternion, rate, source)
-        for source, samples, t in read_tables(files, partial(_pose_columns, quaternion))
+        for source, samples, t in read_tables(files, Layout(_COUNTS, _WORDS, partial(_pose_columns, quaternion), rate))
     ]
     for other in result[1:]:
         if other.dof != result[0].dof:

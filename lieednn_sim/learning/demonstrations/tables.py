@@ -5,54 +5,97 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import Archive, opened, read_array
-from lieednn_sim.validation import as_path, quoted
+from lieednn_sim.validation import as_floats, as_path, as_times, quoted
+from lieednn_sim.values import Floats
 
 Table = tuple[NDArray[Any], NDArray[Any] | None]  # samples, and their times if the file has them
-# Maps a csv file and the names of its columns to those of the samples, in order.
-Columns = Callable[[Path, list[str]], Sequence[str]]
 
 _LARGEST_TABLE = 10**8  # bytes of a csv or mat file
 #: Names of the column of times, which may name the unit, too, as in time_s.
 TIME = re.compile(r"(t|times?|ts|time[ _]?stamps?|stamps?|secs?|seconds)([ _]*[\[(]?(s|secs?|seconds)[\])]?)?")
 _LIKE_A_TIME = re.compile("time|stamp|clock|epoch|elapsed|date|sec|milli|micro|nano")
-_STRAIGHT = 0.02  # largest deviation of times from equal steps, as a fraction of the duration
+# Largest deviation of times from equal steps, as a fraction of the duration; half a step is allowed, too.
+_STRAIGHT = 0.02
 
 
-def read_tables(
-    files: Iterable[str | os.PathLike[str]], columns: Columns
-) -> list[tuple[str, NDArray[Any], NDArray[Any] | None]]:
-    """The source of each table in the files, its samples, and its times if it has them.
+@dataclass(frozen=True)
+class Layout:
+    """What a table of a recording holds.
+
+    Attributes:
+        counts: the numbers of columns that its samples may have.
+        words: these columns in words, for messages.
+        chosen: maps a csv file and the names of its columns to those of the samples, in order.
+        rate: sampling rate of tables without times [1/s].
+    """
+
+    counts: Sequence[int]
+    words: str
+    chosen: Callable[[Path, list[str]], Sequence[str]] = lambda _, names: names
+    rate: float = 100.0
+
+
+def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: Layout) -> tuple[Floats, Floats]:
+    """Samples ``(K, D)`` and their times ``(K,)`` from 0 [s], which may be the first column of a table without names.
+
+    Raises:
+        InputError: the table is not as the layout says, or its times are none.
+    """
+    table = as_floats(source, samples, ("K", "D"))
+    count, columns = table.shape
+    timed = t is None and columns not in layout.counts and columns - 1 in layout.counts
+    if not timed and columns not in layout.counts:
+        raise InputError(f"{source} must have {layout.words}; got {columns}")
+    if count < 2:
+        raise InputError(f"{source} must have at least two samples, got {count}")
+    if timed:
+        t, table = table[:, 0], table[:, 1:]
+        if row := uneven_row(t):
+            raise InputError(
+                f"{source} must have {layout.words}; got {columns}, and the first is no time, which would increase "
+                f"evenly: row {row} has {t[row]:.15g} after {t[row - 1]:.15g}; leave out what is no sample, such as a "
+                "gripper, or name the columns in the first line of a .csv file"
+            )
+    times = np.arange(count) / layout.rate if t is None else as_times(f"times of {source}", t)
+    if len(times) != count:
+        raise InputError(f"{source} has {count} samples and {len(times)} times")
+    return table, times - times[0]
+
+
+def read_tables(files: Iterable[str | os.PathLike[str]], layout: Layout) -> list[tuple[str, Floats, Floats]]:
+    """The source of each table in the files, its samples and times as of `as_recording`.
 
     Raises:
         FileError: a file cannot be read, or is of another kind.
-        InputError: there is no table, a csv file's columns are not those of ``columns``, or which holds the times is
-            not clear.
+        InputError: there is no table, one is not as the layout says, or what its times are is not clear.
     """
     results = []
     for name in files:
         path = as_path("the name of a file of demonstrations", name)
-        tables = list(_tables(path, columns))
-        for number, table in enumerate(tables):
-            results.append((path.name if len(tables) == 1 else f"{path.name}[{number}]", *table))
+        tables = list(_tables(path, layout))
+        for number, (samples, t) in enumerate(tables):
+            source = path.name if len(tables) == 1 else f"{path.name}[{number}]"
+            results.append((source, *as_recording(source, samples, t, layout)))
     if not results:
         raise InputError("there is no demonstration; name at least one file")
     return results
 
 
-def _tables(path: Path, columns: Columns) -> Iterator[Table]:
+def _tables(path: Path, layout: Layout) -> Iterator[Table]:
     read = {".npy": _npy, ".npz": _npz, ".csv": _csv, ".mat": _mat}.get(path.suffix.lower())
     if read is None:
         raise FileError(f"{path} is no file of demonstrations; allowed are .npy, .npz, .csv and .mat")
     try:
-        yield from read(path, columns)
+        yield from read(path, layout)
     except (FileError, InputError):
         raise
     except Exception as error:  # the readers raise all kinds of exceptions on a damaged file
@@ -72,12 +115,12 @@ def _several(path: Path, samples: NDArray[Any], t: NDArray[Any] | None = None) -
             yield item, t if t is None or t.ndim == 1 else t[number]
 
 
-def _npy(path: Path, _: Columns) -> Iterator[Table]:
+def _npy(path: Path, _: Layout) -> Iterator[Table]:
     with opened(path) as stream:
         return _several(path, read_array(stream, path.stat().st_size))
 
 
-def _npz(path: Path, _: Columns) -> Iterator[Table]:
+def _npz(path: Path, _: Layout) -> Iterator[Table]:
     with opened(path) as stream:
         archive = Archive(stream)
         arrays = {name: archive.read(name) for name in archive.names}
@@ -92,7 +135,7 @@ def _npz(path: Path, _: Columns) -> Iterator[Table]:
     return _several(path, samples, _times(path, {name.lower(): array for name, array in arrays.items() if array.ndim}))
 
 
-def _csv(path: Path, columns: Columns) -> Iterator[Table]:
+def _csv(path: Path, layout: Layout) -> Iterator[Table]:
     with opened(path, _LARGEST_TABLE) as stream:
         lines = [line for line in map(str.strip, stream.read().decode("utf-8-sig").splitlines()) if line]
     comments = next(k for k, line in enumerate(lines) if line[0] not in "#%")
@@ -115,7 +158,7 @@ def _csv(path: Path, columns: Columns) -> Iterator[Table]:
         names = next((found for found in map(words, lines[:comments][::-1]) if len(found) == table.shape[1]), [])
     if not names:
         return _several(path, table)
-    chosen = columns(path, names)
+    chosen = layout.chosen(path, names)
     others = {name: table[:, k] for k, name in enumerate(names) if name not in chosen}
     return _several(path, table[:, [names.index(name) for name in chosen]], _times(path, others))
 
@@ -132,8 +175,8 @@ def _times(path: Path, others: Mapping[str, NDArray[Any]]) -> NDArray[Any] | Non
     if found:
         return others[found[0]]
     for name, values in others.items():
-        counter = values.ndim == 1 and (np.diff(values) == 1.0).all()
-        if _LIKE_A_TIME.search(name) or (not counter and is_steady(values)):
+        even = values.ndim == 1 and not uneven_row(values) and (np.diff(values) != 1.0).any()
+        if even or _LIKE_A_TIME.search(name):  # steps of 1 number the rows
             raise InputError(
                 f"{path}: {quoted(name)} may be the time, but is not named so; name it t, time, timestamp or time_s, "
                 "or leave it out"
@@ -141,15 +184,17 @@ def _times(path: Path, others: Mapping[str, NDArray[Any]]) -> NDArray[Any] | Non
     return None
 
 
-def is_steady(values: NDArray[Any]) -> bool:
-    """Whether numbers ``(K,)`` increase, and all along by about as much, as times do; joints seldom do."""
-    if values.ndim != 1 or len(values) < 2:
-        return False
-    apart = values - np.linspace(values[0], values[-1], len(values))
-    return bool((np.diff(values) > 0.0).all() and np.abs(apart).max() <= _STRAIGHT * (values[-1] - values[0]))
+def uneven_row(values: NDArray[Any]) -> int:
+    """The row at which numbers ``(K,)`` do not increase evenly, as times do and joints seldom; 0 if they do."""
+    rising = np.diff(values) > 0.0
+    if not rising.all():
+        return int(np.argmin(rising)) + 1
+    apart = np.abs(values - np.linspace(values[0], values[-1], len(values)))
+    allowed = max(_STRAIGHT, 0.5 / max(len(rising), 1)) * (values[-1] - values[0])
+    return int(np.argmax(apart)) if apart.max() > allowed else 0
 
 
-def _mat(path: Path, _: Columns) -> Iterator[Table]:
+def _mat(path: Path, _: Layout) -> Iterator[Table]:
     from scipy.io import loadmat
 
     with opened(path, _LARGEST_TABLE) as stream:

@@ -95,6 +95,20 @@ def test_what_may_be_the_time_is_not_passed_over(tmp_path, header, message):
         load_demonstrations([tmp_path / "a.csv"])
 
 
+@pytest.mark.parametrize("columns", [3, 7])
+@pytest.mark.parametrize("begin", [0.0, 1764145800.0])
+def test_without_names_the_first_column_is_the_time_if_it_increases_evenly(tmp_path, columns, begin):
+    # Stamps with jitter, by a good third of a step.
+    t = np.array([0.0, 0.1, 0.24, 0.3, 0.44, 0.5, *np.arange(0.6, 2.05, 0.1)])
+    samples = np.outer(t, POSES[1, :columns])
+    samples[:, 3:] = POSES[1, 3:columns]
+    np.save(tmp_path / "a.npy", np.column_stack([begin + t, samples]))
+    (one,) = load_demonstrations([tmp_path / "a.npy"])
+    np.testing.assert_allclose(one.t, t, atol=1e-6)
+    np.testing.assert_array_equal(one.position, samples[:, :3])
+    assert one.dof == {3: 3, 7: 6}[columns]
+
+
 def test_times_of_an_archive_by_their_name(tmp_path):
     np.savez(tmp_path / "a.npz", positions=PLANE[0], timestamps=[0.0, 3.0, 4.0])
     assert load_demonstrations([tmp_path / "a.npz"])[0].t.tolist() == [0.0, 3.0, 4.0]
@@ -107,7 +121,8 @@ def test_times_of_an_archive_by_their_name(tmp_path):
     ("content", "message"),
     [
         (np.zeros(3), "shape (K, D) or (n, K, D), got (3,)"),
-        (np.ones((5, 4)), "2, 3 or 7 columns"),
+        (np.ones((5, 5)), "2, 3 or 7 columns"),
+        (np.ones((5, 4)), "the first is no time, which would increase evenly: row 1 has 1 after 1; leave out"),
         (np.ones((1, 2)), "at least two samples, got 1"),
         (np.ones((5, 2)), "does not move"),
         (np.array([[0.0, np.nan], [1.0, 1.0]]), "1 NaN or infinite"),
