@@ -66,7 +66,8 @@ class JointDemonstrations:
         """Read files as `load_demonstrations` does, but with the arm's joints as columns.
 
         A table has n columns in the order of `Arm.joint_names`, or the time [s] and these; a csv file may name them, in
-        any order, and the time t, time or timestamp.
+        any order, and the time t, time or timestamp. Joints without a range may be recorded within half a turn of zero:
+        they are continued (`numpy.unwrap`).
 
         Args:
             arm: the arm.
@@ -85,7 +86,9 @@ class JointDemonstrations:
         words = f"{arm.n_joints} columns, the joints {', '.join(arm.joint_names)}, or the time and these"
         layout = Layout([arm.n_joints], words, partial(_joint_columns, arm), as_positive("rate", rate))
         tables = read_tables(files, layout)
-        shown = [_within_limits(arm, source, samples) for source, samples, _ in tables]
+        shown: list[Floats] = []
+        for source, samples, _ in tables:
+            shown.append(_within_limits(arm, source, samples, shown[0][-1] if shown else None))
         units = lever_units(arm, np.concatenate(shown))
         fractions = np.linspace(0.0, 1.0, _STEPS + 1)
         paths, times = [], []
@@ -237,10 +240,26 @@ def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:
     return joints
 
 
-def _within_limits(arm: Arm, source: str, table: Floats) -> Floats:
-    """Recorded joint positions ``(K, n)``, or `InputError` if the arm cannot take them."""
+def _within_limits(arm: Arm, source: str, table: Floats, end: Floats | None) -> Floats:
+    """Recorded joint positions ``(K, n)``, or `InputError` if the arm cannot take them.
+
+    Turns of continuous joints, which are often recorded within half a turn of zero, are continued, and whole turns are
+    added so that they end nearest to ``end`` ``(n,)``; by default, where they are within the limits.
+    """
+    table = np.where(arm.continuous, np.unwrap(table, axis=0), table)
+    if end is None:
+        beyond = ((table < arm.position_limits[:, 0]) | (table > arm.position_limits[:, 1])).any(axis=0)
+        end = table[-1] - beyond * (table.min(axis=0) + table.max(axis=0)) / 2.0
+    table = table + (arm.nearest_turn(table[-1], end) - table[-1])
     outside = arm.limit_excess(table)
     k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
     if outside[k, joint] > LIMIT_TOLERANCE:
         raise InputError(f"in row {k} of {source} {arm.describe_excess(table[k], joint)}")
+    jumps = np.abs(np.diff(table, axis=0)) * [arm.unit(j) == "rad" for j in range(arm.n_joints)]
+    k, joint = map(int, np.unravel_index(jumps.argmax(), jumps.shape))
+    if jumps[k, joint] > np.pi:
+        raise InputError(
+            f"in row {k + 1} of {source} joint {arm.joint_names[joint]!r}, which has a range, jumps from "
+            f"{table[k, joint]:.4g} to {table[k + 1, joint]:.4g} rad, more than half a turn; record it without jumps"
+        )
     return arm.within_angles(np.clip(table, *arm.position_limits.T))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.evaluation import paths
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
@@ -90,6 +91,37 @@ def test_what_is_no_motion_of_the_arm_says_why(gantry, files, tmp_path):
         JointDemonstrations.load(gantry, [tmp_path / "named.csv"])
     with pytest.raises(FileError, match=r"absent\.npy"):
         JointDemonstrations.load(gantry, [tmp_path / "absent.npy"])
+
+
+def test_turns_of_a_joint_without_a_range_go_on(two_hinges, tmp_path):
+    def wrapped(b):
+        return np.column_stack([0.5 * LAW, (b + np.pi) % (2.0 * np.pi) - np.pi])
+
+    def load(*recorded):
+        np.save(tmp_path / "wound.npy", recorded)
+        return JointDemonstrations.load(arm, [tmp_path / "wound.npy"]).q[..., 1]
+
+    (tmp_path / "arm.xml").write_text(two_hinges.replace('axis="0 1 0" range="-90 90"', 'axis="0 1 0"'))
+    arm = Arm.load(tmp_path / "arm.xml", floor="none")
+    # From 2 rad forwards by 2.5 rad; the others, which end beside it on either side of half a turn, end there as well.
+    way = 2.0 + (np.pi - 2.0) * LAW
+    found = load(wrapped(2.0 + 2.5 * LAW))[0]
+    assert (found[0], found[-1], np.abs(np.diff(found)).sum()) == pytest.approx((2.0, 4.5, 2.5))
+    found = load(wrapped(way - 0.02 * LAW), wrapped(way + 0.02 * LAW), np.add(wrapped(way), [0.0, 2.0 * np.pi]))
+    np.testing.assert_allclose(found[:, 0], 2.0)
+    np.testing.assert_allclose(found[:, -1], np.pi + np.array([-0.02, 0.02, 0.0]))
+    # 3 + 4 rad is beyond a turn, a turn back is within it.
+    assert load(wrapped(3.0 + 4.0 * LAW))[0, [0, -1]] == pytest.approx([3.0 - 2.0 * np.pi, 7.0 - 2.0 * np.pi])
+
+
+def test_a_joint_with_a_range_does_not_jump(gantry, tmp_path):
+    wound = bend()
+    wound[:, 3] = (2.5 + 1.5 * LAW + np.pi) % (2.0 * np.pi) - np.pi
+    wound = np.clip(wound, -3.0, 3.0)
+    k = int(np.argmax(np.abs(np.diff(wound[:, 3])))) + 1
+    np.save(tmp_path / "a.npy", wound)
+    with pytest.raises(InputError, match=rf"row {k} of a.npy joint 'turn', which has a range, jumps from 3 to -3 rad"):
+        JointDemonstrations.load(gantry, [tmp_path / "a.npy"])
 
 
 def test_the_network_does_what_was_shown(gantry, learned):
