@@ -18,7 +18,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.learning.demonstrations.alignment import GOALS, PHASES, at_phases
 from lieednn_sim.learning.demonstrations.family import Response, with_response
-from lieednn_sim.learning.demonstrations.tables import TIME, Layout, read_tables
+from lieednn_sim.learning.demonstrations.tables import TIME, TIME_UNITS, Layout, read_tables
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
@@ -62,6 +62,7 @@ class JointDemonstrations:
         rate: float = 100.0,
         phase: str = "length",
         goals: str = "aligned",
+        time_unit: str = "s",
     ) -> JointDemonstrations:
         """Read files as `load_demonstrations` does, but with the arm's joints as columns.
 
@@ -75,6 +76,7 @@ class JointDemonstrations:
             rate: sampling rate of files without times [1/s].
             phase: a name of `PHASES`; see `align`.
             goals: ``"aligned"``, all end at one goal, or ``"kept"``, each at its own.
+            time_unit: as of `load_demonstrations`.
 
         Raises:
             FileError: a file cannot be read, or is none of these.
@@ -83,8 +85,9 @@ class JointDemonstrations:
         """
         as_choice("phase", phase, PHASES)
         kept = as_choice("goals", goals, GOALS) == "kept"
+        as_choice("time_unit", time_unit, TIME_UNITS)
         words = f"{arm.n_joints} columns, the joints {', '.join(arm.joint_names)}, or the time and these"
-        layout = Layout([arm.n_joints], words, partial(_joint_columns, arm), as_positive("rate", rate))
+        layout = Layout([arm.n_joints], words, partial(_joint_columns, arm), as_positive("rate", rate), time_unit)
         tables = read_tables(files, layout)
         shown: list[Floats] = []
         for source, samples, _ in tables:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.demonstrations.tables import Layout, as_recording, read_tables
+from lieednn_sim.learning.demonstrations.tables import TIME_UNITS, Layout, as_recording, read_tables
 from lieednn_sim.lie import left_jacobian_so3
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
@@ -150,7 +150,12 @@ class Demonstration:
 
 
 def load_demonstrations(
-    files: Iterable[str | os.PathLike[str]], *, unit: str = "m", quaternion: str = "wxyz", rate: float = 100.0
+    files: Iterable[str | os.PathLike[str]],
+    *,
+    unit: str = "m",
+    quaternion: str = "wxyz",
+    rate: float = 100.0,
+    time_unit: str = "s",
 ) -> tuple[Demonstration, ...]:
     """Read demonstrations of one motion, one or several from each file.
 
@@ -166,6 +171,7 @@ def load_demonstrations(
         unit: unit of the positions, a name of `UNITS`.
         quaternion: order of the quaternions' entries, a name of `QUATERNIONS`.
         rate: sampling rate of files without times [1/s].
+        time_unit: unit of the times, ``s``, ``ms``, ``us`` or ``ns``, unless the name of their column has one.
 
     Raises:
         FileError: a file cannot be read, or is of another kind.
@@ -173,10 +179,11 @@ def load_demonstrations(
     """
     length = UNITS[as_choice("unit", unit, UNITS)]
     as_choice("order of quaternions", quaternion, QUATERNIONS)
-    as_positive("rate", rate)
+    as_choice("time_unit", time_unit, TIME_UNITS)
+    layout = Layout(_COUNTS, _WORDS, partial(_pose_columns, quaternion), as_positive("rate", rate), time_unit)
     result = [
         Demonstration.from_samples(samples, t, length, quaternion, rate, source)
-        for source, samples, t in read_tables(files, Layout(_COUNTS, _WORDS, partial(_pose_columns, quaternion), rate))
+        for source, samples, t in read_tables(files, layout)
     ]
     for other in result[1:]:
         if other.dof != result[0].dof:

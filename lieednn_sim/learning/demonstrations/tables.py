@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +20,13 @@ from lieednn_sim.values import Floats
 
 Table = tuple[NDArray[Any], NDArray[Any] | None]  # samples, and their times if the file has them
 
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_LONGEST_STEP = 0.9  # between times without a warning, unless a lower rate is given [s]
 _LARGEST_TABLE = 10**8  # bytes of a csv or mat file
 #: Names of the column of times, which may name the unit, too, as in time_s.
-TIME = re.compile(r"(t|times?|ts|time[ _]?stamps?|stamps?|secs?|seconds)([ _]*[\[(]?(s|secs?|seconds)[\])]?)?")
+TIME = re.compile(
+    r"(t|times?|ts|time[ _]?stamps?|stamps?|secs?|seconds)([ _]*[\[(]?(?P<unit>s|ms|us|ns|secs?|seconds)[\])]?)?"
+)
 _LIKE_A_TIME = re.compile("time|stamp|clock|epoch|elapsed|date|sec|milli|micro|nano")
 # Largest deviation of times from equal steps, as a fraction of the duration; half a step is allowed, too.
 _STRAIGHT = 0.02
@@ -36,12 +41,14 @@ class Layout:
         words: these columns in words, for messages.
         chosen: maps a csv file and the names of its columns to those of the samples, in order.
         rate: sampling rate of tables without times [1/s].
+        time_unit: unit of the times, unless the name of their column has one; a name of `TIME_UNITS`.
     """
 
     counts: Sequence[int]
     words: str
     chosen: Callable[[Path, list[str]], Sequence[str]] = lambda _, names: names
     rate: float = 100.0
+    time_unit: str = "s"
 
 
 def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: Layout) -> tuple[Floats, Floats]:
@@ -65,10 +72,12 @@ def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: L
                 f"evenly: row {row} has {t[row]:.15g} after {t[row - 1]:.15g}; leave out what is no sample, such as a "
                 "gripper, or name the columns in the first line of a .csv file"
             )
-    times = np.arange(count) / layout.rate if t is None else as_times(f"times of {source}", t)
+    if t is None:
+        return table, np.arange(count) / layout.rate
+    times = as_times(f"times of {source}", t)
     if len(times) != count:
         raise InputError(f"{source} has {count} samples and {len(times)} times")
-    return table, times - times[0]
+    return table, TIME_UNITS[layout.time_unit] * (times - times[0])
 
 
 def read_tables(files: Iterable[str | os.PathLike[str]], layout: Layout) -> list[tuple[str, Floats, Floats]]:
@@ -85,6 +94,13 @@ def read_tables(files: Iterable[str | os.PathLike[str]], layout: Layout) -> list
         for number, (samples, t) in enumerate(tables):
             source = path.name if len(tables) == 1 else f"{path.name}[{number}]"
             results.append((source, *as_recording(source, samples, t, layout)))
+            step = float(np.median(np.diff(results[-1][2])))
+            if step > max(_LONGEST_STEP, 1.01 / layout.rate):
+                warnings.warn(
+                    f"the times of {source} step by {step:.3g} s, read in {layout.time_unit}; for another unit see "
+                    f"time_unit: {', '.join(TIME_UNITS)}",
+                    stacklevel=3,
+                )
     if not results:
         raise InputError("there is no demonstration; name at least one file")
     return results
@@ -120,7 +136,7 @@ def _npy(path: Path, _: Layout) -> Iterator[Table]:
         return _several(path, read_array(stream, path.stat().st_size))
 
 
-def _npz(path: Path, _: Layout) -> Iterator[Table]:
+def _npz(path: Path, layout: Layout) -> Iterator[Table]:
     with opened(path) as stream:
         archive = Archive(stream)
         arrays = {name: archive.read(name) for name in archive.names}
@@ -132,7 +148,9 @@ def _npz(path: Path, _: Layout) -> Iterator[Table]:
     samples = arrays.pop(named[0])
     if quaternions is not None:
         samples = np.concatenate([samples, quaternions], axis=-1)
-    return _several(path, samples, _times(path, {name.lower(): array for name, array in arrays.items() if array.ndim}))
+    return _several(
+        path, samples, _times(path, {name.lower(): array for name, array in arrays.items() if array.ndim}, layout)
+    )
 
 
 def _csv(path: Path, layout: Layout) -> Iterator[Table]:
@@ -160,25 +178,25 @@ def _csv(path: Path, layout: Layout) -> Iterator[Table]:
         return _several(path, table)
     chosen = layout.chosen(path, names)
     others = {name: table[:, k] for k, name in enumerate(names) if name not in chosen}
-    return _several(path, table[:, [names.index(name) for name in chosen]], _times(path, others))
+    return _several(path, table[:, [names.index(name) for name in chosen]], _times(path, others, layout))
 
 
-def _times(path: Path, others: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
-    """The times among what is no sample, by their names in lower-case letters; None if nothing could be these.
+def _times(path: Path, others: Mapping[str, NDArray[Any]], layout: Layout) -> NDArray[Any] | None:
+    """The times among what is no sample, by names in lower-case letters, in the layout's unit; None if there are none.
 
     Raises:
         InputError: it is not clear what the times are.
     """
-    found = [name for name in others if TIME.fullmatch(name)]
+    found = {name: match["unit"] for name in others if (match := TIME.fullmatch(name))}
     if len(found) > 1:
         raise InputError(f"{path} may have one column of times alone, it has: {', '.join(found)}")
-    if found:
-        return others[found[0]]
+    for name, unit in found.items():
+        return others[name] * (TIME_UNITS.get(unit[:2], 1.0) / TIME_UNITS[layout.time_unit] if unit else 1)
     for name, values in others.items():
         even = values.ndim == 1 and not uneven_row(values) and (np.diff(values) != 1.0).any()
         if even or _LIKE_A_TIME.search(name):  # steps of 1 number the rows
             raise InputError(
-                f"{path}: {quoted(name)} may be the time, but is not named so; name it t, time, timestamp or time_s, "
+                f"{path}: {quoted(name)} may be the time, but is not named so; name it t, time, timestamp or time_ms, "
                 "or leave it out"
             )
     return None

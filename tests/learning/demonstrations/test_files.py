@@ -17,7 +17,7 @@ POSES = np.concatenate([[[1.0, 2.0, 3.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], QUA
 
 
 def test_formats_of_several_in_a_plane_agree(tmp_path):
-    times = np.array([[0.0, 1.0, 3.0], [5.0, 6.0, 9.0]])
+    times = np.array([[0.0, 0.1, 0.3], [0.5, 0.6, 0.9]])
     np.save(tmp_path / "all.npy", PLANE)
     np.savez(tmp_path / "all.npz", positions=PLANE, t=times)
     demos = np.empty(2, dtype=object)
@@ -66,9 +66,9 @@ NAMED_TIMES = ("t,x,y", "time,x,y", "timestamp,x,y", "time_s,x,y", "time [s],x,y
 
 @pytest.mark.parametrize("header", [*NAMED_TIMES, "# t,x,y", "#Time (s),x,y", '"t","x","y"', "# by hand\n# t, x, y"])
 def test_the_column_of_times_by_its_name(tmp_path, header):
-    (tmp_path / "a.csv").write_text(f"{header}\n0,1,2\n3,4,5\n4,6,7\n")
+    (tmp_path / "a.csv").write_text(f"{header}\n0,1,2\n0.3,4,5\n0.4,6,7\n")
     (one,) = load_demonstrations([tmp_path / "a.csv"])
-    assert one.t.tolist() == [0.0, 3.0, 4.0]
+    assert one.t.tolist() == [0.0, 0.3, 0.4]
     np.testing.assert_array_equal(one.position[:, :2], [[1, 2], [4, 5], [6, 7]])
 
 
@@ -109,9 +109,27 @@ def test_without_names_the_first_column_is_the_time_if_it_increases_evenly(tmp_p
     assert one.dof == {3: 3, 7: 6}[columns]
 
 
+@pytest.mark.parametrize(
+    ("name", "unit", "given"), [("t", "ms", "ms"), ("t", "us", "us"), ("time [ns]", "ns", "s"), ("stamp_s", "s", "ns")]
+)
+def test_times_in_their_unit_since_any_epoch(tmp_path, name, unit, given):
+    t = 1764145800.0 + np.array([0.0, 0.01, 0.02, 0.04])
+    scale = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+    columns = np.column_stack([scale * t, np.arange(4) ** 2, np.ones(4)])
+    np.savetxt(tmp_path / "a.csv", columns, delimiter=",", header=f"{name},x,y", comments="", fmt="%.9f")
+    (one,) = load_demonstrations([tmp_path / "a.csv"], time_unit=given)
+    np.testing.assert_allclose(one.t, [0.0, 0.01, 0.02, 0.04], atol=1e-6)
+    if unit == "ms":
+        with pytest.warns(UserWarning, match="times of a.csv step by 10 s, read in s; for another unit see time_unit"):
+            assert load_demonstrations([tmp_path / "a.csv"])[0].t[-1] == pytest.approx(40.0)
+    # A rate below 1 Hz is meant.
+    np.save(tmp_path / "slow.npy", PLANE)
+    assert load_demonstrations([tmp_path / "slow.npy"], rate=0.1)[0].t[1] == 10.0
+
+
 def test_times_of_an_archive_by_their_name(tmp_path):
-    np.savez(tmp_path / "a.npz", positions=PLANE[0], timestamps=[0.0, 3.0, 4.0])
-    assert load_demonstrations([tmp_path / "a.npz"])[0].t.tolist() == [0.0, 3.0, 4.0]
+    np.savez(tmp_path / "a.npz", positions=PLANE[0], timestamps=[0.0, 0.3, 0.4])
+    assert load_demonstrations([tmp_path / "a.npz"])[0].t.tolist() == [0.0, 0.3, 0.4]
     np.savez(tmp_path / "a.npz", positions=PLANE[0], minutes=[0.0, 0.1, 0.2])
     with pytest.raises(InputError, match="'minutes' may be the time"):
         load_demonstrations([tmp_path / "a.npz"])
@@ -163,5 +181,7 @@ def test_files_that_do_not_fit(tmp_path):
             load_demonstrations([tmp_path / "sheet.csv"])
     with pytest.raises(InputError, match="allowed: cm, m, mm"):
         load_demonstrations([tmp_path / "plane.npy"], unit="inch")
+    with pytest.raises(InputError, match="no time_unit 'min'; allowed: ms, ns, s, us"):
+        load_demonstrations([tmp_path / "plane.npy"], time_unit="min")
     with pytest.raises(InputError, match="name at least one file"):
         load_demonstrations([])
