@@ -87,9 +87,9 @@ def learn(
 ) -> None:
     """Learn a certified network from recorded motions of an end effector or of an arm's joints.
 
-    The files are .npy, .npz, .csv or LASA's .mat. Each row is a position x y or x y z, or a pose with a unit
-    quaternion, and the network is compared with other models. With --arm each row holds the joints of the arm;
-    continue with 'simulate'.
+    The files are .npy, .npz, .csv, .txt, .tsv, .tum or LASA's .mat. Each row is a position x y or x y z, or a pose
+    with a unit quaternion, and the network is compared with other models. With --arm each row holds the joints of the
+    arm; continue with 'simulate'.
 
     Args:
         files: files with demonstrations of one motion, each of which ends at its goal.

@@ -66,7 +66,7 @@ class JointDemonstrations:
     ) -> JointDemonstrations:
         """Read files as `load_demonstrations` does, but with the arm's joints as columns.
 
-        A table has n columns in the order of `Arm.joint_names`, or the time [s] and these; a csv file may name them, in
+        A table has n columns in the order of `Arm.joint_names`, or the time and these; a text file may name them, in
         any order, and the time t, time or timestamp. Joints without a range may be recorded within half a turn of zero:
         they are continued (`numpy.unwrap`).
 

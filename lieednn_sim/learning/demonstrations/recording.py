@@ -30,7 +30,7 @@ _NORMS = (0.9, 1.1)  # accepted norms of recorded unit quaternions, which may be
 _LARGEST_TURN = 2.0 * np.pi - 0.2  # largest angle of a rotation vector [rad]: the chart is singular at a full turn
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-_COLUMNS = ("x", "y", "z")
+_AXES = ("x", "y", "z")
 _QUATERNION_COLUMNS = tuple(f"q{letter}" for letter in "wxyz")
 
 
@@ -81,7 +81,8 @@ class Demonstration:
         """Make a demonstration of rows x, y; x, y, z; or x, y, z and a quaternion.
 
         Args:
-            samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, at least two rows; quaternions are normalised if within 10 %.
+            samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, or the times and three or seven columns, ``(K, 4)`` or ``(K, 8)``;
+                at least two rows; quaternions are normalised if within 10 %.
             t: ``(K,)`` increasing times [s], or None.
             length: length unit of the positions [m].
             quaternion: order of the quaternions' entries, a name of `QUATERNIONS`.
@@ -94,8 +95,12 @@ class Demonstration:
         length, rate = as_positive("length", length), as_positive("rate", rate)
         as_choice("order of quaternions", quaternion, QUATERNIONS)
         table, times = as_recording(source, samples, t, Layout(_COUNTS, _WORDS, rate=rate))
-        if np.abs(table).max() > _LARGEST:
-            raise InputError(f"{source} must not exceed {_LARGEST:g} in size, got {np.abs(table).max():g}")
+        row, column = map(int, np.unravel_index(np.abs(table).argmax(), table.shape))
+        if abs(table[row, column]) > _LARGEST:
+            raise InputError(
+                f"{source} must not exceed {_LARGEST:g} in size, got {table[row, column]:.15g} in row {row}, column "
+                f"{column}; if it is the time, name the columns in the first line of a text file, such as t x y"
+            )
         count, columns = table.shape
         position = np.zeros((count, 3))
         position[:, : min(columns, 3)] = length * table[:, :3]
@@ -159,11 +164,12 @@ def load_demonstrations(
 ) -> tuple[Demonstration, ...]:
     """Read demonstrations of one motion, one or several from each file.
 
-    - ``.npy``: ``(K, D)`` or ``(n, K, D)`` with D = 2, 3 or 7.
+    - ``.npy``: ``(K, D)`` or ``(n, K, D)`` with D = 2, 3 or 7, or 4 or 8 with the times first.
     - ``.npz``: such an array, the only one or named ``poses`` or ``positions``; optionally separate ``quaternions``
       ``(..., K, 4)``, and times ``t`` ``(K,)`` or ``(n, K)`` [s].
-    - ``.csv``: one demonstration, separated by commas. A first line may name the columns x, y, z, qw, qx, qy, qz and t,
-      time or timestamp [s] in any order; others are ignored, unless they may be the time.
+    - ``.csv``, ``.txt``, ``.tsv``, ``.tum``: one demonstration, separated by commas, blanks or tabs. A first line, or a
+      comment, may name the columns x, y, z (or tx, ty, tz), qw, qx, qy, qz and t, time or timestamp in any order;
+      others are ignored, unless they may be the time. A ``.tum`` file without names has timestamp tx ty tz qx qy qz qw.
     - ``.mat``: the structures ``demos`` of the LASA data set, with ``pos`` ``(2, K)`` and ``t``.
 
     Args:
@@ -195,9 +201,10 @@ def load_demonstrations(
 
 
 def _pose_columns(quaternion: str, path: Path, names: list[str]) -> Sequence[str]:
-    chosen = [name for name in _COLUMNS if name in names]
+    axes = _AXES if "x" in names else [f"t{letter}" for letter in _AXES]  # as in TUM's files
+    chosen = [name for name in axes if name in names]
     if any(name in names for name in _QUATERNION_COLUMNS):
-        chosen = [*_COLUMNS, *(f"q{letter}" for letter in quaternion)]
-    if chosen[:2] != ["x", "y"] or not set(chosen) <= set(names):
+        chosen = [*axes, *(f"q{letter}" for letter in quaternion)]
+    if chosen[:2] != [*axes[:2]] or not set(chosen) <= set(names):
         raise InputError(f"{path} must have columns x, y, z and qw, qx, qy, qz, or x, y; it has: {', '.join(names)}")
     return chosen

@@ -22,7 +22,9 @@ Table = tuple[NDArray[Any], NDArray[Any] | None]  # samples, and their times if 
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _LONGEST_STEP = 0.9  # between times without a warning, unless a lower rate is given [s]
-_LARGEST_TABLE = 10**8  # bytes of a csv or mat file
+_LARGEST_TABLE = 10**8  # bytes of a text or mat file
+_TEXT = (".csv", ".txt", ".tsv", ".tum")
+_TUM = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 #: Names of the column of times, which may name the unit, too, as in time_s.
 TIME = re.compile(
     r"(t|times?|ts|time[ _]?stamps?|stamps?|secs?|seconds)([ _]*[\[(]?(?P<unit>s|ms|us|ns|secs?|seconds)[\])]?)?"
@@ -39,7 +41,7 @@ class Layout:
     Attributes:
         counts: the numbers of columns that its samples may have.
         words: these columns in words, for messages.
-        chosen: maps a csv file and the names of its columns to those of the samples, in order.
+        chosen: maps a text file and the names of its columns to those of the samples, in order.
         rate: sampling rate of tables without times [1/s].
         time_unit: unit of the times, unless the name of their column has one; a name of `TIME_UNITS`.
     """
@@ -70,7 +72,7 @@ def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: L
             raise InputError(
                 f"{source} must have {layout.words}; got {columns}, and the first is no time, which would increase "
                 f"evenly: row {row} has {t[row]:.15g} after {t[row - 1]:.15g}; leave out what is no sample, such as a "
-                "gripper, or name the columns in the first line of a .csv file"
+                "gripper, or name the columns in the first line of a text file"
             )
     if t is None:
         return table, np.arange(count) / layout.rate
@@ -107,9 +109,9 @@ def read_tables(files: Iterable[str | os.PathLike[str]], layout: Layout) -> list
 
 
 def _tables(path: Path, layout: Layout) -> Iterator[Table]:
-    read = {".npy": _npy, ".npz": _npz, ".csv": _csv, ".mat": _mat}.get(path.suffix.lower())
+    read = {".npy": _npy, ".npz": _npz, ".mat": _mat, **dict.fromkeys(_TEXT, _text)}.get(path.suffix.lower())
     if read is None:
-        raise FileError(f"{path} is no file of demonstrations; allowed are .npy, .npz, .csv and .mat")
+        raise FileError(f"{path} is no file of demonstrations; allowed are .npy, .npz, .mat, {', '.join(_TEXT)}")
     try:
         yield from read(path, layout)
     except (FileError, InputError):
@@ -153,27 +155,33 @@ def _npz(path: Path, layout: Layout) -> Iterator[Table]:
     )
 
 
-def _csv(path: Path, layout: Layout) -> Iterator[Table]:
+def _text(path: Path, layout: Layout) -> Iterator[Table]:
     with opened(path, _LARGEST_TABLE) as stream:
         lines = [line for line in map(str.strip, stream.read().decode("utf-8-sig").splitlines()) if line]
     comments = next(k for k, line in enumerate(lines) if line[0] not in "#%")
     first = lines[comments]
-    if ";" in first or "\t" in first:
-        raise FileError(
-            f"{path} must be separated by commas, with points in its numbers; its first line is {quoted(first)}"
-        )
+    separator = "," if "," in first else "\t" if "\t" in first else None
 
     def words(line: str) -> list[str]:
-        return [name.strip(" #%\"'").lower() for name in line.split(",")]
+        return [name.strip(" ,\"'").lower() for name in line.strip("#% ").split(separator)]
 
     headed = any(name[:1].isalpha() and name not in ("nan", "inf") for name in words(first))
-    table = np.loadtxt(lines[comments + headed :], delimiter=",", ndmin=2, quotechar='"')
+    try:
+        if not (rows := lines[comments + headed :]):
+            raise ValueError("there are no rows")
+        table = np.loadtxt(rows, delimiter=separator, ndmin=2, quotechar='"')
+    except ValueError as error:
+        raise FileError(
+            f"{path} must be separated by commas, blanks or tabs, with points in its numbers; {error}"
+        ) from None
     if headed:
         names = words(first)
         if len(names) != table.shape[1]:
             raise InputError(f"{path} names {len(names)} columns, and its rows have {table.shape[1]}")
     else:  # a comment may name them, as np.savetxt writes it
-        names = next((found for found in map(words, lines[:comments][::-1]) if len(found) == table.shape[1]), [])
+        usual = _TUM if path.suffix.lower() == ".tum" else []
+        named = (found for found in map(words, lines[:comments][::-1]) if len(found) == table.shape[1])
+        names = next(named, usual)
     if not names:
         return _several(path, table)
     chosen = layout.chosen(path, names)

@@ -127,6 +127,22 @@ def test_times_in_their_unit_since_any_epoch(tmp_path, name, unit, given):
     assert load_demonstrations([tmp_path / "slow.npy"], rate=0.1)[0].t[1] == 10.0
 
 
+@pytest.mark.parametrize("separator", [" ", "\t", ","])
+@pytest.mark.parametrize(
+    ("name", "header"), [("a.csv", "t,x,y,z,qw,qx,qy,qz"), ("a.txt", "timestamp,tx,ty,tz,qw,qx,qy,qz"), ("a.tum", "")]
+)
+def test_text_separated_by_anything_and_tum(tmp_path, name, header, separator):
+    table = np.column_stack([1764145800.0 + np.array([0.0, 0.25, 0.5]), POSES])
+    table = table if header else table[:, [0, 1, 2, 3, 5, 6, 7, 4]]
+    text = {"delimiter": separator, "header": header.replace(",", separator), "fmt": "%.9f"}
+    for comments in ("# from a bag\n# ", ""):
+        np.savetxt(tmp_path / name, table, **text, comments=comments)
+        (one,) = load_demonstrations([tmp_path / name])
+        np.testing.assert_allclose(one.t, [0.0, 0.25, 0.5], atol=1e-6)
+        np.testing.assert_allclose(one.position, POSES[:, :3])
+        np.testing.assert_allclose(one.rotation[1], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-8)
+
+
 def test_times_of_an_archive_by_their_name(tmp_path):
     np.savez(tmp_path / "a.npz", positions=PLANE[0], timestamps=[0.0, 0.3, 0.4])
     assert load_demonstrations([tmp_path / "a.npz"])[0].t.tolist() == [0.0, 0.3, 0.4]
@@ -172,13 +188,16 @@ def test_files_that_do_not_fit(tmp_path):
     np.save(tmp_path / "pickled.npy", np.array([{}], dtype=object), allow_pickle=True)
     for name in ("damaged.mat", "damaged.npz", "damaged.npy", "damaged.csv"):
         (tmp_path / name).write_bytes(b"no such thing")
-    for name in ("damaged.mat", "damaged.npz", "damaged.npy", "damaged.csv", "pickled.npy", "plane.txt", "absent.npy"):
+    for name in ("damaged.mat", "damaged.npz", "damaged.npy", "damaged.csv", "pickled.npy", "plane.dat", "absent.npy"):
         with pytest.raises(FileError, match=name):
             load_demonstrations([tmp_path / name])
-    for line in ("x;y\n0,1;0,2\n", "0.1;0.2\n", "0.1\t0.2\n"):
+    for line in ("x;y\n0,1;0,2\n", "0.1;0.2\n", "0,1\t0,2\n"):
         (tmp_path / "sheet.csv").write_text(line * 2)
-        with pytest.raises(FileError, match=r"sheet.csv must be separated by commas, .* its first line is"):
+        with pytest.raises(FileError, match=r"sheet.csv must be separated by commas, blanks or tabs, with points in"):
             load_demonstrations([tmp_path / "sheet.csv"])
+    np.savetxt(tmp_path / "epoch.csv", np.add([1764145800.0, 0.0, 0.0], np.outer(np.arange(3), [0.1, 1.0, 2.0])))
+    with pytest.raises(InputError, match=r"got 1764145800.2 in row 2, column 0; if it is the time, name the columns"):
+        load_demonstrations([tmp_path / "epoch.csv"])
     with pytest.raises(InputError, match="allowed: cm, m, mm"):
         load_demonstrations([tmp_path / "plane.npy"], unit="inch")
     with pytest.raises(InputError, match="no time_unit 'min'; allowed: ms, ns, s, us"):
