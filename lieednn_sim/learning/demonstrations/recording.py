@@ -81,8 +81,8 @@ class Demonstration:
         """Make a demonstration of rows x, y; x, y, z; or x, y, z and a quaternion.
 
         Args:
-            samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, or the times and three or seven columns, ``(K, 4)`` or ``(K, 8)``;
-                at least two rows; quaternions are normalised if within 10 %.
+            samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, or the times and the latter, ``(K, 4)`` or ``(K, 8)``; at
+                least two rows; quaternions are normalised if within 10 %.
             t: ``(K,)`` increasing times [s], or None.
             length: length unit of the positions [m].
             quaternion: order of the quaternions' entries, a name of `QUATERNIONS`.

@@ -76,7 +76,10 @@ def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: L
             )
     if t is None:
         return table, np.arange(count) / layout.rate
-    times = as_times(f"times of {source}", t)
+    try:
+        times = as_times(f"times of {source}", t)
+    except InputError as error:
+        raise InputError(f"{error}; drop the row, or leave out the times and give the sampling rate") from None
     if len(times) != count:
         raise InputError(f"{source} has {count} samples and {len(times)} times")
     return table, TIME_UNITS[layout.time_unit] * (times - times[0])

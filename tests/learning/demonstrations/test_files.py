@@ -143,6 +143,16 @@ def test_text_separated_by_anything_and_tum(tmp_path, name, header, separator):
         np.testing.assert_allclose(one.rotation[1], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-8)
 
 
+@pytest.mark.parametrize(
+    ("t", "given"),
+    [([0.0, 0.1, 0.1, 0.3], "0.1 after 0.1 in row 2"), ([0.0, 0.2, 0.1, 0.3], "0.1 after 0.2 in row 2")],
+)
+def test_a_time_that_does_not_increase_is_named_with_its_row(tmp_path, t, given):
+    np.savez(tmp_path / "a.npz", positions=POSES[[0, 0, 1, 2], :3], t=t)
+    with pytest.raises(InputError, match=f"increasing times, got {given}; drop the row, or leave out the times"):
+        load_demonstrations([tmp_path / "a.npz"])
+
+
 def test_times_of_an_archive_by_their_name(tmp_path):
     np.savez(tmp_path / "a.npz", positions=PLANE[0], timestamps=[0.0, 0.3, 0.4])
     assert load_demonstrations([tmp_path / "a.npz"])[0].t.tolist() == [0.0, 0.3, 0.4]
@@ -159,7 +169,7 @@ def test_times_of_an_archive_by_their_name(tmp_path):
         (np.ones((5, 4)), "the first is no time, which would increase evenly: row 1 has 1 after 1; leave out"),
         (np.ones((1, 2)), "at least two samples, got 1"),
         (np.ones((5, 2)), "does not move"),
-        (np.array([[0.0, np.nan], [1.0, 1.0]]), "1 NaN or infinite"),
+        (np.array([[0.0, np.nan], [1.0, 1.0]]), "1 NaN or infinite entries, the first in row 0"),
         (np.array([[0.0] * 6 + [1.0], [1.0] * 7]), "must be units, got norm 2 in row 1"),
         (np.array([["a", "b"], ["c", "d"]]), "array of numbers"),
     ],
