@@ -16,7 +16,7 @@ import numpy as np
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.learning.demonstrations.alignment import GOALS, PHASES, at_phases
+from lieednn_sim.learning.demonstrations.alignment import GOALS, PHASES, Indices, at_phases
 from lieednn_sim.learning.demonstrations.family import Response, with_response
 from lieednn_sim.learning.demonstrations.tables import TIME, TIME_UNITS, Layout, read_tables
 from lieednn_sim.network import LieEDNN
@@ -96,10 +96,10 @@ class JointDemonstrations:
         fractions = np.linspace(0.0, 1.0, _STEPS + 1)
         paths, times = [], []
         for q, (source, _, t) in zip(shown, tables, strict=True):
-            steps = step_lengths(arm.encode(q), units)
-            if steps.sum() < _LEAST_LENGTH:
+            states = (arm.encode(q) * units).reshape(len(q), -1)
+            if np.ptp(states, axis=0).max() < _LEAST_LENGTH:
                 raise InputError(f"{source} does not move")
-            path, at = at_phases(fractions, q, t, steps, phase)
+            path, at = at_phases(fractions, q, t, phase, states, partial(_lengths, states))
             paths.append(path)
             times.append(at)
         ends = np.array([path[-1] for path in paths])
@@ -229,6 +229,11 @@ class JointMotion:
 
     def _path(self, start: Floats) -> NetworkPath:
         return NetworkPath.integrate(self.arm, self.network, start, self.units)
+
+
+def _lengths(points: Floats, kept: Indices) -> Floats:
+    """Lengths of the steps between the points ``(K, D)`` with the given indices."""
+    return np.asarray(np.linalg.norm(np.diff(points[kept], axis=0), axis=1))
 
 
 def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:

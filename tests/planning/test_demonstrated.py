@@ -189,6 +189,14 @@ def test_a_pause_is_kept_and_speed_that_no_joint_has_takes_longer(gantry, tmp_pa
     assert "its limit is" in refused[1]
 
 
+def test_noise_makes_no_way_of_a_pause(gantry, tmp_path):
+    rng, paused = np.random.default_rng(0), np.repeat(bend(), [300] + [1] * 199, axis=0)
+    for name, q in (("a", bend()), ("b", bend()), ("c", paused)):
+        np.save(tmp_path / f"{name}.npy", q + 5e-4 * rng.normal(size=q.shape))
+    shown = JointDemonstrations.load(gantry, [tmp_path / f"{name}.npy" for name in "abc"])
+    assert shown.mean[:, 1].max() == pytest.approx(0.5, abs=2e-3)
+
+
 def test_errors_by_hand(gantry):
     shown = bend()[::4]
     # 10 cm beside in z all the way, which is 2 % of its range of 5; the effector is as far off.
