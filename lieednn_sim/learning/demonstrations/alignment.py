@@ -135,11 +135,17 @@ def align(
     at_goal = Demonstration(np.arange(2.0), *rest, demonstrations[0].dof)
     for item in demonstrations:
         seen = item.twists_from(at_goal) if kept else item.twists
-        points, lengths = item.points(lever), partial(item.steps, lever)
-        reached, at = at_phases(fractions, seen, item.t, phase, points, lengths)
+        # As far apart as the poses, but for large turns, of which they are the chords.
+        points = np.hstack([item.position, item.rotation.reshape(-1, 9) * lever / np.sqrt(2.0)])
+        reached, at = at_phases(fractions, seen, item.t, phase, points, partial(_lengths, item, lever))
         twists.append(reached)
         times.append(at)
     return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].dof, lever, kept)
+
+
+def _lengths(item: Demonstration, lever: float, kept: Indices) -> Floats:
+    some = replace(item, t=item.t[kept], position=item.position[kept], rotation=item.rotation[kept])
+    return some.steps(lever)
 
 
 def mean_goal(demonstrations: Sequence[Demonstration]) -> RigidTransform:

@@ -10,7 +10,6 @@ import os
 from collections.abc import Iterable, Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -148,16 +147,11 @@ class Demonstration:
         shift = np.linalg.solve(left_jacobian_so3(turn), (self.position - other.position[-1])[..., None])[..., 0]
         return np.concatenate([turn, shift], axis=1)
 
-    def steps(self, lever: float, kept: Any = slice(None)) -> Floats:
-        """Lengths of the steps between samples [m], all or those ``kept``; a radian counts for ``lever`` metres."""
-        lever, position, rotation = as_positive("lever", lever), self.position[kept], self.rotation[kept]
-        turns = Rotation.from_matrix(rotation[1:] @ rotation[:-1].swapaxes(1, 2)).magnitude()
-        return np.hypot(np.linalg.norm(np.diff(position, axis=0), axis=1), lever * turns)
-
-    def points(self, lever: float) -> Floats:
-        """Points ``(K, 12)`` [m] as far apart as the poses, but for large turns, of which they have the chords."""
-        turns = self.rotation.reshape(len(self.t), 9) * lever / np.sqrt(2.0)
-        return np.concatenate([self.position, turns], axis=1)
+    def steps(self, lever: float) -> Floats:
+        """Lengths ``(K - 1,)`` from each sample to the next [m], in which a radian counts for ``lever`` metres."""
+        lever = as_positive("lever", lever)
+        turns = Rotation.from_matrix(self.rotation[1:] @ self.rotation[:-1].swapaxes(1, 2)).magnitude()
+        return np.hypot(np.linalg.norm(np.diff(self.position, axis=0), axis=1), lever * turns)
 
 
 def load_demonstrations(
