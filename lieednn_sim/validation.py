@@ -75,7 +75,9 @@ def as_floats(
             if array.ndim == 0:
                 raise InputError(f"{name} must be finite, got {None if value is None else float(array)}")
             count = np.count_nonzero(~np.isfinite(array))
-            raise InputError(f"{name} must be finite, got {count} NaN or infinite entries")
+            first = np.argwhere(~np.isfinite(array))[0].tolist()
+            where = f"in row {first[0]}" if array.ndim == 2 else f"at {first}"
+            raise InputError(f"{name} must be finite, got {count} NaN or infinite entries, the first {where}")
         raise InputError(f"{name} must not exceed {largest:g} in size, got {np.abs(array).max():g}")
     return array
 
@@ -159,8 +161,13 @@ def as_finite(name: str, result: NDArray[Any]) -> NDArray[Any]:
 def as_times(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """Return ``value`` as at least two increasing times ``(K,)``, or raise `InputError`."""
     times = as_floats(name, value, ("K",))
-    if len(times) < 2 or not (np.diff(times) > 0.0).all():
-        raise InputError(f"{name} must hold at least two increasing times")
+    wanted = f"{name} must hold at least two increasing times"
+    if len(times) < 2:
+        raise InputError(f"{wanted}, got {len(times)}")
+    increasing = np.diff(times) > 0.0
+    if not increasing.all():
+        k = int(np.argmin(increasing)) + 1
+        raise InputError(f"{wanted}, got {times[k]:.15g} after {times[k - 1]:.15g} in row {k}")
     return times
 
 

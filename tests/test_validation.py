@@ -27,7 +27,7 @@ def test_floats_accept_lists_integers_and_batches():
         (np.zeros((1, 4, 6)), ("N", 6), False, r"\(N, 6\), got \(1, 4, 6\)"),
         (np.zeros(6), ("N", 6), True, r"\(\.\.\., N, 6\), got \(6\)"),
         (1.0, (3,), True, r"\(\.\.\., 3\), got \(\)"),
-        ([1.0, np.nan, -np.inf], (3,), False, "x must be finite, got 2 NaN or infinite"),
+        ([1.0, np.nan, -np.inf], (3,), False, r"got 2 NaN or infinite entries, the first at \[1\]"),
         (float("nan"), (), False, "x must be finite, got nan$"),
         (None, (), False, "x must be finite, got None$"),
         ("abc", (1,), False, "x must be an array of numbers, got str"),

@@ -50,6 +50,7 @@ class Fitting:
 
     Attributes:
         sample_rate: sampling rate of files without times [Hz].
+        time_unit: unit of the times in the files: s, ms, us or ns.
         phase: average demonstrations at equal fractions of their path, 'length', or of their duration, 'time'.
         goals: 'aligned': express each path relative to its own goal; 'kept': learn how the path depends on its goal.
         deviation: largest deviation of the network from the mean demonstration [m] (default: 0.002 of the extent of the
@@ -63,6 +64,7 @@ class Fitting:
     """
 
     sample_rate: float = 100.0
+    time_unit: str = "s"
     phase: str = "length"
     goals: str = "aligned"
     deviation: float | None = None
@@ -85,9 +87,9 @@ def learn(
 ) -> None:
     """Learn a certified network from recorded motions of an end effector or of an arm's joints.
 
-    The files are .npy, .npz, .csv or LASA's .mat. Each row is a position x y or x y z, or a pose with a unit
-    quaternion, and the network is compared with other models. With --arm each row holds the joints of the arm;
-    continue with 'simulate'.
+    The files are .npy, .npz, .csv, .txt, .tsv, .tum or LASA's .mat. Each row is a position x y or x y z, or a pose
+    with a unit quaternion, and the network is compared with other models. With --arm each row holds the joints of the
+    arm; continue with 'simulate'.
 
     Args:
         files: files with demonstrations of one motion, each of which ends at its goal.
@@ -126,7 +128,8 @@ def _learn_poses(files: Sequence[str], reading: Reading, fitting: Fitting, run: 
     for name in rivals:
         RIVALS.find(name)
     options = ShapingOptions(rate=fitting.clock_rate)
-    shown = load_demonstrations(files, unit=reading.unit, quaternion=reading.quaternion, rate=fitting.sample_rate)
+    rate, time_unit = fitting.sample_rate, fitting.time_unit
+    shown = load_demonstrations(files, unit=reading.unit, quaternion=reading.quaternion, rate=rate, time_unit=time_unit)
     demonstrations = align(shown, phase=fitting.phase, goals=fitting.goals)
     aligned = align(shown, phase=fitting.phase) if demonstrations.goals_kept else None
     apart = goal_distance(shown)
@@ -182,7 +185,10 @@ def _learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run
     """Read, fit, measure, and write a run with network and motion, ``report.json`` and two plots."""
     options = ShapingOptions(rate=fitting.clock_rate)
     arm = chosen.load()
-    shown = JointDemonstrations.load(arm, files, rate=fitting.sample_rate, phase=fitting.phase, goals=fitting.goals)
+    rate, time_unit = fitting.sample_rate, fitting.time_unit
+    shown = JointDemonstrations.load(
+        arm, files, rate=rate, phase=fitting.phase, goals=fitting.goals, time_unit=time_unit
+    )
     with run.at_work():
         learned = JointMotion.fit(shown, fitting.deviation, options, family=fitting.family)
         motion, refusal = learned.planned(shown.mean[0])

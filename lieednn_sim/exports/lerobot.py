@@ -15,8 +15,9 @@ from pyarrow import parquet
 from lieednn_sim.errors import InputError
 from lieednn_sim.exports.formats import Episode, samples
 from lieednn_sim.simulation import Rollout
+from lieednn_sim.validation import as_positive
 
-# Samples per second of runs, unless another rate is asked for.
+# Samples per second of runs, or about as many, unless another rate is asked for.
 _RATE = 50.0
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _FIRST = _FILE.format(chunk_index=0, file_index=0)
@@ -28,24 +29,44 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
     """Write a data set with one episode for each rollout; see `formats.export`.
 
     ``observation.state`` holds the measured positions and velocities, and ``action`` the planned positions one sample
-    later; ``rate`` is 50 Hz by default.
+    later. ``rate`` is a whole number; by default that which is nearest to 50 Hz and divides the simulation's rate.
 
     Raises:
-        InputError: the rollouts are of arms with other joints, or the rate is no whole number.
+        InputError: the rollouts are of arms with other joints, or no whole number of samples per second divides the
+            simulation's rate, or the rate is none.
     """
-    first, episodes = next(iter(rollouts.values())).arm, []
+    (first, timestep), episodes = next((item.arm, item.timestep) for item in rollouts.values()), []
+    fps = _frames_per_second(rate, timestep)
     for name, rollout in rollouts.items():
         if rollout.arm.joint_names != first.joint_names:
             raise InputError(f"a data set is of one arm: {name!r} has other joints than the first run")
-        rows = samples(rollout, _RATE if rate is None else rate)
+        rows = samples(rollout, fps)
         state = np.hstack([rollout.q, rollout.qd])[rows][:-1]
         if not len(state):
             raise InputError(f"{name!r} is too short for one sample at this rate")
         frames = {"observation.state": state, "action": rollout.q_ref[rows][1:]}
         episodes.append(Episode(frames, {"run": name}))
     names = {"observation.state": state_names(first.joint_names), "action": list(first.joint_names)}
-    fps = _RATE if rate is None else rate
     write_dataset(folder, episodes, names, fps=fps, task="Follow the planned motion.", robot=first.name)
+
+
+def _frames_per_second(rate: float | None, timestep: float) -> int:
+    """The rate [Hz], or the nearest to `_RATE`, if it is a whole number that divides the simulation's; `InputError`."""
+    most = round(1.0 / timestep)
+    allowed = [k for k in range(1, most + 1) if most % k == 0] if abs(most * timestep - 1.0) < 1e-6 else []
+    wanted = _RATE if rate is None else as_positive("rate", rate)
+    if not allowed:
+        raise InputError(
+            f"LeRobot's format has a whole number of frames per second, and none divides the simulation's "
+            f"{1.0 / timestep:.6g} Hz; simulate with another time step, such as 0.002 or 0.005 s"
+        )
+    nearest = min(allowed, key=lambda k: abs(k - wanted))
+    if rate is not None and nearest != rate:
+        raise InputError(
+            f"rate must divide the simulation's {most} Hz and be a whole number of frames per second in LeRobot's "
+            f"format, got {rate:g} Hz; for example {nearest} Hz"
+        )
+    return nearest
 
 
 def state_names(joints: Sequence[str], *parts: str) -> list[str]:

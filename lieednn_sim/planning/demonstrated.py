@@ -13,13 +13,12 @@ from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.learning.demonstrations.alignment import GOALS, PHASES, at_phases
+from lieednn_sim.learning.demonstrations.alignment import GOALS, PHASES, Indices, at_phases
 from lieednn_sim.learning.demonstrations.family import Response, with_response
-from lieednn_sim.learning.demonstrations.recording import TIMES, read_tables
+from lieednn_sim.learning.demonstrations.tables import TIME, TIME_UNITS, Layout, read_tables
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
@@ -27,7 +26,7 @@ from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.planning.time_laws import Law, law_of_times, step_lengths
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
-from lieednn_sim.validation import as_choice, as_floats, as_positive, as_times
+from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import Floats, frozen
 
 # Steps of the phase, and the number of them that define the time law: recorded times are noisy.
@@ -63,11 +62,13 @@ class JointDemonstrations:
         rate: float = 100.0,
         phase: str = "length",
         goals: str = "aligned",
+        time_unit: str = "s",
     ) -> JointDemonstrations:
         """Read files as `load_demonstrations` does, but with the arm's joints as columns.
 
-        A table has n columns in the order of `Arm.joint_names`, or the time [s] and these; a csv file may name them, in
-        any order, and the time t or time.
+        A table has n columns in the order of `Arm.joint_names`, or the time and these; a text file may name them, in
+        any order, and the time t, time or timestamp. Joints without a range may be recorded within half a turn of zero:
+        they are continued (`numpy.unwrap`).
 
         Args:
             arm: the arm.
@@ -75,6 +76,7 @@ class JointDemonstrations:
             rate: sampling rate of files without times [1/s].
             phase: a name of `PHASES`; see `align`.
             goals: ``"aligned"``, all end at one goal, or ``"kept"``, each at its own.
+            time_unit: as of `load_demonstrations`.
 
         Raises:
             FileError: a file cannot be read, or is none of these.
@@ -83,17 +85,21 @@ class JointDemonstrations:
         """
         as_choice("phase", phase, PHASES)
         kept = as_choice("goals", goals, GOALS) == "kept"
-        rate = as_positive("rate", rate)
-        tables = read_tables(files, partial(_joint_columns, arm))
-        shown = [_motion(arm, source, samples, t, rate) for source, samples, t in tables]
-        units = lever_units(arm, np.concatenate([q for q, _ in shown]))
+        as_choice("time_unit", time_unit, TIME_UNITS)
+        words = f"{arm.n_joints} columns, the joints {', '.join(arm.joint_names)}, or the time and these"
+        layout = Layout([arm.n_joints], words, partial(_joint_columns, arm), as_positive("rate", rate), time_unit)
+        tables = read_tables(files, layout)
+        shown: list[Floats] = []
+        for source, samples, _ in tables:
+            shown.append(_within_limits(arm, source, samples, shown[0][-1] if shown else None))
+        units = lever_units(arm, np.concatenate(shown))
         fractions = np.linspace(0.0, 1.0, _STEPS + 1)
         paths, times = [], []
-        for (q, t), (source, *_) in zip(shown, tables, strict=True):
-            steps = step_lengths(arm.encode(q), units)
-            if steps.sum() < _LEAST_LENGTH:
+        for q, (source, _, t) in zip(shown, tables, strict=True):
+            states = (arm.encode(q) * units).reshape(len(q), -1)
+            if np.ptp(states, axis=0).max() < _LEAST_LENGTH:
                 raise InputError(f"{source} does not move")
-            path, at = at_phases(fractions, q, t, steps, phase)
+            path, at = at_phases(fractions, q, t, phase, states, partial(_lengths, states))
             paths.append(path)
             times.append(at)
         ends = np.array([path[-1] for path in paths])
@@ -225,11 +231,16 @@ class JointMotion:
         return NetworkPath.integrate(self.arm, self.network, start, self.units)
 
 
+def _lengths(points: Floats, kept: Indices) -> Floats:
+    """Lengths of the steps between the points ``(K, D)`` with the given indices."""
+    return np.asarray(np.linalg.norm(np.diff(points[kept], axis=0), axis=1))
+
+
 def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:
     """The names of the joints' columns; a table may have others."""
     joints = [name.lower() for name in arm.joint_names]
     if missing := [name for name in joints if name not in names]:
-        strange = [name for name in names if name not in (*joints, *TIMES)]
+        strange = [name for name in names if name not in joints and not TIME.fullmatch(name)]
         raise InputError(
             f"{path} must name the joints of {arm.name}: {', '.join(arm.joint_names)}; it lacks {', '.join(missing)}"
             + (f", and names {', '.join(strange)}" if strange else "")
@@ -237,23 +248,26 @@ def _joint_columns(arm: Arm, path: Path, names: list[str]) -> Sequence[str]:
     return joints
 
 
-def _motion(arm: Arm, source: str, samples: ArrayLike, t: ArrayLike | None, rate: float) -> tuple[Floats, Floats]:
-    """Joint positions ``(K, n)`` and times ``(K,)`` of a table, checked."""
-    table = as_floats(source, samples, ("K", "D"))
-    if t is None and table.shape[1] == arm.n_joints + 1:
-        t, table = table[:, 0], table[:, 1:]
-    if table.shape[1] != arm.n_joints:
-        raise InputError(
-            f"{source} must have {arm.n_joints} columns, the joints {', '.join(arm.joint_names)}, or the time and "
-            f"these; got {table.shape[1]}"
-        )
-    if len(table) < 2:
-        raise InputError(f"{source} must have at least two samples, got {len(table)}")
-    times = np.arange(len(table)) / rate if t is None else as_times(f"times of {source}", t)
-    if len(times) != len(table):
-        raise InputError(f"{source} has {len(table)} samples and {len(times)} times")
+def _within_limits(arm: Arm, source: str, table: Floats, end: Floats | None) -> Floats:
+    """Recorded joint positions ``(K, n)``, or `InputError` if the arm cannot take them.
+
+    Turns of continuous joints, which are often recorded within half a turn of zero, are continued, and whole turns are
+    added so that they end nearest to ``end`` ``(n,)``; by default, where they are within the limits.
+    """
+    table = np.where(arm.continuous, np.unwrap(table, axis=0), table)
+    if end is None:
+        beyond = ((table < arm.position_limits[:, 0]) | (table > arm.position_limits[:, 1])).any(axis=0)
+        end = table[-1] - beyond * (table.min(axis=0) + table.max(axis=0)) / 2.0
+    table = table + (arm.nearest_turn(table[-1], end) - table[-1])
     outside = arm.limit_excess(table)
     k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
     if outside[k, joint] > LIMIT_TOLERANCE:
         raise InputError(f"in row {k} of {source} {arm.describe_excess(table[k], joint)}")
-    return arm.within_angles(np.clip(table, *arm.position_limits.T)), times - times[0]
+    jumps = np.abs(np.diff(table, axis=0)) * [arm.unit(j) == "rad" for j in range(arm.n_joints)]
+    k, joint = map(int, np.unravel_index(jumps.argmax(), jumps.shape))
+    if jumps[k, joint] > np.pi:
+        raise InputError(
+            f"in row {k + 1} of {source} joint {arm.joint_names[joint]!r}, which has a range, jumps from "
+            f"{table[k, joint]:.4g} to {table[k + 1, joint]:.4g} rad, more than half a turn; record it without jumps"
+        )
+    return arm.within_angles(np.clip(table, *arm.position_limits.T))

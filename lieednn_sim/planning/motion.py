@@ -104,9 +104,12 @@ def steps_in(what: str, period: float, timestep: float) -> int:
 
 
 def steps_of_rate(what: str, rate: float, timestep: float) -> int:
-    """Number of simulation steps in a period of a control rate [Hz]; `InputError` if that is no whole number."""
+    """Number of simulation steps in a period of a control rate [Hz]; `InputError` if that is no whole number.
+
+    A rate may be rounded to six digits, as messages print it.
+    """
     ratio = 1.0 / (as_positive(what, rate) * timestep)
-    if ratio < 0.5 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+    if ratio < 0.5 or abs(ratio - round(ratio)) > 5e-6 * ratio:
         raise InputError(
             f"{what} must divide the simulation's {1.0 / timestep:.6g} Hz, got {rate:g} Hz; "
             f"for example {1.0 / (timestep * max(1, round(ratio))):.6g} Hz"

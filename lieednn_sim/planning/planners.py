@@ -135,7 +135,8 @@ def plan(
             networks always keep the duration.
         seed: seed of randomised planners; the same seed gives the same plan.
         options: options of the planner, of its class in `PLANNERS`; by default that class's defaults.
-        fastest: retime the planned path to the arm's limits (`retime`); the duration then applies to planning only.
+        fastest: retime the planned path to the arm's limits (`retime`); the duration then applies to planning only,
+            and to a motion that stays where it is.
         path_constraint: region in which the end effector stays on the way, such as a line or an orientation; start and
             target must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only
             some planners can keep one.

@@ -38,6 +38,7 @@ _EASING_WIDTH = 0.1
 # of the speed to which it leads.
 _RAMP, _MOVING = 0.15, 0.5
 _PIECES = 1000  # of the path, of equal length, with one acceleration of the law on each
+_ROUNDING = 1e-8  # what rounding moves a joint by whose goal is where it starts [rad, m]
 _INSTANTS = 2000  # at which laws are sampled
 
 
@@ -118,13 +119,16 @@ def retime(arm: Arm, motion: Motion) -> Motion:
         motion: a motion from rest to rest, at any pace.
 
     Returns:
-        The motion; its duration is the least one found, rounded up to a time step, or a few thousandths more.
+        The motion; its duration is the least one found, rounded up to a time step, or a few thousandths more. A motion
+        that stays where it is, but for rounding, is returned as it is.
 
     Raises:
-        InputError: no joint moves, or a joint that moves has no limit of acceleration.
+        InputError: a joint that moves has no limit of acceleration.
         PlanError: the path breaks a limit of position, or touches something.
         LieEDNNError: toppra is not installed; the message names the extra.
     """
+    if np.ptp(motion.q, axis=0).max() <= _ROUNDING:
+        return motion
     path = _Path(arm, motion)
     law = path.fastest()
     duration = max(float(law.x[-1]), 2.0 * arm.timestep)
@@ -148,8 +152,6 @@ class _Path:
         if motion.q.shape[1] != arm.n_joints:
             raise InputError(f"the motion has {motion.q.shape[1]} joints, arm {arm.name!r} has {arm.n_joints}")
         length = travelled(motion.q / joint_scale(arm))
-        if length[-1] <= 0.0:
-            raise InputError("the motion goes nowhere, so that there is nothing to make faster")
         fraction = length / length[-1]
         moving = np.ptp(motion.q, axis=0) > 0.0
         if (free := np.flatnonzero(moving & np.isinf(arm.acceleration_limits))).size:

@@ -85,12 +85,12 @@ def test_learn_joints(gantry, tmp_path, capsys, monkeypatch):
     law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
     files = []
     for k in range(2):
-        columns = [1.5 * s, law - 0.5, (0.5 + 0.1 * k) * np.sin(np.pi * law), 0.3 * law, 1.0 - law]
+        columns = [1.5e3 * s, law - 0.5, (0.5 + 0.1 * k) * np.sin(np.pi * law), 0.3 * law, 1.0 - law]
         files.append(str(tmp_path / f"{k}.csv"))
         np.savetxt(files[-1], np.column_stack(columns), delimiter=",")
     run = tmp_path / "learned"
     words = ["learn", *files, "--arm", str(gantry.source), "--output", str(run), "--starts", "1", "--deviation", "0.02"]
-    words.append("--no-leave-one-out")
+    words += ["--no-leave-one-out", "--time-unit", "ms"]
     assert main(words) == 0
     printed = " ".join(capsys.readouterr().out.split())
     for word in (

@@ -40,7 +40,7 @@ def test_quaternions_do_not_jump_where_the_hand_turns_further_than_half_a_turn(t
         f"<mujoco><worldbody>{body.format('a', body.format('b', ''))}</worldbody></mujoco>"
     )
     arm = ls.Arm.load(tmp_path / "arm.xml", floor="none")
-    planned = ls.plan(arm, [2.2, 2.2], start=[0.4, 0.2], planner="minimum-jerk")
+    planned = ls.plan(arm, [2.9, 2.9], start=[0.4, 0.2], planner="minimum-jerk")
     (path,) = export(ls.simulate(arm, planned), tmp_path / "out")
     read = np.genfromtxt(path, delimiter=",", names=True)
     quaternion = np.stack([read[f"end_effector_q{axis}_1"] for axis in "wxyz"], axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -108,6 +109,23 @@ def test_runs_become_the_episodes_of_a_data_set(rollout, tmp_path):
     np.testing.assert_array_equal(frames["observation.state"][25:, :8], rollout.q[:30:2].astype(np.float32))
     assert read_by_rerun(tmp_path)[0] == [0, 1]
     assert info["robot_type"] == "telescopic_pr"
+
+
+@pytest.mark.parametrize(
+    ("timestep", "default", "rates"), [(0.002, 50, {30: 25, 60: 50, 29.4118: 25}), (1.0 / 240.0, 48, {50: 48, 31: 30})]
+)
+def test_frames_per_second_are_whole_and_divide_the_simulations(rollout, tmp_path, timestep, default, rates):
+    run = replace(rollout, t=timestep * np.arange(len(rollout.t)))
+    export(run, tmp_path / "out", format="lerobot")
+    assert check_format(tmp_path / "out")[2]["fps"] == default
+    for rate, nearest in rates.items():
+        with pytest.raises(InputError, match=f"whole number of frames .*, got {rate:g} Hz; for example {nearest} Hz"):
+            export(run, tmp_path / "new", format="lerobot", rate=float(rate))
+        export(run, tmp_path / f"{nearest}", format="lerobot", rate=float(nearest))
+    slow = replace(rollout, t=0.003 * np.arange(len(rollout.t)))
+    for asked in (None, 50.0):
+        with pytest.raises(InputError, match=r"none divides the simulation's 333.333 Hz; simulate with another"):
+            export(slow, tmp_path / "new", format="lerobot", rate=asked)
 
 
 def test_what_makes_no_data_set_is_refused(rollout, tmp_path, monkeypatch):

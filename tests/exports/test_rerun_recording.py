@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 from rollouts import make_rollout
@@ -49,6 +50,21 @@ def test_the_arm_moves_and_curves_run_as_they_were_simulated(rollout, tmp_path):
     # What does not move is there once, without the floor.
     assert len(found["/scene/base"]["Transform3D:translation"]) == 1
     assert "/scene/world/plane" not in found
+
+
+def test_quaternions_do_not_jump_where_the_hand_turns_nearly_all_the_way(tmp_path):
+    """What a hand carries is where its matrix says: the sign of the quaternion that is made of it would jump."""
+    body = '<body name="{0}" pos=".3 0 0"><joint name="{0}" axis="0 0 1" range="-170 170"/><geom size=".05"/>{1}</body>'
+    arms = body.format("a", body.format("b", ""))
+    cup = '<body name="cup" pos="0.72 0 0"><freejoint/><geom size=".06"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{arms}{cup}</worldbody></mujoco>")
+    arm = Arm.of(model, mujoco.MjData(model), ["a", "b"], tip="b").holding("cup")
+    q = np.linspace([0.4, 0.2], [2.9, 2.9], 50)
+    (path,) = export(make_rollout(arm, q), tmp_path, format="rerun")
+    quaternion = np.array(read(path)["/scene/cup"]["Transform3D:quaternion"])[:, 0]
+    assert np.vecdot(quaternion[1:], quaternion[:-1]).min() > 0.9
+    turns = Rotation.from_quat(quaternion).as_rotvec()[:, 2] % (2.0 * np.pi)
+    np.testing.assert_allclose(turns, q.sum(axis=1), atol=1e-5)
 
 
 SHAPES = """

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.evaluation import paths
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
@@ -69,7 +70,9 @@ def test_what_is_no_motion_of_the_arm_says_why(gantry, files, tmp_path):
     for samples, message in (
         (bend()[:, :3], "4 columns, the joints x, y, z, turn, or the time and these; got 3"),
         (outside, r"in row 7 of wrong.npy joint 'y' would be at 2.5 m, its range is \[-2, 2\]"),
-        (np.column_stack([S[::-1], bend()]), "times of wrong.npy must hold at least two increasing times"),
+        # A gripper last: the first joint is no time, although x rises all the way.
+        (np.column_stack([bend(), S]), "got 5, and the first is no time, .* such as a gripper, or name the columns"),
+        (np.column_stack([bend()[::-1], S]), r"the first is no time, .*: row 1 has 0.49\d+ after 0.5;"),
         (np.tile(bend()[:1], (5, 1)), "wrong.npy does not move"),
         (bend()[:1], "at least two samples"),
         # The ball would be in the floor.
@@ -88,6 +91,37 @@ def test_what_is_no_motion_of_the_arm_says_why(gantry, files, tmp_path):
         JointDemonstrations.load(gantry, [tmp_path / "named.csv"])
     with pytest.raises(FileError, match=r"absent\.npy"):
         JointDemonstrations.load(gantry, [tmp_path / "absent.npy"])
+
+
+def test_turns_of_a_joint_without_a_range_go_on(two_hinges, tmp_path):
+    def wrapped(b):
+        return np.column_stack([0.5 * LAW, (b + np.pi) % (2.0 * np.pi) - np.pi])
+
+    def load(*recorded):
+        np.save(tmp_path / "wound.npy", recorded)
+        return JointDemonstrations.load(arm, [tmp_path / "wound.npy"]).q[..., 1]
+
+    (tmp_path / "arm.xml").write_text(two_hinges.replace('axis="0 1 0" range="-90 90"', 'axis="0 1 0"'))
+    arm = Arm.load(tmp_path / "arm.xml", floor="none")
+    # From 2 rad forwards by 2.5 rad; the others, which end beside it on either side of half a turn, end there as well.
+    way = 2.0 + (np.pi - 2.0) * LAW
+    found = load(wrapped(2.0 + 2.5 * LAW))[0]
+    assert (found[0], found[-1], np.abs(np.diff(found)).sum()) == pytest.approx((2.0, 4.5, 2.5))
+    found = load(wrapped(way - 0.02 * LAW), wrapped(way + 0.02 * LAW), np.add(wrapped(way), [0.0, 2.0 * np.pi]))
+    np.testing.assert_allclose(found[:, 0], 2.0)
+    np.testing.assert_allclose(found[:, -1], np.pi + np.array([-0.02, 0.02, 0.0]))
+    # 3 + 4 rad is beyond a turn, a turn back is within it.
+    assert load(wrapped(3.0 + 4.0 * LAW))[0, [0, -1]] == pytest.approx([3.0 - 2.0 * np.pi, 7.0 - 2.0 * np.pi])
+
+
+def test_a_joint_with_a_range_does_not_jump(gantry, tmp_path):
+    wound = bend()
+    wound[:, 3] = (2.5 + 1.5 * LAW + np.pi) % (2.0 * np.pi) - np.pi
+    wound = np.clip(wound, -3.0, 3.0)
+    k = int(np.argmax(np.abs(np.diff(wound[:, 3])))) + 1
+    np.save(tmp_path / "a.npy", wound)
+    with pytest.raises(InputError, match=rf"row {k} of a.npy joint 'turn', which has a range, jumps from 3 to -3 rad"):
+        JointDemonstrations.load(gantry, [tmp_path / "a.npy"])
 
 
 def test_the_network_does_what_was_shown(gantry, learned):
@@ -153,6 +187,14 @@ def test_a_pause_is_kept_and_speed_that_no_joint_has_takes_longer(gantry, tmp_pa
     assert hurried[1] == ""
     assert refused[0].t[-1] == pytest.approx(0.3)
     assert "its limit is" in refused[1]
+
+
+def test_noise_makes_no_way_of_a_pause(gantry, tmp_path):
+    rng, paused = np.random.default_rng(0), np.repeat(bend(), [300] + [1] * 199, axis=0)
+    for name, q in (("a", bend()), ("b", bend()), ("c", paused)):
+        np.save(tmp_path / f"{name}.npy", q + 5e-4 * rng.normal(size=q.shape))
+    shown = JointDemonstrations.load(gantry, [tmp_path / f"{name}.npy" for name in "abc"])
+    assert shown.mean[:, 1].max() == pytest.approx(0.5, abs=2e-3)
 
 
 def test_errors_by_hand(gantry):

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from lieednn_sim import registry
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, LieEDNNError, TooFastError
 from lieednn_sim.planning import plan, retime
@@ -112,12 +112,21 @@ def test_what_has_no_fastest_motion_is_refused(gantry, monkeypatch):
         retime(arm, motion)
     # What does not move needs none.
     assert retime(straight(gantry, acceleration=[np.inf, 20.0, 40.0, 80.0])[0], motion).t[-1] < 0.6
-    rest = dataclasses.replace(motion, q=np.tile(motion.q[0], (len(motion.t), 1)), qd=np.zeros_like(motion.qd))
-    with pytest.raises(InputError, match="the motion goes nowhere"):
-        retime(gantry, rest)
     monkeypatch.setattr(registry.importlib, "import_module", lambda name: (_ for _ in ()).throw(ImportError(name)))
     with pytest.raises(LieEDNNError, match=r"toppra is not installed \(.*\): pip install 'lieednn_sim\[timing\]'"):
         retime(gantry, motion)
+
+
+@pytest.mark.parametrize("planner", ["lieednn-certified", "lieednn-shaped", "minimum-jerk"])
+@pytest.mark.parametrize("beside", [0.0, 1e-9])
+def test_a_goal_that_is_reached_already_is_a_rest_as_without_retiming(gantry, planner, beside):
+    home = gantry.keyframe("home")
+    box = TaskSpaceRegion.box(*(gantry.tip(home) + side for side in (-0.05, 0.05)))
+    for goal in (home + beside, gantry.link_poses(home)[-1], box, [home + beside, home + 0.5]):
+        found, plain = (plan(gantry, goal, duration=1.0, planner=planner, fastest=how).motion for how in (True, False))
+        np.testing.assert_array_equal(found.q, plain.q)
+        assert found.t[-1] == 1.0
+        assert np.ptp(found.q, axis=0).max() < 1e-8
 
 
 def turning(gantry, radius):

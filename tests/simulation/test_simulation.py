@@ -109,6 +109,15 @@ def test_control_periods_are_whole_numbers_of_steps():
         steps_of_rate("reference_rate", 150.0, 0.002)
 
 
+@pytest.mark.parametrize("timestep", [0.002, 0.003, 0.0007, 1.0 / 240.0, 1e-4])
+def test_a_rate_that_is_suggested_is_taken(timestep):
+    for rate in (7.3, 33.0, 61.0, 99.0):
+        with pytest.raises(InputError, match="for example") as raised:
+            steps_of_rate("rate", rate, timestep)
+        suggested = float(str(raised.value).split()[-2])
+        assert steps_of_rate("rate", suggested, timestep) == round(1.0 / (rate * timestep))
+
+
 def test_failures_name_the_time(small_arms):
     simulation = Simulation(small_arms["telescope"])
     simulation.advance(3)

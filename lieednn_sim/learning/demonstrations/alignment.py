@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,8 +16,10 @@ from lieednn_sim.lie import exp, left_jacobian_so3, transforms
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
+Indices = NDArray[np.intp]
 PHASES = ("length", "time")
 GOALS = ("aligned", "kept")
+_LARGEST_NOISE = 0.02  # within which noise stays, in extents of the path
 LEVER = 0.2  # metres that a radian counts for: 2 mm and 0.5 degrees weigh about the same
 
 
@@ -131,10 +133,17 @@ def align(
     at_goal = Demonstration(np.arange(2.0), *rest, demonstrations[0].dof)
     for item in demonstrations:
         seen = item.twists_from(at_goal) if kept else item.twists
-        reached, at = at_phases(fractions, seen, item.t, item.steps(lever), phase)
+        # As far apart as the poses, but for large turns, of which they are the chords.
+        points = np.hstack([item.position, item.rotation.reshape(-1, 9) * lever / np.sqrt(2.0)])
+        reached, at = at_phases(fractions, seen, item.t, phase, points, partial(_lengths, item, lever))
         twists.append(reached)
         times.append(at)
     return Demonstrations(goal, np.mean(times, axis=0), np.stack(twists), demonstrations[0].dof, lever, kept)
+
+
+def _lengths(item: Demonstration, lever: float, kept: Indices) -> Floats:
+    some = replace(item, t=item.t[kept], position=item.position[kept], rotation=item.rotation[kept])
+    return some.steps(lever)
 
 
 def mean_goal(demonstrations: Sequence[Demonstration]) -> RigidTransform:
@@ -153,17 +162,55 @@ def goal_distance(demonstrations: Sequence[Demonstration]) -> float:
     return float(np.hypot(apart, LEVER * np.array(turns)).max())
 
 
-def at_phases(fractions: Floats, samples: Floats, t: Floats, steps: Floats, phase: str) -> tuple[Floats, Floats]:
+def at_phases(
+    fractions: Floats, samples: Floats, t: Floats, phase: str, points: Floats, lengths: Callable[[Indices], Floats]
+) -> tuple[Floats, Floats]:
     """Samples ``(K, D)`` and times ``(K,)`` of a demonstration at fractions ``(K,)`` of its length or of its duration.
 
-    It is given by samples ``(L, D)``, their times ``(L,)``, and the lengths ``(L - 1,)`` from each to the next.
+    Args:
+        fractions: increasing, from 0 to 1.
+        samples: ``(L, D)``.
+        t: their times ``(L,)``.
+        phase: a name of `PHASES`.
+        points: ``(L, M)`` with about the samples' distances from each other.
+        lengths: lengths ``(n - 1,)`` of the steps between n samples with given indices.
     """
-    passed = t if phase == "time" else np.concatenate([[0.0], np.cumsum(steps)])
-    # The phase does not advance during a pause: only its first sample is kept.
-    kept = np.flatnonzero(np.concatenate([[True], np.diff(passed) > 1e-12 * passed[-1]]))
-    fraction = passed[kept] / passed[kept[-1]]
-    reached = np.stack([np.interp(fractions, fraction, entry) for entry in samples[kept].T], axis=-1)
-    return reached, np.interp(fractions, fraction, t[kept])
+    passed = t
+    if phase == "length":
+        kept, t = moving(points, t)
+        passed, samples = np.concatenate([[0.0], np.cumsum(lengths(kept))]), samples[kept]
+    fraction = passed / passed[-1]
+    reached = np.stack([np.interp(fractions, fraction, entry) for entry in samples.T], axis=-1)
+    return reached, np.interp(fractions, fraction, t)
+
+
+def moving(points: Floats, t: Floats) -> tuple[Indices, Floats]:
+    """Indices of the samples ``(L, M)`` by which a path has moved on further than its noise, and their times.
+
+    Otherwise the noise of sensors would make a way of every pause. A pause belongs to what follows it; that at the end
+    is left out.
+    """
+    extent = np.ptp(points, axis=0).max()
+    least = 1e-12 * extent
+    # Third differences of white noise have 20 times its variance, those of a smooth path are next to nothing.
+    third = [entry[entry > least] for entry in np.abs(np.diff(points, n=3, axis=0)).T]
+    noise = [np.median(entry) / (0.6745 * np.sqrt(20.0)) if len(entry) else 0.0 for entry in third]
+    # Two samples at rest are further apart about once in ten thousand times, whatever the number of columns.
+    radius = min(np.sqrt(2.0) * (np.linalg.norm(noise) + 2.5 * max(noise)), _LARGEST_NOISE * extent)
+    radius = max(radius, least)
+    kept = [0]
+    for k, point in enumerate(points):
+        if np.linalg.norm(point - points[kept[-1]]) > radius:
+            kept.append(k)
+    left = np.linalg.norm(points[kept] - points[-1], axis=1)
+    # One of a pause at the end is enough.
+    kept = kept[: max(2, int(np.flatnonzero(left > radius)[-1]) + 2)]
+    times = t[kept]
+    if left[len(kept) - 1] > least:
+        kept.append(len(points) - 1)
+        # The rest of an approach with a bounded jerk takes up to 3.85 times as long as the last step before it.
+        times = np.append(times, min(t[-1], times[-1] + 4.0 * (times[-1] - times[-2])))
+    return np.array(kept), times
 
 
 def in_world(twists: Floats, goal: RigidTransform) -> RigidTransform:

@@ -1,40 +1,36 @@
-"""One demonstration, the poses of a frame at increasing times, and the files that hold some.
+"""One demonstration, the poses of a frame at increasing times, and reading files of some (`tables`).
 
-They are NumPy's npy and npz, csv, and the mat files of the LASA handwriting data set. A demonstration is a table with a
-row for each sample and the columns x, y or x, y, z, or x, y, z and a unit quaternion; an array with three axes holds
-several demonstrations of the same length.
+A demonstration is a table with a row for each sample and the columns x, y or x, y, z, or x, y, z and a unit quaternion;
+an array with three axes holds several demonstrations of the same length.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.io import Archive, opened, read_array
+from lieednn_sim.errors import InputError
+from lieednn_sim.learning.demonstrations.tables import TIME_UNITS, Layout, as_recording, read_tables
 from lieednn_sim.lie import left_jacobian_so3
-from lieednn_sim.validation import as_choice, as_count, as_floats, as_path, as_positive, as_times, quoted
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, frozen
 
 QUATERNIONS = ("wxyz", "xyzw")
+_COUNTS = (2, 3, 7)
+_WORDS = "2, 3 or 7 columns: x y, x y z, or these and a quaternion; or 4 or 8, the time and x y z or a pose"
+_LARGEST = 1e9  # of a sample, in any unit
 _SHOWN = {2: "positions in a plane", 3: "positions", 7: "poses"}  # what a table shows, by its number of columns
 _NORMS = (0.9, 1.1)  # accepted norms of recorded unit quaternions, which may be rounded
 _LARGEST_TURN = 2.0 * np.pi - 0.2  # largest angle of a rotation vector [rad]: the chart is singular at a full turn
-Table = tuple[NDArray[Any], NDArray[Any] | None]  # samples, and their times if the file has them
-# Maps a csv file and the names of its columns to those of the samples, in order.
-Columns = Callable[[Path, list[str]], Sequence[str]]
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-_COLUMNS = ("x", "y", "z")
-TIMES = ("t", "time")  # names of the column of times
-_LARGEST_TABLE = 10**8  # bytes of a csv or mat file
+_AXES = ("x", "y", "z")
 _QUATERNION_COLUMNS = tuple(f"q{letter}" for letter in "wxyz")
 
 
@@ -85,7 +81,8 @@ class Demonstration:
         """Make a demonstration of rows x, y; x, y, z; or x, y, z and a quaternion.
 
         Args:
-            samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, at least two rows; quaternions are normalised if within 10 %.
+            samples: ``(K, 2)``, ``(K, 3)`` or ``(K, 7)``, or the times and the latter, ``(K, 4)`` or ``(K, 8)``; at
+                least two rows; quaternions are normalised if within 10 %.
             t: ``(K,)`` increasing times [s], or None.
             length: length unit of the positions [m].
             quaternion: order of the quaternions' entries, a name of `QUATERNIONS`.
@@ -97,17 +94,14 @@ class Demonstration:
         """
         length, rate = as_positive("length", length), as_positive("rate", rate)
         as_choice("order of quaternions", quaternion, QUATERNIONS)
-        table = as_floats(source, samples, ("K", "D"), largest=1e9)  # in any unit
-        count, columns = table.shape
-        if columns not in _SHOWN:
+        table, times = as_recording(source, samples, t, Layout(_COUNTS, _WORDS, rate=rate))
+        row, column = map(int, np.unravel_index(np.abs(table).argmax(), table.shape))
+        if abs(table[row, column]) > _LARGEST:
             raise InputError(
-                f"{source} must have 2, 3 or 7 columns: x y, x y z, or these and a quaternion; got {columns}"
+                f"{source} must not exceed {_LARGEST:g} in size, got {table[row, column]:.15g} in row {row}, column "
+                f"{column}; if it is the time, name the columns in the first line of a text file, such as t x y"
             )
-        if count < 2:
-            raise InputError(f"{source} must have at least two samples, got {count}")
-        times = np.arange(count) / rate if t is None else as_times(f"times of {source}", t)
-        if len(times) != count:
-            raise InputError(f"{source} has {count} samples and {len(times)} times")
+        count, columns = table.shape
         position = np.zeros((count, 3))
         position[:, : min(columns, 3)] = length * table[:, :3]
         rotation = np.broadcast_to(np.eye(3), (count, 3, 3))
@@ -117,7 +111,7 @@ class Demonstration:
                 worst = int(np.argmax(np.abs(norms - 1.0)))
                 raise InputError(f"quaternions of {source} must be units, got norm {norms[worst]:g} in row {worst}")
             rotation = Rotation.from_quat(table[:, 3:], scalar_first=quaternion == "wxyz").as_matrix()
-        result = cls(times - times[0], position, rotation, 6 if columns == 7 else columns, source)
+        result = cls(times, position, rotation, 6 if columns == 7 else columns, source)
         if result.steps(lever=1.0).sum() < 1e-9:  # [m]
             raise InputError(f"{source} does not move")
         return result
@@ -161,15 +155,21 @@ class Demonstration:
 
 
 def load_demonstrations(
-    files: Iterable[str | os.PathLike[str]], *, unit: str = "m", quaternion: str = "wxyz", rate: float = 100.0
+    files: Iterable[str | os.PathLike[str]],
+    *,
+    unit: str = "m",
+    quaternion: str = "wxyz",
+    rate: float = 100.0,
+    time_unit: str = "s",
 ) -> tuple[Demonstration, ...]:
     """Read demonstrations of one motion, one or several from each file.
 
-    - ``.npy``: ``(K, D)`` or ``(n, K, D)`` with D = 2, 3 or 7.
+    - ``.npy``: ``(K, D)`` or ``(n, K, D)`` with D = 2, 3 or 7, or 4 or 8 with the times first.
     - ``.npz``: such an array, the only one or named ``poses`` or ``positions``; optionally separate ``quaternions``
       ``(..., K, 4)``, and times ``t`` ``(K,)`` or ``(n, K)`` [s].
-    - ``.csv``: one demonstration, separated by commas. A first line may name the columns x, y, z, qw, qx, qy, qz and t
-      or time [s] in any order; others are ignored.
+    - ``.csv``, ``.txt``, ``.tsv``, ``.tum``: one demonstration, separated by commas, blanks or tabs. A first line, or a
+      comment, may name the columns x, y, z (or tx, ty, tz), qw, qx, qy, qz and t, time or timestamp in any order;
+      others are ignored, unless they may be the time. A ``.tum`` file without names has timestamp tx ty tz qx qy qz qw.
     - ``.mat``: the structures ``demos`` of the LASA data set, with ``pos`` ``(2, K)`` and ``t``.
 
     Args:
@@ -177,6 +177,7 @@ def load_demonstrations(
         unit: unit of the positions, a name of `UNITS`.
         quaternion: order of the quaternions' entries, a name of `QUATERNIONS`.
         rate: sampling rate of files without times [1/s].
+        time_unit: unit of the times, ``s``, ``ms``, ``us`` or ``ns``, unless the name of their column has one.
 
     Raises:
         FileError: a file cannot be read, or is of another kind.
@@ -184,10 +185,11 @@ def load_demonstrations(
     """
     length = UNITS[as_choice("unit", unit, UNITS)]
     as_choice("order of quaternions", quaternion, QUATERNIONS)
-    as_positive("rate", rate)
+    as_choice("time_unit", time_unit, TIME_UNITS)
+    layout = Layout(_COUNTS, _WORDS, partial(_pose_columns, quaternion), as_positive("rate", rate), time_unit)
     result = [
         Demonstration.from_samples(samples, t, length, quaternion, rate, source)
-        for source, samples, t in read_tables(files, partial(_pose_columns, quaternion))
+        for source, samples, t in read_tables(files, layout)
     ]
     for other in result[1:]:
         if other.dof != result[0].dof:
@@ -198,102 +200,11 @@ def load_demonstrations(
     return tuple(result)
 
 
-def read_tables(
-    files: Iterable[str | os.PathLike[str]], columns: Columns
-) -> list[tuple[str, NDArray[Any], NDArray[Any] | None]]:
-    """The source of each table in the files, its samples, and its times if it has them.
-
-    Raises:
-        FileError: a file cannot be read, or is of another kind.
-        InputError: there is no table, or a csv file's columns are not those of ``columns``.
-    """
-    results = []
-    for name in files:
-        path = as_path("the name of a file of demonstrations", name)
-        tables = list(_tables(path, columns))
-        for number, table in enumerate(tables):
-            results.append((path.name if len(tables) == 1 else f"{path.name}[{number}]", *table))
-    if not results:
-        raise InputError("there is no demonstration; name at least one file")
-    return results
-
-
-def _tables(path: Path, columns: Columns) -> Iterator[Table]:
-    read = {".npy": _npy, ".npz": _npz, ".csv": _csv, ".mat": _mat}.get(path.suffix.lower())
-    if read is None:
-        raise FileError(f"{path} is no file of demonstrations; allowed are .npy, .npz, .csv and .mat")
-    try:
-        yield from read(path, columns)
-    except (FileError, InputError):
-        raise
-    except Exception as error:  # the readers raise all kinds of exceptions on a damaged file
-        raise FileError(f"{path} is not a readable file of demonstrations ({type(error).__name__}: {error})") from None
-
-
-def _several(path: Path, samples: NDArray[Any], t: NDArray[Any] | None = None) -> Iterator[Table]:
-    """The demonstrations of an array ``(K, D)`` or ``(n, K, D)``."""
-    if samples.ndim not in (2, 3):
-        raise InputError(f"{path}: demonstrations must have shape (K, D) or (n, K, D), got {samples.shape}")
-    if t is not None and t.shape not in (samples.shape[-2:-1], samples.shape[:-1]):
-        raise InputError(f"{path}: times must have shape {samples.shape[-2:-1]}, one for each sample, got {t.shape}")
-    if samples.ndim == 2:
-        yield samples, t
-    else:
-        for number, item in enumerate(samples):
-            yield item, t if t is None or t.ndim == 1 else t[number]
-
-
-def _npy(path: Path, _: Columns) -> Iterator[Table]:
-    with opened(path) as stream:
-        return _several(path, read_array(stream, path.stat().st_size))
-
-
-def _npz(path: Path, _: Columns) -> Iterator[Table]:
-    with opened(path) as stream:
-        archive = Archive(stream)
-        arrays = {name: archive.read(name) for name in archive.names}
-    t, quaternions = arrays.pop("t", None), arrays.pop("quaternions", None)
-    named: list[str] = [name for name in ("poses", "positions") if name in arrays] or [*arrays]
-    if len(named) != 1:
-        raise InputError(f"{path} must hold one array named 'poses' or 'positions'; it holds: {', '.join(arrays)}")
-    samples = arrays[named[0]]
-    if quaternions is not None:
-        samples = np.concatenate([samples, quaternions], axis=-1)
-    return _several(path, samples, t)
-
-
-def _csv(path: Path, columns: Columns) -> Iterator[Table]:
-    with opened(path, _LARGEST_TABLE) as stream:
-        first = stream.readline().decode("utf-8-sig")
-    if ";" in first or "\t" in first:
-        raise FileError(
-            f"{path} must be separated by commas, with points in its numbers; its first line is {quoted(first.strip())}"
-        )
-    names = [word.strip().lower() for word in first.split(",")]
-    headed = any(name[:1].isalpha() and name not in ("nan", "inf") for name in names)
-    table = np.loadtxt(path, delimiter=",", skiprows=int(headed), ndmin=2, encoding="utf-8-sig")
-    if not headed:
-        return _several(path, table)
-    chosen = columns(path, names)
-    t = next((table[:, names.index(name)] for name in TIMES if name in names), None)
-    return _several(path, table[:, [names.index(name) for name in chosen]], t)
-
-
 def _pose_columns(quaternion: str, path: Path, names: list[str]) -> Sequence[str]:
-    chosen = [name for name in _COLUMNS if name in names]
+    axes = _AXES if "x" in names else [f"t{letter}" for letter in _AXES]  # as in TUM's files
+    chosen = [name for name in axes if name in names]
     if any(name in names for name in _QUATERNION_COLUMNS):
-        chosen = [*_COLUMNS, *(f"q{letter}" for letter in quaternion)]
-    if chosen[:2] != ["x", "y"] or not set(chosen) <= set(names):
+        chosen = [*axes, *(f"q{letter}" for letter in quaternion)]
+    if chosen[:2] != [*axes[:2]] or not set(chosen) <= set(names):
         raise InputError(f"{path} must have columns x, y, z and qw, qx, qy, qz, or x, y; it has: {', '.join(names)}")
     return chosen
-
-
-def _mat(path: Path, _: Columns) -> Iterator[Table]:
-    from scipy.io import loadmat
-
-    with opened(path, _LARGEST_TABLE) as stream:
-        demos = loadmat(stream, simplify_cells=True, variable_names=["demos"]).get("demos")
-    if demos is None:
-        raise InputError(f"{path} has no 'demos', as the files of the LASA data set have")
-    for demo in [demos] if isinstance(demos, dict) else demos:
-        yield np.asarray(demo["pos"]).T, np.ravel(demo["t"]) if "t" in demo else None

@@ -74,6 +74,23 @@ def test_length_does_not_depend_on_pace_and_time_does():
     np.testing.assert_allclose(by_time.t, [0.0, 1.5, 3.0, 4.5, 6.0])
 
 
+@pytest.mark.parametrize("pause", [0.0, 1.0, 1.4, 2.0])
+@pytest.mark.parametrize(("noise", "rate"), [(0.0, 100), (5e-4, 100), (1e-4, 1000)])
+def test_noise_makes_no_way_of_a_pause(pause, noise, rate):
+    """Bends of 0.1 m in 2 s, one with a pause of 3 s; noise of each sample [m]."""
+    rng, s = np.random.default_rng(0), np.linspace(0.0, 1.0, 2 * rate + 1)
+    law = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    bend = np.column_stack([0.3 * (1.0 - law), 0.1 * np.sin(np.pi * law), 0.0 * s])
+    paused = np.insert(bend, [round(pause * rate)] * 3 * rate, bend[round(pause * rate)], axis=0)
+    shown = [one + noise * rng.normal(size=one.shape) for one in (bend, bend, paused)]
+    found = align([Demonstration.from_samples(one, rate=rate) for one in shown])
+    assert found.mean[:, 4].max() == pytest.approx(0.1, abs=1e-3)
+    at = np.pi * (0.3 - found.mean[:, 3]) / 0.3
+    np.testing.assert_allclose(found.mean[:, 4], 0.1 * np.sin(at), atol=2e-3)
+    # A pause takes its third of the mean time, but at the end.
+    assert found.duration == pytest.approx(2.0 if pause == 2.0 else 3.0, abs=0.15)
+
+
 def test_mean_spread_and_those_left():
     lines = [recorded([[0.0, 2.0, 0.0], [0.0, 0.0, 0.0]]), recorded([[4.0, 0.0, 0.0], [0.0, 0.0, 0.0]])]
     both = align(lines, samples=3)

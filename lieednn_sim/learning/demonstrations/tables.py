@@ -1,0 +1,234 @@
+"""Tables of recordings in files: the samples, by the names of their columns where they have names, and their times."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.io import Archive, opened, read_array
+from lieednn_sim.validation import as_floats, as_path, as_times, quoted
+from lieednn_sim.values import Floats
+
+Table = tuple[NDArray[Any], NDArray[Any] | None]  # samples, and their times if the file has them
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_LONGEST_STEP = 0.9  # between times without a warning, unless a lower rate is given [s]
+_LARGEST_TABLE = 10**8  # bytes of a text or mat file
+_TEXT = (".csv", ".txt", ".tsv", ".tum")
+_TUM = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
+#: Names of the column of times, which may name the unit, too, as in time_s.
+TIME = re.compile(
+    r"(t|times?|ts|time[ _]?stamps?|stamps?|secs?|seconds)([ _]*[\[(]?(?P<unit>s|ms|us|ns|secs?|seconds)[\])]?)?"
+)
+_LIKE_A_TIME = re.compile("time|stamp|clock|epoch|elapsed|date|sec|milli|micro|nano")
+# Largest deviation of times from equal steps, as a fraction of the duration; half a step is allowed, too.
+_STRAIGHT = 0.02
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What a table of a recording holds.
+
+    Attributes:
+        counts: the numbers of columns that its samples may have.
+        words: these columns in words, for messages.
+        chosen: maps a text file and the names of its columns to those of the samples, in order.
+        rate: sampling rate of tables without times [1/s].
+        time_unit: unit of the times, unless the name of their column has one; a name of `TIME_UNITS`.
+    """
+
+    counts: Sequence[int]
+    words: str
+    chosen: Callable[[Path, list[str]], Sequence[str]] = lambda _, names: names
+    rate: float = 100.0
+    time_unit: str = "s"
+
+
+def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: Layout) -> tuple[Floats, Floats]:
+    """Samples ``(K, D)`` and their times ``(K,)`` from 0 [s], which may be the first column of a table without names.
+
+    Raises:
+        InputError: the table is not as the layout says, or its times are none.
+    """
+    table = as_floats(source, samples, ("K", "D"))
+    count, columns = table.shape
+    timed = t is None and columns not in layout.counts and columns - 1 in layout.counts
+    if not timed and columns not in layout.counts:
+        raise InputError(f"{source} must have {layout.words}; got {columns}")
+    if count < 2:
+        raise InputError(f"{source} must have at least two samples, got {count}")
+    if timed:
+        t, table = table[:, 0], table[:, 1:]
+        if row := uneven_row(t):
+            raise InputError(
+                f"{source} must have {layout.words}; got {columns}, and the first is no time, which would increase "
+                f"evenly: row {row} has {t[row]:.15g} after {t[row - 1]:.15g}; leave out what is no sample, such as a "
+                "gripper, or name the columns in the first line of a text file"
+            )
+    if t is None:
+        return table, np.arange(count) / layout.rate
+    try:
+        times = as_times(f"times of {source}", t)
+    except InputError as error:
+        raise InputError(f"{error}; drop the row, or leave out the times and give the sampling rate") from None
+    if len(times) != count:
+        raise InputError(f"{source} has {count} samples and {len(times)} times")
+    return table, TIME_UNITS[layout.time_unit] * (times - times[0])
+
+
+def read_tables(files: Iterable[str | os.PathLike[str]], layout: Layout) -> list[tuple[str, Floats, Floats]]:
+    """The source of each table in the files, its samples and times as of `as_recording`.
+
+    Raises:
+        FileError: a file cannot be read, or is of another kind.
+        InputError: there is no table, one is not as the layout says, or what its times are is not clear.
+    """
+    results = []
+    for name in files:
+        path = as_path("the name of a file of demonstrations", name)
+        tables = list(_tables(path, layout))
+        for number, (samples, t) in enumerate(tables):
+            source = path.name if len(tables) == 1 else f"{path.name}[{number}]"
+            results.append((source, *as_recording(source, samples, t, layout)))
+            step = float(np.median(np.diff(results[-1][2])))
+            if step > max(_LONGEST_STEP, 1.01 / layout.rate):
+                warnings.warn(
+                    f"the times of {source} step by {step:.3g} s, read in {layout.time_unit}; for another unit see "
+                    f"time_unit: {', '.join(TIME_UNITS)}",
+                    stacklevel=3,
+                )
+    if not results:
+        raise InputError("there is no demonstration; name at least one file")
+    return results
+
+
+def _tables(path: Path, layout: Layout) -> Iterator[Table]:
+    read = {".npy": _npy, ".npz": _npz, ".mat": _mat, **dict.fromkeys(_TEXT, _text)}.get(path.suffix.lower())
+    if read is None:
+        raise FileError(f"{path} is no file of demonstrations; allowed are .npy, .npz, .mat, {', '.join(_TEXT)}")
+    try:
+        yield from read(path, layout)
+    except (FileError, InputError):
+        raise
+    except Exception as error:  # the readers raise all kinds of exceptions on a damaged file
+        raise FileError(f"{path} is not a readable file of demonstrations ({type(error).__name__}: {error})") from None
+
+
+def _several(path: Path, samples: NDArray[Any], t: NDArray[Any] | None = None) -> Iterator[Table]:
+    """The demonstrations of an array ``(K, D)`` or ``(n, K, D)``."""
+    if samples.ndim not in (2, 3):
+        raise InputError(f"{path}: demonstrations must have shape (K, D) or (n, K, D), got {samples.shape}")
+    if t is not None and t.shape not in (samples.shape[-2:-1], samples.shape[:-1]):
+        raise InputError(f"{path}: times must have shape {samples.shape[-2:-1]}, one for each sample, got {t.shape}")
+    if samples.ndim == 2:
+        yield samples, t
+    else:
+        for number, item in enumerate(samples):
+            yield item, t if t is None or t.ndim == 1 else t[number]
+
+
+def _npy(path: Path, _: Layout) -> Iterator[Table]:
+    with opened(path) as stream:
+        return _several(path, read_array(stream, path.stat().st_size))
+
+
+def _npz(path: Path, layout: Layout) -> Iterator[Table]:
+    with opened(path) as stream:
+        archive = Archive(stream)
+        arrays = {name: archive.read(name) for name in archive.names}
+    quaternions = arrays.pop("quaternions", None)
+    named: list[str] = [name for name in ("poses", "positions") if name in arrays]
+    named = named or [name for name in arrays if not TIME.fullmatch(name.lower())]
+    if len(named) != 1:
+        raise InputError(f"{path} must hold one array named 'poses' or 'positions'; it holds: {', '.join(arrays)}")
+    samples = arrays.pop(named[0])
+    if quaternions is not None:
+        samples = np.concatenate([samples, quaternions], axis=-1)
+    return _several(
+        path, samples, _times(path, {name.lower(): array for name, array in arrays.items() if array.ndim}, layout)
+    )
+
+
+def _text(path: Path, layout: Layout) -> Iterator[Table]:
+    with opened(path, _LARGEST_TABLE) as stream:
+        lines = [line for line in map(str.strip, stream.read().decode("utf-8-sig").splitlines()) if line]
+    comments = next(k for k, line in enumerate(lines) if line[0] not in "#%")
+    first = lines[comments]
+    separator = "," if "," in first else "\t" if "\t" in first else None
+
+    def words(line: str) -> list[str]:
+        return [name.strip(" ,\"'").lower() for name in line.strip("#% ").split(separator)]
+
+    headed = any(name[:1].isalpha() and name not in ("nan", "inf") for name in words(first))
+    try:
+        if not (rows := lines[comments + headed :]):
+            raise ValueError("there are no rows")
+        table = np.loadtxt(rows, delimiter=separator, ndmin=2, quotechar='"')
+    except ValueError as error:
+        raise FileError(
+            f"{path} must be separated by commas, blanks or tabs, with points in its numbers; {error}"
+        ) from None
+    if headed:
+        names = words(first)
+        if len(names) != table.shape[1]:
+            raise InputError(f"{path} names {len(names)} columns, and its rows have {table.shape[1]}")
+    else:  # a comment may name them, as np.savetxt writes it
+        usual = _TUM if path.suffix.lower() == ".tum" else []
+        named = (found for found in map(words, lines[:comments][::-1]) if len(found) == table.shape[1])
+        names = next(named, usual)
+    if not names:
+        return _several(path, table)
+    chosen = layout.chosen(path, names)
+    others = {name: table[:, k] for k, name in enumerate(names) if name not in chosen}
+    return _several(path, table[:, [names.index(name) for name in chosen]], _times(path, others, layout))
+
+
+def _times(path: Path, others: Mapping[str, NDArray[Any]], layout: Layout) -> NDArray[Any] | None:
+    """The times among what is no sample, by names in lower-case letters, in the layout's unit; None if there are none.
+
+    Raises:
+        InputError: it is not clear what the times are.
+    """
+    found = {name: match["unit"] for name in others if (match := TIME.fullmatch(name))}
+    if len(found) > 1:
+        raise InputError(f"{path} may have one column of times alone, it has: {', '.join(found)}")
+    for name, unit in found.items():
+        return others[name] * (TIME_UNITS.get(unit[:2], 1.0) / TIME_UNITS[layout.time_unit] if unit else 1)
+    for name, values in others.items():
+        even = values.ndim == 1 and not uneven_row(values) and (np.diff(values) != 1.0).any()
+        if even or _LIKE_A_TIME.search(name):  # steps of 1 number the rows
+            raise InputError(
+                f"{path}: {quoted(name)} may be the time, but is not named so; name it t, time, timestamp or time_ms, "
+                "or leave it out"
+            )
+    return None
+
+
+def uneven_row(values: NDArray[Any]) -> int:
+    """The row at which numbers ``(K,)`` do not increase evenly, as times do and joints seldom; 0 if they do."""
+    rising = np.diff(values) > 0.0
+    if not rising.all():
+        return int(np.argmin(rising)) + 1
+    apart = np.abs(values - np.linspace(values[0], values[-1], len(values)))
+    allowed = max(_STRAIGHT, 0.5 / max(len(rising), 1)) * (values[-1] - values[0])
+    return int(np.argmax(apart)) if apart.max() > allowed else 0
+
+
+def _mat(path: Path, _: Layout) -> Iterator[Table]:
+    from scipy.io import loadmat
+
+    with opened(path, _LARGEST_TABLE) as stream:
+        demos = loadmat(stream, simplify_cells=True, variable_names=["demos"]).get("demos")
+    if demos is None:
+        raise InputError(f"{path} has no 'demos', as the files of the LASA data set have")
+    for demo in [demos] if isinstance(demos, dict) else demos:
+        yield np.asarray(demo["pos"]).T, np.ravel(demo["t"]) if "t" in demo else None
