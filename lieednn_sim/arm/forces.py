@@ -28,8 +28,15 @@ def tangent_basis(space: Coordinates) -> Floats:
     return space.to_qvel(np.zeros_like(rates), rates).T
 
 
+def disabled_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which actuators ``(nu,)`` exert nothing, by ``actuatorgroupdisable`` or by the flag ``actuation``."""
+    groups, last = model.actuator_group.astype(int), 30  # those beyond cannot be disabled
+    named = (groups >= 0) & (groups <= last) & (model.opt.disableactuator >> np.clip(groups, 0, last) & 1 != 0)
+    return np.asarray(named | bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)))
+
+
 def actuator_moments(model: mujoco.MjModel) -> Floats:
-    """Generalised force per unit force of each actuator, ``(nu, nv)``, at the reference position."""
+    """Generalised force per unit force of each actuator, ``(nu, nv)``, at the reference position; disabled ones: 0."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     moments = np.zeros((model.nu, model.nv))
@@ -37,6 +44,7 @@ def actuator_moments(model: mujoco.MjModel) -> Floats:
         mujoco.mju_sparse2dense(
             moments, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind
         )
+    moments[disabled_actuators(model)] = 0.0
     return moments
 
 
@@ -64,7 +72,8 @@ def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 def compensating_dofs(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Which dofs ``(nv,)`` have ``actgravcomp``: MuJoCo adds gravity compensation to the forces of their actuators."""
-    return np.asarray(model.jnt_actgravcomp[model.dof_jntid] != 0)
+    acting = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    return np.asarray((model.jnt_actgravcomp[model.dof_jntid] != 0) & acting)
 
 
 def actuator_ranges(model: mujoco.MjModel) -> Floats:

@@ -8,9 +8,11 @@ import pytest
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import dry_friction, servo_gains
+from lieednn_sim.errors import InputError
+from lieednn_sim.simulation.actuators import Actuators
 
 CARRIAGE = """
-<mujoco><compiler angle="radian"/><option gravity="0 0 0"/>
+<mujoco><compiler angle="radian"/><option gravity="0 0 0" {option}/>{flag}
   <worldbody><body name="base"><geom size=".05"/>{base}
     <body name="carriage"><joint name="x" type="slide" axis="1 0 0" range="-1 1" {joint}/><geom size=".05"/>{link1}
       <body name="stage" pos="0 0 1"><joint name="y" type="slide" axis="1 0 0" range="-2 2" {follower}/>
@@ -26,9 +28,10 @@ SERVO = '<position joint="x" kp="100" kv="9" {}/>'
 BELT = '<motor tendon="belt" gear="2" ctrlrange="-5 4"/>'
 
 
-def both_arms(actuators, joint="", follower="", tie=""):
+def both_arms(actuators, joint="", follower="", tie="", **more):
     """An arm with the package's sites, and the same imported without them."""
     fields = {"actuators": actuators, "joint": joint, "follower": follower, "tie": tie}
+    fields |= {"option": "", "flag": "", **more}
     last = "link1" if tie else "link2"
     sites = {"base": '<site name="base_frame"/>', "link1": '<site name="link1_frame"/>', "link2": "", last: ""}
     sites["link2"] = f'<site name="link{1 if tie else 2}_frame"/>'
@@ -65,6 +68,25 @@ def test_limits_are_the_smaller_end_of_the_sum_of_the_ranges(actuators, joint, w
     for arm in arms:
         np.testing.assert_allclose(arm.force_limits, [wanted, np.inf])
     np.testing.assert_allclose(report.servos[0].force_range, span)
+
+
+def test_disabled_actuators_neither_drive_nor_hold():
+    """A motor of 2 N beside a servo of 60 N that its group disables; then, by the flag, both are."""
+    actuators = '<motor name="on" joint="x" ctrlrange="-2 2"/>' + SERVO.format('name="p" group="1" forcerange="-60 60"')
+    (native, imported), report = both_arms(actuators, option='actuatorgroupdisable="1"')
+    for arm in (native, imported):
+        np.testing.assert_allclose(arm.force_limits, [2.0, np.inf])
+        assert Actuators(arm, complete=False).driving.tolist()[:2] == [True, False]
+    assert "actuators that the file disables, which neither drive nor hold: p" in report.notes
+    (native, imported), report = both_arms(actuators, flag='<option><flag actuation="disable"/></option>')
+    with pytest.raises(InputError, match="no actuator moves 'x', 'y'"):
+        Actuators(native)
+    assert "actuators that the file disables, which neither drive nor hold: on, p" in report.notes
+    assert "new servos for x, y: there was no actuator" in report.notes
+    data = imported.data()
+    data.ctrl[:] = 0.1
+    mujoco.mj_forward(imported.model, data)
+    np.testing.assert_allclose(data.actuator_force, [0.0, 0.0, *(0.1 * imported.model.actuator_gainprm[2:, 0])])
 
 
 def test_a_belt_of_two_stages_pulls_at_one_coordinate_through_both():

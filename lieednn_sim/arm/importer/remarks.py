@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, colliding_geoms
-from lieednn_sim.arm.forces import dry_friction, resting_load
+from lieednn_sim.arm.forces import disabled_actuators, dry_friction, resting_load
 from lieednn_sim.arm.importer.report import Servo
 from lieednn_sim.arm.kinematics import least_singular_value
 from lieednn_sim.arm.surroundings import moved_together
@@ -72,7 +72,10 @@ def _shapes(arm: ModelArm) -> Iterator[str]:
 
 
 def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
-    """Servos that stick, are slow, or too weak for their load at rest."""
+    """Actuators that are disabled; servos that stick, are slow, or too weak for their load at rest."""
+    if (idle := disabled_actuators(arm.model)).any():
+        disabled = ", ".join(arm.model.actuator(int(a)).name for a in np.flatnonzero(idle))
+        yield f"actuators that the file disables, which neither drive nor hold: {disabled}"
     basis = arm.unit_rates()
     loads = resting_load(arm.model, arm.qpos(q, strict=False), limited=True) @ basis
     for servo, friction, load in zip(servos, dry_friction(arm.model, basis), loads.T, strict=True):

@@ -97,6 +97,10 @@ def add_servos(spec: mujoco.MjSpec, arm: ModelArm, configurations: Floats, rule:
         actuators[name] = servo
         _add(spec, name, servo)
     if actuators:
+        if spec.option.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION):
+            # The file's own stay disabled, by their groups.
+            spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+            spec.option.disableactuator = 2**31 - 1
         _slow_down(spec, actuators, configurations[:8], notes)
     return set(actuators)
 
@@ -159,6 +163,7 @@ def _add(spec: mujoco.MjSpec, name: str, servo: _Servo) -> None:
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,
         biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        group=31,  # which nothing can disable
         dyntype=mujoco.mjtDyn.mjDYN_NONE,
         gear=gear,
         inheritrange=0.0,
