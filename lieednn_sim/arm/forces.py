@@ -77,8 +77,21 @@ def compensating_dofs(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def actuator_ranges(model: mujoco.MjModel) -> Floats:
-    """Least and largest force ``(nu, 2)`` of each actuator, infinite where nothing limits it."""
-    return np.array([_force_range(model, a) for a in range(model.nu)]).reshape(-1, 2)
+    """Least and largest force ``(nu, 2)`` of each actuator, infinite where nothing limits it.
+
+    A motor's control range limits its force as well as its force range does.
+    """
+    ranges = np.where(model.actuator_forcelimited[:, None] != 0, model.actuator_forcerange, [-np.inf, np.inf])
+    motors = affine_actuators(model) & (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE))
+    by_control = np.sort(model.actuator_gainprm[motors, :1] * control_ranges(model)[motors])
+    ranges[motors] = np.clip(by_control, ranges[motors, :1], ranges[motors, 1:])
+    return ranges
+
+
+def control_ranges(model: mujoco.MjModel) -> Floats:
+    """The range ``(nu, 2)`` to which MuJoCo clips each control, infinite where it does not."""
+    clipped = model.actuator_ctrllimited * (not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL))
+    return np.where(clipped[:, None] != 0, model.actuator_ctrlrange, [-np.inf, np.inf])
 
 
 def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
@@ -151,17 +164,3 @@ def _sum_of_ranges(weights: Floats, ranges: Floats) -> Floats:
     factors = np.repeat(weights[..., None], 2, axis=-1)
     scaled = np.multiply(factors, ranges[:, None], where=factors != 0.0, out=np.zeros_like(factors))
     return np.sort(scaled, axis=-1).sum(axis=0)
-
-
-def _force_range(model: mujoco.MjModel, actuator: int) -> Floats:
-    """Force range of an actuator: its own, or that which the control range of a motor gives it."""
-    if model.actuator_forcelimited[actuator]:
-        return model.actuator_forcerange[actuator].copy()
-    motor = (
-        model.actuator_gaintype[actuator] == int(mujoco.mjtGain.mjGAIN_FIXED)
-        and model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_NONE)
-        and model.actuator_ctrllimited[actuator]
-    )
-    if motor:
-        return np.sort(model.actuator_gainprm[actuator, 0] * model.actuator_ctrlrange[actuator])
-    return np.array([-np.inf, np.inf])

@@ -105,7 +105,6 @@ def _held(rollout: Rollout) -> list[tuple[str, Floats, str]]:
     arm, basis = rollout.arm, tangent_basis(rollout.arm.space)
     model = copy.deepcopy(arm.model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
-    model.body_gravcomp[:] = 0.0  # the forces have it
     for obstacle in rollout.disturbances.obstacles:
         model.body_pos[fixed_body(model, obstacle.body)] = obstacle.at(float(rollout.t[-1]))
     data = mujoco.MjData(model)

@@ -38,7 +38,6 @@ class _Servo:
         name: of the dof: its joint's, with ``_x``, ``_y`` or ``_z`` for those of a ball joint.
         joint, axis: where it acts.
         inertia: I [kg m^2, kg].
-        span: ``(2,)`` the range of its control, if it has one [rad, m].
         force: ``(2,)`` the range of its force, if it has one [N m, N].
         tied: whether other joints follow this one.
     """
@@ -47,7 +46,6 @@ class _Servo:
     joint: str
     axis: int
     inertia: float
-    span: Floats | None = None
     force: Floats | None = None
     tied: bool = False
 
@@ -134,7 +132,7 @@ def _drivers(
         force = ranges[k] if limited else None
         tied = bool(np.count_nonzero(basis[:, k]) > 1)
         name = arm.joint_names[k], model.joint(joint).name
-        yield _Servo(*name, axis, float(inertia[k]), arm.position_limits[k], force, tied=tied)
+        yield _Servo(*name, axis, float(inertia[k]), force, tied=tied)
 
 
 def _holders(arm: ModelArm, driven: NDArray[np.bool_], qpos: Floats) -> Iterator[_Servo]:
@@ -172,10 +170,8 @@ def _add(spec: mujoco.MjSpec, name: str, servo: _Servo) -> None:
         forcelimited=mujoco.mjtLimited.mjLIMITED_FALSE,
     )
     actuator.gainprm, actuator.biasprm = servo.parameters(1.0)
-    for what, span in (("ctrl", servo.span), ("force", servo.force)):
-        if span is not None:
-            setattr(actuator, f"{what}limited", mujoco.mjtLimited.mjLIMITED_TRUE)
-            setattr(actuator, f"{what}range", span)
+    if servo.force is not None:
+        actuator.forcelimited, actuator.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, servo.force
 
 
 def _slow_down(spec: mujoco.MjSpec, actuators: Mapping[str, _Servo], configurations: Floats, notes: list[str]) -> None:
