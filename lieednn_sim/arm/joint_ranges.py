@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.coupled_joints import Couplings
 from lieednn_sim.arm.equalities import joint_range
+from lieednn_sim.arm.forces import affine_actuators, constant_moments, control_ranges, tangent_basis
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
@@ -69,6 +71,39 @@ def joint_ranges(
                 _, ratio, shift = couplings.lines[joint]
                 spans[joint] = np.sort(ratio * spans[lead] + shift)
     return spans
+
+
+def narrow_to_servos(
+    model: mujoco.MjModel, qpos: Floats, space: Coordinates, limits: Floats, notes: list[str]
+) -> Floats:
+    """The limits ``(n, 2)`` of the coordinates within which position servos can hold them.
+
+    Without a load a servo rests at the length l at which g ctrl + b0 + b1 l = 0, with the control in its range. Those
+    that act on one coordinate alone count, where they are at ``qpos`` ``(nq,)``.
+
+    Raises:
+        InputError: nothing is left of a range.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_fwdPosition(model, data)
+    rates, q, held = constant_moments(model) @ tangent_basis(space), space.from_qpos(qpos), limits.copy()
+    gain, (constant, stiffness) = model.actuator_gainprm[:, 0], model.actuator_biasprm[:, :2].T
+    servos = affine_actuators(model) & (stiffness * gain < 0.0)
+    servos &= model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+    for a in np.flatnonzero(servos & (np.count_nonzero(np.abs(rates) > 1e-9, axis=1) == 1)).tolist():
+        k = int(np.abs(rates[a]).argmax())
+        if k in space.scalars:
+            lengths = -(gain[a] * control_ranges(model)[a] + constant[a]) / stiffness[a]
+            low, high = np.sort(q[k] + (lengths - data.actuator_length[a]) / rates[a, k])
+            held[k] = max(low, held[k, 0]), min(high, held[k, 1])
+    narrower = ~np.isclose(held, limits, rtol=0.0, atol=1e-6)
+    for k in np.flatnonzero(narrower.any(axis=1)).tolist():
+        name, before, after = space.names[k], *("[{:.4g}, {:.4g}]".format(*span[k]) for span in (limits, held))
+        if held[k, 0] >= held[k, 1]:
+            raise InputError(f"by its ctrlrange the servo of {name!r} holds it nowhere in {before}; correct one")
+        notes.append(f"{name}: range {before} narrowed to {after}, where its servo can hold it by its ctrlrange")
+    return np.where(narrower, held, limits)
 
 
 def _span(model: mujoco.MjModel, joint: int, notes: list[str], around: Floats | None, *, alone: bool) -> Floats:

@@ -38,14 +38,12 @@ class View:
         held: name of a free body that the end effector holds by an active weld, if any.
         chain: the frames, and the joints between them.
         couplings: joints that follow others.
-        notes: which ranges were made or narrowed.
     """
 
     fields: dict[str, Any]
     held: str | None
     chain: Chain
     couplings: Couplings
-    notes: list[str]
 
 
 def read_view(
@@ -104,7 +102,8 @@ def read_view(
     _check_links(own, groups, couplings)
     ranges = joint_ranges(own, groups, couplings, notes, qpos, within)
     chain = Chain(tuple(frames), groups)
-    fields = read_arm(own, name, chain, rest=qpos, lines=couplings.lines, sums=couplings.sums, ranges=ranges)
+    ties: dict[str, Any] = {"lines": couplings.lines, "sums": couplings.sums}
+    fields = read_arm(own, name, chain, rest=qpos, ranges=ranges, notes=notes, **ties)
     space: Coordinates = fields["space"]
     bounded = [joint for joint in dependents.moved if joint not in dependents.lines]
     solved = [joint for joint in bounded if joint not in dependents.sums]
@@ -118,7 +117,7 @@ def read_view(
             fields[f"{what}_limits"][index] = value
     if fields["length_scale"] == 1.0:
         fields["length_scale"] = _length_scale(fields)
-    return View(fields, held, chain, couplings, notes)
+    return View(fields, held, chain, couplings)
 
 
 def _chain(

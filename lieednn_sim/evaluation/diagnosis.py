@@ -10,7 +10,14 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import fixed_body, geom_name
 from lieednn_sim.arm.equalities import equality_name
-from lieednn_sim.arm.forces import dry_friction, resting_load, servo_gains, tangent_basis
+from lieednn_sim.arm.forces import (
+    constant_moments,
+    control_ranges,
+    dry_friction,
+    resting_load,
+    servo_gains,
+    tangent_basis,
+)
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY
@@ -61,6 +68,9 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     # A slow servo leaves more than this part of an error at the end of the hold.
     slow &= (np.exp(-pace * rollout.hold) > 0.05) & (rollout.controller in _SERVO_CONTROLLERS)
     full = np.abs(rollout.force) >= 0.999 * limits
+    low, high = control_ranges(model).T
+    ends = (rollout.ctrl[-1] == low) | (rollout.ctrl[-1] == high)  # where MuJoCo clips it
+    ended = np.abs(constant_moments(model) @ basis) * (ends & (model.actuator_biasprm[:, 1] < 0.0))[:, None] > 1e-9
     reasons: list[list[str]] = [[] for _ in error]
     helpful: list[list[str]] = [[] for _ in error]
     design = "designed servos (servos='design', --servos design)"
@@ -82,6 +92,9 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
                 f"first at t = {rollout.t[full[:, j].argmax()]:.2f} s"
             )
             helpful[j].append("a longer duration")
+        for a in np.flatnonzero(ended[:, j] & (rollout.controller != "computed-torque")):
+            reasons[j].append(f"its servo's control is at the end of its control range [{low[a]:.4g}, {high[a]:.4g}]")
+            helpful[j].append("another target")
         if rollout.controller == "position-servo":
             for force, says, does in (
                 (friction[j], "dry friction of", "holds it anywhere within"),

@@ -70,6 +70,41 @@ def test_limits_are_the_smaller_end_of_the_sum_of_the_ranges(actuators, joint, w
     np.testing.assert_allclose(report.servos[0].force_range, span)
 
 
+@pytest.mark.parametrize(
+    ("actuators", "tie", "wanted"),
+    [
+        (SERVO.format('ctrlrange="-.5 .4"'), "", (-0.5, 0.4)),
+        (SERVO.format('ctrlrange="-3 .4"'), "", (-1.0, 0.4)),
+        (SERVO.format('ctrlrange="-.5 .4" gear="-2"'), "", (-0.2, 0.25)),
+        # 300 ctrl + 10 - 100 x is no force at x = 3 ctrl + 0.1.
+        ('<general joint="x" gainprm="300" biastype="affine" biasprm="10 -100" ctrlrange="-.1 .2"/>', "", (-0.2, 0.7)),
+        # The tendon's length is x + 3 y = 7 x.
+        ('<position tendon="belt" kp="9" ctrlrange="-3.5 1.4"/>', TIE, (-0.5, 0.2)),
+        # Wide ranges, and those that are no ranges of positions.
+        (SERVO.format('ctrlrange="-3 3"'), "", (-1.0, 1.0)),
+        ('<intvelocity joint="x" kp="100" actrange="-1 1" ctrlrange="-.1 .1"/>', "", (-1.0, 1.0)),
+        ('<motor joint="x" ctrlrange="-.5 .4"/>', "", (-1.0, 1.0)),
+    ],
+)
+def test_coordinates_range_as_far_as_the_controls_of_their_servos(actuators, tie, wanted):
+    arms, report = both_arms(actuators, tie=tie)
+    for arm in arms:
+        np.testing.assert_allclose(arm.position_limits[0], wanted)
+    told = f"x: range [-1, 1] narrowed to [{wanted[0]:g}, {wanted[1]:g}], where its servo can hold it by its ctrlrange"
+    assert [note for note in report.notes if "narrowed" in note] == [told] * (wanted != (-1.0, 1.0))
+    with pytest.raises(InputError, match=f"x' would be at 9 m, its range is .*{'ctrlrange' * (wanted != (-1, 1))}"):
+        arms[1].check_position([9.0] + [0.0] * (not tie))
+    spec = arms[0].spec.copy()
+    designed = Arm.from_spec(spec, joints=["x"], servos="design")
+    np.testing.assert_allclose(designed.position_limits[0], [-1.0, 1.0])
+    assert not any("narrowed" in note for note in designed.import_report.notes)
+
+
+def test_a_servo_that_can_hold_a_coordinate_nowhere_is_named():
+    with pytest.raises(InputError, match=r"by its ctrlrange the servo of 'x' holds it nowhere in \[-1, 1\]"):
+        both_arms(SERVO.format('ctrlrange="2 3"'))
+
+
 def test_disabled_actuators_neither_drive_nor_hold():
     """A motor of 2 N beside a servo of 60 N that its group disables; then, by the flag, both are."""
     actuators = '<motor name="on" joint="x" ctrlrange="-2 2"/>' + SERVO.format('name="p" group="1" forcerange="-60 60"')

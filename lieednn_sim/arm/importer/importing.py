@@ -95,7 +95,7 @@ def import_model(
     arm = viewed()
     servos = tuple(describe_servos(arm, _closed(arm, home, samples), added))
     report = _report(arm, view, label, servos, notes)
-    return arm, replace(report, notes=(*notes, *remarks(arm, report.groups, servos, samples)))
+    return arm, replace(report, notes=(*notes, *arm.notes, *remarks(arm, report.groups, servos, samples)))
 
 
 def _closed(arm: ModelArm, home: Floats, samples: Floats) -> Floats:
