@@ -51,6 +51,10 @@ def moved(controller="position-servo", disturbances=None, imported=False, **chan
             ["'drive' ends ", "dry friction of 8 N / kp 1000 holds it anywhere within 8 mm"],
         ),
         (
+            {"drive": 'frictionloss="8"', "controller": "feedback-linearisation"},
+            ["'drive' ends ", "dry friction of 8 N / kp 1000 holds it anywhere within 8 mm", "the controller inverse-"],
+        ),
+        (
             {"force": 'forcerange="-5 5"'},
             ["'drive' ends ", "its force limit of 5 N is reached in", "a longer duration"],
         ),
