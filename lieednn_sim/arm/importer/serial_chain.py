@@ -52,7 +52,9 @@ def choose_chain(model: mujoco.MjModel, qpos: Floats, options: ImportOptions, no
             f"the end effector is {body_frame(model, last).name!r}; tip={tools[0]!r} (--tip) would choose that, of the "
             f"frames named like a tool: {', '.join(tools)}"
         )
-    return {**named, "joints": [model.joint(joint).name for joint in freely_moving(model, qpos, chain)]}
+    # Where nothing moves freely, `read_view` names the equality.
+    moving = freely_moving(model, qpos, chain) or chain
+    return {**named, "joints": [model.joint(joint).name for joint in moving]}
 
 
 def _tools(model: mujoco.MjModel, last: int) -> list[str]:
