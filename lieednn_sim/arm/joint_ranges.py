@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import joint_kind
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.coupled_joints import Couplings
 from lieednn_sim.arm.equalities import joint_range
@@ -17,6 +18,15 @@ from lieednn_sim.values import Floats
 _BALL, _SLIDE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
 _DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
+_ENDLESS = 1e3  # half a range from which on there is none [rad, m]
+
+
+def drop_endless_ranges(model: mujoco.MjModel, notes: list[str]) -> None:
+    """Make hinges and slides unlimited whose ranges have no ends, as some tools write continuous joints."""
+    low, high = model.jnt_range.T
+    for joint in np.flatnonzero((model.jnt_limited != 0) & (low <= -_ENDLESS) & (high >= _ENDLESS)).tolist():
+        model.jnt_limited[joint] = 0
+        notes.append(f"{model.joint(joint).name}: range [{low[joint]:g}, {high[joint]:g}] taken for none")
 
 
 def joint_ranges(
@@ -59,7 +69,10 @@ def joint_ranges(
             low, high = max(low, bounds[0]), min(high, bounds[1])
         name = model.joint(lead).name
         if not np.isfinite([low, high]).all():
-            raise InputError(f'slide {name!r} has no range; give it one, such as range="0 0.5" [m]')
+            raise InputError(
+                f'{joint_kind(model, lead)} {name!r} has no range; give it one, in MJCF by range="0 0.5", in a URDF by '
+                '<limit lower="0" upper="0.5"/>, or leave it out of the arm\'s joints (joints=[...], --joints ...)'
+            )
         if low >= high:
             raise InputError(f"nothing is left of the range of {name!r} and the joints that follow it; correct them")
         own = spans[lead]

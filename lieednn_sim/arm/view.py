@@ -19,7 +19,7 @@ from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import names
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame
-from lieednn_sim.arm.joint_ranges import joint_ranges
+from lieednn_sim.arm.joint_ranges import drop_endless_ranges, joint_ranges
 from lieednn_sim.arm.limits import check_rates, spare_acceleration
 from lieednn_sim.arm.parsing import Chain, read_arm
 from lieednn_sim.arm.stops import Stops
@@ -72,6 +72,7 @@ def read_view(
     check_rates(limits)
     check_numbers(own)
     notes: list[str] = []
+    drop_endless_ranges(own, notes)
     frames = () if links is None else named_frames(own, links, base)
     groups = joint_groups(own, frames) if frames else ()
     chosen = chosen_joints(own, joints) if joints is not None else [joint for group in groups for joint in group]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -26,10 +27,13 @@ _FINGER = re.compile(r"jaw|finger|fngr|claw|pincer", re.IGNORECASE)
 _GRIPPER = re.compile(_FINGER.pattern + r"|grip", re.IGNORECASE)  # a body of that name may be the one it is fixed to
 
 
-def choose_chain(model: mujoco.MjModel, qpos: Floats, options: ImportOptions, notes: list[str]) -> dict[str, Any]:
+def choose_chain(
+    model: mujoco.MjModel, qpos: Floats, options: ImportOptions, planar: Mapping[str, str], notes: list[str]
+) -> dict[str, Any]:
     """What names the arm, as arguments of `Arm.of`: the options, the sites of the package's arms, or the longest chain.
 
-    Of a chain that is found, joints that closed loops move are left out; ``qpos`` ``(nq,)`` is where the loops are.
+    Of a chain that is found, joints that closed loops move are left out, where ``qpos`` ``(nq,)`` is where the loops
+    are, and those of planar joints, whose names are the values of ``planar``.
 
     Raises:
         InputError: there is no such arm, or the choice is ambiguous.
@@ -53,8 +57,14 @@ def choose_chain(model: mujoco.MjModel, qpos: Floats, options: ImportOptions, no
             f"frames named like a tool: {', '.join(tools)}"
         )
     # Where nothing moves freely, `read_view` names the equality.
-    moving = freely_moving(model, qpos, chain) or chain
-    return {**named, "joints": [model.joint(joint).name for joint in moving]}
+    moving = [model.joint(joint).name for joint in freely_moving(model, qpos, chain) or chain]
+    if held := dict.fromkeys(planar[name] for name in moving if name in planar and not planar.keys() >= {*moving}):
+        moving = [name for name in moving if name not in planar]
+        notes.append(
+            f"planar joints, which have no ranges, are held: {', '.join(held)}; to move one, convert the file to MJCF, "
+            "and give its slides ranges"
+        )
+    return {**named, "joints": moving}
 
 
 def _tools(model: mujoco.MjModel, last: int) -> list[str]:
