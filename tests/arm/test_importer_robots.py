@@ -436,9 +436,18 @@ def test_meshes_in_collada_are_their_points(tmp_path):
             Arm.load(tmp_path / "derrick.urdf")
 
 
-def test_macros_of_ros_are_to_be_expanded_first():
+def test_macros_of_ros_are_to_be_expanded_first(tmp_path):
     with pytest.raises(InputError, match=r"ROS macros: make it a URDF with `xacro ur10.urdf.xacro -o robot.urdf`"):
         Arm.load("ur10.urdf.xacro")
+    path, call = tmp_path / "derrick.urdf", '<xacro:arm prefix="left_"/>'
+    left = (call, call.replace("/>", "></xacro:arm>"), '<link name="${prefix}hand"/>', '<x y="$(find hands)/a.stl"/>')
+    for name in ("robot", 'robot xmlns:xacro="http://www.ros.org/wiki/xacro"'):
+        for text in left:
+            path.write_text(URDF.replace("<robot", f"<{name}").replace("</robot>", f"{text}</robot>"))
+            with pytest.raises(InputError, match=r"derrick\.urdf holds ROS macros: make it a URDF with `xacro "):
+                Arm.load(path)
+        path.write_text(URDF.replace("<robot", f"<!-- by xacro {call} --><{name}"))
+        assert Arm.load(path).n_joints == 2
 
 
 def test_missing_meshes_behind_an_include_are_said_to_be_where_mujoco_looks(tmp_path):
