@@ -13,6 +13,7 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.chain import chain_base, chosen_joints, common_path, joint_groups, named_frames, tip_frame
 from lieednn_sim.arm.checks import ancestry, check_numbers, joints_of
 from lieednn_sim.arm.compound_joints import cut
+from lieednn_sim.arm.contacts import without_clearance
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.coupled_joints import Couplings, along_tendons
 from lieednn_sim.arm.dependents import Dependents, independent_joints
@@ -73,6 +74,7 @@ def read_view(
     check_numbers(own)
     notes: list[str] = []
     drop_endless_ranges(own, notes)
+    notes += filter(None, [without_clearance(own)])
     frames = () if links is None else named_frames(own, links, base)
     groups = joint_groups(own, frames) if frames else ()
     chosen = chosen_joints(own, joints) if joints is not None else [joint for group in groups for joint in group]
