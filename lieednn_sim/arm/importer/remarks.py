@@ -12,6 +12,7 @@ from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, colliding_geoms
 from lieednn_sim.arm.forces import disabled_actuators, dry_friction, resting_load
 from lieednn_sim.arm.importer.report import Servo
 from lieednn_sim.arm.kinematics import least_singular_value
+from lieednn_sim.arm.step_stability import step_remedy
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.values import Floats
 
@@ -76,6 +77,8 @@ def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
     if (idle := disabled_actuators(arm.model)).any():
         disabled = ", ".join(arm.model.actuator(int(a)).name for a in np.flatnonzero(idle))
         yield f"actuators that the file disables, which neither drive nor hold: {disabled}"
+    if unstable := step_remedy(arm.model, arm.qpos(q[0])):
+        yield unstable
     basis = arm.unit_rates()
     loads = resting_load(arm.model, arm.qpos(q, strict=False), limited=True) @ basis
     for servo, friction, load in zip(servos, dry_friction(arm.model, basis), loads.T, strict=True):

@@ -18,6 +18,7 @@ from lieednn_sim.arm.forces import actuator_moments, force_ranges, servo_gains
 from lieednn_sim.arm.importer.loading import compile_spec, unused
 from lieednn_sim.arm.importer.report import Servo
 from lieednn_sim.arm.limits import largest_inertia
+from lieednn_sim.arm.step_stability import step_growth, without_stops
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -179,19 +180,16 @@ def _slow_down(spec: mujoco.MjSpec, actuators: Mapping[str, _Servo], configurati
 
     First those of coupled stages, which act on one stage, until their soft ties can keep up: the fastest are taken with
     which the model's slowest mode decays at 10 / s at home, or nearly as fast as with any slower ones, since other
-    parts of the model may be slow by themselves. Then all, until the steps are stable at all configurations. Dry
-    friction, which would hide how stages swing once they move, contacts and limits are left out.
+    parts of the model may be slow by themselves. Then all, until the steps are stable at all configurations.
     """
-    model = compile_spec(spec)
-    model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    model = without_stops(compile_spec(spec))
     slower = dict.fromkeys(actuators, 1.0)
 
     def decay(rows: Floats) -> float:
         for name, servo in actuators.items():
             actuator = model.actuator(name).id
             model.actuator_gainprm[actuator], model.actuator_biasprm[actuator] = servo.parameters(slower[name])
-        return min(-float(np.log(_step_growth(model, qpos))) / model.opt.timestep for qpos in rows)
+        return min(-float(np.log(step_growth(model, qpos))) / model.opt.timestep for qpos in rows)
 
     euler = int(mujoco.mjtIntegrator.mjINT_EULER)
     if decay(configurations) < _STABLE and model.opt.integrator == euler:
@@ -216,15 +214,3 @@ def _slow_down(spec: mujoco.MjSpec, actuators: Mapping[str, _Servo], configurati
     for name, servo in actuators.items():
         actuator = spec.actuator(name)
         actuator.gainprm, actuator.biasprm = servo.parameters(slower[name])
-
-
-def _step_growth(model: mujoco.MjModel, qpos: Floats) -> float:
-    """Spectral radius of one step of the whole model, at rest with the servos commanded to the configuration."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
-    data.ctrl[:] = data.actuator_length
-    size = 2 * model.nv + model.na
-    transition = np.zeros((size, size))
-    mujoco.mjd_transitionFD(model, data, 1e-6, True, transition, None, None, None)
-    return float(np.abs(np.linalg.eigvals(transition)).max())
