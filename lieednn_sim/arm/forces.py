@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
 
 # Kinds of transmission by which an actuator drives a joint.
 ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+DRIVABLE = (
+    "<position>, <motor>, or <general> with fixed gain, affine bias and no dynamics (timeconst), on joints or fixed "
+    "tendons; of a file, servos='design' (--servos design) makes others"
+)
 
 
 def tangent_basis(space: Coordinates) -> Floats:
@@ -68,6 +73,19 @@ def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
     affine = model.actuator_biastype <= int(mujoco.mjtBias.mjBIAS_AFFINE)
     affine &= model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_FIXED)
     return np.asarray(affine & (model.actuator_gainprm[:, 0] != 0.0))
+
+
+def drivable(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which actuators ``(nu,)`` controllers know: see `DRIVABLE`; in a parent's frame, those of hinges and slides."""
+    kinds, targets, (joint, in_parent) = model.actuator_trntype, model.actuator_trnid[:, 0], ON_JOINTS
+    constant = [
+        kinds[a] == joint
+        or (kinds[a] == in_parent and model.jnt_type[targets[a]] in SCALAR)
+        or on_fixed_tendon(model, a)
+        for a in range(model.nu)
+    ]
+    static = model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_NONE)
+    return np.asarray(affine_actuators(model) & static & np.array(constant, dtype=bool))
 
 
 def compensating_dofs(model: mujoco.MjModel) -> NDArray[np.bool_]:

@@ -27,7 +27,7 @@ from lieednn_sim.arm.checks import (
 from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import joint_range
-from lieednn_sim.arm.forces import force_ranges, tangent_basis
+from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, drivable, force_ranges, tangent_basis
 from lieednn_sim.arm.frames import BodyFrames, Frame, site_frame
 from lieednn_sim.arm.joint_ranges import narrow_to_servos
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
@@ -93,6 +93,9 @@ def read_arm(
     rest, said = home_data(model).qpos if rest is None else rest, list(notes)
     space = read_coordinates(model, chain, rest, lines, sums or {})
     limits = narrow_to_servos(model, rest, space, read_position_limits(model, chain, space, ranges), said)
+    moving = np.abs(actuator_moments(model) @ tangent_basis(space)).max(axis=1, initial=0.0) > 1e-9
+    if unknown := [model.actuator(int(a)).name for a in np.flatnonzero(moving & ~drivable(model))]:
+        said.append(f"no controller can drive {', '.join(unknown)}: they need {DRIVABLE}")
     joints, base, mounts, tips = read_joints(model, arm, chain, space, ranges)
     unlimited = np.full(len(space), np.inf)
     return {

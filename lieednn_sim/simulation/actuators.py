@@ -16,11 +16,11 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.arm.forces import (
+    DRIVABLE,
     actuator_moments,
     actuator_ranges,
-    affine_actuators,
     control_ranges,
-    on_fixed_tendon,
+    drivable,
 )
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.disturbances import Noise
@@ -57,7 +57,11 @@ class Actuators:
         self.driving = _moving(moments, basis)
         self.moment = np.where(self.driving[:, None], moments, 0.0)
         self.transmission = transmission = self.moment @ basis
-        _check(model, self.driving)
+        if len(unknown := np.flatnonzero(self.driving & ~drivable(model))):
+            name = model.actuator(int(unknown[0])).name
+            raise InputError(
+                f"actuator {name!r} moves the arm in a way the controllers do not know: they need {DRIVABLE}"
+            )
         driven: NDArray[np.bool_] = np.asarray(transmission.any(axis=0))
         if np.linalg.matrix_rank(transmission) < (arm.n_joints if complete else driven.sum()):
             bare = ", ".join(repr(name) for name, moved in zip(arm.joint_names, driven, strict=True) if not moved)
@@ -180,19 +184,3 @@ def has_servos(arm: Arm) -> bool:
 
 def _moving(moments: Floats, basis: Floats) -> NDArray[np.bool_]:
     return np.asarray(np.abs(moments @ basis).max(axis=1, initial=0.0) > 1e-9)
-
-
-def _check(model: mujoco.MjModel, driving: NDArray[np.bool_]) -> None:
-    kinds, affine = mujoco.mjtTrn, affine_actuators(model)
-    for i in np.flatnonzero(driving):
-        kind, target = int(model.actuator_trntype[i]), int(model.actuator_trnid[i, 0])
-        on_joint = kind == int(kinds.mjTRN_JOINT) or (
-            kind == int(kinds.mjTRN_JOINTINPARENT) and int(model.jnt_type[target]) in SCALAR
-        )
-        static = int(model.actuator_dyntype[i]) == int(mujoco.mjtDyn.mjDYN_NONE)
-        if not (affine[i] and static and (on_joint or on_fixed_tendon(model, int(i)))):
-            raise InputError(
-                f"actuator {model.actuator(int(i)).name!r} moves the arm in a way the controllers do not know: they "
-                "need <position>, <motor>, or <general> with fixed gain, affine bias and no dynamics, on joints or "
-                "fixed tendons"
-            )

@@ -1,5 +1,6 @@
 """Force limits by hand: what can be relied on in both directions, of native and of imported arms."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,22 @@ def test_coordinates_range_as_far_as_the_controls_of_their_servos(actuators, tie
 def test_a_servo_that_can_hold_a_coordinate_nowhere_is_named():
     with pytest.raises(InputError, match=r"by its ctrlrange the servo of 'x' holds it nowhere in \[-1, 1\]"):
         both_arms(SERVO.format('ctrlrange="2 3"'))
+
+
+def test_actuators_that_no_controller_can_drive_are_told_when_the_arm_is_read():
+    slow = SERVO.format('name="slow" timeconst=".1"')
+    arms, report = both_arms(slow)
+    for arm in arms:
+        (told,) = (
+            note for note in arm.notes if note.startswith("no controller can drive slow: they need <position>, ")
+        )
+        with pytest.raises(InputError, match=re.escape(told.split("they need ")[1])):
+            Actuators(arm)
+    assert told in report.notes
+    assert "servos='design'" in told
+    designed = Arm.from_spec(arms[0].spec, joints=["x"], servos="design")
+    assert not any("no controller" in note for note in designed.import_report.notes)
+    assert Actuators(designed).driving.tolist()[:1] == [True]
 
 
 def test_disabled_actuators_neither_drive_nor_hold():
