@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import os
 import pickle
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, fixed_body
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, fixed_body, without_clearance
 from lieednn_sim.arm.equalities import loop_closures
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
 from lieednn_sim.arm.importer.importing import import_model
@@ -174,6 +175,9 @@ class Arm(ModelArm):
             limits: ``velocity``, ``acceleration`` and ``jerk`` of coordinates by name [rad or m, s].
             clearance: distance that planned motions keep from contact, start and target included [m].
 
+        Warns:
+            UserWarning: it has colliding geoms of the type sdf, of which motions keep no clearance.
+
         Raises:
             InputError: the joints are not an arm's, or data is of another model, or not finite.
             NoSolutionError: the state is not near a solution of the equalities, or at a dead centre of a loop.
@@ -181,6 +185,8 @@ class Arm(ModelArm):
         check_data(model, data)
         named: dict[str, Any] = {"joints": joints, "links": links, "tip": tip, "base": base, "limits": limits}
         named = {what: value for what, value in named.items() if value is not None}
+        if said := without_clearance(model):
+            warnings.warn(said, stacklevel=3)  # through the check of arguments
         more = {"clearance": float(as_floats("clearance", clearance, ())), "state": state_of(model, data)}
         return cls.viewing(model, data, named, name=name_of(model), source=Path("a compiled model"), spec=None, **more)
 

@@ -128,13 +128,28 @@ class ClosedLoops:
         given = jacobian[:, self._residuals.known] @ known[self._residuals.known]
         left = given + jacobian[:, self.dofs] @ self._residuals.least_squares(jacobian, given)
         large = np.abs(left) > 1e-6 * max(1.0, np.abs(given).max(initial=0.0))
+        # Stretched loops let joints move at first, but no further.
+        large[:, [self._stuck(rates) for rates in known.T]] = True
         if large.any():
             tied = {joint for joint, column in zip(joints, large.T, strict=True) if column.any()}
+            excess = int(np.linalg.matrix_rank(left, 1e-6))
+            leave = f"leave {excess} of them out of the independent joints, or " if 0 < excess < left.shape[1] else ""
             raise InputError(
                 f"joints {names(self._model, tied)} cannot move independently, because of "
-                f"{self._residuals.owners(large.any(axis=1))}; leave {np.linalg.matrix_rank(left, 1e-6)} of them out "
-                "of the independent joints, or deactivate the equality"
+                f'{self._residuals.owners(large.any(axis=1))}; {leave}deactivate the equality: active="false" in a '
+                "file, or data.eq_active"
             )
+
+    def _stuck(self, rates: Floats) -> bool:
+        """Whether the loops close neither after a small motion ``(nv,)`` of the given joints nor after the reverse."""
+        small, start = 1e-3, self._reference
+        for motion in (small * rates, -small * rates):
+            target = start.qpos.copy()
+            mujoco.mj_integratePos(self._model, target, motion, 1.0)
+            self._follow(target)
+            if self._track(start, target)[1] == 1.0:
+                return False
+        return True
 
     def _reach(self, last: _Solution, row: Floats) -> tuple[_Solution, bool]:
         """The solution at a row, or the last one on the way there; and whether it is there."""

@@ -161,6 +161,16 @@ def colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return colliding
 
 
+def without_clearance(model: mujoco.MjModel) -> str:
+    """What to say of colliding geoms of which no clearance can be kept; empty without any."""
+    blind = colliding_geoms(model) & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_SDF))
+    shown = ", ".join(repr(geom_name(model, int(geom))) for geom in np.flatnonzero(blind))
+    return shown and (
+        f"MuJoCo sees geoms of the type sdf in penetration alone, so that motions keep no clearance of {shown}; other "
+        "types, such as meshes, have one"
+    )
+
+
 def moved_by(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
     """Which degrees of freedom ``(nv,)`` move a body."""
     moved = np.zeros(model.nv, dtype=bool)

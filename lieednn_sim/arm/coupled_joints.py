@@ -9,7 +9,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.coordinates import Line, Sum
-from lieednn_sim.arm.forces import ON_JOINTS
+from lieednn_sim.arm.forces import ON_JOINTS, disabled_actuators
 from lieednn_sim.errors import InputError
 
 
@@ -64,14 +64,15 @@ def coefficients(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
 
 
 def driven_tendons(model: mujoco.MjModel) -> list[int]:
-    """Tendons that actuators pull at."""
-    tendon = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
+    """Tendons that enabled actuators pull at."""
+    tendon = (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)) & ~disabled_actuators(model)
     return [int(model.actuator_trnid[a, 0]) for a in np.flatnonzero(tendon)]
 
 
 def driven_directly(model: mujoco.MjModel) -> set[int]:
-    """Joints that actuators drive without a tendon."""
-    return {int(model.actuator_trnid[a, 0]) for a in range(model.nu) if model.actuator_trntype[a] in ON_JOINTS}
+    """Joints that enabled actuators drive without a tendon."""
+    on_joints = np.isin(model.actuator_trntype, ON_JOINTS) & ~disabled_actuators(model)
+    return set(model.actuator_trnid[on_joints, 0].tolist())
 
 
 def _along_tendon(model: mujoco.MjModel, joints: Sequence[int], couplings: Couplings, tendon: int) -> Couplings:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
 
 # Kinds of transmission by which an actuator drives a joint.
 ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+DRIVABLE = (
+    "<position>, <motor>, or <general> with fixed gain, affine bias and no dynamics (timeconst), on joints or fixed "
+    "tendons; of a file, servos='design' (--servos design) makes others"
+)
 
 
 def tangent_basis(space: Coordinates) -> Floats:
@@ -28,8 +33,15 @@ def tangent_basis(space: Coordinates) -> Floats:
     return space.to_qvel(np.zeros_like(rates), rates).T
 
 
+def disabled_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which actuators ``(nu,)`` exert nothing, by ``actuatorgroupdisable`` or by the flag ``actuation``."""
+    groups, last = model.actuator_group.astype(int), 30  # those beyond cannot be disabled
+    named = (groups >= 0) & (groups <= last) & (model.opt.disableactuator >> np.clip(groups, 0, last) & 1 != 0)
+    return np.asarray(named | bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)))
+
+
 def actuator_moments(model: mujoco.MjModel) -> Floats:
-    """Generalised force per unit force of each actuator, ``(nu, nv)``, at the reference position."""
+    """Generalised force per unit force of each actuator, ``(nu, nv)``, at the reference position; disabled ones: 0."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     moments = np.zeros((model.nu, model.nv))
@@ -37,6 +49,7 @@ def actuator_moments(model: mujoco.MjModel) -> Floats:
         mujoco.mju_sparse2dense(
             moments, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind
         )
+    moments[disabled_actuators(model)] = 0.0
     return moments
 
 
@@ -62,14 +75,41 @@ def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return np.asarray(affine & (model.actuator_gainprm[:, 0] != 0.0))
 
 
+def drivable(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which actuators ``(nu,)`` controllers know: see `DRIVABLE`; in a parent's frame, those of hinges and slides."""
+    kinds, targets, (joint, in_parent) = model.actuator_trntype, model.actuator_trnid[:, 0], ON_JOINTS
+    constant = [
+        kinds[a] == joint
+        or (kinds[a] == in_parent and model.jnt_type[targets[a]] in SCALAR)
+        or on_fixed_tendon(model, a)
+        for a in range(model.nu)
+    ]
+    static = model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_NONE)
+    return np.asarray(affine_actuators(model) & static & np.array(constant, dtype=bool))
+
+
 def compensating_dofs(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Which dofs ``(nv,)`` have ``actgravcomp``: MuJoCo adds gravity compensation to the forces of their actuators."""
-    return np.asarray(model.jnt_actgravcomp[model.dof_jntid] != 0)
+    acting = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    return np.asarray((model.jnt_actgravcomp[model.dof_jntid] != 0) & acting)
 
 
 def actuator_ranges(model: mujoco.MjModel) -> Floats:
-    """Least and largest force ``(nu, 2)`` of each actuator, infinite where nothing limits it."""
-    return np.array([_force_range(model, a) for a in range(model.nu)]).reshape(-1, 2)
+    """Least and largest force ``(nu, 2)`` of each actuator, infinite where nothing limits it.
+
+    A motor's control range limits its force as well as its force range does.
+    """
+    ranges = np.where(model.actuator_forcelimited[:, None] != 0, model.actuator_forcerange, [-np.inf, np.inf])
+    motors = affine_actuators(model) & (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE))
+    by_control = np.sort(model.actuator_gainprm[motors, :1] * control_ranges(model)[motors])
+    ranges[motors] = np.clip(by_control, ranges[motors, :1], ranges[motors, 1:])
+    return ranges
+
+
+def control_ranges(model: mujoco.MjModel) -> Floats:
+    """The range ``(nu, 2)`` to which MuJoCo clips each control, infinite where it does not."""
+    clipped = model.actuator_ctrllimited * (not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL))
+    return np.where(clipped[:, None] != 0, model.actuator_ctrlrange, [-np.inf, np.inf])
 
 
 def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
@@ -142,17 +182,3 @@ def _sum_of_ranges(weights: Floats, ranges: Floats) -> Floats:
     factors = np.repeat(weights[..., None], 2, axis=-1)
     scaled = np.multiply(factors, ranges[:, None], where=factors != 0.0, out=np.zeros_like(factors))
     return np.sort(scaled, axis=-1).sum(axis=0)
-
-
-def _force_range(model: mujoco.MjModel, actuator: int) -> Floats:
-    """Force range of an actuator: its own, or that which the control range of a motor gives it."""
-    if model.actuator_forcelimited[actuator]:
-        return model.actuator_forcerange[actuator].copy()
-    motor = (
-        model.actuator_gaintype[actuator] == int(mujoco.mjtGain.mjGAIN_FIXED)
-        and model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_NONE)
-        and model.actuator_ctrllimited[actuator]
-    )
-    if motor:
-        return np.sort(model.actuator_gainprm[actuator, 0] * model.actuator_ctrlrange[actuator])
-    return np.array([-np.inf, np.inf])

@@ -7,14 +7,26 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import joint_kind
+from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.coupled_joints import Couplings
 from lieednn_sim.arm.equalities import joint_range
+from lieednn_sim.arm.forces import affine_actuators, constant_moments, control_ranges, tangent_basis
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
 _BALL, _SLIDE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
 _DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
+_ENDLESS = 1e3  # half a range from which on there is none [rad, m]
+
+
+def drop_endless_ranges(model: mujoco.MjModel, notes: list[str]) -> None:
+    """Make hinges and slides unlimited whose ranges have no ends, as some tools write continuous joints."""
+    low, high = model.jnt_range.T
+    for joint in np.flatnonzero((model.jnt_limited != 0) & (low <= -_ENDLESS) & (high >= _ENDLESS)).tolist():
+        model.jnt_limited[joint] = 0
+        notes.append(f"{model.joint(joint).name}: range [{low[joint]:g}, {high[joint]:g}] taken for none")
 
 
 def joint_ranges(
@@ -57,7 +69,10 @@ def joint_ranges(
             low, high = max(low, bounds[0]), min(high, bounds[1])
         name = model.joint(lead).name
         if not np.isfinite([low, high]).all():
-            raise InputError(f'slide {name!r} has no range; give it one, such as range="0 0.5" [m]')
+            raise InputError(
+                f'{joint_kind(model, lead)} {name!r} has no range; give it one, in MJCF by range="0 0.5", in a URDF by '
+                '<limit lower="0" upper="0.5"/>, or leave it out of the arm\'s joints (joints=[...], --joints ...)'
+            )
         if low >= high:
             raise InputError(f"nothing is left of the range of {name!r} and the joints that follow it; correct them")
         own = spans[lead]
@@ -69,6 +84,39 @@ def joint_ranges(
                 _, ratio, shift = couplings.lines[joint]
                 spans[joint] = np.sort(ratio * spans[lead] + shift)
     return spans
+
+
+def narrow_to_servos(
+    model: mujoco.MjModel, qpos: Floats, space: Coordinates, limits: Floats, notes: list[str]
+) -> Floats:
+    """The limits ``(n, 2)`` of the coordinates within which position servos can hold them.
+
+    Without a load a servo rests at the length l at which g ctrl + b0 + b1 l = 0, with the control in its range. Those
+    that act on one coordinate alone count, where they are at ``qpos`` ``(nq,)``.
+
+    Raises:
+        InputError: nothing is left of a range.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_fwdPosition(model, data)
+    rates, q, held = constant_moments(model) @ tangent_basis(space), space.from_qpos(qpos), limits.copy()
+    gain, (constant, stiffness) = model.actuator_gainprm[:, 0], model.actuator_biasprm[:, :2].T
+    servos = affine_actuators(model) & (stiffness * gain < 0.0)
+    servos &= model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+    for a in np.flatnonzero(servos & (np.count_nonzero(np.abs(rates) > 1e-9, axis=1) == 1)).tolist():
+        k = int(np.abs(rates[a]).argmax())
+        if k in space.scalars:
+            lengths = -(gain[a] * control_ranges(model)[a] + constant[a]) / stiffness[a]
+            low, high = np.sort(q[k] + (lengths - data.actuator_length[a]) / rates[a, k])
+            held[k] = max(low, held[k, 0]), min(high, held[k, 1])
+    narrower = ~np.isclose(held, limits, rtol=0.0, atol=1e-6)
+    for k in np.flatnonzero(narrower.any(axis=1)).tolist():
+        name, before, after = space.names[k], *("[{:.4g}, {:.4g}]".format(*span[k]) for span in (limits, held))
+        if held[k, 0] >= held[k, 1]:
+            raise InputError(f"by its ctrlrange the servo of {name!r} holds it nowhere in {before}; correct one")
+        notes.append(f"{name}: range {before} narrowed to {after}, where its servo can hold it by its ctrlrange")
+    return np.where(narrower, held, limits)
 
 
 def _span(model: mujoco.MjModel, joint: int, notes: list[str], around: Floats | None, *, alone: bool) -> Floats:

@@ -50,6 +50,7 @@ class ModelArm(SerialArm):
             an imported file, which is a view as well, begin at rest, with the controls of the keyframe ``home``.
         named: of a view, the arguments joints, links, tip, base and limits of `Arm.of`.
         made: of a view, the limits that it was made with, by name.
+        notes: which ranges were made or narrowed, and why.
         collision_model: another `geometry`, for what moves it.
         grasp: what it carries (`Arm.holding`).
         dependents: of a view, the joints that it moves by closed loops or curves, if any.
@@ -64,6 +65,7 @@ class ModelArm(SerialArm):
     state: Floats | None = None
     named: Mapping[str, Any] = field(default_factory=dict)
     made: Mapping[str, Floats] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
     collision_model: mujoco.MjModel | None = None
     grasp: Grasp | None = None
     dependents: Dependents | None = None
@@ -214,7 +216,8 @@ class ModelArm(SerialArm):
     def describe_excess(self, q: Floats, joint: int) -> str:
         """The message for an entry of `limit_excess` at q ``(n,)`` that is positive."""
         if self.stops is None or joint < self.n_joints:
-            return super().describe_excess(q, joint)
+            why = (note for note in self.notes if note.startswith(f"{self.joint_names[joint]}: "))
+            return "; ".join((super().describe_excess(q, joint), *why))
         try:
             return self.stops.describe(self.qpos(q), joint - self.n_joints)
         except NoSolutionError as error:

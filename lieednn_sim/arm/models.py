@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.importer.loading import macros_left
 from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import ARMS
@@ -72,7 +73,7 @@ def find_model(arm: str | os.PathLike[str], options: ImportOptions) -> ModelFile
     path = as_path("the name of an arm", arm)
     suffix = path.suffix.lower()
     if suffix == ".xacro":
-        raise InputError(f"{path} holds ROS macros: make it a URDF with `xacro {path} -o robot.urdf`, and load that")
+        raise macros_left(path)
     if suffix in DESCRIPTION_SUFFIXES:
         model, described = _read_description(path)
         return ModelFile(model, path.stem, {**described, **chosen(options)})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -27,8 +27,9 @@ from lieednn_sim.arm.checks import (
 from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import joint_range
-from lieednn_sim.arm.forces import force_ranges, tangent_basis
+from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, drivable, force_ranges, tangent_basis
 from lieednn_sim.arm.frames import BodyFrames, Frame, site_frame
+from lieednn_sim.arm.joint_ranges import narrow_to_servos
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.arm.limits import read_numeric
 from lieednn_sim.arm.surroundings import home_data
@@ -61,6 +62,7 @@ def read_arm(
     lines: Mapping[int, Line] | None = None,
     sums: Mapping[int, Sum] | None = None,
     ranges: Mapping[int, Floats] | None = None,
+    notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The fields of an `Arm` that its model determines.
 
@@ -73,6 +75,7 @@ def read_arm(
             model's equalities.
         sums: joints of the chain, and others, that follow several joints of it.
         ranges: the range ``(2,)`` of each joint of the chain; by default the model's.
+        notes: which of these were made or narrowed.
 
     Raises:
         InputError: the model is not an arm.
@@ -87,7 +90,12 @@ def read_arm(
             check_limited(model, arm, joint)
         ranges = {joint: joint_range(model, joint) for joint in group}
     lines = _leaders(model, arm, group) if lines is None else lines
-    space = read_coordinates(model, chain, home_data(model).qpos if rest is None else rest, lines, sums or {})
+    rest, said = home_data(model).qpos if rest is None else rest, list(notes)
+    space = read_coordinates(model, chain, rest, lines, sums or {})
+    limits = narrow_to_servos(model, rest, space, read_position_limits(model, chain, space, ranges), said)
+    moving = np.abs(actuator_moments(model) @ tangent_basis(space)).max(axis=1, initial=0.0) > 1e-9
+    if unknown := [model.actuator(int(a)).name for a in np.flatnonzero(moving & ~drivable(model))]:
+        said.append(f"no controller can drive {', '.join(unknown)}: they need {DRIVABLE}")
     joints, base, mounts, tips = read_joints(model, arm, chain, space, ranges)
     unlimited = np.full(len(space), np.inf)
     return {
@@ -96,7 +104,8 @@ def read_arm(
         "base": base,
         "mounts": mounts,
         "tips": tips,
-        "position_limits": read_position_limits(model, chain, space, ranges),
+        "position_limits": limits,
+        "notes": tuple(said),
         "velocity_limits": read_numeric(model, arm, "velocity_limit", unlimited, viewed),
         "acceleration_limits": read_numeric(model, arm, "acceleration_limit", unlimited, viewed),
         "jerk_limits": read_numeric(model, arm, "jerk_limit", unlimited, viewed),

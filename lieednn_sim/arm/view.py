@@ -13,13 +13,14 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.chain import chain_base, chosen_joints, common_path, joint_groups, named_frames, tip_frame
 from lieednn_sim.arm.checks import ancestry, check_numbers, joints_of
 from lieednn_sim.arm.compound_joints import cut
+from lieednn_sim.arm.contacts import without_clearance
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.coupled_joints import Couplings, along_tendons
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import names
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame
-from lieednn_sim.arm.joint_ranges import joint_ranges
+from lieednn_sim.arm.joint_ranges import drop_endless_ranges, joint_ranges
 from lieednn_sim.arm.limits import check_rates, spare_acceleration
 from lieednn_sim.arm.parsing import Chain, read_arm
 from lieednn_sim.arm.stops import Stops
@@ -38,14 +39,12 @@ class View:
         held: name of a free body that the end effector holds by an active weld, if any.
         chain: the frames, and the joints between them.
         couplings: joints that follow others.
-        notes: which ranges were made or narrowed.
     """
 
     fields: dict[str, Any]
     held: str | None
     chain: Chain
     couplings: Couplings
-    notes: list[str]
 
 
 def read_view(
@@ -74,6 +73,8 @@ def read_view(
     check_rates(limits)
     check_numbers(own)
     notes: list[str] = []
+    drop_endless_ranges(own, notes)
+    notes += filter(None, [without_clearance(own)])
     frames = () if links is None else named_frames(own, links, base)
     groups = joint_groups(own, frames) if frames else ()
     chosen = chosen_joints(own, joints) if joints is not None else [joint for group in groups for joint in group]
@@ -104,7 +105,8 @@ def read_view(
     _check_links(own, groups, couplings)
     ranges = joint_ranges(own, groups, couplings, notes, qpos, within)
     chain = Chain(tuple(frames), groups)
-    fields = read_arm(own, name, chain, rest=qpos, lines=couplings.lines, sums=couplings.sums, ranges=ranges)
+    ties: dict[str, Any] = {"lines": couplings.lines, "sums": couplings.sums}
+    fields = read_arm(own, name, chain, rest=qpos, ranges=ranges, notes=notes, **ties)
     space: Coordinates = fields["space"]
     bounded = [joint for joint in dependents.moved if joint not in dependents.lines]
     solved = [joint for joint in bounded if joint not in dependents.sums]
@@ -118,7 +120,7 @@ def read_view(
             fields[f"{what}_limits"][index] = value
     if fields["length_scale"] == 1.0:
         fields["length_scale"] = _length_scale(fields)
-    return View(fields, held, chain, couplings, notes)
+    return View(fields, held, chain, couplings)
 
 
 def _chain(

@@ -10,7 +10,14 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import fixed_body, geom_name
 from lieednn_sim.arm.equalities import equality_name
-from lieednn_sim.arm.forces import dry_friction, resting_load, servo_gains, tangent_basis
+from lieednn_sim.arm.forces import (
+    constant_moments,
+    control_ranges,
+    dry_friction,
+    resting_load,
+    servo_gains,
+    tangent_basis,
+)
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY
@@ -53,14 +60,23 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
 def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[list[str]]]:
     """For each coordinate, the causes of its error ``(n,)`` by the model, and their remedies."""
     arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm.space)
-    (kp, _), friction = servo_gains(model, basis), dry_friction(model, basis)
+    kp, _ = servo_gains(model, basis)
     load = np.abs(resting_load(model, rollout.qpos[-1:])[0] @ basis)
     (pace, mass), limits = _pace(rollout), arm.force_limits
-    stiffness, held = kp if rollout.controller in _SERVO_CONTROLLERS else mass * NATURAL_FREQUENCY**2, _held(rollout)
+    # The feedback of feedback-linearisation is that of servos, where there are any.
+    plain, linearised = (rollout.controller == name for name in ("position-servo", "feedback-linearisation"))
+    served = (kp > 0.0) & ((rollout.controller in _SERVO_CONTROLLERS) | linearised)
+    stiffness, held = np.where(served, kp, mass * NATURAL_FREQUENCY**2), _held(rollout)
+    friction = dry_friction(model, basis) * (plain or linearised)
+    sag = load * (plain and arm.qpos_home is None)  # in other models than the package's the load is fed forward
+    compensates = f"the controller {'inverse-dynamics' if (kp > 0.0).all() else 'computed-torque'}"
     slow = np.abs(rollout.qd[-1]) > _LEAST_EXPLAINED * pace * np.abs(error)
     # A slow servo leaves more than this part of an error at the end of the hold.
-    slow &= (np.exp(-pace * rollout.hold) > 0.05) & (rollout.controller in _SERVO_CONTROLLERS)
+    slow &= (np.exp(-pace * rollout.hold) > 0.05) & served
     full = np.abs(rollout.force) >= 0.999 * limits
+    low, high = control_ranges(model).T
+    ends = (rollout.ctrl[-1] == low) | (rollout.ctrl[-1] == high)  # where MuJoCo clips it
+    ended = np.abs(constant_moments(model) @ basis) * (ends & (model.actuator_biasprm[:, 1] < 0.0))[:, None] > 1e-9
     reasons: list[list[str]] = [[] for _ in error]
     helpful: list[list[str]] = [[] for _ in error]
     design = "designed servos (servos='design', --servos design)"
@@ -82,16 +98,17 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
                 f"first at t = {rollout.t[full[:, j].argmax()]:.2f} s"
             )
             helpful[j].append("a longer duration")
-        if rollout.controller == "position-servo":
-            for force, says, does in (
-                (friction[j], "dry friction of", "holds it anywhere within"),
-                # In a model that is not made for this package the load is fed forward.
-                (load[j] if arm.qpos_home is None else 0.0, "its load of", "pulls it off by"),
-            ):
-                if force > _LEAST_EXPLAINED * kp[j] * off:
-                    far = _amount(arm, j, force / kp[j])
-                    reasons[j].append(f"{says} {force:.3g} {unit} / kp {kp[j]:.4g} {does} {far}")
-                    helpful[j] += ["the controller inverse-dynamics", *stiffer]
+        for a in np.flatnonzero(ended[:, j] & (rollout.controller != "computed-torque")):
+            reasons[j].append(f"its servo's control is at the end of its control range [{low[a]:.4g}, {high[a]:.4g}]")
+            helpful[j].append("another target")
+        for force, says, does in (
+            (friction[j], "dry friction of", "holds it anywhere within"),
+            (sag[j], "its load of", "pulls it off by"),
+        ):
+            if force > _LEAST_EXPLAINED * stiffness[j] * off:
+                far, gain = _amount(arm, j, force / stiffness[j]), "kp" if served[j] else "M w^2"
+                reasons[j].append(f"{says} {force:.3g} {unit} / {gain} {stiffness[j]:.4g} {does} {far}")
+                helpful[j] += [compensates] * (arm.dependents is None) + stiffer
         if slow[j]:
             reasons[j].append(f"its servo is slow: it still moves, and halves its error in {np.log(2) / pace[j]:.2g} s")
             helpful[j] += ["a longer hold (hold=, --hold)", *stiffer]
@@ -105,7 +122,6 @@ def _held(rollout: Rollout) -> list[tuple[str, Floats, str]]:
     arm, basis = rollout.arm, tangent_basis(rollout.arm.space)
     model = copy.deepcopy(arm.model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
-    model.body_gravcomp[:] = 0.0  # the forces have it
     for obstacle in rollout.disturbances.obstacles:
         model.body_pos[fixed_body(model, obstacle.body)] = obstacle.at(float(rollout.t[-1]))
     data = mujoco.MjData(model)

@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import SCALAR
-from lieednn_sim.arm.forces import actuator_moments, affine_actuators, on_fixed_tendon
+from lieednn_sim.arm.forces import (
+    DRIVABLE,
+    actuator_moments,
+    actuator_ranges,
+    control_ranges,
+    drivable,
+)
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.values import Floats
@@ -51,7 +57,11 @@ class Actuators:
         self.driving = _moving(moments, basis)
         self.moment = np.where(self.driving[:, None], moments, 0.0)
         self.transmission = transmission = self.moment @ basis
-        _check(model, self.driving)
+        if len(unknown := np.flatnonzero(self.driving & ~drivable(model))):
+            name = model.actuator(int(unknown[0])).name
+            raise InputError(
+                f"actuator {name!r} moves the arm in a way the controllers do not know: they need {DRIVABLE}"
+            )
         driven: NDArray[np.bool_] = np.asarray(transmission.any(axis=0))
         if np.linalg.matrix_rank(transmission) < (arm.n_joints if complete else driven.sum()):
             bare = ", ".join(repr(name) for name, moved in zip(arm.joint_names, driven, strict=True) if not moved)
@@ -72,7 +82,7 @@ class Actuators:
         # In a model with more than an arm, somebody else may change the others' controls.
         self._written: Any = True if arm.state is None else self.driving
         # The positions at which all lengths are zero: those of quaternions are their references.
-        self._model, self._zero = model, model.qpos0.copy()
+        self._model, self._zero, self._made = model, model.qpos0.copy(), arm.qpos_home is None
         self._zero[model.jnt_qposadr[np.isin(model.jnt_type, SCALAR)]] = 0.0
 
     def require_servos(self) -> None:
@@ -133,18 +143,29 @@ class Actuators:
         np.copyto(out, controls, where=self._written)
 
     def free_controls(self, model: mujoco.MjModel) -> None:
-        """Remove the control ranges of the driving actuators in a model; their force ranges stay.
+        """Remove the control ranges of the servos in the model of an arm that is made for the package.
 
-        The range of a servo is one of positions, and feedforward shifts the control by tau / kp, out of that range near
-        a joint limit.
+        They are ranges of positions, and feedforward shifts the control by tau / kp, out of that range near a joint
+        limit. In a model of somebody else they are kept, as by the servos themselves.
         """
-        model.actuator_ctrllimited[self.driving] = 0
+        model.actuator_ctrllimited[self.servos & self._made] = 0
 
     def make_direct(self, model: mujoco.MjModel) -> None:
-        """Make the driving actuators of a model direct-drive ones, which exert their controls; force limits stay."""
+        """Make the driving actuators of a model direct-drive ones, which exert their controls; force limits stay.
+
+        So do those that motors have by their control ranges.
+        """
+        ranges = actuator_ranges(model)
+        limited = self.driving & np.isfinite(ranges).all(axis=1)
+        model.actuator_forcerange[limited], model.actuator_forcelimited[limited] = ranges[limited], 1
+        model.actuator_ctrllimited[self.driving] = 0
         model.actuator_gainprm[self.driving, 0] = 1.0
         model.actuator_biasprm[self.driving, :3] = 0.0
-        self.free_controls(model)
+
+    def own_controls(self, direct: Floats, qpos: Floats, qvel: Floats) -> Floats:
+        """Controls ``(..., nu)`` with which the arm's own actuators exert what direct-drive ones do at given states."""
+        own = self.affine_controls(qpos, qvel, np.clip(direct, *actuator_ranges(self._model).T))
+        return np.clip(np.where(self.driving, own, direct), *control_ranges(self._model).T)
 
 
 def driving_actuators(arm: Arm) -> NDArray[np.bool_]:
@@ -163,19 +184,3 @@ def has_servos(arm: Arm) -> bool:
 
 def _moving(moments: Floats, basis: Floats) -> NDArray[np.bool_]:
     return np.asarray(np.abs(moments @ basis).max(axis=1, initial=0.0) > 1e-9)
-
-
-def _check(model: mujoco.MjModel, driving: NDArray[np.bool_]) -> None:
-    kinds, affine = mujoco.mjtTrn, affine_actuators(model)
-    for i in np.flatnonzero(driving):
-        kind, target = int(model.actuator_trntype[i]), int(model.actuator_trnid[i, 0])
-        on_joint = kind == int(kinds.mjTRN_JOINT) or (
-            kind == int(kinds.mjTRN_JOINTINPARENT) and int(model.jnt_type[target]) in SCALAR
-        )
-        static = int(model.actuator_dyntype[i]) == int(mujoco.mjtDyn.mjDYN_NONE)
-        if not (affine[i] and static and (on_joint or on_fixed_tendon(model, int(i)))):
-            raise InputError(
-                f"actuator {model.actuator(int(i)).name!r} moves the arm in a way the controllers do not know: they "
-                "need <position>, <motor>, or <general> with fixed gain, affine bias and no dynamics, on joints or "
-                "fixed tendons"
-            )

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import compensating_dofs, tangent_basis
+from lieednn_sim.arm.forces import control_ranges, tangent_basis
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import rotations, same_signs
+from lieednn_sim.simulation.controllers.base import Controller
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.validation import as_floats, quoted
@@ -104,7 +105,6 @@ class Log:
         before = {"qpos": data.qpos, "qvel": data.qvel, "ctrl": data.ctrl}
         after = {
             "actuators": data.qfrc_actuator,
-            "compensation": data.qfrc_gravcomp,
             "constraints": data.qfrc_constraint,
             "positions": data.xpos[low:high],
             "rotations": data.xmat[low:high],
@@ -121,6 +121,8 @@ class Log:
         self._sources: list[tuple[ChannelSource, list[Floats]]] = [
             (source, []) for source in (*sources, simulation.pushes) if source.channel_units
         ]
+        told = [source.own_controls for source in sources if isinstance(source, Controller)]
+        self._own_controls = told[0] if told else lambda controls, *_: controls
         names = [name for source, _ in self._sources for name in source.channel_units]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise InputError(f"every channel needs a name of its own, there are several of {', '.join(twice)}")
@@ -168,8 +170,7 @@ class Log:
         contacts, contact_force = np.zeros(rows, dtype=int), np.zeros(rows)
         for row, touching, force in self._contacts:
             contacts[row], contact_force[row] = touching, force
-        # The gravity compensation of some dofs bypasses MuJoCo's actuators, which have to exert it, too.
-        exerted, basis = log["actuators"] + ~compensating_dofs(model) * log["compensation"], tangent_basis(arm.space)
+        basis, controls = tangent_basis(arm.space), np.clip(log["ctrl"], *control_ranges(model).T)
         places, turns = self._frames.poses(log["positions"], log["rotations"])
         q = arm.coordinates(log["qpos"])
         channels, units = self._channels()
@@ -180,8 +181,8 @@ class Log:
             qd=arm.rates(q, log["qvel"]),
             q_ref=q_ref.copy(),
             qd_ref=qd_ref.copy(),
-            ctrl=log["ctrl"],
-            force=np.nan_to_num(exerted) @ basis,
+            ctrl=self._own_controls(controls, log["qpos"], log["qvel"]),
+            force=np.nan_to_num(log["actuators"]) @ basis,
             constraint_force=np.nan_to_num(log["constraints"]) @ basis,
             link_position=places,
             link_quaternion=same_signs(rotations(turns).as_quat(scalar_first=True)),

@@ -49,9 +49,9 @@ class Rollout:
         qd: ``(K, n)`` their rates [rad/s, m/s].
         q_ref: ``(K, n)`` reference of the joint coordinates; the controller may have seen held samples of it.
         qd_ref: ``(K, n)`` its rates.
-        ctrl: ``(K, nu)`` actuator controls.
-        force: ``(K, n)`` actuator force along each coordinate, including gravity compensation [N m, N]; for ball joints
-            about the axes of the moving body.
+        ctrl: ``(K, nu)`` controls of the arm's own actuators, within the ranges to which MuJoCo clips them.
+        force: ``(K, n)`` actuator force along each coordinate [N m, N], for ball joints about the axes of the moving
+            body; gravity compensation by ``gravcomp`` is part of it at joints with ``actuatorgravcomp`` alone.
         constraint_force: ``(K, n)`` the same for contacts, joint limits and welds.
         link_position: ``(K, N, 3)`` simulated link frames, world [m].
         link_quaternion: ``(K, N, 4)`` the same, (w, x, y, z).

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import fixed_body
+from lieednn_sim.arm.step_stability import step_remedy
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.lie import rotations, transforms
 from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sensors
@@ -127,7 +128,7 @@ class Simulation:
             mujoco.mj_setState(self.model, self.data, self.arm.state, mujoco.mjtState.mjSTATE_INTEGRATION)
             mine = self.arm.space.rate_addresses
             self.data.qvel[mine] = self.arm.qvel(position, velocity)[mine]
-        self.data.qpos[:] = self.arm.qpos(position)
+        self.data.qpos[:] = self._begin = self.arm.qpos(position)
         self.steps = 0
         self.move_obstacles()
         self._sensors.reset()
@@ -163,7 +164,10 @@ class Simulation:
         # terms are checked one by one. For a few numbers a list is faster than an array.
         finite = isfinite(sum(self._velocity.tolist())) or np.isfinite(self._velocity).all()
         if not finite or any(self._warnings.tolist()):
-            raise failure(self.data, repr(self.arm.name), self.time)
+            error = failure(self.data, repr(self.arm.name), self.time)
+            if remedy := step_remedy(self.model, self._begin):
+                error.args = (f"{str(error).rstrip('.')}; {remedy}",)
+            raise error
         self.steps += 1
         if self._sensors.noisy:
             self.noise = self._sensors.draw()

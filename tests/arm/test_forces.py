@@ -1,5 +1,6 @@
 """Force limits by hand: what can be relied on in both directions, of native and of imported arms."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import dry_friction, servo_gains
+from lieednn_sim.errors import InputError
+from lieednn_sim.simulation.actuators import Actuators
 
 CARRIAGE = """
-<mujoco><compiler angle="radian"/><option gravity="0 0 0"/>
+<mujoco><compiler angle="radian"/><option gravity="0 0 0" {option}/>{flag}
   <worldbody><body name="base"><geom size=".05"/>{base}
     <body name="carriage"><joint name="x" type="slide" axis="1 0 0" range="-1 1" {joint}/><geom size=".05"/>{link1}
       <body name="stage" pos="0 0 1"><joint name="y" type="slide" axis="1 0 0" range="-2 2" {follower}/>
@@ -26,9 +29,10 @@ SERVO = '<position joint="x" kp="100" kv="9" {}/>'
 BELT = '<motor tendon="belt" gear="2" ctrlrange="-5 4"/>'
 
 
-def both_arms(actuators, joint="", follower="", tie=""):
+def both_arms(actuators, joint="", follower="", tie="", **more):
     """An arm with the package's sites, and the same imported without them."""
     fields = {"actuators": actuators, "joint": joint, "follower": follower, "tie": tie}
+    fields |= {"option": "", "flag": "", **more}
     last = "link1" if tie else "link2"
     sites = {"base": '<site name="base_frame"/>', "link1": '<site name="link1_frame"/>', "link2": "", last: ""}
     sites["link2"] = f'<site name="link{1 if tie else 2}_frame"/>'
@@ -65,6 +69,76 @@ def test_limits_are_the_smaller_end_of_the_sum_of_the_ranges(actuators, joint, w
     for arm in arms:
         np.testing.assert_allclose(arm.force_limits, [wanted, np.inf])
     np.testing.assert_allclose(report.servos[0].force_range, span)
+
+
+@pytest.mark.parametrize(
+    ("actuators", "tie", "wanted"),
+    [
+        (SERVO.format('ctrlrange="-.5 .4"'), "", (-0.5, 0.4)),
+        (SERVO.format('ctrlrange="-3 .4"'), "", (-1.0, 0.4)),
+        (SERVO.format('ctrlrange="-.5 .4" gear="-2"'), "", (-0.2, 0.25)),
+        # 300 ctrl + 10 - 100 x is no force at x = 3 ctrl + 0.1.
+        ('<general joint="x" gainprm="300" biastype="affine" biasprm="10 -100" ctrlrange="-.1 .2"/>', "", (-0.2, 0.7)),
+        # The tendon's length is x + 3 y = 7 x.
+        ('<position tendon="belt" kp="9" ctrlrange="-3.5 1.4"/>', TIE, (-0.5, 0.2)),
+        # Wide ranges, and those that are no ranges of positions.
+        (SERVO.format('ctrlrange="-3 3"'), "", (-1.0, 1.0)),
+        ('<intvelocity joint="x" kp="100" actrange="-1 1" ctrlrange="-.1 .1"/>', "", (-1.0, 1.0)),
+        ('<motor joint="x" ctrlrange="-.5 .4"/>', "", (-1.0, 1.0)),
+    ],
+)
+def test_coordinates_range_as_far_as_the_controls_of_their_servos(actuators, tie, wanted):
+    arms, report = both_arms(actuators, tie=tie)
+    for arm in arms:
+        np.testing.assert_allclose(arm.position_limits[0], wanted)
+    told = f"x: range [-1, 1] narrowed to [{wanted[0]:g}, {wanted[1]:g}], where its servo can hold it by its ctrlrange"
+    assert [note for note in report.notes if "narrowed" in note] == [told] * (wanted != (-1.0, 1.0))
+    with pytest.raises(InputError, match=f"x' would be at 9 m, its range is .*{'ctrlrange' * (wanted != (-1, 1))}"):
+        arms[1].check_position([9.0] + [0.0] * (not tie))
+    spec = arms[0].spec.copy()
+    designed = Arm.from_spec(spec, joints=["x"], servos="design")
+    np.testing.assert_allclose(designed.position_limits[0], [-1.0, 1.0])
+    assert not any("narrowed" in note for note in designed.import_report.notes)
+
+
+def test_a_servo_that_can_hold_a_coordinate_nowhere_is_named():
+    with pytest.raises(InputError, match=r"by its ctrlrange the servo of 'x' holds it nowhere in \[-1, 1\]"):
+        both_arms(SERVO.format('ctrlrange="2 3"'))
+
+
+def test_actuators_that_no_controller_can_drive_are_told_when_the_arm_is_read():
+    slow = SERVO.format('name="slow" timeconst=".1"')
+    arms, report = both_arms(slow)
+    for arm in arms:
+        (told,) = (
+            note for note in arm.notes if note.startswith("no controller can drive slow: they need <position>, ")
+        )
+        with pytest.raises(InputError, match=re.escape(told.split("they need ")[1])):
+            Actuators(arm)
+    assert told in report.notes
+    assert "servos='design'" in told
+    designed = Arm.from_spec(arms[0].spec, joints=["x"], servos="design")
+    assert not any("no controller" in note for note in designed.import_report.notes)
+    assert Actuators(designed).driving.tolist()[:1] == [True]
+
+
+def test_disabled_actuators_neither_drive_nor_hold():
+    """A motor of 2 N beside a servo of 60 N that its group disables; then, by the flag, both are."""
+    actuators = '<motor name="on" joint="x" ctrlrange="-2 2"/>' + SERVO.format('name="p" group="1" forcerange="-60 60"')
+    (native, imported), report = both_arms(actuators, option='actuatorgroupdisable="1"')
+    for arm in (native, imported):
+        np.testing.assert_allclose(arm.force_limits, [2.0, np.inf])
+        assert Actuators(arm, complete=False).driving.tolist()[:2] == [True, False]
+    assert "actuators that the file disables, which neither drive nor hold: p" in report.notes
+    (native, imported), report = both_arms(actuators, flag='<option><flag actuation="disable"/></option>')
+    with pytest.raises(InputError, match="no actuator moves 'x', 'y'"):
+        Actuators(native)
+    assert "actuators that the file disables, which neither drive nor hold: on, p" in report.notes
+    assert "new servos for x, y: there was no actuator" in report.notes
+    data = imported.data()
+    data.ctrl[:] = 0.1
+    mujoco.mj_forward(imported.model, data)
+    np.testing.assert_allclose(data.actuator_force, [0.0, 0.0, *(0.1 * imported.model.actuator_gainprm[2:, 0])])
 
 
 def test_a_belt_of_two_stages_pulls_at_one_coordinate_through_both():

@@ -351,6 +351,24 @@ def test_two_equal_arms_are_listed():
     assert (report.base, len(report.others)) == ("world", 1)
 
 
+FIVE_BAR = """<mujoco><compiler angle="radian"/><default><geom size=".02"/></default><worldbody>
+<body><joint name="c1" axis="0 -1 0" range="-3 3"/><geom/><body name="rod1" pos=".3 0 0">
+  <joint name="r1" axis="0 -1 0"/><geom/><site name="t1" pos=".4 0 0"/></body></body>
+<body pos=".2 0 0"><joint name="c2" axis="0 -1 0" range="-3 3"/><geom/><body name="rod2" pos=".3 0 0">
+  <joint name="r2" axis="0 -1 0"/><geom/><site name="t2" pos=".4 0 0"/></body></body>
+</worldbody><equality><connect site1="t1" site2="t2"/></equality>
+<actuator><motor joint="c1"/><motor joint="c2"/></actuator>
+<keyframe><key name="home" qpos="2 -1 1.14 1"/></keyframe></mujoco>"""
+
+
+def test_a_parallel_robot_is_told_to_be_none_but_one_of_its_chains_may_be():
+    told = r"is parallel: loops close its 2 chains, which end in 'rod1', 'rod2', but an arm is .*; name the tip"
+    with pytest.raises(InputError, match=told):
+        Arm.from_spec(spec_of(FIVE_BAR))
+    arm, _ = arm_of(FIVE_BAR, tip="rod1", servos="none")
+    assert arm.joint_names == ("c1", "r1")
+
+
 def test_missing_and_broken_files_are_named(tmp_path):
     with pytest.raises(FileError, match="no such file"):
         Arm.load(tmp_path / "arm.xml")

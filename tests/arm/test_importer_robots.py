@@ -299,6 +299,61 @@ def test_efforts_and_velocities_of_an_urdf_are_limits(tmp_path):
     assert "velocity limits, if there are any, could not be read: could not convert string to float: 'fast'" in notes
 
 
+TURN = 'type="{}"><parent link="foot"/><child link="post"/><axis xyz="0 0 1"/>{}</joint>'
+LIMITS = 'lower="0" upper=".4"'
+
+
+@pytest.mark.parametrize(
+    ("limit", "angle", "told"),
+    [
+        ('lower=".4" upper=".4"', 0.4, "locked by equal limits in the URDF: turn at 0.4"),
+        ('lower="0" upper="0"', 0.0, "locked by equal limits in the URDF: turn at 0"),
+        ('lower="-inf" upper="inf"', None, "turn: range [-inf, inf] taken for none"),
+        ('lower="-1e16" upper="1e16"', None, "turn: range [-1e+16, 1e+16] taken for none"),
+        ("", None, "turn: revolute, but without limits in the URDF"),
+    ],
+)
+def test_limits_of_an_urdf_that_lock_a_joint_or_are_none(limit, angle, told, tmp_path):
+    path = tmp_path / "derrick.urdf"
+    path.write_text(URDF.replace(TURN.format("continuous", ""), TURN.format("revolute", f"<limit {limit}/>")))
+    arm = Arm.load(path)
+    assert told in arm.import_report.notes
+    if angle is None:
+        np.testing.assert_allclose(arm.position_limits[0], [-2.0 * np.pi, 2.0 * np.pi])
+        assert arm.continuous[0]
+    else:
+        assert arm.joint_names == ("out1",)
+        # 0.3 + 0.2 + 0.5 * 0.2 + 0.01 m from the axis.
+        tip = [0.61 * np.cos(angle), 0.61 * np.sin(angle), 0.4]
+        np.testing.assert_allclose(arm.link_poses([0.2]).translation[-1], tip, atol=1e-12)
+
+
+def test_what_follows_a_locked_joint_is_locked_and_limits_the_wrong_way_round_are_refused(tmp_path):
+    path = tmp_path / "derrick.urdf"
+    path.write_text(URDF.replace(LIMITS, 'lower=".1" upper=".1"', 1))
+    arm = Arm.load(path, tip="tube2")
+    assert "locked by equal limits in the URDF: out1 at 0.1, out2 at 0.06" in arm.import_report.notes
+    np.testing.assert_allclose(arm.link_poses([0.0]).translation[-1], [0.3 + 0.1 + 0.06, 0.0, 0.4], atol=1e-12)
+    for limits, message in (
+        ('lower="0" upper="0"', r"lock all of its joints: out1 at 0, out2 at 0\.01; correct them"),
+        ('lower=".4" upper="0"', r"'out1' of the URDF has the lower limit 0\.4 above the upper one, 0"),
+    ):
+        path.write_text(URDF.replace("continuous", "fixed").replace(LIMITS, limits))
+        with pytest.raises(InputError, match=message):
+            Arm.load(path)
+
+
+def test_a_planar_base_of_an_urdf_is_held(tmp_path):
+    path = tmp_path / "derrick.urdf"
+    path.write_text(URDF.replace(TURN.format("continuous", ""), TURN.format("planar", "")))
+    arm = Arm.load(path)
+    assert arm.joint_names == ("out1",)
+    assert any("planar joints, which have no ranges, are held: turn;" in note for note in arm.import_report.notes)
+    assert "new servos for turn_TX, turn_TY, turn_RZ: to hold" in arm.import_report.notes
+    with pytest.raises(InputError, match=r"slide 'turn_TX' has no range; .* or leave it out of the arm's joints"):
+        Arm.load(path, joints=["turn_TX", "out1"])
+
+
 def test_an_urdf_loads_as_shipped_with_its_packages_and_its_sloppy_inertias(tmp_path):
     """Meshes are in a package beside the file's own, inertias break A + B >= C or are no more than a diagonal entry."""
     mesh = '<collision><geometry><mesh filename="package://hands/{}.obj"/></geometry></collision></link>'
@@ -381,9 +436,18 @@ def test_meshes_in_collada_are_their_points(tmp_path):
             Arm.load(tmp_path / "derrick.urdf")
 
 
-def test_macros_of_ros_are_to_be_expanded_first():
+def test_macros_of_ros_are_to_be_expanded_first(tmp_path):
     with pytest.raises(InputError, match=r"ROS macros: make it a URDF with `xacro ur10.urdf.xacro -o robot.urdf`"):
         Arm.load("ur10.urdf.xacro")
+    path, call = tmp_path / "derrick.urdf", '<xacro:arm prefix="left_"/>'
+    left = (call, call.replace("/>", "></xacro:arm>"), '<link name="${prefix}hand"/>', '<x y="$(find hands)/a.stl"/>')
+    for name in ("robot", 'robot xmlns:xacro="http://www.ros.org/wiki/xacro"'):
+        for text in left:
+            path.write_text(URDF.replace("<robot", f"<{name}").replace("</robot>", f"{text}</robot>"))
+            with pytest.raises(InputError, match=r"derrick\.urdf holds ROS macros: make it a URDF with `xacro "):
+                Arm.load(path)
+        path.write_text(URDF.replace("<robot", f"<!-- by xacro {call} --><{name}"))
+        assert Arm.load(path).n_joints == 2
 
 
 def test_missing_meshes_behind_an_include_are_said_to_be_where_mujoco_looks(tmp_path):

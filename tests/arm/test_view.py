@@ -9,7 +9,7 @@ import pytest
 from arm.loops import PALLETISER, SCISSOR_LIFT
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mechanisms import TOOL, body, compiled, connect, hinge, random_world, site, slide, tied, with_cylinder
+from mechanisms import MODEL, TOOL, body, compiled, connect, hinge, random_world, site, slide, tied, with_cylinder
 
 import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
@@ -190,6 +190,60 @@ def test_where_a_loop_cannot_close_nothing_is_free():
         ls.plan(arm, [0.9], start=[0.6], planner="minimum-jerk")
     with pytest.raises(NoSolutionError, match=r"'push' = 0\.9"):
         arm.qpos([0.9])
+
+
+RING = """<mujoco><extension><plugin plugin="mujoco.sdf.torus"><instance name="t">
+<config key="radius1" value=".2"/><config key="radius2" value=".05"/></instance></plugin></extension>
+<asset><mesh name="torus"><plugin instance="t"/></mesh></asset><worldbody>
+<geom name="ring" pos="1 0 0" type="sdf" mesh="torus"{}><plugin instance="t"/></geom>
+<body name="a"><joint name="out" type="slide" axis="1 0 0" range="0 1"/><geom size=".1"/></body></worldbody></mujoco>"""
+
+
+def test_geoms_of_which_no_clearance_can_be_kept_are_named():
+    told = r"keep no clearance of 'ring'"
+    model = mujoco.MjModel.from_xml_string(RING.format(""))
+    with pytest.warns(UserWarning, match=told) as seen:
+        arm = ls.Arm.of(model, mujoco.MjData(model), ["out"], clearance=0.02)
+    assert seen[0].filename == __file__
+    # MuJoCo sees it no sooner: the ball of 0.1 m comes to the ring, which begins at 0.75 m, at 0.65 m.
+    assert arm.near_contacts([0.645]) == []
+    assert arm.near_contacts([0.66])
+    imported = ls.Arm.from_spec(mujoco.MjSpec.from_string(RING.format("")), floor="none")
+    assert any(told in note for note in imported.import_report.notes)
+    drawn = mujoco.MjModel.from_xml_string(RING.format(' contype="0" conaffinity="0"'))
+    assert ls.Arm.of(drawn, mujoco.MjData(drawn), ["out"]).notes == ()
+
+
+def test_open_loops_are_no_contacts_in_a_report():
+    """Crank and strut, 0.3 and 0.5 m, push the piston out to 0.8 m; its range, 0.4 to 1 m, is a third longer."""
+    bodies = body("crank", hinge("crank"), body("strut", hinge("strut"), site("tip", ".5 0 0"), ".3 0 0"))
+    bodies += body("piston", slide("push", more='range=".4 1" limited="true"'), site("pin", "0 0 0"))
+    spec = mujoco.MjSpec.from_string(MODEL.format(bodies, connect("tip", "pin"), "dense"))
+    arm = ls.Arm.from_spec(spec, joints=["push"], home={"crank": 1, "strut": -2, "push": 0.6}, floor="none")
+    (told,) = (note for note in arm.import_report.notes if "256 random configurations" in note)
+    assert told.endswith(" of 256 random configurations are where closed loops stay open: these cannot be targets")
+    assert int(told.split()[0]) == pytest.approx(256 / 3, abs=25)
+
+
+PLANAR = """<mujoco><compiler angle="radian"/><worldbody><body name="mocap" mocap="true" pos="{}"/>
+<body name="a"><joint name="j1"/><geom size=".03"/><body name="b" pos=".4 0 0"><joint name="j2"/><geom size=".02"/>
+<body name="c" pos=".3 0 0"><joint name="j3"/><geom size=".02"/></body></body></body></worldbody>
+<equality><weld name="w" body1="mocap" body2="c" relpose="0 0 0 1 0 0 0"/></equality>
+<keyframe><key qpos="{}"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize(("place", "q"), [(".7 0 0", "0 0 0"), (".4 .3 0", "0 1.5707963267948966 -1.5707963267948966")])
+def test_a_weld_that_leaves_no_joint_free_is_named_with_what_to_do(place, q):
+    """Stretched, joints have a first-order freedom, but no motion; bent, not even that."""
+    spec = mujoco.MjSpec.from_string(PLANAR.format(place, q))
+    model, data = made(spec.compile())
+    data.qpos[:] = model.key_qpos[0]
+    told = r"cannot move independently, because of equality 'w' \(weld\); deactivate .*: active=\"false\" in a file"
+    for make in (lambda: ls.Arm.of(model, data, ["j1"]), lambda: ls.Arm.from_spec(spec)):
+        with pytest.raises(InputError, match=told):
+            make()
+    data.eq_active[0] = 0
+    assert ls.Arm.of(model, data, ["j1", "j2", "j3"]).n_joints == 3
 
 
 def test_a_welded_tool_is_held_and_one_that_is_not_lies_in_the_way():

@@ -23,14 +23,15 @@ HOIST = """
       <joint name="lift" type="slide" axis="0 0 1" range="-1 1" {lift}/>
       <site name="link2_frame"/><geom type="box" size=".1 .1 .1" mass="1"/>
     </body></body></worldbody>
-  <actuator><position joint="drive" kp="1000" kv="110" {force}/><position joint="lift" kp="{kp}" kv="{kv}"/></actuator>
+  <actuator><position joint="drive" kp="1000" kv="110" {force}/>
+    <position joint="lift" kp="{kp}" kv="{kv}" {control}/></actuator>
   <keyframe><key name="home" qpos="0 0"/></keyframe>
 </mujoco>
 """
 
 
 def moved(controller="position-servo", disturbances=None, imported=False, **changes):
-    values = {"drive": "", "lift": "", "force": "", "compensation": 1, "kp": 2000, "kv": 90, **changes}
+    values = {"drive": "", "lift": "", "force": "", "compensation": 1, "kp": 2000, "kv": 90, "control": "", **changes}
     spec = mujoco.MjSpec.from_string(HOIST.format(**values))
     arm = Arm.from_spec(spec, floor="none") if imported else Arm.from_spec(spec, Path("hoist.xml"), "hoist")
     planned = plan(arm, np.array([0.5, 0.4]), planner="minimum-jerk", duration=1.0)
@@ -48,6 +49,10 @@ def moved(controller="position-servo", disturbances=None, imported=False, **chan
         (
             {"drive": 'frictionloss="8"'},
             ["'drive' ends ", "dry friction of 8 N / kp 1000 holds it anywhere within 8 mm"],
+        ),
+        (
+            {"drive": 'frictionloss="8"', "controller": "feedback-linearisation"},
+            ["'drive' ends ", "dry friction of 8 N / kp 1000 holds it anywhere within 8 mm", "the controller inverse-"],
         ),
         (
             {"force": 'forcerange="-5 5"'},
@@ -89,6 +94,15 @@ def test_the_joint_that_matters_most_is_first_and_what_helps_does():
     assert told.final_worst_mm < 1e-6
 
 
+@pytest.mark.parametrize("controller", ["inverse-dynamics", "feedback-linearisation"])
+def test_a_servo_that_would_have_to_be_told_more_than_its_control_range_is_named(controller):
+    """To hold 9.81 N at 0.4 m a servo of 1000 N/m needs to be told 0.40981 m."""
+    found = moved(controller, imported=True, compensation=0, kp=1000, control='ctrlrange="-1 .4"').causes
+    assert found[0].startswith("joint 'lift' ends 9.81 mm off")
+    assert found[0].endswith("0 degrees: its servo's control is at the end of its control range [-1, 0.4]")
+    assert found[1:] == ("what helps: another target",)
+
+
 def test_angles_are_in_degrees_and_times_at_a_limit_in_percent(gantry):
     motion = plan(gantry, np.array([0.5, 0.0, 0.0, 0.5]), planner="minimum-jerk", duration=1.0).motion
     rollout, limit = simulate(gantry, motion, controller="inverse-dynamics"), gantry.force_limits[0]
@@ -114,7 +128,7 @@ ROPE = """</worldbody><tendon><fixed name="rope" range="-1 .4"><joint joint="dri
     ],
 )
 def test_what_blocks_a_joint_is_named_with_its_force_and_nothing_else_is(added, what, force, remedy):
-    xml = HOIST.format(drive="", lift="", force='forcerange="-150 150"', compensation=1, kp=2000, kv=90)
+    xml = HOIST.format(drive="", lift="", force='forcerange="-150 150"', compensation=1, kp=2000, kv=90, control="")
     free, blocked = (
         Arm.from_spec(mujoco.MjSpec.from_string(text), floor="none")
         for text in (xml, xml.replace("</worldbody>", added))

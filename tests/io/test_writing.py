@@ -274,7 +274,7 @@ def test_a_folder_of_others_survives_every_command(tmp_path, monkeypatch, capsys
     np.savetxt("joints.csv", np.column_stack([t, 0.3 * t * t * (3.0 - 2.0 * t), np.zeros((50, 7))]), delimiter=",")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "network.npz").write_bytes(b"mine")
-    for name in ("commands.plan_motion", "training._train", "comparison.compute"):
+    for name in ("planning.plan_motion", "training._train", "comparison.compute"):
         monkeypatch.setattr(f"lieednn_sim.cli.{name}", lambda *_, **__: pytest.fail("the work began"))
     assert main([*words, "--output", "out"]) == 2
     assert "out holds files that no command of this package made (network.npz)" in capsys.readouterr().err

@@ -38,7 +38,7 @@ def test_every_row_of_the_log_belongs_to_one_instant(arm, rollout):
         data.qpos[:], data.qvel[:], data.ctrl[:] = rollout.q[k], rollout.qd[k], rollout.ctrl[k]
         mujoco.mj_forward(arm.model, data)
         np.testing.assert_allclose(rollout.link_position[k], data.site_xpos[sites], atol=1e-12)
-        np.testing.assert_allclose(rollout.force[k], data.qfrc_actuator + data.qfrc_gravcomp, atol=1e-6)
+        np.testing.assert_allclose(rollout.force[k], data.qfrc_actuator, atol=1e-6)
     poses = rollout.link_poses().as_matrix()
     np.testing.assert_allclose(poses, arm.link_poses(rollout.q).as_matrix(), atol=1e-9)
 

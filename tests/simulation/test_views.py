@@ -223,6 +223,46 @@ def test_a_motor_that_cannot_hold_its_load_is_named():
         ls.plan(arm, [0.9, -0.4, 0.15])
 
 
+# The shoulder's motor gives 10 * 0.7 = 7 N m.
+WEAK = """
+<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
+  <body pos="0 0 1"><joint name="j1" axis="0 1 0" range="-120 120" damping="1"/>
+    <geom type="capsule" size=".03" fromto="0 0 0 .4 0 0" mass="1"/>
+    <body pos=".4 0 0"><joint name="j2" axis="0 1 0" range="-140 140" damping=".5"/>
+      <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass=".5"/><site name="tip" pos=".3 0 0"/></body></body>
+</worldbody><actuator><motor joint="j1" gear="10" ctrlrange="-.7 .7" forcerange="-9 9"/>{}</actuator></mujoco>"""
+MOTOR, SERVO = (
+    '<general joint="j2" gainprm="2" gear="5" ctrlrange="-1 1"/>',
+    '<position joint="j2" kp="60" ctrlrange="-1.5 1.5" forcerange="-10 10"/>',
+)
+
+
+@pytest.mark.parametrize("controller", ["feedback-linearisation", "computed-torque"])
+@pytest.mark.parametrize("second", [MOTOR, SERVO])
+@pytest.mark.parametrize("file", [False, True])
+def test_motors_exert_no_more_than_their_control_ranges_give_and_controls_can_be_replayed(controller, second, file):
+    xml = WEAK.format(second)
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    data.qpos[0] = 1.5
+    if file:
+        arm = ls.Arm.from_spec(mujoco.MjSpec.from_string(xml), home={"j1": 1.5}, floor="none")
+    else:
+        arm = ls.Arm.of(model, data, ["j1", "j2"], tip="tip")
+    np.testing.assert_allclose(arm.force_limits, [7.0, 10.0])
+    motion = ls.plan(arm, [1.2, 0.5], planner="minimum-jerk", duration=1.0).motion
+    heavy = ls.simulate(arm, motion, controller=controller, disturbances=ls.Disturbances(payload=12.0))
+    np.testing.assert_allclose(np.abs(heavy.force).max(axis=0)[0], 7.0)
+    assert (np.abs(heavy.force) <= arm.force_limits + 1e-9).all()
+    assert (np.abs(heavy.ctrl) <= [0.7, model.actuator_ctrlrange[1, 1]]).all()
+    assert ls.evaluate(heavy).force_fraction <= 1.0 + 1e-12
+    run = ls.simulate(arm, motion, controller=controller)
+    data.qpos[:] = run.qpos[0]
+    for row, data.ctrl[:] in zip(run.qpos, run.ctrl, strict=True):
+        np.testing.assert_allclose(data.qpos, row, atol=1e-9)
+        mujoco.mj_step(model, data)
+
+
 def test_neither_fingers_that_touch_nor_what_is_in_a_gap_is_a_contact():
     slide = '<joint name="f{0}" type="slide" axis="0 1 0" stiffness="1e3"/>'
     finger = f'<body pos=".3 {{0}}.02 0">{slide}<geom size=".021"/></body>'

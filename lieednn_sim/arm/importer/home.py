@@ -12,7 +12,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.arm.dependents import tied_joints
 from lieednn_sim.arm.equalities import joint_range
-from lieednn_sim.arm.forces import actuator_moments, affine_actuators, resting_load
+from lieednn_sim.arm.forces import actuator_moments, affine_actuators, disabled_actuators, resting_load
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_floats, quoted
 from lieednn_sim.values import Floats
@@ -124,7 +124,7 @@ def _controls(model: mujoco.MjModel, qpos: Floats, forces: Floats | float) -> Fl
 
 def _holds_another(model: mujoco.MjModel, keyframe: int) -> bool:
     """Whether position servos would hold another configuration at a keyframe's controls than the keyframe's own."""
-    servos = model.actuator_biasprm[:, 1] < 0.0
+    servos = (model.actuator_biasprm[:, 1] < 0.0) & ~disabled_actuators(model)
     off = model.key_ctrl[keyframe] - _controls(model, model.key_qpos[keyframe], 0.0)
     same = 1e-3  # controls this close to a position hold it [rad, m]
     return bool((np.abs(off[servos]) > same).any())

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Unpack
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from lieednn_sim.arm.importer.remarks import draw, remarks
 from lieednn_sim.arm.importer.report import Coupling, ImportOptions, ImportReport, Servo
 from lieednn_sim.arm.importer.serial_chain import choose_chain
 from lieednn_sim.arm.importer.servos import SERVOS, add_servos, describe_servos
+from lieednn_sim.arm.importer.urdf import Joints, mend_joints, planar_joints, read_joints, velocities
 from lieednn_sim.arm.limits import check_rates
 from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.view import View, read_view
@@ -65,12 +65,14 @@ def import_model(
         raise InputError("name either the links, of which the last one is the tip, or the joints and the tip")
     notes: list[str] = []
     spec = load_spec(model, notes)
+    joints = read_joints(source, notes)
+    mend_joints(spec, joints, notes)
     if source.suffix.lower() == ".urdf":
         mend_inertias(spec, notes)
     replace_integrator(spec, notes)
     compiled = compile_spec(spec)
     label, keyframe, qpos = choose_home(spec, compiled, given.get("keyframe"), given.get("home", {}), notes)
-    named = choose_chain(compiled, qpos, options, notes)
+    named = choose_chain(compiled, qpos, options, planar_joints(joints), notes)
     qpos = fix_base(spec, compiled, _first_body(compiled, named), qpos, notes)
 
     def viewed() -> ModelArm:
@@ -81,7 +83,7 @@ def import_model(
         compiled = compile_spec(spec)
     view = read_view(compiled, kinematics_at(compiled, qpos), name=name, **named)
     tie_stages(spec, compiled, view.couplings, notes)
-    named["limits"] = _limits(view, compiled, source, given.get("limits", {}), notes)
+    named["limits"] = _limits(view, compiled, joints, given.get("limits", {}), notes)
     arm = viewed()
     home, samples = move_inside(arm, notes), draw(arm, 64, seed=0)
     if overlaps == "ignore":
@@ -95,7 +97,7 @@ def import_model(
     arm = viewed()
     servos = tuple(describe_servos(arm, _closed(arm, home, samples), added))
     report = _report(arm, view, label, servos, notes)
-    return arm, replace(report, notes=(*notes, *remarks(arm, report.groups, servos, samples)))
+    return arm, replace(report, notes=(*notes, *arm.notes, *remarks(arm, report.groups, servos, samples)))
 
 
 def _closed(arm: ModelArm, home: Floats, samples: Floats) -> Floats:
@@ -113,20 +115,19 @@ def _first_body(model: mujoco.MjModel, named: dict[str, Any]) -> int:
 
 
 def _limits(
-    view: View, model: mujoco.MjModel, source: Path, given: Mapping[str, Mapping[str, float]], notes: list[str]
+    view: View, model: mujoco.MjModel, joints: Joints, given: Mapping[str, Mapping[str, float]], notes: list[str]
 ) -> dict[str, dict[str, float]]:
     """Limits of rates by coordinate: those that are given, else the velocities of a URDF, which MuJoCo does not read.
 
     Those count of all joints that a coordinate moves; zero means no limit.
     """
-    space, velocities = view.fields["space"], dict[str, float]()
-    if source.suffix.lower() == ".urdf":
-        try:
-            velocities = _velocities(source)
-        except (ElementTree.ParseError, ValueError) as error:
-            notes.append(f"velocity limits, if there are any, could not be read: {error}")
+    space, known = view.fields["space"], dict[str, float]()
+    try:
+        known = velocities(joints)
+    except ValueError as error:
+        notes.append(f"velocity limits, if there are any, could not be read: {error}")
     most = np.full(len(space), np.inf)
-    for name, velocity in velocities.items():
+    for name, velocity in known.items():
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         rates = np.abs(space.rates[model.jnt_dofadr[joint]]) if joint >= 0 else np.zeros(len(space))
         most = np.minimum(most, np.divide(velocity, rates, out=np.full(len(space), np.inf), where=rates > 0.0))
@@ -135,16 +136,6 @@ def _limits(
         shown = ", ".join(f"{name} {limit['velocity']:.3g}" for name, limit in limits.items())
         notes.append(f"velocity limits of the URDF [rad/s, m/s]: {shown}")
     return {name: {**limits.get(name, {}), **given.get(name, {})} for name in {**limits, **given}}
-
-
-def _velocities(source: Path) -> dict[str, float]:
-    """The velocity limit of each joint [rad/s, m/s] that has one, if the file is a URDF."""
-    robot = ElementTree.parse(source).getroot()
-    if robot.tag != "robot":
-        return {}
-    limits = {joint.get("name", ""): joint.find("limit") for joint in robot.iterfind("joint")}
-    result = {name: float(limit.get("velocity", "0")) for name, limit in limits.items() if limit is not None}
-    return {name: velocity for name, velocity in result.items() if velocity > 0.0}
 
 
 def _report(arm: ModelArm, view: View, label: str, servos: tuple[Servo, ...], notes: list[str]) -> ImportReport:

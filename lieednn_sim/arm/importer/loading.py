@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,7 +13,7 @@ from xml.etree import ElementTree
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import check_numbers
 from lieednn_sim.arm.importer.collada import read_points
-from lieednn_sim.errors import FileError
+from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import is_file, opened
 from lieednn_sim.validation import as_path
 
@@ -21,6 +22,8 @@ _PACKAGE = "package://"
 _POINTER = b"version https://git-lfs.github.com/"
 # Bytes of a file with its includes, copies of repeated elements, and entries of height fields and textures.
 _LARGEST, _MOST_COPIES, _MOST_ENTRIES = 10**8, 10_000, 2 * 10**7
+# What xacro replaces, and comments, in which it may be left.
+_MACRO, _COMMENT = re.compile(rb"<xacro:|\$\{|\$\((find|arg|eval|env|optenv) "), re.compile(rb"<!--.*?-->", re.DOTALL)
 _SIZED = {"hfield": ("nrow", "ncol"), "texture": ("width", "height")}
 
 
@@ -64,6 +67,11 @@ def read_model(source: Path) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_file(str(source))
     except (ValueError, RuntimeError) as error:
         raise FileError(f"MuJoCo cannot read {source}: {str(error).strip()}") from None
+
+
+def macros_left(path: Path) -> InputError:
+    """The error for a file with macros of ROS."""
+    return InputError(f"{path} holds ROS macros: make it a URDF with `xacro {path} -o robot.urdf`, and load that")
 
 
 def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -174,16 +182,20 @@ def _files(spec: mujoco.MjSpec) -> Iterator[tuple[str, Path | None]]:
 def check_size(source: Path) -> None:
     """Raise `FileError` for an MJCF or URDF file that asks for more copies, entries or text than the bounds.
 
-    MuJoCo would build all of it, so this is looked at before MuJoCo reads the file.
+    And `InputError` for one with macros of ROS, whose elements MuJoCo leaves out. MuJoCo would build all of it, so this
+    is looked at before MuJoCo reads the file.
     """
     waiting, seen = [source], set[Path]()
     most_includes = 100
     while waiting and len(seen) < most_includes:
         path = waiting.pop()
         seen.add(path)
+        with opened(path, _LARGEST) as stream:
+            text = stream.read()
+        if _MACRO.search(_COMMENT.sub(b"", text)):
+            raise macros_left(path)
         try:
-            with opened(path, _LARGEST) as stream:
-                root = ElementTree.parse(stream).getroot()
+            root = ElementTree.fromstring(text)
         except (ElementTree.ParseError, ValueError, RecursionError):
             # MuJoCo tells what is missing or wrong.
             continue

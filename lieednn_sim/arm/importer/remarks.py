@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, colliding_geoms
-from lieednn_sim.arm.forces import dry_friction, resting_load
+from lieednn_sim.arm.forces import disabled_actuators, dry_friction, resting_load
 from lieednn_sim.arm.importer.report import Servo
 from lieednn_sim.arm.kinematics import least_singular_value
+from lieednn_sim.arm.step_stability import step_remedy
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.values import Floats
 
@@ -72,7 +73,12 @@ def _shapes(arm: ModelArm) -> Iterator[str]:
 
 
 def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
-    """Servos that stick, are slow, or too weak for their load at rest."""
+    """Actuators that are disabled; servos that stick, are slow, or too weak for their load at rest."""
+    if (idle := disabled_actuators(arm.model)).any():
+        disabled = ", ".join(arm.model.actuator(int(a)).name for a in np.flatnonzero(idle))
+        yield f"actuators that the file disables, which neither drive nor hold: {disabled}"
+    if unstable := step_remedy(arm.model, arm.qpos(q[0])):
+        yield unstable
     basis = arm.unit_rates()
     loads = resting_load(arm.model, arm.qpos(q, strict=False), limited=True) @ basis
     for servo, friction, load in zip(servos, dry_friction(arm.model, basis), loads.T, strict=True):
@@ -93,32 +99,30 @@ def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
 
 def _straight_paths(arm: ModelArm, home: Floats) -> Iterator[str]:
     """The bodies between which straight paths from home to random configurations come near contact."""
-    ends, between = Counter[str](), Counter[str]()
-    blocked, touching = 0, 0
+    found, counts = (Counter[str](), Counter[str]()), Counter[tuple[bool, bool]]()
     fractions = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
     for target in draw(arm, _PATHS, seed=1):
-        for fraction, result in zip(
-            fractions, arm.near_contacts_along(home + fractions[:, None] * (target - home)), strict=True
-        ):
+        way = home + fractions[:, None] * (target - home)
+        unsolved = np.asarray(np.isnan(arm.qpos(way, strict=False)).any(axis=1))
+        for k, (torn, result) in enumerate(zip(unsolved.tolist(), arm.near_contacts_along(way), strict=True)):
             if result:
-                touching, blocked = touching + int(fraction == 1.0), blocked + int(fraction < 1.0)
-                (ends if fraction == 1.0 else between).update({"{!r} and {!r}".format(*sorted(p)) for p in result})
+                counts[k > 0, torn] += 1
+                found[k > 0].update({"{!r} and {!r}".format(*sorted(p)) for p in result} if not torn else ())
                 break
-    for count, what, pairs, then in (
-        (touching, f"{_PATHS} random configurations are", ends, "these cannot be targets"),
-        (
-            blocked,
-            f"{_PATHS - touching} straight paths from home to the others come",
-            between,
-            "there planners fail that do not search for a way around, as lieednn-shaped and rrt-connect do",
-        ),
+    others = _PATHS - counts[False, False] - counts[False, True]
+    search = "there planners fail that do not search for a way around, as lieednn-shaped and rrt-connect do"
+    near, apart = f"within {1e3 * PLANNED_CLEARANCE:g} mm of contact", "where closed loops stay open"
+    for (between, torn), what, then in (
+        ((False, False), f"{_PATHS} random configurations are {near}", "these cannot be targets"),
+        ((False, True), f"{_PATHS} random configurations are {apart}", "these cannot be targets"),
+        ((True, False), f"{others} straight paths from home to the others come {near}", search),
+        ((True, True), f"{others} straight paths from home to the others pass {apart}", search),
     ):
-        if count:
-            # Sets have no order: ties are broken by name.
-            most = sorted(pairs.items(), key=lambda item: (-item[1], item[0]))[:_SHOWN]
-            shown = ", ".join(f"{pair} ({times})" for pair, times in most)
-            near = f"within {1e3 * PLANNED_CLEARANCE:g} mm of contact"
-            yield f"{count} of {what} {near}, between {shown}: {then}"
+        # Sets have no order: ties are broken by name.
+        most = sorted(found[between].items(), key=lambda item: (-item[1], item[0]))[:_SHOWN]
+        shown = ", ".join(f"{pair} ({times})" for pair, times in most)
+        if count := counts[between, torn]:
+            yield f"{count} of {what}{'' if torn else f', between {shown}'}: {then}"
 
 
 def _singular_links(arm: ModelArm, groups: Sequence[Sequence[str]], home: Floats, samples: Floats) -> Iterator[str]:

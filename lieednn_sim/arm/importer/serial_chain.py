@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from lieednn_sim.arm.chain import chain_joints, joint_groups
 from lieednn_sim.arm.checks import ancestry, joints_of
 from lieednn_sim.arm.coupled_joints import coefficients, driven_directly, driven_tendons
 from lieednn_sim.arm.dependents import freely_moving, tied_joints
-from lieednn_sim.arm.equalities import involved_joints
+from lieednn_sim.arm.equalities import involved_joints, loop_closures
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame, listed
 from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import InputError
@@ -26,10 +27,13 @@ _FINGER = re.compile(r"jaw|finger|fngr|claw|pincer", re.IGNORECASE)
 _GRIPPER = re.compile(_FINGER.pattern + r"|grip", re.IGNORECASE)  # a body of that name may be the one it is fixed to
 
 
-def choose_chain(model: mujoco.MjModel, qpos: Floats, options: ImportOptions, notes: list[str]) -> dict[str, Any]:
+def choose_chain(
+    model: mujoco.MjModel, qpos: Floats, options: ImportOptions, planar: Mapping[str, str], notes: list[str]
+) -> dict[str, Any]:
     """What names the arm, as arguments of `Arm.of`: the options, the sites of the package's arms, or the longest chain.
 
-    Of a chain that is found, joints that closed loops move are left out; ``qpos`` ``(nq,)`` is where the loops are.
+    Of a chain that is found, joints that closed loops move are left out, where ``qpos`` ``(nq,)`` is where the loops
+    are, and those of planar joints, whose names are the values of ``planar``.
 
     Raises:
         InputError: there is no such arm, or the choice is ambiguous.
@@ -52,7 +56,15 @@ def choose_chain(model: mujoco.MjModel, qpos: Floats, options: ImportOptions, no
             f"the end effector is {body_frame(model, last).name!r}; tip={tools[0]!r} (--tip) would choose that, of the "
             f"frames named like a tool: {', '.join(tools)}"
         )
-    return {**named, "joints": [model.joint(joint).name for joint in freely_moving(model, qpos, chain)]}
+    # Where nothing moves freely, `read_view` names the equality.
+    moving = [model.joint(joint).name for joint in freely_moving(model, qpos, chain) or chain]
+    if held := dict.fromkeys(planar[name] for name in moving if name in planar and not planar.keys() >= {*moving}):
+        moving = [name for name in moving if name not in planar]
+        notes.append(
+            f"planar joints, which have no ranges, are held: {', '.join(held)}; to move one, convert the file to MJCF, "
+            "and give its slides ranges"
+        )
+    return {**named, "joints": moving}
 
 
 def _tools(model: mujoco.MjModel, last: int) -> list[str]:
@@ -100,13 +112,30 @@ def longest_chain(model: mujoco.MjModel, base: str | None, tip: int | None = Non
         raise InputError(f"the model has no hinge, slide or ball joint{beyond} that could be an arm's")
     best = [tip for tip, count in tips.items() if count == max(tips.values())]
     if len(best) > 1:
+        ends = listed([model.body(tip).name for tip in best])
+        if _closed_together(model, best):
+            raise InputError(
+                f"the robot is parallel: loops close its {len(best)} chains, which end in {ends}, but an arm is one "
+                "serial chain, with loops at its side; name the tip of one of them (tip=..., --tip), which is possible "
+                "where its joints determine all others"
+            )
         raise InputError(
-            f"{len(best)} chains have {max(tips.values())} joints each, they end in "
-            f"{listed([model.body(tip).name for tip in best])}; name the tip or the links of one of them, or its base"
+            f"{len(best)} chains have {max(tips.values())} joints each, they end in {ends}; name the tip or the links "
+            "of one of them, or its base"
         )
     path = ancestry(model, best[0])
     first = next(body for body in (path if start is None else path[path.index(start.body) + 1 :]) if weight[body])
     return start or body_frame(model, int(model.body_parentid[first])), best[0]
+
+
+def _closed_together(model: mujoco.MjModel, tips: list[int]) -> bool:
+    """Whether `connect` and `weld` close loops between the chains to all of some bodies."""
+    paths = [{joint for body in ancestry(model, tip) for joint in joints_of(model, body)} for tip in tips]
+    shared = set.intersection(*paths)
+    ties, reached = [involved_joints(model, e) - shared for e in loop_closures(model)], paths[0] - shared
+    while more := {joint for tie in ties if tie & reached for joint in tie} - reached:
+        reached |= more
+    return all(path & reached for path in paths)
 
 
 def is_gripper(model: mujoco.MjModel, joint: int) -> bool:

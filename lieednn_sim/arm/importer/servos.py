@@ -18,6 +18,7 @@ from lieednn_sim.arm.forces import actuator_moments, force_ranges, servo_gains
 from lieednn_sim.arm.importer.loading import compile_spec, unused
 from lieednn_sim.arm.importer.report import Servo
 from lieednn_sim.arm.limits import largest_inertia
+from lieednn_sim.arm.step_stability import step_growth, without_stops
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -38,7 +39,6 @@ class _Servo:
         name: of the dof: its joint's, with ``_x``, ``_y`` or ``_z`` for those of a ball joint.
         joint, axis: where it acts.
         inertia: I [kg m^2, kg].
-        span: ``(2,)`` the range of its control, if it has one [rad, m].
         force: ``(2,)`` the range of its force, if it has one [N m, N].
         tied: whether other joints follow this one.
     """
@@ -47,7 +47,6 @@ class _Servo:
     joint: str
     axis: int
     inertia: float
-    span: Floats | None = None
     force: Floats | None = None
     tied: bool = False
 
@@ -97,6 +96,10 @@ def add_servos(spec: mujoco.MjSpec, arm: ModelArm, configurations: Floats, rule:
         actuators[name] = servo
         _add(spec, name, servo)
     if actuators:
+        if spec.option.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION):
+            # The file's own stay disabled, by their groups.
+            spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+            spec.option.disableactuator = 2**31 - 1
         _slow_down(spec, actuators, configurations[:8], notes)
     return set(actuators)
 
@@ -130,7 +133,7 @@ def _drivers(
         force = ranges[k] if limited else None
         tied = bool(np.count_nonzero(basis[:, k]) > 1)
         name = arm.joint_names[k], model.joint(joint).name
-        yield _Servo(*name, axis, float(inertia[k]), arm.position_limits[k], force, tied=tied)
+        yield _Servo(*name, axis, float(inertia[k]), force, tied=tied)
 
 
 def _holders(arm: ModelArm, driven: NDArray[np.bool_], qpos: Floats) -> Iterator[_Servo]:
@@ -159,6 +162,7 @@ def _add(spec: mujoco.MjSpec, name: str, servo: _Servo) -> None:
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,
         biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        group=31,  # which nothing can disable
         dyntype=mujoco.mjtDyn.mjDYN_NONE,
         gear=gear,
         inheritrange=0.0,
@@ -167,10 +171,8 @@ def _add(spec: mujoco.MjSpec, name: str, servo: _Servo) -> None:
         forcelimited=mujoco.mjtLimited.mjLIMITED_FALSE,
     )
     actuator.gainprm, actuator.biasprm = servo.parameters(1.0)
-    for what, span in (("ctrl", servo.span), ("force", servo.force)):
-        if span is not None:
-            setattr(actuator, f"{what}limited", mujoco.mjtLimited.mjLIMITED_TRUE)
-            setattr(actuator, f"{what}range", span)
+    if servo.force is not None:
+        actuator.forcelimited, actuator.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, servo.force
 
 
 def _slow_down(spec: mujoco.MjSpec, actuators: Mapping[str, _Servo], configurations: Floats, notes: list[str]) -> None:
@@ -178,19 +180,16 @@ def _slow_down(spec: mujoco.MjSpec, actuators: Mapping[str, _Servo], configurati
 
     First those of coupled stages, which act on one stage, until their soft ties can keep up: the fastest are taken with
     which the model's slowest mode decays at 10 / s at home, or nearly as fast as with any slower ones, since other
-    parts of the model may be slow by themselves. Then all, until the steps are stable at all configurations. Dry
-    friction, which would hide how stages swing once they move, contacts and limits are left out.
+    parts of the model may be slow by themselves. Then all, until the steps are stable at all configurations.
     """
-    model = compile_spec(spec)
-    model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    model = without_stops(compile_spec(spec))
     slower = dict.fromkeys(actuators, 1.0)
 
     def decay(rows: Floats) -> float:
         for name, servo in actuators.items():
             actuator = model.actuator(name).id
             model.actuator_gainprm[actuator], model.actuator_biasprm[actuator] = servo.parameters(slower[name])
-        return min(-float(np.log(_step_growth(model, qpos))) / model.opt.timestep for qpos in rows)
+        return min(-float(np.log(step_growth(model, qpos))) / model.opt.timestep for qpos in rows)
 
     euler = int(mujoco.mjtIntegrator.mjINT_EULER)
     if decay(configurations) < _STABLE and model.opt.integrator == euler:
@@ -215,15 +214,3 @@ def _slow_down(spec: mujoco.MjSpec, actuators: Mapping[str, _Servo], configurati
     for name, servo in actuators.items():
         actuator = spec.actuator(name)
         actuator.gainprm, actuator.biasprm = servo.parameters(slower[name])
-
-
-def _step_growth(model: mujoco.MjModel, qpos: Floats) -> float:
-    """Spectral radius of one step of the whole model, at rest with the servos commanded to the configuration."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
-    data.ctrl[:] = data.actuator_length
-    size = 2 * model.nv + model.na
-    transition = np.zeros((size, size))
-    mujoco.mjd_transitionFD(model, data, 1e-6, True, transition, None, None, None)
-    return float(np.abs(np.linalg.eigvals(transition)).max())

@@ -49,6 +49,10 @@ class Controller(ABC):
     def equip(self, plant: mujoco.MjModel) -> None:  # noqa: B027 (few controllers need this hook)
         """Give the compiled plant the actuators that the controller needs."""
 
+    def own_controls(self, controls: Floats, qpos: Floats, qvel: Floats) -> Floats:
+        """Controls ``(K, nu)`` of the arm's own actuators that exert what those of the plant do, for a rollout."""
+        return controls
+
     def inputs(self, steps: range, noise: Noise) -> Inputs | None:
         """The values that `act` would set at given steps if they follow from the reference alone; otherwise None.
 
@@ -202,6 +206,10 @@ class ComputedTorque(DriveController):
     def equip(self, plant: mujoco.MjModel) -> None:
         """See `Controller`."""
         self._actuators.make_direct(plant)
+
+    def own_controls(self, controls: Floats, qpos: Floats, qvel: Floats) -> Floats:
+        """See `Controller`."""
+        return self._actuators.own_controls(controls, qpos, qvel)
 
     def _goals(self, steps: range) -> list[tuple[Floats, ...]]:
         """Wanted positions, velocities and accelerations at some steps."""

@@ -27,6 +27,8 @@ class LoopLinearisation(Controller):
         InputError: the actuators cannot move all coordinates.
     """
 
+    changes_plant = False
+
     def __init__(self, arm: Arm, reference: Reference) -> None:
         if arm.dependents is None:
             raise InputError(f"arm {arm.name!r} has no closed loops")
@@ -39,10 +41,6 @@ class LoopLinearisation(Controller):
         self._model = arm.model
         self._data, self._load = mujoco.MjData(self._model), np.zeros(arm.model.nv)
         self._compensated = compensating_dofs(arm.model)
-
-    def equip(self, plant: mujoco.MjModel) -> None:
-        """See `Controller`."""
-        self._actuators.free_controls(plant)
 
     def act(self, data: mujoco.MjData, step: int, noise: Noise) -> None:
         """See `Controller`."""
