@@ -81,7 +81,8 @@ def test_limits_are_the_smaller_end_of_the_sum_of_the_ranges(actuators, joint, w
         ('<general joint="x" gainprm="300" biastype="affine" biasprm="10 -100" ctrlrange="-.1 .2"/>', "", (-0.2, 0.7)),
         # The tendon's length is x + 3 y = 7 x.
         ('<position tendon="belt" kp="9" ctrlrange="-3.5 1.4"/>', TIE, (-0.5, 0.2)),
-        # Wide ranges, and those that are no ranges of positions.
+        # Wide ranges, rounded ones, and those that are no ranges of positions.
+        (SERVO.format('ctrlrange="-.9995 1"'), "", (-1.0, 1.0)),
         (SERVO.format('ctrlrange="-3 3"'), "", (-1.0, 1.0)),
         ('<intvelocity joint="x" kp="100" actrange="-1 1" ctrlrange="-.1 .1"/>', "", (-1.0, 1.0)),
         ('<motor joint="x" ctrlrange="-.5 .4"/>', "", (-1.0, 1.0)),
