@@ -152,22 +152,16 @@ def check_motion(arm: Arm, motion: Motion) -> None:
     check_joints(arm.leaving(motion.q[0])[0], motion.t, motion.q, motion.qd)
 
 
-def rates_and_limits(arm: Arm, q: Floats, qd: Floats, timestep: float) -> tuple[tuple[Floats, Floats, float], ...]:
-    """Largest velocities, accelerations and jerks of the cubics between samples, with their limits ``(n,)`` and a power.
+def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Floats, Floats, float], ...]:
+    """Velocities, accelerations and jerks from rates ``(K, n)``, each with its limits ``(n,)`` and a power.
 
-    Each is ``(K, n)`` for positions and rates ``(K, n)``; jerks are those between samples. They scale as 1 / T, 1 / T^2 and 1 / T^3 with the duration T. So if one exceeds its limit by a factor r, the
+    They scale as 1 / T, 1 / T^2 and 1 / T^3 with the duration T. So if one exceeds its limit by a factor r, the
     duration T times r to this power keeps the limit.
     """
-    chords, before, after = np.diff(q, axis=0) / timestep, qd[:-1], qd[1:]
-    first, last = 6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords
-    # Along a cubic the acceleration is linear, and the velocity may be largest where it vanishes.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inside = np.where(first * last < 0.0, before + 0.5 * first * first / (first - last), before)
-    velocity = np.concatenate([np.where(np.abs(inside) > np.abs(before), inside, before), qd[-1:]])
-    acceleration = np.where(np.abs(first) > np.abs(last), first, last) / timestep
-    jerk = np.diff(qd, n=2, axis=0) / timestep**2
+    acceleration = np.diff(qd, axis=0) / timestep
+    jerk = np.diff(acceleration, axis=0) / timestep
     return (
-        (velocity, arm.velocity_limits, 1.0),
+        (qd, arm.velocity_limits, 1.0),
         (acceleration, arm.acceleration_limits, 1.0 / 2.0),
         (jerk, arm.jerk_limits, 1.0 / 3.0),
     )
@@ -205,7 +199,7 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
         )
     too_fast: list[tuple[float, str]] = []
     words = (("move", "/s"), ("accelerate", "/s^2"), ("jerk", "/s^3"))
-    for (what, suffix), (values, limits, power) in zip(words, rates_and_limits(arm, q, qd, timestep), strict=True):
+    for (what, suffix), (values, limits, power) in zip(words, rates_and_limits(arm, qd, timestep), strict=True):
         ratio = np.abs(values) / limits
         k, joint = map(int, np.unravel_index(ratio.argmax(), ratio.shape))
         if ratio[k, joint] > 1.0 + LIMIT_TOLERANCE:

@@ -195,11 +195,9 @@ class _Path:
 
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
         """The law, stretched or compressed to the least time in which it keeps all limits."""
-        # At about the model's time steps: between them the motion is a cubic.
-        count = int(np.clip(law.x[-1] / self._arm.timestep, 8, _INSTANTS))
-        t = np.linspace(0.0, law.x[-1], count + 1)
-        q, qd = self._q(law(t)), self._q(law(t), 1) * law(t, 1)[:, None]
-        rates = rates_and_limits(self._arm, q, qd, t[1])
+        t = np.linspace(0.0, law.x[-1], _INSTANTS + 1)
+        qd = self._q(law(t), 1) * law(t, 1)[:, None]
+        rates = rates_and_limits(self._arm, qd, t[1])
         factor = max(float((np.abs(values) / limits).max()) ** power for values, limits, power in rates)
         return CubicHermiteSpline(law.x * factor, law(law.x), law(law.x, 1) / factor)
 
