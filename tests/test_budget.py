@@ -68,10 +68,10 @@ def test_of_limits_within_each_other_the_earlier_one_counts(monkeypatch):
 
 @pytest.mark.parametrize("name", INSTALLED)
 def test_every_planner_stops_when_its_time_is_over(name, looks):
-    with pytest.raises(OutOfTimeError, match="the budget of 20 s of CPU time is spent"), time_limit(20.0):
+    with pytest.raises(OutOfTimeError, match=r"the budget of 0\.5 s of CPU time is spent"), time_limit(0.5):
         planned(name)
     # What is made of other libraries' loops looks some times more: at each edge that a tree was about to grow.
-    assert 20 < len(looks) < 100
+    assert 0 < len(looks) < 80
 
 
 @pytest.mark.parametrize("name", INSTALLED)
@@ -106,17 +106,17 @@ def test_a_budget_that_is_not_spent_changes_nothing(looks):
 
 
 def test_a_case_that_runs_out_of_time_is_a_row_with_the_reason(looks, tmp_path):
-    settings = Settings(time_budget=7.5)
+    settings = Settings(time_budget=0.5)
     rows = run_case(Case("telescopic_pr", "free", "minimum-jerk", 0), ["mocap", "computed-torque"], settings)
     assert {row.success for row in rows} == {False}
-    assert all(row.reason.startswith("plan: out of time: the budget of 7.5 s of CPU time is spent") for row in rows)
+    assert all(row.reason.startswith("plan: out of time: the budget of 0.5 s of CPU time is spent") for row in rows)
     assert all(row.planning_s >= 0.0 for row in rows)
     table = Comparison(common=settings).open(tmp_path)
     table.add(rows)
     write_summary(tmp_path / "summary.md", table)
     text = (tmp_path / "summary.md").read_text(encoding="utf-8")
-    assert "A planner that has spent 7.5 s of CPU time on a problem has failed." in text
-    assert "- 1 x plan, as: out of time: the budget of 7.5 s" in text
+    assert "A planner that has spent 0.5 s of CPU time on a problem has failed." in text
+    assert "- 1 x plan, as: out of time: the budget of 0.5 s" in text
 
 
 @pytest.mark.parametrize("planner", ["lieednn-certified", "linear-attractor"])

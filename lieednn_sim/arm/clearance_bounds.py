@@ -69,7 +69,8 @@ class ClearanceBounds:
         self._into[joints[scalar]] = np.abs(arm.space.rates[scalar])
         self._balls = arm.space.balls
         self._ball_joints = joints[arm.space.ball_rate_addresses[:, 0]] if len(self._balls) else np.zeros(0, int)
-        self._moves = np.array([arm.moved_by(body)[model.jnt_dofadr] for body in model.geom_bodyid])
+        moves = [arm.moved_by(body)[model.jnt_dofadr] for body in model.geom_bodyid]
+        self._moves = np.array(moves, dtype=bool).reshape(model.ngeom, model.njnt)
         self._hulls, self._round = _hulls(model)
         self._radius = np.linalg.norm(self._hulls, axis=-1).max(axis=1) + self._round
         self._first, self._second = self._collisions.pairs.T

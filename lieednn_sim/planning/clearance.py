@@ -13,7 +13,6 @@ moves counts with its whole reach. Nothing is proved of parts that closed loops 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,9 +22,6 @@ from lieednn_sim.arm.clearance_bounds import ClearanceBounds
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.values import Floats, frozen
-
-if TYPE_CHECKING:
-    from lieednn_sim.planning.motion import Motion
 
 # Intervals to begin with; and how many bounds are worth while, besides one for every fourth sample.
 _FIRST, _MOST = 16, 256
@@ -147,13 +143,13 @@ def _test(arm: Arm, step: float, cubics: Cubics, at: Floats) -> None:
             raise PlanError(f"{touching[0][0]!r} would {near} {touching[0][1]!r} at t = {time:.2f} s")
 
 
-def proved_clearance(arm: Arm, motion: Motion) -> Clearance:
-    """Bound the distances from contact along a motion, at every instant."""
-    bounds, step = _bounds(arm), motion.timestep
+def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> Clearance:
+    """Bound the distances from contact along a motion, at every instant; arguments as of `check_clearance`."""
+    bounds, step = _bounds(arm), float(t[1] - t[0])
     if bounds is None:
-        return Clearance(-np.inf, 0.0, (), motion.t[None, [0, -1]], 0.0)
-    cubics = Cubics(step, motion.q, motion.qd)
-    begin, end = _edges(len(motion.t) - 1)
+        return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0)
+    cubics = Cubics(step, q, qd)
+    begin, end = _edges(len(t) - 1)
     nearest, bound, at, pair = _FAR, _FAR, 0.0, (-1, -1)
     unproved: list[tuple[float, float]] = []
     measured = 0
@@ -165,23 +161,19 @@ def proved_clearance(arm: Arm, motion: Motion) -> Clearance:
         there, _ = bounds.least(where[0], 0.0 * where[1], 0.0 * where[2], nearest)
         nearest = max(float(there.min(initial=nearest)), _NEAR)
         done = (least > 0.0) & ((least >= _SHARP * nearest) | (end - begin <= 1.0))
-        if measured > _MOST + len(motion.t) // 4:
+        if measured > _MOST + len(t) // 4:
             done |= least > 0.0
         worst = int(np.where(done, least, np.inf).argmin())
         if done[worst] and least[worst] < bound:
             bound, at = float(least[worst]), 0.5 * step * float(begin[worst] + end[worst])
             pair = tuple(pairs[worst].tolist())
         # What touches in the middle cannot be proved.
-        last = (
-            (end - begin < _SHORTEST)
-            | ((there <= 0.0) & (end - begin < 0.1))
-            | (measured > 4 * (_MOST + len(motion.t)))
-        )
+        last = (end - begin < _SHORTEST) | ((there <= 0.0) & (end - begin < 0.1)) | (measured > 4 * (_MOST + len(t)))
         last &= ~done
         unproved += zip(begin[last].tolist(), end[last].tolist(), strict=True)
         begin, end = _divided(begin, end, ~done & ~last)
     stretches = step * np.array(_joined(sorted(unproved)), dtype=float).reshape(-1, 2)
-    proved = 1.0 - float(np.ptp(stretches, axis=1).sum()) / float(motion.t[-1])
+    proved = 1.0 - float(np.ptp(stretches, axis=1).sum()) / float(t[-1])
     return Clearance(bound, at, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved)
 
 

@@ -134,7 +134,7 @@ class Plan:
     @cached_property
     def clearance(self) -> Clearance:
         """A proved lower bound of its distances from contact at every instant, found when it is first asked for."""
-        return proved_clearance(self._of_arm(), self.motion)
+        return proved_clearance(self._of_arm(), self.t, self.motion.q, self.motion.qd)
 
     @property
     def proved(self) -> bool:

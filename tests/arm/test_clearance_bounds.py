@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -102,3 +103,24 @@ def test_geoms_reach_as_far_as_they_do_by_hand(tmp_path, geom, reach):
     bounds = ClearanceBounds(Arm.load(path), [(np.array([0]), np.ones(1))])
     scale, _, _ = at(bounds, np.zeros(1), np.zeros(1), np.zeros((2, 1)), np.ones(1), most=2.0)
     assert scale == pytest.approx(1.0 - reach, abs=1e-6)
+
+
+HILLS = """
+<mujoco><asset><hfield name="ground" nrow="9" ncol="9" size="1 1 .3 .01" elevation="{heights}"/></asset><worldbody>
+  <geom type="hfield" hfield="ground"/>
+  <body pos="0 0 .25"><joint type="slide" axis="1 0 0" range="-1 1"/><geom size=".05"/></body>
+</worldbody></mujoco>"""
+
+
+def test_a_height_field_is_not_convex():
+    """Between hills of 0.3 m a ball at a height of 0.25 m is far from the ground, and runs into the next hill."""
+    heights = " ".join("1" if column % 4 == 0 else "0" for _ in range(9) for column in range(9))
+    model = mujoco.MjModel.from_xml_string(HILLS.format(heights=heights))
+    arm = Arm.of(model, mujoco.MjData(model), [model.joint(0).name])
+    bounds, collisions = ClearanceBounds(arm, [(np.zeros(1, int), np.ones(1))]), Collisions(arm)
+    for place in np.linspace(-0.6, 0.6, 13):
+        for half in (0.01, 0.05, 0.2, 0.4):
+            least = bounds.least(np.full((1, 1), place), np.full((1, 1), half), np.zeros((1, 1)), 0.5)[0][0]
+            reached = [collisions.clearance(np.array([x])) for x in np.linspace(place - half, place + half, 41)]
+            assert least <= max(min(reached), 0.0) + 1e-9
+            assert least > min(reached) - 4.0 * half

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 import lieednn_sim as ls
 from lieednn_sim.errors import PlanError
-from lieednn_sim.planning import Motion, clearance
+from lieednn_sim.planning import clearance
 from lieednn_sim.planning.clearance import Cubics, check_clearance, proved_clearance
 
 # A thin rod of two links, and a wire of a tenth of a millimetre.
@@ -22,11 +22,6 @@ SWING = """<mujoco><option timestep="{step}"/><worldbody>
     <body pos=".4 0 0"><joint name="k" axis="0 1 0" range="-3 3"/>
       <geom type="capsule" fromto="0 0 0 .3 0 0" size=".0002"/></body></body>
 </worldbody></mujoco>"""
-
-
-def motion_of(arm, t, q, qd):
-    none, xi = np.zeros((len(t), arm.n_links)), arm.encode(q)
-    return Motion(t, t / t[-1], xi, xi[-1], q, qd, none, none)
 
 
 def swing(seed):
@@ -58,7 +53,7 @@ def test_a_wire_between_samples_is_found_or_proved_to_be_clear():
         arm, t, q, qd, rng = swing(seed)
         if any(arm.near_contacts_along(q)):
             continue
-        result = proved_clearance(arm, motion_of(arm, t, q, qd))
+        result = proved_clearance(arm, t, q, qd)
         instants = rng.uniform(0.0, t[-1], 400)
         distances = least_distance(arm, CubicHermiteSpline(t, q, qd)(instants))
         if result.proved:
@@ -127,7 +122,7 @@ def test_where_nothing_can_be_proved_samples_are_tested(monkeypatch):
     touching = [k for k, near in enumerate(arm.near_contacts_along(q)) if near]
     assert not touching
     check_clearance(arm, t, q, qd)
-    result = proved_clearance(arm, motion_of(arm, t, q, qd))
+    result = proved_clearance(arm, t, q, qd)
     assert not result.proved
     assert str(result) == f"not proved from 0.000 to {t[-1]:.3f} s"
     wide = replace(arm, clearance=0.5)
