@@ -33,7 +33,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.clearance_bounds import ClearanceBounds
@@ -41,6 +40,7 @@ from lieednn_sim.arm.deviations import Deviations
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
 from lieednn_sim.network import ComponentwiseNetwork
+from lieednn_sim.planning.clearance import Cubics
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.problem import Plan
 from lieednn_sim.planning.shaped import lever_units
@@ -48,7 +48,9 @@ from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
 _SMALLEST = 1e-4  # smallest size at which the projection is bounded [m]
-_SAME = 1e-6  # largest difference of a motion's states and joints from those computed again [rad, m]
+# Differences of a motion's states and joints from those computed again [rad, m]: what integration leaves in any case,
+# and the largest for which the motion is its network's path. The tube allows for them.
+_INTEGRATED, _SAME = 1e-6, 5e-5
 
 
 @frozen
@@ -131,8 +133,7 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
         if proved is None:
             raise NotCertifiedError("nothing is proved about the growth of deviations, since contraction is not")
         gain = max(1.0, proved.push_gain())
-    _check_path(arm, network, motion)
-    path = _Path(arm, motion, errors, keep)
+    path = _Path(arm, motion, errors + 5.0 * _off_path(arm, network, motion), keep)
     units = np.stack([1.0 / lever_units(arm, motion.q)[:, 0], np.full(arm.n_links, 1.0)], axis=1)
     size, t, pair = path.largest(units)
     each = units / [1.0, arm.length_scale]
@@ -144,29 +145,29 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
     return Tube(size, rotation, translation, push, gain, t, path.bounds.names(pair) if pair[0] >= 0 else ())
 
 
-def _check_path(arm: Arm, network: ComponentwiseNetwork, motion: Motion) -> None:
-    """Raise `InputError` unless the motion's states are those of the network, and its joints those nearest to them."""
-    own = motion.xi.shape[1] == network.n_visible
-    if own and motion.tau[-1] > 0.0:
+def _off_path(arm: Arm, network: ComponentwiseNetwork, motion: Motion) -> float:
+    """How far a motion's states are from those of its network, and its joints from those nearest to them [rad, m].
+
+    Raises:
+        InputError: they are so far that the motion is not the network's path.
+    """
+    off = np.inf if motion.xi.shape[1] != network.n_visible else _INTEGRATED
+    if np.isfinite(off) and motion.tau[-1] > 0.0:
         states = network.trajectory(network.start(motion.xi[0]), motion.tau[-1])(motion.tau)
-        own = bool(np.abs(network.visible(states) - motion.xi).max() <= _SAME)
-    if not own or np.abs(arm.decode(motion.xi, start=motion.q[0]).q - motion.q).max() > _SAME:
+        off = max(off, float(np.abs(network.visible(states) - motion.xi).max()))
+    if off <= _SAME:
+        off = max(off, float(np.abs(arm.decode(motion.xi, start=motion.q[0]).q - motion.q).max()))
+    if off > _SAME:
         raise InputError("the motion is not the path of its network, so there is no tube")
+    return off
 
 
 class _Path:
     """A motion as a continuous path, and its clearance."""
 
     def __init__(self, arm: Arm, motion: Motion, tracking: Floats, margin: float) -> None:
-        # Besides tracking, for what motions differ from those computed again, and for clipping joints to their limits.
-        self._arm, self._motion, self._rest = arm, motion, tracking + 5.0 * _SAME
-        self._spline = CubicHermiteSpline(motion.t, motion.q, motion.qd)
-        self._rates = self._spline.derivative()
-        # Along a cubic the acceleration is linear.
-        chords, step = np.diff(motion.q, axis=0) / motion.timestep, motion.timestep
-        before, after = motion.qd[:-1], motion.qd[1:]
-        ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
-        self._accelerations = np.abs(ends).max(axis=0) / step
+        self._arm, self._motion, self._rest = arm, motion, tracking
+        self._cubics = Cubics(motion.timestep, motion.q, motion.qd)
         self.bounds = ClearanceBounds(arm.without_visuals, arm.retractor.groups, margin)
         twist = motion.xi * arm.twist_units
         steps = np.linalg.norm(np.diff(twist, axis=0).reshape(len(twist) - 1, -1, 2, 3), axis=-1)
@@ -222,14 +223,9 @@ class _Path:
 
     def _scales(self, a: float, b: float, spread: Floats, most: float) -> tuple[float, float, tuple[int, int]]:
         """As `ClearanceBounds`, for an interval of samples: for all its instants, and for its middle alone."""
-        last = min(max(int(np.ceil(b)), int(np.floor(a)) + 1), len(self._accelerations))
-        first = min(int(np.floor(a)), last - 1)
-        step = self._motion.timestep
-        middle, half = 0.5 * (a + b) * step, 0.5 * (b - a) * step
-        curve = 0.5 * half**2 * self._accelerations[first:last].max(axis=0)
-        rest = np.stack([self._rest + curve, self._rest])
-        widest = spread[first : last + 1].max(axis=0)
-        whole, there, pairs = self.bounds(
-            self._spline(middle)[None], half * self._rates(middle)[None], rest[None], widest[None], most
-        )
+        middle, path, curve = self._cubics.around([a], [b])
+        rest = np.stack([self._rest + curve, self._rest + 0.0 * curve], axis=1)
+        first = min(int(a), len(spread) - 2)
+        widest = spread[first : max(int(np.ceil(b)), first + 1) + 1].max(axis=0)
+        whole, there, pairs = self.bounds(middle, path, rest, widest[None], most)
         return float(whole[0]), float(there[0]), (int(pairs[0, 0]), int(pairs[0, 1]))

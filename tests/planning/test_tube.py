@@ -197,6 +197,9 @@ def test_other_plans_have_none_and_the_reason_is_told():
     made = plan(arm, target, planner="linear-attractor")
     elsewhere = replace(made, motion=replace(made.motion, q=made.motion.q + 1e-4))
     late = replace(made, motion=replace(made.motion, tau=0.9 * made.motion.tau))
+    # What integration leaves on seven joints is no other path, but makes the tube smaller.
+    nearly = replace(made, motion=replace(made.motion, q=made.motion.q + 1e-5))
+    assert 0.8 * find_tube(arm, made).size < find_tube(arm, nearly).size < find_tube(arm, made).size
     for other in (elsewhere, late):
         with pytest.raises(InputError, match="not the path of its network, so there is no tube"):
             find_tube(arm, other)
