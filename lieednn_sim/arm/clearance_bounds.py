@@ -32,6 +32,8 @@ from lieednn_sim.values import Floats
 
 # Distance below which normals are lost in rounding, so that nothing is proved [m].
 _TOUCHING = 1e-6
+# Configurations whose pairs of geoms are in memory at once.
+_AT_ONCE = 32
 # Kinds of geoms that are not convex.
 _HOLLOW = (int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_SDF))
 
@@ -115,6 +117,10 @@ class ClearanceBounds:
             rest: ``(I, n)`` bounds.
             cutoff: distance beyond which geoms do not count [m].
         """
+        if len(q) > _AT_ONCE:
+            parts = [slice(k, k + _AT_ONCE) for k in range(0, len(q), _AT_ONCE)]
+            bounds, limiting = zip(*(self.least(q[k], path[k], rest[k], cutoff) for k in parts), strict=True)
+            return np.concatenate(bounds), np.concatenate(limiting)
         steps = self._displacements(np.stack([np.abs(path) + rest, 0.0 * rest, 0.0 * rest]))
         rests, still = np.stack([rest, 0.0 * rest], axis=1), np.zeros((len(q), len(self._members)))
         at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)

@@ -118,6 +118,8 @@ class Evaluation:
         joints: peak velocity and forces of each joint.
         displacement_m: distance between the end effector's first and last position.
         clearance_mm: least clearance along the motion; None where nothing can collide or it was not computed.
+        proof: what is proved of the run's distances from contact, see `metrics.proof_of_run`.
+        proved: whether it is proved that nothing touched at any instant: the run stayed inside its plan's proof.
         contacts: largest number of simultaneous contacts.
         peak_contact_force_n: largest normal force of a contact.
         peak_weld_force_n: largest force between a link and its mocap body; zero without mocap bodies.
@@ -152,6 +154,8 @@ class Evaluation:
     acceleration_violations: int
     acceleration_excess: float
     causes: tuple[str, ...] = ()
+    proof: str = ""
+    proved: bool = False
     settling_s: float | None = field(init=False)
     final_effector_mm: float = field(init=False)
     final_effector_deg: float = field(init=False)
@@ -282,6 +286,8 @@ def _notes(evaluation: Evaluation) -> list[str]:
         extremes.append(f"least clearance {rounded(evaluation.clearance_mm)} mm")
     if extremes:
         notes.append("; ".join(extremes))
+    if evaluation.proof:
+        notes.append(f"distances from contact: {evaluation.proof}")
     if evaluation.causes:
         notes.append(f"final error {evaluation.final_worst_mm:.3g} mm and {evaluation.final_worst_deg:.3g} degrees:")
     return notes + [f"- {cause}" for cause in evaluation.causes]

@@ -61,9 +61,11 @@ class Clearance:
         least = f"at least {1e3 * self.bound:.3g} mm{by}"
         if self.proved:
             return f"{least}, proved at every instant"
+        if self.bound == -np.inf:
+            return "not proved: closed loops or curves move what could touch something"
         some = ", ".join(f"{begin:.3f} to {end:.3f} s" for begin, end in self.unproved[:3])
         more = f" and {len(self.unproved) - 3} more stretches" if len(self.unproved) > 3 else ""
-        return f"not proved from {some}{more}" + ("" if self.bound == -np.inf else f"; elsewhere {least}")
+        return f"not proved from {some}{more}; elsewhere {least}"
 
 
 class Cubics:
@@ -73,19 +75,21 @@ class Cubics:
         step: time between samples [s].
         q: ``(K, n)`` positions [rad, m].
         qd: ``(K, n)`` rates [rad/s, m/s].
+        off: ``(K, n)`` how far joints may be from them at the samples, in straight lines between.
     """
 
-    def __init__(self, step: float, q: Floats, qd: Floats) -> None:
-        self._q, self._moved = q, step * qd
+    def __init__(self, step: float, q: Floats, qd: Floats, off: Floats | None = None) -> None:
+        self._q, self._moved, self._off = q, step * qd, off
         chords, before, after = np.diff(q, axis=0), self._moved[:-1], self._moved[1:]
         # Accelerations at the ends of each step, times its square.
         self._ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
         self._largest = np.abs(self._ends).max(axis=0)
 
-    def around(self, begin: ArrayLike, end: ArrayLike) -> tuple[Floats, Floats, Floats]:
-        """Joints ``(I, n)`` in the middle of intervals, directions, and bounds of what the motion deviates from these.
+    def around(self, begin: ArrayLike, end: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
+        """Joints ``(I, n)`` in the middle of intervals, directions, and bounds of what joints deviate from these.
 
-        Begin and end ``(I,)`` count steps; they may be fractions.
+        The last ones are what is left of the bounds in the shortest intervals. Begin and end ``(I,)`` count steps; they
+        may be fractions.
         """
         begin, end = np.asarray(begin, dtype=float), np.asarray(end, dtype=float)
         middle, half = 0.5 * (begin + end), 0.5 * (end - begin)[:, None]
@@ -98,8 +102,12 @@ class Cubics:
         # Steps that an interval touches.
         edges = np.stack([np.floor(begin), np.maximum(np.ceil(end), np.floor(begin) + 1.0)], axis=1).astype(int)
         edges = np.minimum(edges, len(self._largest) - np.array([1, 0]))
-        widest = np.array([self._largest[a:b].max(axis=0) for a, b in edges.tolist()])
-        return at, half * rate, 0.5 * half**2 * widest
+        widest = np.array([self._largest[a:b].max(axis=0) for a, b in edges.tolist()]).reshape(at.shape)
+        left = np.zeros_like(at)
+        if self._off is not None:
+            # What a chord is off its cubic, too.
+            left += 0.125 * widest + [self._off[a : b + 1].max(axis=0) for a, b in edges.tolist()]
+        return at, half * rate, 0.5 * half**2 * widest + left, left
 
 
 def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
@@ -127,7 +135,7 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
             _test(arm, step, cubics, np.unique(np.concatenate(every)))
             return
         tested += len(begin)
-        least, _ = bounds.least(*cubics.around(begin, end), arm.clearance)
+        least, _ = bounds.least(*cubics.around(begin, end)[:3], arm.clearance)
         begin, end, least = (values[least < arm.clearance] for values in (begin, end, least))
         middle, whole = 0.5 * (begin + end), end - begin > 1.0
         _test(arm, step, cubics, np.concatenate([np.floor(middle[whole]), begin[~whole], end[~whole]]))
@@ -143,38 +151,43 @@ def _test(arm: Arm, step: float, cubics: Cubics, at: Floats) -> None:
             raise PlanError(f"{touching[0][0]!r} would {near} {touching[0][1]!r} at t = {time:.2f} s")
 
 
-def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> Clearance:
-    """Bound the distances from contact along a motion, at every instant; arguments as of `check_clearance`."""
+def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | None = None) -> Clearance:
+    """Bound the distances from contact along a motion, at every instant.
+
+    Args:
+        arm, t, q, qd: as of `check_clearance`.
+        off: ``(K, n)`` how far joints may be from the motion at its samples, such as a run's tracking errors [rad, m].
+    """
     bounds, step = _bounds(arm), float(t[1] - t[0])
     if bounds is None:
         return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0)
-    cubics = Cubics(step, q, qd)
+    cubics = Cubics(step, q, qd, off)
     begin, end = _edges(len(t) - 1)
-    nearest, bound, at, pair = _FAR, _FAR, 0.0, (-1, -1)
+    nearest, bound, time, pair = _FAR, _FAR, 0.0, (-1, -1)
     unproved: list[tuple[float, float]] = []
-    measured = 0
+    measured, coarse = 0, 0.1 if off is None else len(t) / 32.0
     while len(begin):
         check_time()
         measured += len(begin)
-        where = cubics.around(begin, end)
-        least, pairs = bounds.least(*where, nearest)
-        there, _ = bounds.least(where[0], 0.0 * where[1], 0.0 * where[2], nearest)
-        nearest = max(float(there.min(initial=nearest)), _NEAR)
+        at, way, rest, left = cubics.around(begin, end)
+        least, pairs = bounds.least(at, way, rest, nearest)
+        there, _ = bounds.least(at, 0.0 * way, left, nearest)
+        nearest = max(float(there[there > 0.0].min(initial=nearest)), _NEAR)
         done = (least > 0.0) & ((least >= _SHARP * nearest) | (end - begin <= 1.0))
         if measured > _MOST + len(t) // 4:
             done |= least > 0.0
         worst = int(np.where(done, least, np.inf).argmin())
         if done[worst] and least[worst] < bound:
-            bound, at = float(least[worst]), 0.5 * step * float(begin[worst] + end[worst])
+            bound, time = float(least[worst]), 0.5 * step * float(begin[worst] + end[worst])
             pair = tuple(pairs[worst].tolist())
-        # What touches in the middle cannot be proved.
-        last = (end - begin < _SHORTEST) | ((there <= 0.0) & (end - begin < 0.1)) | (measured > 4 * (_MOST + len(t)))
+        # What may touch in the middle cannot be proved; of errors that vary slowly, in no part.
+        last = (end - begin < _SHORTEST) | ((there <= 0.0) & (end - begin < coarse)) | (measured > 4 * (_MOST + len(t)))
         last &= ~done
         unproved += zip(begin[last].tolist(), end[last].tolist(), strict=True)
         begin, end = _divided(begin, end, ~done & ~last)
     stretches = step * np.array(_joined(sorted(unproved)), dtype=float).reshape(-1, 2)
     proved = 1.0 - float(np.ptp(stretches, axis=1).sum()) / float(t[-1])
-    return Clearance(bound, at, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved)
+    return Clearance(bound, time, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved)
 
 
 def _edges(last: int) -> tuple[Floats, Floats]:

@@ -223,7 +223,7 @@ class _Path:
 
     def _scales(self, a: float, b: float, spread: Floats, most: float) -> tuple[float, float, tuple[int, int]]:
         """As `ClearanceBounds`, for an interval of samples: for all its instants, and for its middle alone."""
-        middle, path, curve = self._cubics.around([a], [b])
+        middle, path, curve, _ = self._cubics.around([a], [b])
         rest = np.stack([self._rest + curve, self._rest + 0.0 * curve], axis=1)
         first = min(int(a), len(spread) - 2)
         widest = spread[first : max(int(np.ceil(b)), first + 1) + 1].max(axis=0)

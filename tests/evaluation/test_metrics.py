@@ -9,10 +9,14 @@ import pytest
 from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import evaluate, evaluate_following
+from lieednn_sim.evaluation.metrics import proof_of_run
+from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.simulation import Disturbances, Following, Push
+from lieednn_sim.simulation import Disturbances, Following, Push, simulate
 
 
 @pytest.fixture
@@ -277,3 +281,28 @@ def test_following_errors_by_hand(gantry):
     assert evaluate_following(dataclasses.replace(following, rollout=away)).settling_s == (None,)
     rest = dataclasses.replace(following, target=np.zeros((21, 4)))
     assert evaluate_following(rest).lag_s is None
+
+
+@pytest.mark.parametrize(
+    ("controller", "disturbances"),
+    [
+        ("position-servo", Disturbances(mass_scale=1.5)),
+        ("feedback-linearisation", Disturbances(pushes=(Push("end effector", (0.0, 900.0, 0.0), 1.5, 0.8),))),
+    ],
+)
+def test_a_run_is_inside_its_proof_or_it_is_said_when_it_is_not(controller, disturbances):
+    arm = Arm.load("telescopic_pr", "shelf", 1)
+    planned = plan(arm, draw_target(arm, 1))
+    rollout = simulate(arm, planned, controller=controller, disturbances=disturbances)
+    result, collisions = proof_of_run(rollout), Collisions(arm)
+    # Between samples MuJoCo's steps are straight.
+    times = np.sort(np.random.default_rng(0).uniform(0.0, rollout.t[-1], 300))
+    q = np.stack([np.interp(times, rollout.t, joint) for joint in rollout.q.T], axis=1)
+    outside = ((times[:, None] > result.unproved[:, 0]) & (times[:, None] < result.unproved[:, 1])).any(axis=1)
+    assert result.bound <= collisions.least_clearance(q[~outside]) + 1e-9
+    touching = rollout.t[rollout.contacts > 0]
+    assert all(((result.unproved[:, 0] <= time) & (time <= result.unproved[:, 1])).any() for time in touching)
+    evaluation = evaluate(rollout)
+    assert evaluation.proved == result.proved
+    assert f"distances from contact: {result}" in str(evaluation)
+    assert proof_of_run(dataclasses.replace(rollout, motion=None)) is None
