@@ -133,22 +133,13 @@ class Collisions:
         limits = np.broadcast_to(as_floats("cutoff", limits, self.pairs.shape[: limits.ndim]), len(self.pairs))
         if (limits <= 0.0).any():
             raise InputError(f"cutoff must be positive, got {limits.min():g}")
-        near = np.flatnonzero(self._lower_bounds() < limits)
-        distance, segments, result = [], [], []
-        for index in near.tolist():
-            value = self._measure(index, limits[index])
-            if value >= limits[index]:
-                continue
-            segments.append(self._segment.copy())
-            distance.append(value)
-            result.append(index)
-        order = np.argsort(distance, kind="stable")
-        chosen = np.array(result, dtype=int)[order]
-        return (
-            np.array(distance)[order] + self._offset[chosen],
-            np.array(segments).reshape(-1, 2, 3)[order],
-            self.pairs[chosen],
+        data = self._data
+        turns = data.geom_xmat.reshape(1, -1, 3, 3)
+        _, index, distance, points = self.separations_near(
+            data.qpos[None].copy(), data.geom_xpos[None], turns, limits[None]
         )
+        order = np.argsort(distance - self._offset[index], kind="stable")
+        return distance[order], points[order], self.pairs[index[order]]
 
     def separations_near(
         self, qpos: Floats, places: Floats, turns: Floats, cutoff: Floats
