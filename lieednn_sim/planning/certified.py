@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time, report
 from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
@@ -134,12 +133,6 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
         NotCertifiedError: no candidate could be certified.
         PlanError: every candidate breaks a limit; the message is of the best one.
     """
-    # For matrices this small, threads would only wait for each other.
-    with one_blas_thread():
-        return _certified(problem, options)
-
-
-def _certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     rng, total = np.random.default_rng(problem.seed), options.n_networks
     xi = problem.arm.encode(problem.target)
     one_screw = all(joint.screw is not None for joint in problem.arm.joints.joints)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
+from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
 from lieednn_sim.budget import check_time, cpu_time, default_limit
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, PlanError
@@ -76,7 +77,7 @@ def plan_learned(
     turning = turning and learned.dof == 6
     regions = [_region(pose, turning) for pose in poses]
     refusal: LieEDNNError | None = None
-    with default_limit():
+    with default_limit(), one_blas_thread():
         for first in _starts(arm, regions[0], seed) if q is None else [q]:
             free, leaves = arm.leaving(first)
             try:

@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import cpu_time, default_limit
 from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
@@ -167,7 +168,8 @@ def plan(
     first = PlanningProblem(free, q, q, shortest, number, longest, path_constraint)
     check_held(arm, first.start[None], ["the start"])
     refusal: LieEDNNError = NoSolutionError("there is no goal")
-    with default_limit():
+    # For matrices this small, threads would only wait for each other.
+    with default_limit(), one_blas_thread():
         for goal in candidates(arm, target, q, number, path_constraint):
             try:
                 check_held(arm, goal[None], ["the target"])
