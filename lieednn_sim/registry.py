@@ -200,6 +200,9 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
             given = _of_file(f"{self.kind} {name!r}", *parts.groups())
             registered = (entry for entry in self.entries.values() if entry.place is given)
             self.entries[name] = next(registered, None) or self._row(name, given)
+        if new and name not in self:
+            own = "or one of your own as file.py:name"
+            raise InputError(f"no {self.kind} {name[:80]!r}; allowed: {', '.join(sorted(self))}, {own}")
         return self[as_choice(self.kind, name, self)]
 
     def register(self, name: str, options: type | None = None) -> Callable[[_Given], _Given]:

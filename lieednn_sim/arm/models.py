@@ -106,7 +106,10 @@ def label_of(source: Path) -> str:
 
 
 def chosen(options: ImportOptions) -> ImportOptions:
-    """The options that differ from their defaults."""
+    """The options that differ from their defaults; `InputError` for others than those of an import."""
+    if unknown := options.keys() - ImportOptions.__optional_keys__:
+        allowed = ", ".join(sorted(ImportOptions.__optional_keys__))
+        raise InputError(f"no option {', '.join(map(repr, sorted(unknown)))} of an import; allowed: {allowed}")
     usual = {"servos": "keep", "overlaps": "ignore", "floor": "auto"}
     return {name: value for name, value in options.items() if value not in (None, (), [], {}, usual.get(name))}  # type: ignore[return-value]
 

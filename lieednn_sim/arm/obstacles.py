@@ -141,8 +141,9 @@ def check_home(arm: SerialArm, scene: str) -> None:
             names = [model.geom(g).name or model.body(model.geom_bodyid[g]).name for g in pair]
             part, obstacle = names if moving[pair[0]] else names[::-1]
             raise InputError(
-                f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {scene!r} touches {part!r} of arm "
-                f"{arm.name!r} at home; move it, or give the arm another home"
+                f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {scene!r} is within "
+                f"{1e3 * PLANNED_CLEARANCE:g} mm of {part!r} of arm {arm.name!r} at home; move it, or give the arm "
+                "another home"
             )
 
 

@@ -178,7 +178,8 @@ class Simulating:
     """How a motion is simulated.
 
     Attributes:
-        controller: one of your own as FILE.py:CLASS, or a name of `CONTROLLERS`.
+        controller: one of your own as FILE.py:CLASS, or a name of `CONTROLLERS` (default: position-servo for arms of
+            the package, inverse-dynamics for others that servos drive, else feedback-linearisation).
         reference_rate: rate of the references that the controller gets, held in between [Hz] (default: every time
             step).
         hold: time simulated after the motion [s].
@@ -186,7 +187,7 @@ class Simulating:
         disturbances: the other disturbances.
     """
 
-    controller: str = "position-servo"
+    controller: str | None = None
     reference_rate: float | None = None
     hold: float = 1.0
     push: tuple[Force, ...] = ()
@@ -194,7 +195,8 @@ class Simulating:
 
     def all_disturbances(self, arm: Arm) -> Disturbances:
         """The disturbances, with the pushes; checks the other options too."""
-        CONTROLLERS.find(self.controller)
+        if self.controller is not None:
+            CONTROLLERS.find(self.controller)
         as_hold(self.hold)
         if self.reference_rate is not None:
             steps_of_rate("reference_rate", self.reference_rate, arm.timestep)

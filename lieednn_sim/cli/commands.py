@@ -112,6 +112,8 @@ def render(run: Directory, *, output: File | None = None, look: Look) -> None:
     """
     directory = RunDirectory(run).existing()
     path = directory.video if output is None else as_path("the name of an output", output)
+    if path.suffix not in (".mp4", ".gif", ".html", ".png"):
+        raise InputError(f"an output must end in .mp4, .gif, .html or .png, got {path.name!r}")
     io.check_outputs([path])
     with directory.at_work(shared=True):
         _render(directory, path, look)

@@ -57,10 +57,11 @@ def numbers(text: str, count: int) -> tuple[float, ...]:
 
 
 def names(text: str) -> list[str]:
-    """Comma-separated names; a colon and what follows it belong to the last one, as in ``arm.xml:link,tool``."""
-    head, colon, links = text.partition(":")
-    *others, last = head.split(",")
-    return [*others, last + colon + links]
+    """Comma-separated names; what follows a model's colon belongs to the last one, as in ``arm.xml:link,tool``."""
+    parts = text.split(",")
+    links = (k for k, part in enumerate(parts) if ":" in part and ".py:" not in part)
+    last = next(links, len(parts) - 1)
+    return [*parts[:last], ",".join(parts[last:])]
 
 
 def named_numbers(text: str) -> dict[str, float]:

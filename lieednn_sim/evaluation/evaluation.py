@@ -231,7 +231,8 @@ def _frames(evaluation: Evaluation) -> Table:
     rows = table(f"tracking error, {evaluation.controller}", *columns)
     for frame in evaluation.frames:
         name, *errors, settling = astuple(frame)
-        rows.add_row(name, *map(rounded, errors), _seconds(settling))
+        # Thousandths of millimetres and degrees are enough.
+        rows.add_row(name, *(rounded(error, 1e-3) for error in errors), _seconds(settling))
     rows.caption = (
         f"the end effector moves {evaluation.displacement_m:.2f} m (path {evaluation.path_m:.2f} m) in "
         f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}; "

@@ -90,6 +90,10 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
                 if i % rows == rows - 1 or i == n - 1:
                     axis.set_xlabel("time [s]")
                     axis.tick_params(labelbottom=True)
+        for axis in axes[0]:
+            # What is smaller is rounding.
+            low, high = axis.get_ylim()
+            axis.set_ylim(min(low, 0.5 * (low + high) - 1e-3), max(high, 0.5 * (low + high) + 1e-3))
         _legend(figure, _lines(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)})
         figure_layout.save_figure(figure, path)
 

@@ -21,7 +21,7 @@ class Settings:
     """The settings of a `Session`.
 
     Attributes:
-        policy: a name of `POLICIES`.
+        policy: one of your own as FILE.py:FUNCTION, or a name of `POLICIES`.
         planner: a name of `PLANNERS`, for the policies tracker and dmp (`PLANNED`), which follow a motion; by default
             the `default_planner` of the arm.
         rho: rate of the clock of ``lieednn-shaped``, see `ShapedOptions`.

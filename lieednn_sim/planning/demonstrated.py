@@ -24,13 +24,12 @@ from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.shaped import lever_units
-from lieednn_sim.planning.time_laws import Law, law_of_times, step_lengths
+from lieednn_sim.planning.time_laws import Law, recorded_law, step_lengths
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
 from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import Floats, frozen
 
-# Steps of the phase, and the number of them that define the time law: recorded times are noisy.
-_STEPS, _LAW_STEPS = 200, 40
+_STEPS = 200  # of the phase
 _LEAST_LENGTH = 1e-6  # below which nothing moves [m]
 DEVIATION = 1e-3  # default, relative to the length of the mean
 
@@ -193,8 +192,7 @@ class JointMotion:
             raise InputError("the mean of the demonstrations does not move")
         asked = DEVIATION * float(length) if deviation is None else as_positive("deviation", deviation)
         shaping = shape(curve, asked, units=demonstrations.units, options=options)
-        knots = np.linspace(0, len(mean) - 1, _LAW_STEPS + 1).round().astype(int)
-        law = law_of_times(demonstrations.t[knots], fractions[knots])
+        law = recorded_law(demonstrations.t, fractions)
         duration = float(demonstrations.t[-1])
         network, response = shaping.network, None
         if family and (options is None or options.rate == 1.0):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -63,7 +65,9 @@ def _checked(problem: PlanningProblem, solve: Callable[..., Plan | Motion], *opt
     except LieEDNNError:
         raise
     except Exception as error:
-        raise PlanError(f"the planner failed: {type(error).__name__}: {error}") from error
+        *_, last = traceback.extract_tb(error.__traceback__)
+        where = f"{Path(last.filename).name}, line {last.lineno}"
+        raise PlanError(f"the planner failed: {type(error).__name__}: {error} ({where})") from error
     if not isinstance(result, Plan | Motion):
         raise PlanError(f"the planner returned {type(result).__name__}, neither a Motion nor a Plan")
     motion = result if isinstance(result, Motion) else result.motion

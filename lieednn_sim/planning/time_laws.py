@@ -34,9 +34,8 @@ _SHARP_TURN = 10.0
 # Half width of the maximum and of the average by which a motion slows down around a sharp turn, as a fraction of the
 # duration: it begins to slow down twice as long before.
 _EASING_WIDTH = 0.1
-# Which fraction of recorded times leads up to speed where they do not begin or end at rest: at less than this fraction
-# of the speed to which it leads.
-_RAMP, _MOVING = 0.15, 0.5
+# Half width of the average over recorded times, as a fraction of their duration.
+_RECORDED_WIDTH = 0.05
 _PIECES = 1000  # of the path, of equal length, with one acceleration of the law on each
 _ROUNDING = 1e-8  # what rounding moves a joint by whose goal is where it starts [rad, m]
 _INSTANTS = 2000  # at which laws are sampled
@@ -61,19 +60,28 @@ def law_of(motion: Motion, units: Floats) -> Law:
 
 
 def law_of_times(t: Floats, fraction: Floats) -> Law:
-    """The monotonic law from rest to rest with the given fractions ``(K,)`` of the length at times ``(K,)``.
-
-    Where they do not begin or end at rest, as a recording that was cut, they are given time to get up to speed.
-    """
-    steps, pace = np.diff(t), np.diff(fraction) / np.diff(t)
-    count = max(1, round(_RAMP * len(steps)))
-    # With constant acceleration the speed grows with the root of the distance.
-    ramp = np.sqrt((np.arange(count) + 0.5) / count)
-    for end, speed in ((steps, pace), (steps[::-1], pace[::-1])):
-        if speed[0] > _MOVING * speed[count - 1]:
-            end[:count] /= ramp
-    s = np.append(0.0, np.cumsum(steps)) / steps.sum()
+    """The monotonic law from rest to rest with the given fractions ``(K,)`` of the length at times ``(K,)``."""
+    s = t / t[-1]
     return _through(s, fraction, PchipInterpolator(s, fraction).derivative()(s))
+
+
+def recorded_law(t: Floats, fraction: Floats) -> Law:
+    """As `law_of_times`, from recorded times, which are noisy and may begin or end in motion: averaged over time."""
+    width = _RECORDED_WIDTH * (t[-1] - t[0])
+    begin, end = np.interp([t[0] + width, t[-1] - width], t, fraction)
+    sudden = np.array([begin, 1.0 - end]) > 0.5 * _RECORDED_WIDTH
+    # Before and after the recording the arm rests; it takes longer where that is sudden.
+    width *= 1.0 + sudden.any()
+    early, late = width * sudden
+    s = np.linspace(t[0] - early, t[-1] + late, 401)
+    half = round(width / (s[1] - s[0]))
+    window = 1.0 + np.cos(np.linspace(-np.pi, np.pi, 2 * half + 3)[1:-1])
+    smooth = convolve1d(np.interp(s, t, fraction), window / window.sum(), mode="nearest")
+    smooth = (smooth - smooth[0]) / (smooth[-1] - smooth[0])
+    # Elsewhere averages still move a little at the ends: to and from rest in one piece.
+    first, last = np.where(sudden, 1, half)
+    kept = np.concatenate([[0], np.arange(first, len(s) - last), [len(s) - 1]])
+    return law_of_times((s - s[0])[kept], smooth[kept])
 
 
 def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:

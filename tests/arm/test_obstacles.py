@@ -153,7 +153,7 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
         (
             {"obstacles": [{**POLE, "position": [1.0, 0.0, 0.0]}]},
             InputError,
-            "obstacle 'pole' of scene 'own' touches 'ball' of arm 'gantry' at home; move it",
+            "obstacle 'pole' of scene 'own' is within 2 mm of 'ball' of arm 'gantry' at home; move it",
         ),
         (MJCF.format(more=""), FileError, "files of the model are missing: .*wedge.obj"),
         ("<mujoco/>", InputError, "holds no obstacle"),

@@ -86,6 +86,7 @@ def test_texts_with_several_parts_are_read():
     assert force("link 2,0,50,0,1.5,0.2") == ("link 2", (0.0, 50.0, 0.0, 1.5, 0.2))
     assert named_numbers("a=1, b.c=-.5") == {"a": 1.0, "b.c": -0.5}
     assert names("one,arm.xml:link,tool") == ["one", "arm.xml:link,tool"]
+    assert names("a.py:one,two,b.py:three") == ["a.py:one", "two", "b.py:three"]
     floor = KINDS["float | str"].read
     assert [floor(text) for text in ("-1.", "0.5", "none")] == [-1.0, 0.5, "none"]
     assert decimal_or_inf("inf") == math.inf

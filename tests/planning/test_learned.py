@@ -14,7 +14,7 @@ from lieednn_sim.cli import main
 from lieednn_sim.errors import FileError, NoSolutionError, PlanError
 from lieednn_sim.learning.demonstrations import Demonstration, LearnedMotion, ShapedMotion, align
 from lieednn_sim.lie import transforms
-from lieednn_sim.planning.time_laws import law_of_times
+from lieednn_sim.planning.time_laws import recorded_law
 
 ARM = ls.Arm.load("telescopic_pr")
 S = np.linspace(0.0, 1.0, 120)
@@ -78,23 +78,23 @@ def test_recordings_that_do_not_begin_at_rest_are_given_time_to():
     # A constant speed, which would have to be reached within the first of 40 steps, by an acceleration of 40 and more.
     t = np.linspace(0.0, 1.0, 41)
     s = np.linspace(0.0, 1.0, 2001)
-    fraction, rate = law_of_times(3.0 * t, t)(s)
+    fraction, rate = recorded_law(3.0 * t, t)(s)
     np.testing.assert_allclose([*fraction[[0, -1]], *rate[[0, -1]]], [0.0, 1.0, 0.0, 0.0], atol=1e-12)
     assert rate.max() < 1.4
-    assert np.abs(np.diff(rate) / s[1]).max() < 20.0
+    assert np.abs(np.diff(rate) / s[1]).max() < 16.0
     # What begins at rest is as it was.
     eased = t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
-    np.testing.assert_allclose(law_of_times(t, eased)(s)[0], PchipInterpolator(t, eased)(s), atol=1e-3)
+    np.testing.assert_allclose(recorded_law(t, eased)(s)[0], PchipInterpolator(t, eased)(s), atol=3e-3)
 
 
 def test_what_cannot_be_done_says_why(learned):
     far = transforms(np.eye(3), np.array([9.0, 0.0, 0.0]))
     with pytest.raises(
-        NoSolutionError, match=r"at the start of the learned motion, \(.*\) m, .* give another start or"
+        NoSolutionError, match=r"at the start of the learned motion, \(.*\) m, .* give another goal or start"
     ):
         ls.plan_learned(ARM, learned, goal=far)
     with pytest.raises(
-        PlanError, match=r"at \d+ % of the way the end effector cannot come nearer .* move it by its goal"
+        PlanError, match=r"at \d+ % of the way the end effector cannot come nearer .* give another goal or start"
     ):
         ls.plan_learned(ARM, learned, start="home", goal=far)
 

@@ -81,3 +81,16 @@ def test_names_and_makers_are_checked():
     register_controller("arm")(lambda arm, reference: arm)
     with pytest.raises(InputError, match="the controller 'arm' is no Controller, but Arm"):
         simulate(ARM, MOTION, controller="arm")
+
+
+def test_a_run_by_a_controller_from_a_file_is_read_without_it(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text("from lieednn_sim.simulation.controllers.base import ComputedTorque as Mine\n")
+    rollout = simulate(ARM, MOTION, controller=f"{file}:Mine")
+    rollout.save(tmp_path / "rollout.npz")
+    file.unlink()
+    CONTROLLERS.entries.pop(f"{file}:Mine")
+    assert Rollout.load(tmp_path / "rollout.npz", ARM, rollout.motion).controller == f"{file}:Mine"
+    (tmp_path / "none.py").write_text("def none(goal):\n    return goal\n")
+    with pytest.raises(InputError, match=r"none.py:none' is not made of an arm and a reference: .* takes 1 positional"):
+        simulate(ARM, MOTION, controller=f"{tmp_path / 'none.py'}:none")

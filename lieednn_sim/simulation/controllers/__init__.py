@@ -20,7 +20,10 @@ def make_controller(name: str, arm: Arm, reference: Reference) -> Controller:
     Raises:
         InputError: there is no controller of that name, it cannot drive the arm, or another package's is none.
     """
-    controller = CONTROLLERS.find(name).load()(arm, reference)
+    try:
+        controller = CONTROLLERS.find(name).load()(arm, reference)
+    except TypeError as error:
+        raise InputError(f"the controller {name!r} is not made of an arm and a reference: {error}") from error
     if not isinstance(controller, Controller):
         raise InputError(f"the controller {name!r} is no Controller, but {type(controller).__name__}")
     return controller

@@ -86,7 +86,7 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
                 width = 2.0 * np.rad2deg(np.sqrt(band[:, c, c]))
                 axis.fill_between(fraction, turn - width, turn + width, **_BAND)
             axis.set(xlabel="fraction of the path", ylabel=f"turn about {'xyz'[c]} [deg]")
-        figure.legend(loc="outside upper center", ncols=3 if len(views) == 1 else len(groups) + 2)
+        figure.legend(loc="outside upper center", ncols=3 if len(views) == 1 else 4)
         figure_layout.save_figure(figure, path)
 
 

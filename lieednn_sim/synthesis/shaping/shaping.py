@@ -150,7 +150,7 @@ def shape(
         f"within {1e3 * nearest:.3g} mm of the curve with {hidden} hidden neurons"
         if nearest <= goal
         else f"{1e3 * nearest:.3g} mm off the curve with {hidden} hidden neurons, {1e3 * goal:.3g} mm were asked for; "
-        "allow more by `neurons`"
+        "ask for a larger deviation, or allow more neurons"
     )
     chosen = replace(chosen, neurons=(hidden,))
     return Shaping(nearest <= goal, message, network, parameters, nearest, chosen, cpu_time() - start)
