@@ -71,7 +71,7 @@ def test_the_file_of_a_scene_is_read_once_for_its_arm(folder, monkeypatch):
     arm = load("telescopic_pr", "post", 0, (file,))
     assert (arm.fingerprint, arm.scene, len(read)) == (expected.fingerprint, "post", 1)
     (folder / "post.json").write_text(json.dumps({"obstacles": [POST]}))
-    with pytest.raises(InputError, match=r"obstacle 'post' of scene 'post' touches .* at home"):
+    with pytest.raises(InputError, match=r"obstacle 'post' of scene 'post' is within 2 mm of .* at home"):
         load("telescopic_pr", "post", 0, resolve(SCENE, ["post.json"], ())[1])
 
 

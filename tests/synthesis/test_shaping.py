@@ -116,7 +116,7 @@ def test_the_outcome_is_told_in_millimetres_and_decided_by_the_deviation(rate):
     best = shape(bent(), 1e-9, units=UNITS, options=options)
     assert 1e-3 < best.deviation < 1.0
     off = f"{1e3 * best.deviation:.3g} mm off the curve with 2 hidden neurons"
-    assert best.message == f"{off}, 1e-06 mm were asked for; allow more by `neurons`"
+    assert best.message == f"{off}, 1e-06 mm were asked for; ask for a larger deviation, or allow more neurons"
     with pytest.raises(NotCertifiedError, match="off the curve"):
         best.unwrap()
     for share, success in ((0.99, False), (1.01, True)):
