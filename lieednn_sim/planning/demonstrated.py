@@ -260,7 +260,8 @@ def _within_limits(arm: Arm, source: str, table: Floats, end: Floats | None) -> 
     outside = arm.limit_excess(table)
     k, joint = map(int, np.unravel_index(outside.argmax(), outside.shape))
     if outside[k, joint] > LIMIT_TOLERANCE:
-        raise InputError(f"in row {k} of {source} {arm.describe_excess(table[k], joint)}")
+        degrees = "; are these degrees?" if joint < arm.n_joints and np.abs(table[k, joint]) > 4.0 * np.pi else ""
+        raise InputError(f"in row {k} of {source} {arm.describe_excess(table[k], joint)}{degrees}")
     jumps = np.abs(np.diff(table, axis=0)) * [arm.unit(j) == "rad" for j in range(arm.n_joints)]
     k, joint = map(int, np.unravel_index(jumps.argmax(), jumps.shape))
     if jumps[k, joint] > np.pi:

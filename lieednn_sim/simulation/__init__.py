@@ -14,7 +14,7 @@ from lieednn_sim.simulation.many import Rollouts, simulate_many
 from lieednn_sim.simulation.moving_obstacles import MovingObstacle
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
-from lieednn_sim.simulation.tracking import simulate
+from lieednn_sim.simulation.tracking import default_controller, simulate
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "Rollout",
     "Rollouts",
     "Simulation",
+    "default_controller",
     "follow",
     "register_controller",
     "simulate",

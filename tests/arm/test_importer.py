@@ -511,3 +511,10 @@ def test_an_option_that_no_import_has_is_refused(tmp_path, two_hinges):
     (tmp_path / "arm.xml").write_text(two_hinges)
     with pytest.raises(InputError, match=r"no option 'tool' of an import; allowed: base, .*, tip"):
         Arm.load(tmp_path / "arm.xml", tool="tool0")
+
+
+def test_limits_that_may_be_degrees_are_told(tmp_path, two_hinges):
+    wide = two_hinges.replace("<mujoco>", '<mujoco><compiler angle="radian"/>')
+    notes = arm_of(wide, floor="none")[1].notes
+    assert "a may turn 28.6 times about: are its limits in degrees?" in notes
+    assert not any("degrees?" in note for note in arm_of(two_hinges, floor="none")[1].notes)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _OFF = 3e-4  # worth a remark [rad, m]: over a few joints, a millimetre at an arm's length
 _PATHS, _LOOKS = 256, 20  # straight paths, and configurations on each
 _SHOWN = 24  # pairs of bodies in a remark
+_MANY_TURNS = 4.0  # of a hinge with limits
 # Least singular value of a link's screws, of unit size, at which its pose still determines its joints. By the same
 # measure paths begin to be straightened at the larger `singularities.NEARLY_SINGULAR`; the gap that this leaves is
 # worth a remark here.
@@ -41,6 +42,10 @@ def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Ser
     limits = zip(arm.joint_names, arm.acceleration_limits, strict=True)
     if shown := ", ".join(f"{name} {limit:.3g}" for name, limit in limits if np.isfinite(limit)):
         yield f"acceleration limits [rad/s^2, m/s^2]: {shown}"
+    turns = zip(arm.joint_names, arm.ranges, arm.continuous, strict=True)
+    for joint, (name, span, endless) in enumerate(turns):
+        if arm.unit(joint) == "rad" and span > _MANY_TURNS * 2.0 * np.pi and not endless:
+            yield f"{name} may turn {span / (2.0 * np.pi):.3g} times about: are its limits in degrees?"
     yield from _half_turns(arm, groups, np.vstack([home, samples]))
     yield from _shapes(arm)
     yield from _drives(arm, servos, np.vstack([home, samples[:16]]))

@@ -48,6 +48,10 @@ class LearnedMotion:
     goal: RigidTransform
     start: Floats
 
+    def __repr__(self) -> str:
+        shown = "poses" if self.dof == 6 else "positions"
+        return f"<{type(self).__name__}: {shown} over {self.t[-1]:.3g} s to {self.goal.translation.round(3)} m>"
+
     @classmethod
     def load(cls, directory: str | os.PathLike[str]) -> LearnedMotion:
         """Read the network and the report in a directory of `lieednn-sim learn`; without a spread.
