@@ -32,7 +32,7 @@ METHOD = (
     "Motions lead from the published start to the published joint goal, within the limits of position and velocity of "
     "the robot's URDF and of accelerations derived from its efforts, free of contact. No clearance is required, since "
     "starts and goals have none. Proved is the mean fraction of a motion's time over which it is proved, for every "
-    "instant, that nothing touches: all but moments at the ends. A planner has {budget:g} s of CPU time, on one core, "
+    "instant, that nothing touches. A planner has {budget:g} s of CPU time, on one core, "
     "for a problem. Problems whose start or goal touches something or breaks a limit are skipped: they count neither "
     "as solved nor as failed. The solve time covers everything from the problem to the timed motion. Statistics are "
     "over solved problems. The C-space path is a Euclidean length in radians, for slides in metres."
