@@ -140,7 +140,6 @@ def print_plan(result: Plan) -> None:
     rows.add_row("duration", f"{motion.t[-1]:.2f} s")
     if result.leaves:
         rows.add_row("leaves at the start", result.leaves)
-    rows.add_row("clearance", str(result.clearance))
     rows.add_row("mechanism gap", f"{rounded(millimetres)} mm and {rounded(degrees)} degrees at most, 0 at the target")
     if isinstance(details, CertifiedDetails):
         rows.add_row("networks", f"{details.n_networks} networks drawn, {details.within_limits} keep the joint limits")
@@ -150,9 +149,11 @@ def print_plan(result: Plan) -> None:
     if network is None:
         rows.add_row("proof", "none, as this planner makes no network")
         console.print(rows)
+        console.print(f"clearance: {result.clearance}")
         return
     goal = network.goal(motion.xi_target)
     rows.add_row("largest bias", f"{np.abs(network.bias).max():.3g}")
     rows.add_row("1-norm of W", one_norm(network, goal))
     console.print(rows)
+    console.print(f"clearance: {result.clearance}")
     print_stability(network, goal)
