@@ -34,8 +34,6 @@ from lieednn_sim.values import Floats
 _TOUCHING = 1e-6
 # Configurations whose pairs of geoms are in memory at once.
 _AT_ONCE = 32
-# Kinds of geoms that are not convex.
-_HOLLOW = (int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_SDF))
 
 
 class ClearanceBounds:
@@ -48,7 +46,7 @@ class ClearanceBounds:
 
     Raises:
         InputError: a geom that could touch another is moved by a closed loop or a curve (`Arm.dependents`), of which
-            nothing is proved.
+            nothing is proved; or it is of the type sdf.
     """
 
     def __init__(self, arm: Arm, groups: Sequence[Group], margin: float = 0.0) -> None:
@@ -167,7 +165,7 @@ class ClearanceBounds:
         # No plane separates what is not convex; and where geoms touch, there is no normal.
         touching = gaps - margin <= _TOUCHING
         free[:, touching], gap[:, touching] = np.minimum(free[:, touching], 0.0), np.minimum(gap[:, touching], 0.0)
-        hollow = np.isin(self._arm.model.geom_type[pairs], _HOLLOW).any(axis=1)
+        hollow = (self._arm.model.geom_type[pairs] == int(mujoco.mjtGeom.mjGEOM_HFIELD)).any(axis=1)
         free[:, hollow], gap[0, hollow] = -np.inf, (gaps - margin)[hollow] - moved[at, index][hollow]
         gap[1, hollow] = gap[0, hollow]
         return at, pairs, free, gap, slope, square
@@ -305,7 +303,9 @@ def _least(found: Floats, at: NDArray[np.int_], pairs: Pairs, count: int, most: 
 
 
 def _check_provable(arm: Arm, pairs: Pairs) -> None:
-    """Raise `InputError` for pairs of geoms that joints bring together whose displacements have no bound."""
+    """Raise `InputError` for pairs of geoms whose distances or displacements have no bound."""
+    if (arm.model.geom_type[pairs] == int(mujoco.mjtGeom.mjGEOM_SDF)).any():
+        raise InputError("no proof of clearance: there are geoms of the type sdf, which MuJoCo sees in contact alone")
     if arm.dependents is None:
         return
     model, straight = arm.model, {*arm.dependents.lines, *arm.dependents.sums}

@@ -101,6 +101,8 @@ def actuator_ranges(model: mujoco.MjModel) -> Floats:
     """
     ranges = np.where(model.actuator_forcelimited[:, None] != 0, model.actuator_forcerange, [-np.inf, np.inf])
     motors = affine_actuators(model) & (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE))
+    # There the control is the rate of what acts.
+    motors &= model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
     by_control = np.sort(model.actuator_gainprm[motors, :1] * control_ranges(model)[motors])
     ranges[motors] = np.clip(by_control, ranges[motors, :1], ranges[motors, 1:])
     return ranges

@@ -92,7 +92,7 @@ def narrow_to_servos(
     """The limits ``(n, 2)`` of the coordinates within which position servos can hold them.
 
     Without a load a servo rests at the length l at which g ctrl + b0 + b1 l = 0, with the control in its range. Those
-    that act on one coordinate alone count, where they are at ``qpos`` ``(nq,)``.
+    count that act on one coordinate, on which nothing else acts, where they are at ``qpos`` ``(nq,)``.
 
     Raises:
         InputError: nothing is left of a range.
@@ -104,9 +104,10 @@ def narrow_to_servos(
     gain, (constant, stiffness) = model.actuator_gainprm[:, 0], model.actuator_biasprm[:, :2].T
     servos = affine_actuators(model) & (stiffness * gain < 0.0)
     servos &= model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-    for a in np.flatnonzero(servos & (np.count_nonzero(np.abs(rates) > 1e-9, axis=1) == 1)).tolist():
-        k = int(np.abs(rates[a]).argmax())
-        if k in space.scalars:
+    acts = np.abs(rates) > 1e-9
+    for a in np.flatnonzero(servos & (acts.sum(axis=1) == 1)).tolist():
+        k = int(acts[a].argmax())
+        if k in space.scalars and acts[:, k].sum() == 1:
             lengths = -(gain[a] * control_ranges(model)[a] + constant[a]) / stiffness[a]
             low, high = np.sort(q[k] + (lengths - data.actuator_length[a]) / rates[a, k])
             held[k] = max(low, held[k, 0]), min(high, held[k, 1])

@@ -70,7 +70,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         displacement_m=float(np.linalg.norm(tip[-1] - tip[0])),
         clearance_mm=1e3 * least if np.isfinite(least) else None,
         proof="" if proof is None else str(proof),
-        proved=proof is not None and proof.proved,
+        proved=proof is not None and proof.proved and not rollout.contacts.any(),
         contacts=int(rollout.contacts.max()),
         peak_contact_force_n=float(rollout.contact_force.max()),
         peak_weld_force_n=float(weld_force.max()),
@@ -84,11 +84,13 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
 def proof_of_run(rollout: Rollout) -> Clearance | None:
     """What is proved of a run's distances from contact, from its plan and its joints' tracking errors.
 
-    It is the plan's proof, widened by these errors, for every instant, with the surroundings where the plan has them.
-    None without a plan.
+    It is the plan's proof, widened by these errors, for every instant. None without a plan, and where something else
+    was moved than the arm and what it carries, since the plan has it in another place.
     """
-    motion = rollout.motion
-    if motion is None:
+    motion, most = rollout.motion, 1e-3  # that others move [m, rad], such as a finger that its servo holds
+    if motion is None or rollout.disturbances.obstacles:
+        return None
+    if not (np.abs(rollout.qpos - rollout.arm.qpos(rollout.q, strict=False)) < most).all():
         return None
     planned = np.minimum(np.arange(len(rollout.t)), len(motion.t) - 1)
     q, qd = motion.q[planned], motion.qd[planned]

@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.clearance_bounds import ClearanceBounds
+from lieednn_sim.arm.collision import Pairs
 from lieednn_sim.budget import check_time
-from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.errors import InputError, NoSolutionError, PlanError
 from lieednn_sim.values import Floats, frozen
 
 # Intervals to begin with; and how many bounds are worth while, besides one for every fourth sample.
@@ -43,6 +44,7 @@ class Clearance:
         pair: names of the geoms; empty if nothing comes nearer than 0.1 m.
         unproved: ``(U, 2)`` begin and end [s] of stretches where contact is not excluded but at the samples.
         proved_fraction: the fraction of the motion's time that is left.
+        reason: why nothing can be proved of the arm, if nothing can.
     """
 
     bound: float
@@ -50,6 +52,7 @@ class Clearance:
     pair: tuple[str, ...]
     unproved: Floats
     proved_fraction: float = 1.0
+    reason: str = ""
 
     @property
     def proved(self) -> bool:
@@ -62,7 +65,7 @@ class Clearance:
         if self.proved:
             return f"{least}, proved at every instant"
         if self.bound == -np.inf:
-            return "not proved: closed loops or curves move what could touch something"
+            return self.reason or "not proved at any instant"
         some = ", ".join(f"{begin:.3f} to {end:.3f} s" for begin, end in self.unproved[:3])
         more = f" and {len(self.unproved) - 3} more stretches" if len(self.unproved) > 3 else ""
         return f"not proved from {some}{more}; elsewhere {least}"
@@ -130,12 +133,12 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     tested = 0
     while len(begin):
         check_time()
-        if bounds is None or tested > _MOST + len(t) // 4:
+        if isinstance(bounds, str) or tested > _MOST + len(t) // 4:
             every = [np.arange(np.floor(a), np.ceil(b) + 1.0) for a, b in zip(begin, end, strict=True)]
             _test(arm, step, cubics, np.unique(np.concatenate(every)))
             return
         tested += len(begin)
-        least, _ = bounds.least(*cubics.around(begin, end)[:3], arm.clearance)
+        least, _ = _least(bounds, *cubics.around(begin, end)[:3], arm.clearance)
         begin, end, least = (values[least < arm.clearance] for values in (begin, end, least))
         middle, whole = 0.5 * (begin + end), end - begin > 1.0
         _test(arm, step, cubics, np.concatenate([np.floor(middle[whole]), begin[~whole], end[~whole]]))
@@ -159,8 +162,8 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
         off: ``(K, n)`` how far joints may be from the motion at its samples, such as a run's tracking errors [rad, m].
     """
     bounds, step = _bounds(arm), float(t[1] - t[0])
-    if bounds is None:
-        return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0)
+    if isinstance(bounds, str):
+        return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0, bounds)
     cubics = Cubics(step, q, qd, off)
     begin, end = _edges(len(t) - 1)
     nearest, bound, time, pair = _FAR, _FAR, 0.0, (-1, -1)
@@ -170,8 +173,8 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
         check_time()
         measured += len(begin)
         at, way, rest, left = cubics.around(begin, end)
-        least, pairs = bounds.least(at, way, rest, nearest)
-        there, _ = bounds.least(at, 0.0 * way, left, nearest)
+        least, pairs = _least(bounds, at, way, rest, nearest)
+        there, _ = _least(bounds, at, 0.0 * way, left, nearest)
         nearest = max(float(there[there > 0.0].min(initial=nearest)), _NEAR)
         done = (least > 0.0) & ((least >= _SHARP * nearest) | (end - begin <= 1.0))
         if measured > _MOST + len(t) // 4:
@@ -187,7 +190,17 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
         begin, end = _divided(begin, end, ~done & ~last)
     stretches = step * np.array(_joined(sorted(unproved)), dtype=float).reshape(-1, 2)
     proved = 1.0 - float(np.ptp(stretches, axis=1).sum()) / float(t[-1])
+    # An instant of contact is no stretch.
+    bound = bound if proved > 1e-9 else -np.inf
     return Clearance(bound, time, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved)
+
+
+def _least(bounds: ClearanceBounds, at: Floats, way: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
+    """As `ClearanceBounds.least`; -1 where loops cannot be closed."""
+    try:
+        return bounds.least(at, way, rest, cutoff)
+    except NoSolutionError:
+        return np.full(len(at), -1.0), np.full((len(at), 2), -1)
 
 
 def _edges(last: int) -> tuple[Floats, Floats]:
@@ -217,10 +230,10 @@ def _joined(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 @lru_cache(maxsize=8)
-def _bounds(arm: Arm) -> ClearanceBounds | None:
-    """What bounds an arm's distances; None where closed loops or curves move what could touch something."""
+def _bounds(arm: Arm) -> ClearanceBounds | str:
+    """What bounds an arm's distances, or why nothing does."""
     n = arm.n_joints
     try:
         return ClearanceBounds(arm.without_visuals, [(np.arange(n), np.ones(n))])
-    except InputError:
-        return None
+    except InputError as error:
+        return str(error)

@@ -85,6 +85,9 @@ def test_limits_are_the_smaller_end_of_the_sum_of_the_ranges(actuators, joint, w
         (SERVO.format('ctrlrange="-.9995 1"'), "", (-1.0, 1.0)),
         (SERVO.format('ctrlrange="-3 3"'), "", (-1.0, 1.0)),
         ('<intvelocity joint="x" kp="100" actrange="-1 1" ctrlrange="-.1 .1"/>', "", (-1.0, 1.0)),
+        # Where two act, neither holds it alone.
+        (SERVO.format('ctrlrange="-.5 0"') + SERVO.format('ctrlrange="0 .5"'), "", (-1.0, 1.0)),
+        (SERVO.format('ctrlrange="-.5 .4"') + '<motor joint="x" ctrlrange="-9 9"/>', "", (-1.0, 1.0)),
         ('<motor joint="x" ctrlrange="-.5 .4"/>', "", (-1.0, 1.0)),
     ],
 )

@@ -82,8 +82,10 @@ def test_random_trees_are_as_mujoco_says(seed):
     low, high = arm.position_limits.T
     for q in rng.uniform(low - 0.1 * arm.ranges, high + 0.1 * arm.ranges, (8, arm.n_joints)):
         q[arm.space.balls] *= 0.4  # a turn of less than pi
-        compare(arm, model, data, q)
-    check_slopes(arm, rng.uniform(low, high))
+        if not np.isnan(arm.qpos(q, strict=False)).any():  # beyond a dead centre of the loop
+            compare(arm, model, data, q)
+    if not np.isnan(arm.qpos(q := rng.uniform(low, high), strict=False)).any():
+        check_slopes(arm, q)
     if arm.dependents is None:
         bounds = ClearanceBounds(arm, [(np.array([k]), np.ones(1)) for k in range(arm.n_joints)])
         q, spread, none = rng.uniform(low, high), rng.uniform(0.2, 1.0, arm.n_joints), np.zeros((2, arm.n_joints))

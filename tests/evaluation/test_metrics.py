@@ -16,7 +16,7 @@ from lieednn_sim.evaluation import evaluate, evaluate_following
 from lieednn_sim.evaluation.metrics import proof_of_run
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.simulation import Disturbances, Following, Push, simulate
+from lieednn_sim.simulation import Disturbances, Following, MovingObstacle, Push, simulate
 
 
 @pytest.fixture
@@ -306,3 +306,14 @@ def test_a_run_is_inside_its_proof_or_it_is_said_when_it_is_not(controller, dist
     assert evaluation.proved == result.proved
     assert f"distances from contact: {result}" in str(evaluation)
     assert proof_of_run(dataclasses.replace(rollout, motion=None)) is None
+
+
+def test_what_moves_besides_the_arm_is_in_no_proof():
+    arm = Arm.load("telescopic_pr", "poles", 1)
+    planned = plan(arm, draw_target(arm, 1))
+    assert evaluate(simulate(arm, planned)).proved
+    name = next(arm.model.body(k).name for k in range(arm.model.nbody) if "pole" in arm.model.body(k).name)
+    there = MovingObstacle(name, [0.0, 1.0], [[2.0, 2.0, 0.5], [2.0, 2.1, 0.5]])
+    moved = simulate(arm, planned, disturbances=Disturbances(obstacles=(there,)))
+    assert proof_of_run(moved) is None
+    assert not evaluate(moved).proved

@@ -118,14 +118,44 @@ def test_pieces_hold_the_cubic():
 
 def test_where_nothing_can_be_proved_samples_are_tested(monkeypatch):
     arm, t, q, qd, _ = swing(0)
-    monkeypatch.setattr(clearance, "_bounds", lambda _: None)
+    monkeypatch.setattr(clearance, "_bounds", lambda _: "no proof of clearance: here")
     touching = [k for k, near in enumerate(arm.near_contacts_along(q)) if near]
     assert not touching
     check_clearance(arm, t, q, qd)
     result = proved_clearance(arm, t, q, qd)
     assert not result.proved
-    assert str(result) == "not proved: closed loops or curves move what could touch something"
+    assert str(result) == "no proof of clearance: here"
     np.testing.assert_array_equal(result.unproved, [[0.0, t[-1]]])
     wide = replace(arm, clearance=0.5)
     with pytest.raises(PlanError, match="would come within 500 mm of"):
         check_clearance(wide, t, q, qd)
+
+
+SDF = """<mujoco>
+  <extension><plugin plugin="mujoco.sdf.torus"><instance name="t"/></plugin></extension>
+  <asset><mesh name="ring"><plugin instance="t"/></mesh></asset>
+  <worldbody><geom name="ring" type="sdf" mesh="ring" pos="1 0 0"><plugin instance="t"/></geom>
+    <body><joint name="j" axis="0 0 1" range="-3 3"/><geom type="capsule" fromto="0 0 0 .7 0 0" size=".02"/></body>
+  </worldbody></mujoco>"""
+
+
+def test_of_geoms_seen_in_contact_alone_nothing_is_proved():
+    model = mujoco.MjModel.from_xml_string(SDF)
+    with pytest.warns(UserWarning, match="sdf"):
+        arm = ls.Arm.of(model, mujoco.MjData(model), ["j"])
+    t = 0.002 * np.arange(501)
+    q = np.linspace(-1.0, 1.0, 501)[:, None]
+    qd = np.full_like(q, 2.0)
+    assert any(arm.near_contacts_along(q))
+    result = proved_clearance(arm, t, q, qd)
+    assert not result.proved
+    assert result.bound == -np.inf
+    assert "geoms of the type sdf" in str(result)
+    with pytest.raises(PlanError, match="would come within"):
+        check_clearance(arm, t, q, qd)
+
+
+def test_where_nothing_is_proved_there_is_no_bound():
+    arm, t, q, qd, _ = swing(0)
+    result = proved_clearance(arm, t, q, qd, np.full_like(q, 3.0))
+    assert (result.bound, result.proved_fraction, str(result)) == (-np.inf, 0.0, "not proved at any instant")

@@ -19,7 +19,8 @@ from lieednn_sim.learning.demonstrations.models import run_field
 from lieednn_sim.learning.demonstrations.recording import as_dof
 from lieednn_sim.lie import transforms
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.validation import as_floats, as_path, as_positive, as_times
+from lieednn_sim.synthesis import ShapingOptions
+from lieednn_sim.validation import as_floats, as_path, as_times
 from lieednn_sim.values import Floats, frozen
 
 # Longest time step, and step in the fraction that the clock has left, a tenth of the width of the steepest switch.
@@ -70,7 +71,7 @@ class LearnedMotion:
             )
             t, tau = (as_times(name, report[name]) for name in ("t_s", "tau"))
             start = as_floats("start_twist", report["start_twist"], (6,))
-            known = (as_positive("clock_rate", report["clock_rate"]), t, tau, as_dof(report["dof"]))
+            known = (ShapingOptions(report["clock_rate"]).rate, t, tau, as_dof(report["dof"]))
         except (KeyError, TypeError, ValueError) as error:
             raise FileError(f"{path} is no report of a learned motion of an end effector: {error!r}") from None
         return cls(LieEDNN.load(path.with_name("network.npz")), *known, goal, start)

@@ -153,9 +153,13 @@ def _npz(path: Path, layout: Layout) -> Iterator[Table]:
     samples = arrays.pop(named[0])
     if quaternions is not None:
         samples = np.concatenate([samples, quaternions], axis=-1)
-    return _several(
-        path, samples, _times(path, {name.lower(): array for name, array in arrays.items() if array.ndim}, layout)
-    )
+    one_each = (samples.shape[-2:-1], samples.shape[:-1])
+    others = {
+        name.lower(): array
+        for name, array in arrays.items()
+        if TIME.fullmatch(name.lower()) or (array.dtype.kind in "iuf" and array.shape in one_each)
+    }
+    return _several(path, samples, _times(path, others, layout))
 
 
 def _text(path: Path, layout: Layout) -> Iterator[Table]:

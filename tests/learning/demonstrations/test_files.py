@@ -159,6 +159,9 @@ def test_times_of_an_archive_by_their_name(tmp_path):
     np.savez(tmp_path / "a.npz", positions=PLANE[0], minutes=[0.0, 0.1, 0.2])
     with pytest.raises(InputError, match="'minutes' may be the time"):
         load_demonstrations([tmp_path / "a.npz"])
+    # What has not one number for each sample is no time.
+    np.savez(tmp_path / "a.npz", positions=PLANE[0], joint_names=["a", "b", "c"], none=[], limits=[-1.0, 1.5])
+    assert len(load_demonstrations([tmp_path / "a.npz"])[0].t) == 3
 
 
 @pytest.mark.parametrize(
