@@ -128,7 +128,8 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     Raises:
         PlanError: something is nearer; the message names it, and the time.
     """
-    step, bounds, cubics = float(t[1] - t[0]), _bounds(arm), Cubics(float(t[1] - t[0]), q, qd)
+    bounds, step = _bounds(arm), float(t[1] - t[0])
+    cubics = Cubics(step, q, qd)
     begin, end = _edges(len(t) - 1)
     tested = 0
     while len(begin):
