@@ -88,6 +88,21 @@ class Cubics:
         self._ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
         self._largest = np.abs(self._ends).max(axis=0)
 
+    def turns(self) -> Floats:
+        """Instants ``(I,)`` between samples, counted in steps, at which a joint turns round."""
+        before, after = self._moved[:-1], self._moved[1:]
+        k, joint = np.nonzero(before * after < -1e-30)  # more than rounding
+        first, last, rate = *self._ends[:, k, joint], before[k, joint]
+        # The one root of rate + first s + (last - first) s^2 / 2 in (0, 1), where the rate changes its sign.
+        root = np.sqrt(first**2 - 2.0 * rate * (last - first))
+        return k - 2.0 * rate / (first - np.sign(rate) * root)
+
+    def fastest(self) -> Floats:
+        """Largest rates ``(K - 1, n)`` between samples times the step, 0 where those at the samples are larger."""
+        first, last = self._ends
+        inside = first * last < 0.0
+        return np.where(inside, self._moved[:-1] - 0.5 * first**2 / np.where(inside, last - first, 1.0), 0.0)
+
     def around(self, begin: ArrayLike, end: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
         """Joints ``(I, n)`` in the middle of intervals, directions, and bounds of what joints deviate from these.
 

@@ -15,6 +15,7 @@ from lieednn_sim.simulation.moving_obstacles import MovingObstacle
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.simulation.tracking import default_controller, simulate
+from lieednn_sim.simulation.tracking_bound import tracking_bound
 from lieednn_sim.typecheck import typecheck_public
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "register_controller",
     "simulate",
     "simulate_many",
+    "tracking_bound",
 ]
 
 typecheck_public(globals())

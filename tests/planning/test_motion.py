@@ -210,19 +210,44 @@ def test_position_limits_hold_to_a_micron(arm, motion):
             q[:, index] = limit
             q[700:, index] += sign * beyond
             with expected:
-                check_motion(arm, dataclasses.replace(motion, q=q))
+                check_motion(arm, dataclasses.replace(motion, q=q, qd=0.0 * q))
+
+
+def test_limits_hold_between_samples(arm, motion):
+    """With rates v and -v at its ends and no way between, a cubic goes h v / 4 beyond them; over a way d from rest to
+    rest its rate is 1.5 d / h."""
+    still = dataclasses.replace(motion, q=np.tile(motion.q[700], (len(motion.t), 1)), qd=0.0 * motion.qd)
+    q, qd, fastest = still.q.copy(), still.qd.copy(), arm.velocity_limits[4]
+    q[:, 4], qd[700:702, 4] = arm.position_limits[4, 1], (0.3, -0.3)
+    arm = dataclasses.replace(arm, acceleration_limits=np.inf * arm.acceleration_limits)
+    for beyond, expected in ((0.9e-6, nullcontext()), (1.1e-6, pytest.raises(PlanError, match=r"t = 1\.40 s joint"))):
+        q[700:702, 4] = arm.position_limits[4, 1] - 0.25 * 0.3 * motion.timestep + beyond
+        with expected:
+            check_motion(arm, dataclasses.replace(still, q=q, qd=qd))
+    q, qd = still.q.copy(), np.zeros_like(qd)
+    for share, expected in ((0.999, nullcontext()), (1.001, pytest.raises(TooFastError, match="would move at"))):
+        q[701:, 4] = q[0, 4] - share * fastest * motion.timestep / 1.5
+        with expected as error:
+            check_motion(arm, dataclasses.replace(still, q=q, qd=qd))
+    assert error.value.duration == pytest.approx(4.004)
 
 
 def test_a_posture_that_jumps_between_two_samples_is_refused(arm, motion):
     """A jump is seen by its size alone: limits, clearance and the velocities at both samples know nothing of it."""
     step = 2.0 * motion.timestep * np.abs(motion.qd[999:1001, 4]).max()
     words = rf"joint '{arm.joint_names[4]}' would jump by {step + 0.021:.3g} rad at t = 2\.00 s, where the nearest"
-    refused = pytest.raises(PlanError, match=words)
+    refused, at_any_speed = pytest.raises(PlanError, match=words), 0.0 * arm.velocity_limits + np.inf
     for jump, expected in ((step + 0.019, nullcontext()), (step + 0.021, refused)):
         q = motion.q.copy()
         q[1000:, 4] += q[999, 4] - q[1000, 4] - jump
         with expected:
+            check_motion(dataclasses.replace(arm, velocity_limits=at_any_speed), dataclasses.replace(motion, q=q))
+    # At most what the velocity limit of 2 rad/s explains in a step of 2 ms; less is too fast.
+    for jump, expected in ((step + 0.0041, PlanError), (step + 0.0039, TooFastError)):
+        q[1000:, 4] = q[999, 4] - jump + motion.q[1000:, 4] - motion.q[1000, 4]
+        with pytest.raises(PlanError) as error:
             check_motion(arm, dataclasses.replace(motion, q=q))
+        assert type(error.value) is expected
 
 
 @pytest.mark.parametrize(("what", "power"), [("move", 1.0), ("accelerate", 0.5), ("jerk", 1 / 3)])
