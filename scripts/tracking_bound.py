@@ -69,7 +69,7 @@ def main() -> int:
         f"`python scripts/tracking_bound.py --seeds {options.seeds}`: runs by the controller `computed-torque` with "
         "masses and payloads that it does not know, drawn from the range that `simulation.tracking_bound` was asked "
         "for. Medians of the largest error of a joint and of its bound [rad, m], and the bound over the error. A joint "
-        f"was beyond its bound in {broken} of {runs} runs.\n\n"
+        f"was beyond its bound in {broken} of {runs} runs.\n"
     )
     with io.atomic_text(options.output) as file:
         file.write(head + "\n".join(table(headings, rows)) + "\n")
