@@ -182,9 +182,12 @@ def _measured(metrics: MotionMetrics | Evaluation) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Shard:
-    """A part of a comparison's cases, for a machine that shares only a disk; `InputError` if there is no such shard."""
+    """A part of a comparison's cases, for a machine that shares only a disk; `InputError` if there is no such shard.
 
-    number: int  # from 1 on; that of a case depends on the name of the case alone
+    The shard of a case depends on the name of the case alone; numbers start at 1.
+    """
+
+    number: int
     of: int
 
     def __post_init__(self) -> None:

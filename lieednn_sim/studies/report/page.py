@@ -27,10 +27,15 @@ from lieednn_sim.validation import as_count
 
 @dataclass(frozen=True)
 class View:
-    """One problem solved by several planners."""
+    """One problem solved by several planners.
 
-    rows: tuple[Row, ...]  # in the table, from left to right
-    recording: Recording  # of their motions
+    Attributes:
+        rows: their rows in the table, from left to right.
+        recording: their motions.
+    """
+
+    rows: tuple[Row, ...]
+    recording: Recording
 
     @property
     def base64(self) -> str:
