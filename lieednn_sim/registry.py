@@ -31,17 +31,11 @@ _IN_FILE = re.compile(r"(?s)(.+\.py):([^:/\\]*)")
 
 
 class Library(NamedTuple):
-    """An optional library.
+    """An optional library."""
 
-    Attributes:
-        extra: extra of this package that installs it.
-        purpose: what it is for, besides the rows that name it.
-        distribution: its name on the package index, if that is another one.
-    """
-
-    extra: str
-    purpose: str = ""
-    distribution: str = ""
+    extra: str  # of this package, which installs it
+    purpose: str = ""  # what it is for, besides the rows that name it
+    distribution: str = ""  # its name on the package index, if that is another one
 
 
 #: Optional libraries by the name of their module.
@@ -214,9 +208,7 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
 
         def decorate(given: _Given) -> _Given:
             if not _NAME.fullmatch(name):
-                raise InputError(
-                    f"a {self.kind}'s name must be lower-case letters, digits and hyphens, got {name[:80]!r}"
-                )
+                raise InputError(f"a {self.kind}'s name must be of a to z, digits and hyphens, got {name[:80]!r}")
             if name in self.entries:
                 raise InputError(f"{self.kind} {name!r} is already registered; choose another name")
             self.entries[name] = self._row(name, given, options)
@@ -242,18 +234,13 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         entry = self.find(name)
         if command := entry.install:
             others = ", ".join(other for other, row in self.entries.items() if not row.library)
-            raise LieEDNNError(
-                f"{self.kind} {name!r} is not installed: {command}; or name another one, which needs no extra: {others}"
-            )
+            raise LieEDNNError(f"{self.kind} {name!r} is not installed: {command}; or name one without extra: {others}")
         return entry
 
     def origins(self, names: Iterable[str]) -> list[str]:
         """Where those that others have added come from, a line for each."""
-        added = {name: self[name].place for name in names if name in self and not self[name].own}
-        return [
-            f"{self.kind} {name}: {place.__module__}.{getattr(place, '__qualname__', name)}"
-            for name, place in added.items()
-        ]
+        added = [(name, self[name].place) for name in names if name in self and not self[name].own]
+        return [f"{self.kind} {name}: {it.__module__}.{getattr(it, '__qualname__', name)}" for name, it in added]
 
     def _all(self) -> dict[str, _Entry]:
         if self._searched:

@@ -40,16 +40,11 @@ _SOURCES = {
 
 
 class _Hint(NamedTuple):
-    """What an annotation asks for.
+    """What an annotation asks for."""
 
-    Attributes:
-        wanted: in words.
-        accepts: whether a value is of this kind, whatever its parts are.
-        parts: the parts of such a value that have a hint of their own: where each is, as ``[2]``, its hint, and itself.
-    """
-
-    wanted: str
-    accepts: Callable[[Any], bool]
+    wanted: str  # in words
+    accepts: Callable[[Any], bool]  # whether a value is of this kind, whatever its parts are
+    # The parts of such a value that have a hint of their own: where each is, as ``[2]``, its hint, and itself.
     parts: Callable[[Any], Iterable[tuple[str, _Hint, Any]]] | None = None
 
 
@@ -60,9 +55,8 @@ class Array:
 def typecheck_public(namespace: dict[str, Any]) -> None:
     """Let all functions and classes in a module's ``__all__`` check the types of their arguments.
 
-    Args:
-        namespace: the module's ``globals()``. Functions are replaced there, and are from then on this module's, where
-            pickle finds them; methods are replaced in their classes.
+    The namespace is the module's ``globals()``. Functions are replaced there, and are from then on this module's, where
+    pickle finds them; methods are replaced in their classes.
     """
     for name in namespace["__all__"]:
         value = namespace[name]
@@ -90,13 +84,10 @@ def _check_methods(cls: type) -> None:
 
 
 def typechecked(function: Callable[..., Any], cls: type | None = None) -> Callable[..., Any]:
-    """A function that checks the types of its arguments; the function itself if it does so already, or needs not.
+    """A function, or a method of a class, that checks its arguments' types; itself if it does so already or needs not.
 
-    A function whose docstring calls it unchecked, for inner loops, needs not.
-
-    Args:
-        function: the function. Its annotations are read at the first call, when all modules are loaded.
-        cls: the class whose method it is.
+    A function whose docstring calls it unchecked, for inner loops, needs not. Annotations are read at the first call,
+    when all modules are loaded.
     """
     annotations = {text for name, text in function.__annotations__.items() if name != "return"}
     if (

@@ -100,12 +100,8 @@ class ClosedLoops:
     def slopes(self, qpos: Floats, known: Floats) -> Floats:
         """Velocities ``(D, m)`` of the dependent dofs at the closed configuration ``(nq,)``: -J_d^+ J_i V.
 
-        Args:
-            qpos: the configuration.
-            known: V ``(nv, m)``, the velocities of the other dofs for each independent rate.
-
-        Raises:
-            NoSolutionError: the configuration is a dead centre.
+        V ``(nv, m)``, here ``known``, are the velocities of the other dofs for each independent rate. `NoSolutionError`
+        if the configuration is a dead centre.
         """
         jacobian, given = self._residuals.at(qpos)[1], self._residuals.known
         right = -jacobian[:, given] @ known[given]
@@ -120,9 +116,7 @@ class ClosedLoops:
     def check_independent(self, known: Floats, joints: Sequence[int]) -> None:
         """Raise `InputError` where the loops leave the independent joints less freedom than they have, at the state.
 
-        Args:
-            known: V ``(nv, m)`` as in `slopes`.
-            joints: the joint of each independent rate.
+        ``known`` is V ``(nv, m)`` as in `slopes`; ``joints`` are the joints of the independent rates.
         """
         jacobian = self._residuals.at(self._reference.qpos)[1]
         given = jacobian[:, self._residuals.known] @ known[self._residuals.known]
@@ -217,8 +211,7 @@ class ClosedLoops:
         on_path = bool(np.abs(steps).max(initial=0.0) <= 1.0)
         if on_path:
             yield last
-        near = self._solution_near(row)
-        if near is not None:
+        if (near := self._solution_near(row)) is not None:
             yield near
         if not on_path:
             yield last
@@ -247,18 +240,15 @@ class ClosedLoops:
         _, singular, directions = np.linalg.svd(self._reference.jacobian[:, self.dofs])
         free = directions[np.count_nonzero(singular > SINGULAR * singular.max(initial=0.0)) :]
         # At a dead centre, Newton's method comes back from a small motion along such a direction; a free joint stays.
-        small, moving = 1e-2, []
+        small, moving = 1e-2, False
         for direction in free:
             qpos = start.copy()
             self._residuals.move(qpos, small * direction)
             if self._newton(qpos, small) is not None:
-                moved = self._residuals.difference(start, qpos)[self.dofs]
-                if np.linalg.norm(moved) > 0.5 * small:
-                    moving.append(direction)
+                moving |= bool(np.linalg.norm(self._residuals.difference(start, qpos)[self.dofs]) > 0.5 * small)
         if moving:
-            loose = [
-                j for j in self._joints if np.abs(free[:, np.isin(self.dofs, dof_addresses(model, [j]))]).max() > 1e-6
-            ]
+            parts = {j: free[:, np.isin(self.dofs, dof_addresses(model, [j]))] for j in self._joints}
+            loose = [j for j, part in parts.items() if np.abs(part).max() > 1e-6]
             chosen = _determining(model, loose, free, self.dofs)
             more = f"add {len(chosen)} of these to them, for example {names(model, chosen)}, or " if chosen else ""
             raise InputError(

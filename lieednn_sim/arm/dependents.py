@@ -28,18 +28,11 @@ from lieednn_sim.values import Floats
 
 @dataclass(frozen=True)
 class Follower:
-    """A hinge or slide at y = c_0 + c_1 (x - x0) + c_2 (x - x0)^2 + ..., x the position of its leader [rad, m].
+    """A hinge or slide at y = c_0 + c_1 (x - x0) + c_2 (x - x0)^2 + ..., x the position of its leader [rad, m]."""
 
-    Attributes:
-        joint: its id.
-        leader: the leader's id; None of a joint that an equality fixes at c_0.
-        coefficients: c_0, c_1, ..., the last one not zero unless it is c_0.
-        x0: [rad, m].
-    """
-
-    joint: int
-    leader: int | None
-    coefficients: tuple[float, ...]
+    joint: int  # its id
+    leader: int | None  # the leader's id; None of a joint that an equality fixes at c_0
+    coefficients: tuple[float, ...]  # c_0, c_1, ..., the last one not zero unless it is c_0
     x0: float
 
 
@@ -106,11 +99,9 @@ class Dependents:
             self.coupling, self.offset, self.rates = self._affine(qpos)
 
     def to_qpos(self, qpos: Floats, *, strict: bool = True) -> Floats:
-        """Rows with the independent joints set to rows with the dependent joints solved; others stay as they are.
+        """Rows ``(..., nq)`` with the independent joints set to rows with the dependent joints solved; others stay.
 
-        Args:
-            qpos: ``(..., nq)``; where there are loops, rows along a path take the least time.
-            strict: whether a row without a solution raises; else it is NaN.
+        Where there are loops, rows along a path take the least time. If not ``strict``, rows without solution are NaN.
 
         Raises:
             InputError: the shape is wrong.
@@ -155,10 +146,7 @@ class Dependents:
         """Intervals ``(m, 2)`` of the independent coordinates in which linear followers keep within their ranges.
 
         Infinite where there are none; the ranges of the independent joints themselves, of polynomial followers and of
-        joints in loops are not considered.
-
-        Raises:
-            InputError: a follower's range leaves no position.
+        joints in loops are not considered. `InputError` if followers' ranges leave no position.
         """
         model, limits = self._model, np.tile([-np.inf, np.inf], (len(self.dofs), 1))
         for joint, (leader, ratio, shift) in self.lines.items():
@@ -168,10 +156,8 @@ class Dependents:
                 limits[k] = max(limits[k, 0], low), min(limits[k, 1], high)
         empty = np.flatnonzero(limits[:, 0] > limits[:, 1])
         if len(empty):
-            joint = int(self._model.dof_jntid[self.dofs[empty[0]]])
-            raise InputError(
-                f"the ranges of the joints that follow {names(self._model, [joint])} exclude each other; widen them"
-            )
+            led_by = names(model, [int(model.dof_jntid[self.dofs[empty[0]]])])
+            raise InputError(f"the ranges of the joints that follow {led_by} exclude each other; widen them")
         return limits
 
     def _find_lines(self, state: Floats, joints: Sequence[int]) -> None:
@@ -347,12 +333,8 @@ def _loops_of(
 ) -> tuple[list[int], set[int]]:
     """The equalities that involve joints the arm moves, directly or through other joints, and these other joints."""
     involved = {equality: involved_joints(model, equality) for equality in equalities}
-    reached = {joint for joint, root in roots.items() if root is not None}
-    moved = set(reached)
-    chosen: set[int] = set()
-    while True:
-        more = {e for e, joints in involved.items() if e not in chosen and joints & moved}
-        if not more:
-            return sorted(chosen), moved - roots.keys()
+    moved, chosen = {joint for joint, root in roots.items() if root is not None}, set[int]()
+    while more := {e for e, joints in involved.items() if e not in chosen and joints & moved}:
         chosen |= more
         moved |= {joint for e in more for joint in involved[e] if joint not in roots}
+    return sorted(chosen), moved - roots.keys()

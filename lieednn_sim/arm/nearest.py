@@ -51,14 +51,11 @@ class NearestPose:
         factors = [factor for joint in joints for factor in joint.factors]
         # For each joint: a selection matrix ``(c, r)`` of its r coordinates among the group's, or None if equal;
         # and for pairs ``(r, r)`` of them 1 if the first belongs to an earlier factor, 1/2 if both to the same one.
-        self._places = [
-            None if np.array_equal(joint.coordinates, indices) else joint.selection(indices) for joint in joints
-        ]
+        self._places = [None if np.array_equal(j.coordinates, indices) else j.selection(indices) for j in joints]
         ranks = [np.repeat(np.arange(len(j.factors)), [len(f.indices) for f in j.factors]) for j in joints]
         self._orders = [np.heaviside(rank - rank[:, None], 0.5) for rank in ranks]
-        self._periodic = np.array(
-            [all(f.kind == "hinge" and abs(f.ratio) == 1.0 for f in factors if i in f.indices) for i in indices]
-        )
+        winding = [factor for factor in factors if factor.kind != "hinge" or abs(factor.ratio) != 1.0]
+        self._periodic = np.array([not any(i in factor.indices for factor in winding) for i in indices])
 
     def solve(self, rotation: Floats, translation: Floats) -> Floats:
         """Displacements ``(..., c)`` from the reference for poses ``(..., m, 3, 3)`` and ``(..., m, 3)``.
@@ -255,9 +252,8 @@ class NearestPose:
     def firmness(self, q: Floats, rotation: Floats, translation: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """How firmly poses ``(B, m, 3, 3)`` and ``(B, m, 3)`` hold the coordinates at q ``(B, c)``.
 
-        Returns:
-            The least singular value of the Jacobian, the distance f^(1/2), the length of the gradient of f / 2, and the
-            longest lever arm of a hinge, each ``(B,)``; lengths, and coordinates of slides, in units of ``length``.
+        That is the least singular value of the Jacobian, the distance f^(1/2), the length of the gradient of f / 2, and
+        the longest lever arm of a hinge, each ``(B,)``; lengths, and coordinates of slides, in units of ``length``.
         """
         goal = self._stack(rotation, translation).reshape(len(q), -1)
         values, jacobian = self._evaluate(q)

@@ -40,25 +40,15 @@ _MATERIALS = {
 
 @dataclass(frozen=True)
 class _Surroundings:
-    """The arm's dimensions [m] in a frame on the floor below the base, with x towards the tip at home.
+    """The arm's dimensions [m] in a frame on the floor below the base, with x towards the tip at home."""
 
-    Attributes:
-        arm: the arm, without obstacles.
-        origin: ``(3,)`` world position of the frame.
-        yaw: its rotation about the vertical [rad].
-        scale: factor for the sizes of obstacles, 1 for an arm of the nominal reach.
-        front: how far the arm extends along x at home.
-        tip: ``(3,)`` position of the end effector at home.
-        reach: horizontal reach of the end effector near its height at home.
-    """
-
-    arm: SerialArm
-    origin: Floats
-    yaw: float
-    scale: float
-    front: float
-    tip: Floats
-    reach: float
+    arm: SerialArm  # without obstacles
+    origin: Floats  # ``(3,)`` world position of the frame
+    yaw: float  # its rotation about the vertical [rad]
+    scale: float  # factor for the sizes of obstacles, 1 for an arm of the nominal reach
+    front: float  # how far the arm extends along x at home
+    tip: Floats  # ``(3,)`` position of the end effector at home
+    reach: float  # horizontal reach of the end effector near its height at home
 
     @property
     def place(self) -> dict[str, Any]:
@@ -67,17 +57,10 @@ class _Surroundings:
 
 
 def add_obstacles(spec: mujoco.MjSpec, arm: SerialArm, scene: str, seed: int = 0) -> None:
-    """Add the obstacles of a scene to a copy of an arm's spec; ``free`` adds nothing.
+    """Add the obstacles of a scene of `SCENES` to a copy of the spec of an arm without any; ``free`` adds nothing.
 
-    Args:
-        spec: a copy of ``arm.spec`` to add to. New bodies, geoms, materials and sites are named ``obstacle_...``;
-            visible geoms are in group 2.
-        arm: the spec's arm, without obstacles.
-        scene: a name of `SCENES`.
-        seed: seed of positions and sizes; the same seed gives the same scene.
-
-    Raises:
-        InputError: no such scene, a bad seed, or no place for the obstacles around this arm.
+    New bodies, geoms, materials and sites are named ``obstacle_...``; visible geoms are in group 2. The same seed gives
+    the same positions and sizes. `InputError` for no such scene, a bad seed, or no place around this arm.
     """
     entry = SCENES.find(scene)
     rng = np.random.default_rng([as_seed("seed", seed), list(SCENES).index(scene)])
@@ -190,16 +173,9 @@ def _pole_clearances(room: _Surroundings, spots: Floats, radius: Floats, half: f
         body.add_geom(name=f"trial{number}", type=_CYLINDER, pos=(*spot, half), size=(size, half, 0.0))
     model = spec.compile()
     data = kinematics_at(model, arm.qpos(arm.keyframe("home")))
-    trial = model.body("trial").id
-    others = colliding_geoms(model) & (model.body_rootid[model.geom_bodyid] != trial) & (model.geom_rbound > 0.0)
-    parts = np.flatnonzero(others).tolist()
-    limit = 0.5
-    return np.array(
-        [
-            min(mujoco.mj_geomDistance(model, data, model.geom(f"trial{k}").id, part, limit, None) for part in parts)
-            for k in range(len(spots))
-        ]
-    )
+    trials = [model.geom(f"trial{k}").id for k in range(len(spots))]
+    parts = np.setdiff1d(np.flatnonzero(colliding_geoms(model) & (model.geom_rbound > 0.0)), trials).tolist()
+    return np.array([min(mujoco.mj_geomDistance(model, data, k, part, 0.5, None) for part in parts) for k in trials])
 
 
 def _surroundings(arm: SerialArm) -> _Surroundings:
@@ -237,12 +213,9 @@ def _pierced_plate(x: float, thickness: float, outline: Floats, opening: Floats)
     quadrilaterals = []
     for i in range(4):
         j = (i + 1) % 4
-        quadrilaterals += [
-            (i, i + 4, j + 4, j),  # near face
-            (i + 8, j + 8, j + 12, i + 12),  # far face
-            (i, j, j + 8, i + 8),  # outer edge
-            (i + 4, i + 12, j + 12, j + 4),  # edge of the opening
-        ]
+        faces = (i, i + 4, j + 4, j), (i + 8, j + 8, j + 12, i + 12)  # near and far
+        edges = (i, j, j + 8, i + 8), (i + 4, i + 12, j + 12, j + 4)  # the outer one, and that of the opening
+        quadrilaterals += [*faces, *edges]
     triangles = [(*q[:3], q[0], *q[2:]) for q in quadrilaterals]
     return {"uservert": vertices.ravel().tolist(), "userface": np.array(triangles).ravel().tolist()}
 

@@ -95,13 +95,11 @@ def bind(words: Sequence[str]) -> Callable[[], Any]:
 
 
 def _output_failed() -> bool:
-    """Whether the standard output can no longer be written, as on a full disk.
-
-    Then what waits there is discarded, since writing it would fail again at exit.
-    """
+    """Whether the standard output can no longer be written, as on a full disk."""
     try:
         print(flush=True)  # flushing alone tells nothing of an output without a buffer
     except OSError:
+        # What waits there would fail again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return True
     return False

@@ -80,8 +80,7 @@ def _print_summaries(loaded: list[Arm]) -> None:
             ", ".join(arm.keyframes),
         )
     rows.caption = (
-        "n: joint coordinates; reach: farthest end effector found from the base; "
-        "unit: metres per length unit of the network"
+        "n: joint coordinates; reach: farthest end effector found from the base; unit: of the network's lengths"
     )
     console.print(rows)
 

@@ -129,9 +129,8 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
     for push in changes.pushes:
         # No step begins at the end; times are rounded to the nearest step.
         if push.start >= end - 0.5 * arm.timestep:
-            raise InputError(
-                f"the push on {push.body!r} at {push.start:g} s would begin when the run is over, at {end:g} s"
-            )
+            at = f"the push on {push.body!r} at {push.start:g} s"
+            raise InputError(f"{at} would begin when the run is over, at {end:g} s")
     try:
         with progress("simulate") as report:
             rollout = simulate_motion(

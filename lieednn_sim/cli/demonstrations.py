@@ -185,10 +185,8 @@ def _learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run
     """Read, fit, measure, and write a run with network and motion, ``report.json`` and two plots."""
     options = ShapingOptions(rate=fitting.clock_rate)
     arm = chosen.load()
-    rate, time_unit = fitting.sample_rate, fitting.time_unit
-    shown = JointDemonstrations.load(
-        arm, files, rate=rate, phase=fitting.phase, goals=fitting.goals, time_unit=time_unit
-    )
+    rate, unit = fitting.sample_rate, fitting.time_unit
+    shown = JointDemonstrations.load(arm, files, rate=rate, phase=fitting.phase, goals=fitting.goals, time_unit=unit)
     with run.at_work():
         learned = JointMotion.fit(shown, fitting.deviation, options, family=fitting.family)
         motion, refusal = learned.planned(shown.mean[0])

@@ -92,9 +92,8 @@ def force(text: str) -> Force:
     try:
         return body, numbers(rest, 5)
     except ArgumentTypeError:
-        raise ArgumentTypeError(
-            f"must look like BODY,FX,FY,FZ,START,DURATION, e.g. 'link 2,0,50,0,1.5,0.2', got {text!r}"
-        ) from None
+        wanted = "must look like BODY,FX,FY,FZ,START,DURATION, e.g. 'link 2,0,50,0,1.5,0.2'"
+        raise ArgumentTypeError(f"{wanted}, got {text!r}") from None
 
 
 def flag(text: str) -> bool:
@@ -105,19 +104,12 @@ def flag(text: str) -> bool:
 
 
 class Kind(NamedTuple):
-    """How a value is read.
+    """How a value is read."""
 
-    Attributes:
-        read: its value from a text; raises `ArgumentTypeError`.
-        metavar: what stands for it in the help.
-        action: what `argparse` does with it: ``append`` and ``extend`` let each use of the option add to the value.
-        words: whether it is a list of several words.
-    """
-
-    read: Callable[[str], Any]
-    metavar: str
-    action: str = "store"
-    words: bool = False
+    read: Callable[[str], Any]  # its value from a text; raises `ArgumentTypeError`
+    metavar: str  # what stands for it in the help
+    action: str = "store"  # of `argparse`: ``append`` and ``extend`` let each use of the option add to the value
+    words: bool = False  # whether it is a list of several words
 
 
 def _listed(read: Callable[[str], Any]) -> Callable[[str], Any]:

@@ -32,46 +32,27 @@ class Definition(NamedTuple):
     """A name that a module defines: a function, a class or a constant; ``node`` is what the module says there."""
 
     module: str
-    node: ast.FunctionDef | ast.ClassDef | ast.expr
-
-    @property
-    def name(self) -> str:
-        """Name of the function or class."""
-        assert isinstance(self.node, ast.FunctionDef | ast.ClassDef)
-        return self.node.name
+    node: Any  # ast.FunctionDef, ast.ClassDef or ast.expr
 
     @property
     def docstring(self) -> str:
-        """Its docstring, without indentation."""
-        assert isinstance(self.node, ast.FunctionDef | ast.ClassDef)
+        """Docstring of the function or class, without indentation."""
         return ast.get_docstring(self.node) or ""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a function, or a field of a dataclass.
-
-    Attributes:
-        name: its name there.
-        kind: its annotation without None, a name of `kinds.KINDS`; empty where it is a group of other parameters.
-        help: its text in the docstring.
-        option: its name on the command line.
-        positional: whether it is given by its place.
-        required: whether it has no default.
-        default: its default, as far as its source tells; None otherwise.
-        group: what its value is made of, if it is a dataclass or a mapping.
-        makes: the class of which a group is made; None for a mapping.
-    """
+    """A parameter of a function, or a field of a dataclass."""
 
     name: str
-    kind: str
-    help: str
-    option: str
-    positional: bool = False
-    required: bool = False
-    default: Any = None
-    group: tuple[Parameter, ...] = ()
-    makes: Definition | None = None
+    kind: str  # its annotation without None, a name of `kinds.KINDS`; empty where it is a group of other parameters
+    help: str  # its text in the docstring
+    option: str  # its name on the command line
+    positional: bool = False  # whether it is given by its place
+    required: bool = False  # whether it has no default
+    default: Any = None  # as far as its source tells
+    group: tuple[Parameter, ...] = ()  # what its value is made of, if it is a dataclass or a mapping
+    makes: Definition | None = None  # the class of which a group is made; None for a mapping
 
 
 def find(module: str, name: str) -> Definition | None:
@@ -217,12 +198,12 @@ def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:
     parser = make_parser(source)
     parser.epilog = _planner_help(words)
     space, unknown = parser.parse_known_args(words)
-    line = shlex.join([_PROGRAM, source.name, *words])
+    line = shlex.join([_PROGRAM, source.node.name, *words])
     given = vars(space) | {each.option: line for each in taken if each.kind == "CommandLine"}
     if unknown:
         known = [name for action in parser._actions for name in action.option_strings]
         parser.error(f"{unknown[0]} is not understood{near(unknown[0].partition('=')[0], known)}")
-    function = getattr(importlib.import_module(source.module), source.name)
+    function = getattr(importlib.import_module(source.module), source.node.name)
     return partial(function, **_arguments(taken, given))
 
 
@@ -258,7 +239,7 @@ def make_parser(source: Definition) -> argparse.ArgumentParser:
     summary, _, more = source.docstring.partition("Args:")[0].partition("\n")
     words = [(each.option.upper(), each.required) for each in taken if each.positional]
     parser = _Parser(
-        prog=f"{_PROGRAM} {source.name}",
+        prog=f"{_PROGRAM} {source.node.name}",
         usage=" ".join(["%(prog)s [OPTIONS]", *(word if required else f"[{word}]" for word, required in words)]),
         description=" ".join([summary, *more.split()]),
         formatter_class=_Help,
@@ -329,7 +310,8 @@ def _arguments(taken: Iterable[Parameter], given: Mapping[str, Any]) -> dict[str
     for each in taken:
         if each.group:
             inner = _arguments(each.group, given)
-            make = dict if each.makes is None else getattr(importlib.import_module(each.makes.module), each.makes.name)
+            makes = each.makes
+            make = getattr(importlib.import_module(makes.module), makes.node.name) if makes else dict
             values[each.name] = make(**inner)
         elif each.option in given:
             value = given[each.option]

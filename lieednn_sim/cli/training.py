@@ -70,10 +70,7 @@ def train(*, goal: Goal, learning: Learning, output: Directory = "results/run", 
 
 
 def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
-    """Learn from one seed after the other, until the motion of a network keeps the limits.
-
-    A network is saved if it is the first one learned, or the first whose motion keeps the limits.
-    """
+    """Learn from one seed after the other; save the first network, and the first whose motion keeps the limits."""
     arm = goal.load()
     start, aim = goal.start_and_goal(arm)
     target = next(candidates(arm, aim, start))
@@ -123,9 +120,8 @@ def _learner(asked: Learning, xi: Floats) -> Callable[..., TrainingResult]:
     changes = {"period": asked.period, "max_epochs": asked.epochs, "tolerance": asked.tolerance}
     given = {key: value for key, value in changes.items() if value is not None}
     if len(given) > 1 and not isinstance(make(), TrainingOptions):
-        raise InputError(
-            f"--period and --epochs are for the algorithms literal, repaired and tracked, not for {asked.algorithm}"
-        )
+        others = "the algorithms literal, repaired and tracked"
+        raise InputError(f"--period and --epochs are for {others}, not for {asked.algorithm}")
     if asked.bias == "solved":
         raise InputError("the solved bias needs no learning; use 'lieednn-sim plan --option bias=solved'")
     magnitude = as_positive("bias magnitude", asked.bias_magnitude)

@@ -198,24 +198,16 @@ class ArmTask(ABC):
 
     @abstractmethod
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Rewards ``(...)`` in [0, 1] and successes ``(...)``; arguments are unchecked.
+        """Rewards in [0, 1] and successes, each ``(...)``, by joint velocities ``(..., n)``; arguments are unchecked.
 
-        Args:
-            distance: largest distances ``(...)`` of goal frames from their targets [m].
-            angle: the same as angles ``(...)`` [rad].
-            qd: joint velocities ``(..., n)``.
+        Distances ``(...)`` [m] and angles ``(...)`` [rad] are the largest of goal frames from their targets.
         """
 
     def look(self, steps: Any, command: Floats, qpos: Floats, qvel: Floats, frames: Floats, *target: Floats) -> State:
-        """The states ``(...)`` after some control steps; arguments are unchecked.
+        """The states ``(...)`` after numbers ``(...)`` of control steps; arguments are unchecked.
 
-        Args:
-            steps: numbers of control steps done ``(...)``.
-            command: commanded positions ``(..., n)``.
-            qpos: MuJoCo's positions ``(..., nq)``.
-            qvel: MuJoCo's velocities ``(..., nv)``.
-            frames: goal frames ``(..., F, 16)`` of the arm, see `LinkFrames`.
-            target: the arrays of `Target.after`, with leading axes.
+        They are of commanded positions ``(..., n)``, MuJoCo's positions ``(..., nq)`` and velocities ``(..., nv)``,
+        goal frames ``(..., F, 16)`` (`LinkFrames`) and the arrays of `Target.after`, with leading axes.
         """
         q = self.arm.space.from_qpos(qpos)
         qd = self.arm.space.from_qvel(q, qvel)
@@ -235,8 +227,7 @@ class ArmTask(ABC):
     @property
     def over(self) -> bool:
         """Whether the episode is over, or none has begun."""
-        state = self._state
-        return state is None or bool(state.over(self.steps))
+        return self._state is None or bool(self._state.over(self.steps))
 
     @property
     def time(self) -> float:

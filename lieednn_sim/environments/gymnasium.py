@@ -130,12 +130,8 @@ class Environment(gymnasium.Env[Any, Floats]):
 
 for _id, _task in ENVIRONMENTS.items():
     if _id not in gymnasium.registry:
-        gymnasium.register(
-            _id,
-            entry_point=f"{__name__}:Environment",
-            vector_entry_point=f"{__name__}:VectorEnvironment",
-            kwargs={"task": _task},
-        )
+        _places = f"{__name__}:Environment", f"{__name__}:VectorEnvironment"
+        gymnasium.register(_id, _places[0], vector_entry_point=_places[1], kwargs={"task": _task})
 
 
 typecheck_public(globals())

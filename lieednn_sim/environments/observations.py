@@ -106,11 +106,9 @@ class Observations:
         lows, highs = zip(*bounds.values(), strict=True)
         self._low, self._high = (np.concatenate([limit.ravel() for limit in limits]) for limits in (lows, highs))
         self.size = len(self._low)
-        self._parts: list[tuple[str, slice, tuple[int, ...]]] = []
-        begin = 0
-        for name, (low, _) in bounds.items():
-            self._parts.append((name, slice(begin, begin + low.size), low.shape))
-            begin += low.size
+        ends = np.cumsum([low.size for low in lows]).tolist()
+        parts = zip(bounds, lows, ends, strict=True)
+        self._parts = [(name, slice(end - low.size, end), low.shape) for name, low, end in parts]
 
     def rows(self, *values: Floats) -> Floats:
         """Rows ``(..., size)`` from arrays ``(..., k)``, one for each name in the order of the bounds."""

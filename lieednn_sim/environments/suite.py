@@ -68,12 +68,7 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
         super().__init__(Physics(wrapper.MjData(task.simulation.data)), task, n_sub_steps=task.substeps)
 
     def reset(self, seed: int | None = None) -> dm_env.TimeStep:
-        """Begin an episode.
-
-        Args:
-            seed: restarts the random numbers, as if the environment had been loaded with it; not part of dm_env's
-                interface.
-        """
+        """Begin an episode; a seed, which dm_env does not know, restarts the random numbers, as on loading with it."""
         if seed is not None:
             self._random = np.random.default_rng(as_seed("seed", seed))
         with self._physics.reset_context():
@@ -93,16 +88,13 @@ class ControlEnvironment(control.Environment):  # type: ignore[misc]  # dm_contr
 
     def action_spec(self) -> specs.BoundedArray:
         """Signed square roots of joint velocities as fractions of their limits."""
-        joints = ", ".join(self._task.arm.joint_names)
-        shape = (self._task.arm.n_joints,)
-        return specs.BoundedArray(shape, np.float64, -1.0, 1.0, name=f"joint velocities ({joints})")
+        joints = self._task.arm.joint_names
+        return specs.BoundedArray((len(joints),), np.float64, -1.0, 1.0, name=f"joint velocities ({', '.join(joints)})")
 
     def observation_spec(self) -> OrderedDict[str, specs.BoundedArray]:
         """Observed arrays by name, with their bounds."""
-        return OrderedDict(
-            (name, specs.BoundedArray(low.shape, np.float64, low, high, name=name))
-            for name, (low, high) in self._task.bounds.items()
-        )
+        bounds = self._task.bounds.items()
+        return OrderedDict((k, specs.BoundedArray(low.shape, np.float64, low, high, k)) for k, (low, high) in bounds)
 
     def reward_spec(self) -> specs.BoundedArray:
         """Rewards are in [0, 1]."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from inspect import signature
@@ -88,14 +89,13 @@ class Reach(ArmTask):
 
     @cached_property
     def _closeness(self) -> Closeness:
-        # Fraction of the velocity limits, beyond `REST`, at which the reward for resting falls to a tenth.
-        rest_margin_fraction = 0.5
-        return Closeness(self, (REST, rest_margin_fraction))
+        # The reward for resting falls to a tenth at half the velocity limits beyond `REST`.
+        return Closeness(self, (REST, 0.5))
 
     def draw(self, rng: np.random.Generator, options: dict[str, Any]) -> Target:
         """See `ArmTask`."""
         chosen = options.pop("target", None)
-        _refuse(options, "target")
+        _refuse("reset options", options, ["target"])
         # Drawn in any case, so that the generator's state does not depend on the options.
         seed = int(rng.integers(2**32))
         q = draw_target(self.arm, seed) if chosen is None else self.arm.check_position(chosen, "target")
@@ -137,9 +137,8 @@ class Track(ArmTask):
         **options: Any,
     ) -> None:
         self.reference = as_choice("reference", reference, REFERENCES)
-        # Control steps that a preview may hold: their targets must fit into the memory of a learner.
-        longest_preview = 10_000
-        self.preview = as_count("preview", preview, most=longest_preview)
+        # Its targets must fit into the memory of a learner.
+        self.preview = as_count("preview", preview, most=10_000)
         super().__init__(arm, position_tolerance=position_tolerance, rotation_tolerance=rotation_tolerance, **options)
 
     def _more_bounds(self) -> Bounds:
@@ -153,7 +152,7 @@ class Track(ArmTask):
 
     def draw(self, rng: np.random.Generator, options: dict[str, Any]) -> Target:
         """See `ArmTask`."""
-        _refuse(options)
+        _refuse("reset options", options)
         ends = self.control_timestep * np.arange(self.steps + self.preview + 1)
         if self.reference == "band-limited":
             trajectory = band_limited(self.arm, rng, (self.steps + self.preview) * self.control_timestep)
@@ -190,19 +189,14 @@ def make_task(task: str, arm: str | os.PathLike[str] | Arm = "telescopic_pr", **
     kind = TASKS[as_choice("task", task, TASKS)]
     # Options of the task itself, and of every task.
     known = {*signature(kind).parameters, *signature(ArmTask).parameters} - {"arm", "options"}
-    unknown = sorted(set(options) - known)
-    if unknown:
-        raise InputError(
-            f"unknown options of task {task!r}: {', '.join(map(quoted, unknown))}; known: {', '.join(sorted(known))}"
-        )
+    _refuse(f"options of task {task!r}", set(options) - known, known)
     return kind(arm, **options)
 
 
-def _refuse(options: dict[str, Any], *known: str) -> None:
-    if options:
-        raise InputError(
-            f"unknown reset options: {', '.join(map(quoted, options))}; known: {', '.join(known) or 'none'}"
-        )
+def _refuse(what: str, unknown: Collection[str], known: Collection[str] = ()) -> None:
+    if unknown:
+        names = ", ".join(map(quoted, sorted(unknown, key=str)))
+        raise InputError(f"unknown {what}: {names}; known: {', '.join(sorted(known)) or 'none'}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,8 +71,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         **options: Any,
     ) -> None:
         self.task = make_task(task, arm, scene=scene, **options)
-        most_environments = 2**16
-        self.num_envs = as_count("num_envs", num_envs, most=most_environments)
+        self.num_envs = as_count("num_envs", num_envs, most=2**16)
         if not isinstance(autoreset_mode, AutoresetMode):
             modes = [mode.value for mode in AutoresetMode]
             autoreset_mode = AutoresetMode(as_choice("autoreset_mode", autoreset_mode, modes))
@@ -107,7 +106,6 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
             seed = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise InputError(f"seed must be a number or a list of {self.num_envs}, got one of {len(seed)}")
-        seeds = list(seed)
         chosen = dict(options or {})
         try:
             mask = np.asarray(chosen.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
@@ -117,7 +115,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
             raise InputError(f"reset_mask must be an array of {self.num_envs} truth values, one of them true")
         which = np.flatnonzero(mask)
         for i in which:
-            if (own := seeds[i]) is not None:
+            if (own := seed[i]) is not None:
                 self._generators[i] = seeding.np_random(as_seed("seed", own))[0]
         self._begin(which, chosen)
         return self._observed(), self._infos(mask)
@@ -158,9 +156,9 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         return {name: values.copy() for name, values in self.task.observations.split(self._seen.row).items()}
 
     def _infos(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
-        infos, seen = dict[str, Any](), self._seen
-        for name, values in {"success": seen.success, "distance": seen.distance, "angle": seen.angle}.items():
-            infos[name], infos[f"_{name}"] = values * mask, mask.copy()
+        infos = dict[str, Any]()
+        for name in ("success", "distance", "angle"):
+            infos[name], infos[f"_{name}"] = getattr(self._seen, name) * mask, mask.copy()
         return infos
 
     def _begin(self, which: NDArray[np.int_], options: dict[str, Any]) -> None:

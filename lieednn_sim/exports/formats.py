@@ -31,15 +31,10 @@ _ATTEMPTS = 20
 
 
 class Episode(NamedTuple):
-    """An episode of a data set for imitation learning.
+    """An episode of a data set for imitation learning."""
 
-    Attributes:
-        frames: features ``(T,)`` or ``(T, k)`` by name, of numbers or booleans.
-        about: further values of the episode, such as its seed, for the table of episodes.
-    """
-
-    frames: Mapping[str, NDArray[Any]]
-    about: Mapping[str, Any]
+    frames: Mapping[str, NDArray[Any]]  # features ``(T,)`` or ``(T, k)`` by name, of numbers or booleans
+    about: Mapping[str, Any]  # further values, such as its seed, for the table of episodes
 
 
 def export(
@@ -156,9 +151,8 @@ def record(
         NoSolutionError: too few episodes succeed.
         LieEDNNError: pyarrow is not installed.
     """
-    # Episodes of a data set, which are held in memory: at 300 frames each, 3 GB.
-    most = 50_000
-    count, first = as_count("episodes", episodes, most=most), as_seed("seed", seed)
+    # Those of a data set are held in memory: at 300 frames each, 3 GB.
+    count, first = as_count("episodes", episodes, most=50_000), as_seed("seed", seed)
     FORMATS.require("lerobot")
     dataset = importlib.import_module("lieednn_sim.exports.lerobot")
     task = make_task("reach", arm, scene=scene, scene_seed=scene_seed)

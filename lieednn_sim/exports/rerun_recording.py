@@ -56,8 +56,7 @@ def _write(stream: rr.RecordingStream, rollout: Rollout, rows: slice) -> None:
     curve(["tracking_error"], np.linalg.norm(planned - rollout.link_position[rows, -1], axis=-1))
     curve(["contacts"], rollout.contacts[rows].astype(float))
     stream.log("planned_path", rr.LineStrips3D([planned]), static=True)
-    target_radius = 0.02  # [m]
-    stream.log("target", rr.Points3D([arm.tip(rollout.target)], radii=target_radius), static=True)
+    stream.log("target", rr.Points3D([arm.tip(rollout.target)], radii=0.02), static=True)  # [m]
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     positions, quaternions = _poses(model, rollout.qpos[rows])
     # Mocap bodies are markers, or pull the arm: a rollout does not tell where they are. Those of a view stand still.
@@ -88,9 +87,8 @@ def _log_geoms(stream: rr.RecordingStream, path: list[object], model: mujoco.MjM
     colours = np.round(255.0 * geom_colours(model)).astype(np.uint8)
     first = model.body_geomadr[body]
     geoms = np.arange(first, first + model.body_geomnum[body])
-    # MuJoCo shows geoms of these groups unless it is asked for others.
-    shown_groups = (0, 1, 2)
-    geoms = geoms[np.isin(model.geom_group[geoms], shown_groups) & (colours[geoms, 3] > 0)]
+    # MuJoCo shows geoms of the groups 0, 1 and 2 unless it is asked for others.
+    geoms = geoms[(model.geom_group[geoms] <= 2) & (colours[geoms, 3] > 0)]
     for number in np.unique(model.geom_type[geoms]):
         kind, alike = mujoco.mjtGeom(number), geoms[model.geom_type[geoms] == number]
         size, centre, quaternion = (values[alike] for values in (model.geom_size, model.geom_pos, model.geom_quat))

@@ -41,7 +41,7 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
     for name, rollout in rollouts.items():
         if len(rollout.arm.space.balls):
             raise InputError(
-                f"arm {rollout.arm.name!r} has ball joints, but a JointTrajectory holds hinges and slides alone"
+                f"arm {rollout.arm.name!r} has ball joints; a JointTrajectory holds hinges and slides alone"
             )
         trajectory, rows, joints = _trajectory(rollout, rate), samples(rollout, rate), list(rollout.arm.joint_names)
         with (folder / f"{name}.yaml").open("w", encoding="utf-8") as stream:

@@ -138,9 +138,7 @@ def _load_object(path: str | os.PathLike[str], what: str, parse: Callable[[bytes
 class Archive:
     """The arrays of an open ``.npz`` file, each checked before memory is taken for it.
 
-    Raises:
-        ValueError: the arrays would take too much memory.
-        zipfile.BadZipFile: it is no archive.
+    Raises `ValueError` if they would take too much memory, and `zipfile.BadZipFile` if it is no archive.
     """
 
     def __init__(self, stream: IO[bytes]) -> None:
@@ -166,11 +164,7 @@ class Archive:
 
 
 def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
-    """Read an ``.npy`` file of ``size`` bytes.
-
-    Raises:
-        ValueError: it holds Python objects, is of an unknown version, or its shape is not that of its content.
-    """
+    """Read an ``.npy`` file of ``size`` bytes; `ValueError` for objects, other versions and false shapes."""
     version = np.lib.format.read_magic(stream)
     if version not in _HEADERS:
         raise ValueError(f"arrays of version {version} are not read")
@@ -200,10 +194,8 @@ def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, ND
             if kind not in kinds:
                 raise FileError(f"{source} holds {kind!r}, expected {kinds[0]!r}")
             if meta.get("format") != FORMAT:
-                raise FileError(
-                    f"{source} was written by another version of this package (format {meta.get('format')!r}, not "
-                    f"{FORMAT}); make it again"
-                )
+                other = f"another version of this package (format {meta.get('format')!r}, not {FORMAT})"
+                raise FileError(f"{source} was written by {other}; make it again")
             return {name: archive.read(name) for name in archive.names if name != META_KEY}, meta
         except FileError:
             raise

@@ -57,15 +57,11 @@ def check_outputs(paths: Iterable[Path]) -> None:
 
 @contextlib.contextmanager
 def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterator[None]:
-    """Lock a directory against other processes of the package; the lock ends with the process, however that ends.
+    """Lock an existing directory against other processes of the package, or only others that do not share the lock.
 
-    Args:
-        directory: an existing directory. The lock is on the directory itself (flock); no file is created. Windows and
-            some network file systems cannot do that: there is no lock, and files are still written atomically.
-        shared: allow other shared locks.
-
-    Raises:
-        FileError: another process is at work there.
+    The lock is on the directory itself (flock); no file is created, and it ends with the process, however that ends.
+    Windows and some network file systems cannot do that: there is no lock, and files are still written atomically.
+    `FileError` if another process is at work there.
     """
     if not _LOCKS:
         yield
@@ -75,9 +71,8 @@ def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterat
         try:
             fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise FileError(
-                f"another lieednn-sim is at work in {directory}; wait for it, or choose another directory"
-            ) from None
+            what = f"another lieednn-sim is at work in {directory}"
+            raise FileError(f"{what}; wait for it, or choose another directory") from None
         except OSError:
             # A network file system that cannot lock directories.
             pass
@@ -130,11 +125,9 @@ def _claim(folder: Path, holds: str, *, remove_unfinished: bool) -> bool:
         if result != holds:
             raise FileError(f"{folder} is for another purpose ({result}, not {holds}); choose another directory")
     elif others := sorted(path.name for path in there if path not in unfinished):
-        more = "" if len(others) == 1 else f" and {len(others) - 1} more"
-        raise FileError(
-            f"{folder} holds files that no command of this package made ({others[0]}{more}); choose a new or empty "
-            "directory"
-        )
+        found = others[0] if len(others) == 1 else f"{others[0]} and {len(others) - 1} more"
+        alien = f"files that no command of this package made ({found})"
+        raise FileError(f"{folder} holds {alien}; choose a new or empty directory")
     else:
         save_json(mark, {"holds": holds})
     for path in unfinished if remove_unfinished else ():
@@ -144,12 +137,9 @@ def _claim(folder: Path, holds: str, *, remove_unfinished: bool) -> bool:
 
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``, which replaces ``path`` only when the block succeeds.
+    """Yield a temporary path beside ``path``, of the same suffix, which replaces it only when the block succeeds.
 
-    The temporary name keeps the suffix of ``path``, by which encoders choose the format.
-
-    Raises:
-        FileError: the directory is missing, read-only or full.
+    `FileError` if the directory is missing, read-only or full.
     """
     with atomic_paths([as_path("path", path)]) as (temporary,):
         yield temporary
@@ -167,9 +157,7 @@ def atomic_paths(targets: Sequence[Path], outdated: Iterable[Path] = ()) -> Iter
     target = targets[0]
     try:
         for target in targets:
-            handle, name = tempfile.mkstemp(
-                prefix=f".{target.stem}{_UNFINISHED}", suffix=target.suffix, dir=target.parent
-            )
+            handle, name = tempfile.mkstemp(target.suffix, f".{target.stem}{_UNFINISHED}", target.parent)
             os.close(handle)
             temporaries.append(Path(name))
         yield temporaries

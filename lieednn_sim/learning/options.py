@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from lieednn_sim.errors import InputError
@@ -54,14 +54,11 @@ class LearningOptions:
         as_choice("direction", self.direction, DIRECTIONS)
         check_fields(self, as_count, "max_start_epochs", "stability_interval")
         check_fields(self, as_count, "restarts", least=0)
-        check_fields(
-            self, as_positive, "initial_rate", "min_rate", "max_rate", "grow", "shrink", "max_jump", "tolerance"
-        )
-        least, largest = self.min_rate, self.max_rate
-        if not least <= self.initial_rate <= largest:
-            raise InputError(
-                f"initial_rate must lie between min_rate {least:g} and max_rate {largest:g}, got {self.initial_rate:g}"
-            )
+        check_fields(self, as_positive, "initial_rate", "min_rate", "max_rate")
+        check_fields(self, as_positive, "grow", "shrink", "max_jump", "tolerance")
+        least, rate, largest = self.min_rate, self.initial_rate, self.max_rate
+        if not least <= rate <= largest:
+            raise InputError(f"initial_rate must be from min_rate {least:g} to max_rate {largest:g}, got {rate:g}")
         if self.shrink >= 1.0 or self.grow < 1.0:
             raise InputError(f"shrink must be below 1 and grow at least 1, got {self.shrink:g} and {self.grow:g}")
 
@@ -140,26 +137,10 @@ class TrainingOptions(LearningOptions):
     def tracked(cls, **changes: Any) -> TrainingOptions:
         """Projective learning that nearly always reaches the target.
 
-        Gauss-Newton direction, alpha projected with its block, and each projection a trial that must keep the
-        equilibrium.
+        Rates and starts are those of `LearningOptions`; each projection is a trial that must keep the equilibrium.
         """
-        return cls(
-            **{
-                "direction": "gauss-newton",
-                "projection": "scaled",
-                "period": 1,
-                "step_control": "tracked",
-                "initial_rate": 1.0,
-                "min_rate": 1e-3,
-                "max_rate": 1.0,
-                "grow": 1.3,
-                "shrink": 0.5,
-                "restarts": 4,
-                "max_start_epochs": 1000,
-                "stability_interval": 25,
-                **changes,
-            }
-        )
+        usual = {entry.name: entry.default for entry in fields(LearningOptions)} | {"min_rate": 1e-3, "max_jump": 0.1}
+        return cls(**{**usual, "projection": "scaled", "period": 1, "step_control": "tracked", **changes})
 
 
 @dataclass(frozen=True)

@@ -221,9 +221,8 @@ class EquilibriumSolver:
         def field(_: float, state: Floats) -> Floats:
             return coupling @ self._phi(state) - state + self._drive
 
-        horizons = 10
         horizon = 15.0  # Algorithm 1 only says "solve by RK45": we repeat runs of this length until the network rests
-        for _ in range(horizons):
+        for _ in range(10):
             speed = np.abs(field(0.0, x)).max()
             if speed < _AT_REST or left == 0:
                 break

@@ -67,10 +67,8 @@ class History:
     def load(cls, path: str | os.PathLike[str]) -> History:
         """Read a file of `save`; `FileError` says what is wrong with it."""
         arrays, _ = io.load_arrays(path, "training-history")
-        names = [field.name for field in fields(cls)]
-        columns = io.take(arrays, path, *names)
         try:
-            return cls(*columns)
+            return cls(*io.take(arrays, path, *(field.name for field in fields(cls))))
         except InputError as error:
             raise FileError(f"{path} is not a valid training history: {error}") from None
 

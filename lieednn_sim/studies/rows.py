@@ -11,23 +11,14 @@ from lieednn_sim.values import set_fields
 
 @dataclass(frozen=True)
 class Column:
-    """A measured column.
+    """A measured column."""
 
-    Attributes:
-        name: name of the row's attribute, and of the column in the table.
-        heading: short heading with the unit.
-        meaning: explanation in one line.
-        of_motion: whether it belongs to the plan, so that it is the same for every controller.
-        timed: whether it is a time that was measured, which differs between runs.
-        shown: its place in the page's table, from the left, after those of the same place that stand before it; 0
-            where it is only in the files of the table.
-    """
-
-    name: str
-    heading: str
-    meaning: str
-    of_motion: bool = False
-    timed: bool = False
+    name: str  # of the row's attribute, and of the column in the table
+    heading: str  # with the unit
+    meaning: str  # in one line
+    of_motion: bool = False  # whether it belongs to the plan, so that it is the same for every controller
+    timed: bool = False  # whether it is a time that was measured, which differs between runs
+    # Its place in the page's table, from the left, after those of the same place before it; 0 for in its files only.
     shown: int = 0
 
 

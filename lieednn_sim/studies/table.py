@@ -50,7 +50,7 @@ class Table(Generic[R]):
     def __init__(self, path: str | os.PathLike[str], kind: type[R]) -> None:
         self.path, self._kind = as_path("the name of a table's file", path), kind
         self._rows: dict[tuple[Any, ...], R] | None = None
-        with self._connected() as base:
+        with _connected(self.path) as base:
             if dict(base.execute("SELECT name, sql FROM sqlite_schema")) != _statements(kind):
                 raise FileError(f"{self.path} holds no table of {kind.__name__} rows; choose another --output")
             # In tables whose types are strict this also checks the type of each value.
@@ -110,7 +110,7 @@ class Table(Generic[R]):
         if self._rows is None:
             given = [entry.name for entry in fields(self._kind) if entry.init]
             columns, key = (", ".join(map(_quoted, names)) for names in (given, self._kind._key))
-            with self._connected() as base:
+            with _connected(self.path) as base:
                 every = base.execute(f"SELECT {columns} FROM rows ORDER BY {key}")
                 rows = (self._kind(**dict(zip(given, values, strict=True))) for values in every)
                 self._rows = {row.key: row for row in rows}
@@ -124,11 +124,9 @@ class Table(Generic[R]):
         """Add rows, or put them in the place of those with the same keys, all at once or none."""
         names = [entry.name for entry in fields(self._kind)]
         self._rows = None
-        with self._connected() as base:
-            base.executemany(
-                f"INSERT OR REPLACE INTO rows VALUES ({', '.join('?' * len(names))})",
-                ([getattr(row, name) for name in names] for row in rows),
-            )
+        insert = f"INSERT OR REPLACE INTO rows VALUES ({', '.join('?' * len(names))})"
+        with _connected(self.path) as base:
+            base.executemany(insert, ([getattr(row, name) for name in names] for row in rows))
 
     def merge(self, other: Table[R]) -> None:
         """Add the rows of another table, but for those whose keys are here.
@@ -146,7 +144,7 @@ class Table(Generic[R]):
         differ = " OR ".join(f"mine.{name} IS NOT its.{name}" for name in names)
         self._record(other.user_files, other.commits)
         self._rows = None
-        with self._connected() as base:
+        with _connected(self.path) as base:
             base.execute("ATTACH ? AS part", (_address(other.path, "rw"),))
             both = f"SELECT {key} FROM rows AS mine JOIN part.rows AS its USING ({key}) WHERE {differ} LIMIT 1"
             if result := base.execute(both).fetchone():
@@ -161,9 +159,6 @@ class Table(Generic[R]):
             writer = csv.writer(stream, lineterminator="\n")
             writer.writerow(names)
             writer.writerows([getattr(row, name) for name in names] for row in self.rows.values())
-
-    def _connected(self) -> contextlib.AbstractContextManager[sqlite3.Connection]:
-        return _connected(self.path, "rw")
 
     def _require_same(self, settings: Mapping[str, Any], packages: Mapping[str, str], where: str) -> None:
         """Raise `FileError` if the rows were made with other settings or versions."""
@@ -185,12 +180,9 @@ class Table(Generic[R]):
             known[file[:2]] = file
         self.user_files = tuple(known[key] for key in sorted(known))
         self.commits = list(dict.fromkeys([*self.commits, *commits]))
-        values = {"user_files": self.user_files, "commits": self.commits}
-        with self._connected() as base:
-            base.executemany(
-                "UPDATE about SET value = ? WHERE name = ?",
-                [(json.dumps(value), name) for name, value in values.items()],
-            )
+        values = [(json.dumps(self.user_files), "user_files"), (json.dumps(self.commits), "commits")]
+        with _connected(self.path) as base:
+            base.executemany("UPDATE about SET value = ? WHERE name = ?", values)
 
 
 def _statements(kind: type[TableRow]) -> dict[str, str]:
@@ -218,7 +210,7 @@ def _address(path: Path, mode: str) -> str:
 
 
 @contextlib.contextmanager
-def _connected(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
+def _connected(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
     """A connection to a file, for one transaction; the default journal also works on disks that machines share."""
     if mode == "rw" and not io.is_file(path):
         raise FileError(f"no such file: {path}")

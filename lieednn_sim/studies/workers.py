@@ -32,13 +32,10 @@ _last_released = -math.inf
 
 
 class _Worker(SpawnProcess):
-    """A process that starts with Ctrl-C blocked, so that none ends it with a traceback before it is prepared.
-
-    Windows cannot block it; the traceback is all that differs there.
-    """
+    """A process that starts with Ctrl-C blocked, so that none ends it with a traceback before it is prepared."""
 
     def start(self) -> None:
-        if not hasattr(signal, "pthread_sigmask"):
+        if not hasattr(signal, "pthread_sigmask"):  # on Windows, where the traceback is all that differs
             super().start()
             return
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -84,18 +81,10 @@ def run_each(
     title: str,
     console: Console,
 ) -> None:
-    """Run tasks on worker processes, or in this process where one worker is enough.
+    """Run tasks on worker processes, or in this process where one is enough; `LieEDNNError` if a worker died.
 
-    Args:
-        run: runs a task; for worker processes it, its arguments and results must be picklable.
-        todo: arguments of each task.
-        done: called here when a task ends, in any order, with its arguments, its result, and its exception.
-        workers: most worker processes.
-        title: title of the progress bar.
-        console: console for the bar.
-
-    Raises:
-        LieEDNNError: a worker process died.
+    ``todo`` holds each task's arguments, with which, its result and its exception ``done`` is called here when it ends,
+    in any order. What goes to worker processes and back must be picklable.
     """
     workers = min(workers, len(todo))
     pools = worker_pool(workers) if workers > 1 else contextlib.nullcontext()
@@ -191,7 +180,6 @@ def _prepare_worker(modules: Sequence[str], files: Sequence[tuple[int, str]]) ->
 
 def _end_with_parent() -> None:
     """End this worker when the main process is killed; a pool's worker would wait forever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
+    if parent := multiprocessing.parent_process():
         parent.join()
         os._exit(1)

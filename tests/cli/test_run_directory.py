@@ -261,7 +261,9 @@ def test_no_planner_takes_the_place_of_one_that_is_not_installed(tmp_path, fails
     monkeypatch.setattr("lieednn_sim.registry.importlib.util.find_spec", lambda _: None)
     task = ["--scene", "window", "--target", "random:0", "--planner", "rrt-connect"]
     line = fails("plan", *task, "--output", tmp_path / "run")
-    assert "planner 'rrt-connect' is not installed: pip install 'lieednn_sim[rivals]'; or name another one" in line
+    assert (
+        "planner 'rrt-connect' is not installed: pip install 'lieednn_sim[rivals]'; or name one without extra" in line
+    )
     assert "lieednn-shaped" in line
     assert not (tmp_path / "run").exists()
 

@@ -13,19 +13,16 @@ from lieednn_sim.errors import FileError
 from lieednn_sim.io import opened
 from lieednn_sim.values import Floats
 
+_ById = dict[str | None, ElementTree.Element]
+
 
 def read_points(path: Path) -> Floats:
     """The points ``(n, 3)`` [m] of a file's scene; they suffice for MuJoCo, which collides meshes as convex hulls.
 
-    Lengths are converted to metres; as in ROS, ``up_axis`` is ignored.
-
-    Raises:
-        FileError: the file is not COLLADA, or has no points.
+    As in ROS, ``up_axis`` is ignored. `FileError` if the file is not COLLADA, or has no points.
     """
-    # Bytes of a file.
-    largest = 2 * 10**8
     try:
-        with opened(path, largest) as stream:
+        with opened(path, 2 * 10**8) as stream:
             root = ElementTree.parse(stream).getroot()
         elements = {element.get("id"): element for element in root.iter() if element.get("id")}
         unit = next((float(unit.get("meter", "1")) for unit in _all(root, "unit")), 1.0)
@@ -37,16 +34,12 @@ def read_points(path: Path) -> Floats:
     return points
 
 
-def _placed(
-    node: ElementTree.Element, outer: Floats, elements: dict[str | None, ElementTree.Element]
-) -> Iterator[Floats]:
+def _placed(node: ElementTree.Element, outer: Floats, elements: _ById) -> Iterator[Floats]:
     """The points of a node's geometries and of its children's."""
     inner = outer
-    # The supported transforms of a node; others, such as skews, are refused.
-    placing = ("matrix", "translate", "rotate", "scale")
     for child in node:
         kind = _tag(child)
-        if kind in placing:
+        if kind in ("matrix", "translate", "rotate", "scale"):
             inner = inner @ _transform(kind, np.array((child.text or "").split(), dtype=np.float64))
         elif kind in ("lookat", "skew"):
             raise ValueError(f"a node is placed by <{kind}>")
@@ -60,7 +53,7 @@ def _placed(
                 yield points @ inner[:3, :3].T + inner[:3, 3]
 
 
-def _positions(geometry: ElementTree.Element, elements: dict[str | None, ElementTree.Element]) -> Iterator[Floats]:
+def _positions(geometry: ElementTree.Element, elements: _ById) -> Iterator[Floats]:
     for given in _all(geometry, "input"):
         if given.get("semantic") == "POSITION":
             source = elements[_reference(given, "source")]

@@ -59,16 +59,8 @@ def add_floor(spec: mujoco.MjSpec, arm: ModelArm, floor: float | str, notes: lis
 def add_plane(spec: mujoco.MjSpec, name: str, height: float, bits: int) -> None:
     """Add a horizontal plane, in a body of its own so that messages name it."""
     body = spec.worldbody.add_body(name=name, pos=[0.0, 0.0, height])
-    colour = (0.62, 0.62, 0.60, 1.0)
-    body.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0.0, 0.0, 0.05],
-        rgba=colour,
-        group=2,
-        contype=bits,
-        conaffinity=bits,
-    )
+    look = {"name": name, "size": [0.0, 0.0, 0.05], "rgba": (0.62, 0.62, 0.60, 1.0), "group": 2}
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, contype=bits, conaffinity=bits, **look)
 
 
 def collision_bits(model: mujoco.MjModel) -> int:

@@ -28,8 +28,7 @@ def choose_home(
 ) -> tuple[str, int | None, Floats]:
     """What it is in words, the keyframe's number if it is one, and the positions ``(nq,)``.
 
-    Raises:
-        InputError: there is no such keyframe or joint (the message lists those there are), or a position is invalid.
+    `InputError` if there is no such keyframe or joint (the message lists those there are), or a position is invalid.
     """
     names = [model.key(k).name or f"key{k}" for k in range(model.nkey)]
     commanded = {k for k, key in enumerate(spec.keys) if not len(key.qpos) and _holds_another(model, k)}
@@ -90,7 +89,7 @@ def give_controls(
     model: mujoco.MjModel,
     keyframe: int | None,
     qpos: Floats,
-    commands: Mapping[str, Mapping[str, float]],
+    commands: dict[str, dict[str, float]],
 ) -> None:
     """Give the keyframes controls for the actuators that the spec has now, and make the keyframe ``home``.
 
@@ -126,8 +125,8 @@ def _holds_another(model: mujoco.MjModel, keyframe: int) -> bool:
     """Whether position servos would hold another configuration at a keyframe's controls than the keyframe's own."""
     servos = (model.actuator_biasprm[:, 1] < 0.0) & ~disabled_actuators(model)
     off = model.key_ctrl[keyframe] - _controls(model, model.key_qpos[keyframe], 0.0)
-    same = 1e-3  # controls this close to a position hold it [rad, m]
-    return bool((np.abs(off[servos]) > same).any())
+    # Controls that are closer to a position hold it [rad, m].
+    return bool((np.abs(off[servos]) > 1e-3).any())
 
 
 def _set_joints(model: mujoco.MjModel, qpos: NDArray[np.float64], home: Mapping[str, float]) -> None:

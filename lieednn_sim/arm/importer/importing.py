@@ -46,11 +46,7 @@ def import_model(
     - a fixed base, where a free body carries the arm;
     - the keyframe ``home``.
 
-    Args:
-        model: the file, or a spec, which is not changed.
-        source: the file, for messages.
-        name: the arm's name.
-        options: see `ImportOptions`.
+    A spec is not changed; ``source`` is its file. For the options see `ImportOptions`.
 
     Raises:
         FileError: the file or one of its meshes is missing, or MuJoCo cannot compile it.
@@ -117,10 +113,7 @@ def _first_body(model: mujoco.MjModel, named: dict[str, Any]) -> int:
 def _limits(
     view: View, model: mujoco.MjModel, joints: Joints, given: Mapping[str, Mapping[str, float]], notes: list[str]
 ) -> dict[str, dict[str, float]]:
-    """Limits of rates by coordinate: those that are given, else the velocities of a URDF, which MuJoCo does not read.
-
-    Those count of all joints that a coordinate moves; zero means no limit.
-    """
+    """Limits of rates by coordinate: those given, else the velocities of a URDF, of all joints that it moves."""
     space, known = view.fields["space"], dict[str, float]()
     try:
         known = velocities(joints)
@@ -142,15 +135,9 @@ def _report(arm: ModelArm, view: View, label: str, servos: tuple[Servo, ...], no
     model = arm.model
     names = [model.joint(joint).name for joint in range(model.njnt)]
     mine = {int(model.dof_jntid[dof]) for dof in arm.dofs}
-    tendons = {follower: model.tendon(tendon).name for follower, tendon in view.couplings.added.items()}
+    ties = {follower: f"tendon {model.tendon(tendon).name!r}" for follower, tendon in view.couplings.added.items()}
     couplings = tuple(
-        Coupling(
-            names[follower],
-            names[leader],
-            ratio,
-            shift,
-            f"tendon {tendons[follower]!r}" if follower in tendons else "equality",
-        )
+        Coupling(names[follower], names[leader], ratio, shift, ties.get(follower, "equality"))
         for follower, (leader, ratio, shift) in view.couplings.lines.items()
     )
     return ImportReport(

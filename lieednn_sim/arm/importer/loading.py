@@ -30,11 +30,7 @@ _SIZED = {"hfield": ("nrow", "ncol"), "texture": ("width", "height")}
 def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec, notes: list[str] | None = None) -> mujoco.MjSpec:
     """A new spec from a file or another spec, ready for edits: no bodies are fused, and all have names.
 
-    Conversions of its files are added to ``notes``.
-
-    Raises:
-        FileError: there is no such file, or MuJoCo cannot read it.
-        InputError: neither a path nor a spec.
+    Conversions of its files are added to ``notes``. `FileError` if there is no such file, or MuJoCo cannot read it.
     """
     if isinstance(model, mujoco.MjSpec):
         compile_spec(model)  # a copy silently leaves out references to missing names
@@ -83,10 +79,8 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
         if missing := [name for name, path in files.items() if path is None]:
             raise FileError(f"files of the model are missing: {_first(missing)}") from None
         if pointers := [name for name, path in files.items() if path is not None and _is_pointer(path)]:
-            raise FileError(
-                "files of the model are Git LFS pointers instead of their contents; fetch these with `git lfs pull`: "
-                + _first(pointers)
-            ) from None
+            lacking = "Git LFS pointers instead of their contents; fetch these with `git lfs pull`"
+            raise FileError(f"files of the model are {lacking}: {_first(pointers)}") from None
         raise FileError(f"MuJoCo cannot compile the model: {str(error).strip()}") from None
     check_numbers(model)
     return model
@@ -155,13 +149,9 @@ def unused(name: str, names: set[str], suffix: str = "_") -> str:
 def _files(spec: mujoco.MjSpec) -> Iterator[tuple[str, Path | None]]:
     """The files of meshes and textures that a model names, and where they are; None for a missing one."""
     known = set(spec.assets)
-    for folder, elements in (
-        ("meshdir", [*spec.meshes, *spec.hfields, *spec.skins]),
-        ("texturedir", list(spec.textures)),
-    ):
-        for element in elements:
-            if not element.file:
-                continue
+    meshes = [("meshdir", element) for element in (*spec.meshes, *spec.hfields, *spec.skins)]
+    for folder, element in (*meshes, *(("texturedir", texture) for texture in spec.textures)):
+        if element.file:
             if element.file.startswith(_PACKAGE):
                 package = element.file.removeprefix(_PACKAGE).lstrip("/").partition("/")[0]
                 where = f"no folder {package!r} beside {spec.modelfiledir} or above, nor in ROS_PACKAGE_PATH, holds it"
@@ -186,8 +176,7 @@ def check_size(source: Path) -> None:
     is looked at before MuJoCo reads the file.
     """
     waiting, seen = [source], set[Path]()
-    most_includes = 100
-    while waiting and len(seen) < most_includes:
+    while waiting and len(seen) < 100:
         path = waiting.pop()
         seen.add(path)
         with opened(path, _LARGEST) as stream:
@@ -207,10 +196,9 @@ def check_size(source: Path) -> None:
 def _check_elements(root: ElementTree.Element, path: Path) -> None:
     """Walk the elements with the number of copies that those around them ask for."""
     waiting = [(root, 1.0)]
-    copied = ("replicate", "composite", "flexcomp")
     while waiting:
         element, copies = waiting.pop()
-        if element.tag in copied:
+        if element.tag in ("replicate", "composite", "flexcomp"):
             copies *= math.prod(map(_number, element.get("count", "1").split()))
             if copies > _MOST_COPIES:
                 raise FileError(f"{path}: <{element.tag}> asks for {copies:g} copies; at most {_MOST_COPIES} are made")

@@ -58,14 +58,9 @@ def replace_integrator(spec: mujoco.MjSpec, notes: list[str]) -> None:
 
 
 def fix_base(spec: mujoco.MjSpec, model: mujoco.MjModel, carried: int, qpos: Floats, notes: list[str]) -> Floats:
-    """Fix the free body that carries the arm where it is, since nothing would hold it up; the new ``qpos``.
+    """Fix the free body that carries the arm where it is at ``qpos`` ``(nq,)``, since nothing would hold it up.
 
-    Args:
-        spec: the spec, which is changed.
-        model: the model that it compiles to.
-        carried: id of the first moving body of the arm.
-        qpos: ``(nq,)`` where everything is.
-        notes: remarks for the report.
+    ``model`` is what the spec compiles to, ``carried`` the first moving body of the arm. Returns the new ``qpos``.
     """
     free = [j for j in np.flatnonzero(model.jnt_type == _FREE) if model.jnt_bodyid[j] in ancestry(model, carried)]
     if not free:

@@ -40,17 +40,8 @@ def ignore_overlaps(spec: mujoco.MjSpec, arm: ModelArm, home: Floats, samples: F
     one coordinate between them) that overlap at home; and bodies that overlap at every configuration, of which only the
     geoms that always overlap are ignored, if there are any. Where other bodies overlap at home, the nearest free
     configuration becomes home, since no motion could start; if none is found, contacts of the geoms that overlap there
-    are ignored.
-
-    Args:
-        spec: the spec of the arm's model, which is changed.
-        arm: the arm, with nothing ignored.
-        home: its coordinates ``(n,)`` at home.
-        samples: ``(S, n)`` random configurations.
-        notes: remarks for the report.
-
-    Returns:
-        Home, moved if need be.
+    are ignored. The spec, that of the arm with nothing ignored, is changed; ``samples`` are random configurations
+    ``(S, n)``. Returns home ``(n,)``, moved if need be.
     """
     overlaps = _Overlaps(arm, home)
     bodies = overlaps.bodies
@@ -164,8 +155,7 @@ class _Overlaps:
         if not between or any(self.model.jnt_type[joint] != _SLIDE for joint in between):
             return False
         axes = self._data.xaxis[between]
-        parallel = 1e-6
-        return bool(np.all(np.abs(axes @ axes[0]) > 1.0 - parallel))
+        return bool(np.all(np.abs(axes @ axes[0]) > 1.0 - 1e-6))
 
     def neighbours(self, pair: _Pair) -> bool:
         """Whether a single coordinate moves the bodies against each other."""

@@ -37,8 +37,7 @@ def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Ser
     if len(groups) == 1:
         yield "the arm is one link; networks of a single neuron are hard to certify: name more links"
     if arm.length_scale != 1.0:
-        unit = f"{arm.length_scale:g} m, the furthest that a link moves"
-        yield f"unit of length in the network's coordinates: {unit}"
+        yield f"unit of length in the network's coordinates: {arm.length_scale:g} m, the furthest that a link moves"
     limits = zip(arm.joint_names, arm.acceleration_limits, strict=True)
     if shown := ", ".join(f"{name} {limit:.3g}" for name, limit in limits if np.isfinite(limit)):
         yield f"acceleration limits [rad/s^2, m/s^2]: {shown}"

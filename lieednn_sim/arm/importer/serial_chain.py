@@ -33,10 +33,8 @@ def choose_chain(
     """What names the arm, as arguments of `Arm.of`: the options, the sites of the package's arms, or the longest chain.
 
     Of a chain that is found, joints that closed loops move are left out, where ``qpos`` ``(nq,)`` is where the loops
-    are, and those of planar joints, whose names are the values of ``planar``.
-
-    Raises:
-        InputError: there is no such arm, or the choice is ambiguous.
+    are, and those of planar joints, whose names are the values of ``planar``. `InputError` if there is no such arm, or
+    the choice is ambiguous.
     """
     named: dict[str, Any] = {what: options[what] for what in ("joints", "links", "tip", "base") if options.get(what)}
     if not named:
@@ -82,10 +80,7 @@ def longest_chain(model: mujoco.MjModel, base: str | None, tip: int | None = Non
     joint, or closes a loop with it; in a model without such actuators all joints count. A hand at the end of a path is
     cut off: what lies beyond a fork when it is shorter than what lies before it and another branch is at least half as
     long, and a last joint that joints off the path follow, as the fingers of a gripper do, or that is named like a
-    gripper (`is_gripper`).
-
-    Raises:
-        InputError: there is no such joint, or several chains are equally long.
+    gripper (`is_gripper`). `InputError` if there is no such joint, or several chains are equally long.
     """
     driven = _driven_joints(model)
     start = None if base is None else find_frame(model, base)
@@ -140,11 +135,8 @@ def _closed_together(model: mujoco.MjModel, tips: list[int]) -> bool:
 
 def is_gripper(model: mujoco.MjModel, joint: int) -> bool:
     """Whether a joint opens a gripper, judging by its name, its actuators' names, and its body's (a finger or jaw)."""
-    driving = [
-        model.actuator(a).name
-        for a in range(model.nu)
-        if model.actuator_trntype[a] == int(mujoco.mjtTrn.mjTRN_JOINT) and model.actuator_trnid[a, 0] == joint
-    ]
+    on_joints = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+    driving = [model.actuator(a).name for a in np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == joint))]
     body = model.body(model.jnt_bodyid[joint]).name
     return any(map(_GRIPPER.search, (model.joint(joint).name, *driving))) or bool(_FINGER.search(body))
 

@@ -33,22 +33,14 @@ _DECAY, _SLOWDOWNS = 10.0, 0.8 ** np.arange(13)
 
 @dataclass(frozen=True, eq=False)
 class _Servo:
-    """A critically damped position servo of one dof, kp = I w^2 and kv = 2 I w.
+    """A critically damped position servo of one dof, kp = I w^2 and kv = 2 I w."""
 
-    Attributes:
-        name: of the dof: its joint's, with ``_x``, ``_y`` or ``_z`` for those of a ball joint.
-        joint, axis: where it acts.
-        inertia: I [kg m^2, kg].
-        force: ``(2,)`` the range of its force, if it has one [N m, N].
-        tied: whether other joints follow this one.
-    """
-
-    name: str
-    joint: str
+    name: str  # of the dof: its joint's, with ``_x``, ``_y`` or ``_z`` for those of a ball joint
+    joint: str  # where it acts
     axis: int
-    inertia: float
-    force: Floats | None = None
-    tied: bool = False
+    inertia: float  # I [kg m^2, kg]
+    force: Floats | None = None  # ``(2,)`` the range of its force, if it has one [N m, N]
+    tied: bool = False  # whether other joints follow this one
 
     def parameters(self, slower: float) -> tuple[Floats, Floats]:
         """MuJoCo's gain and bias parameters, ten each, of one slower by a factor."""
@@ -64,14 +56,7 @@ def add_servos(spec: mujoco.MjSpec, arm: ModelArm, configurations: Floats, rule:
     largest inertia M_ii, the other coordinates held; with these free it may nearly vanish, as for two axes in line, and
     a servo for that would be weak when both turn. Other joints that nothing drives get one that holds them where they
     are, if they carry the arm or the file drives nothing at all; else they stay passive. All are slower where the time
-    step or the soft ties between coupled stages could not follow them.
-
-    Args:
-        spec: the spec of the arm's model, which is changed.
-        arm: the arm.
-        configurations: ``(S, nq)``, that at home first.
-        rule: as above.
-        notes: remarks for the report.
+    step or the soft ties between coupled stages could not follow them, at configurations ``(S, nq)``, home first.
     """
     if rule == "none":
         return set()

@@ -30,8 +30,7 @@ def read_joints(source: Path, notes: list[str]) -> Joints:
 def mend_joints(spec: mujoco.MjSpec, joints: Joints, notes: list[str]) -> None:
     """Lock joints whose limits are equal, where MuJoCo would take them for unlimited; say which have none.
 
-    Raises:
-        InputError: a lower limit is above the upper one, or no joint is left.
+    `InputError` if a lower limit is above the upper one, or no joint is left.
     """
     locked: list[str] = []
     for name, element in joints.items():

@@ -148,10 +148,9 @@ def _lengths(item: Demonstration, lever: float, kept: Indices) -> Floats:
 
 def mean_goal(demonstrations: Sequence[Demonstration]) -> RigidTransform:
     """The mean of the poses at which demonstrations end."""
-    ends = Rotation.from_matrix(np.stack([demonstration.rotation[-1] for demonstration in demonstrations]))
-    return RigidTransform.from_components(
-        np.mean([shown.position[-1] for shown in demonstrations], axis=0), ends.mean()
-    )
+    turns = Rotation.from_matrix(np.stack([shown.rotation[-1] for shown in demonstrations]))
+    place = np.mean([shown.position[-1] for shown in demonstrations], axis=0)
+    return RigidTransform.from_components(place, turns.mean())
 
 
 def goal_distance(demonstrations: Sequence[Demonstration]) -> float:
@@ -167,13 +166,9 @@ def at_phases(
 ) -> tuple[Floats, Floats]:
     """Samples ``(K, D)`` and times ``(K,)`` of a demonstration at fractions ``(K,)`` of its length or of its duration.
 
-    Args:
-        fractions: increasing, from 0 to 1.
-        samples: ``(L, D)``.
-        t: their times ``(L,)``.
-        phase: a name of `PHASES`.
-        points: ``(L, M)`` with about the samples' distances from each other.
-        lengths: lengths ``(n - 1,)`` of the steps between n samples with given indices.
+    The phase is a name of `PHASES`, the fractions increase from 0 to 1. The samples are ``(L, D)`` at times ``(L,)``,
+    the points ``(L, M)`` with about their distances from each other; the lengths ``(n - 1,)`` are those of the steps
+    between n samples with given indices.
     """
     passed = t
     if phase == "length":
@@ -196,8 +191,7 @@ def moving(points: Floats, t: Floats) -> tuple[Indices, Floats]:
     third = [entry[entry > least] for entry in np.abs(np.diff(points, n=3, axis=0)).T]
     noise = [np.median(entry) / (0.6745 * np.sqrt(20.0)) if len(entry) else 0.0 for entry in third]
     # Two samples at rest are further apart about once in ten thousand times, whatever the number of columns.
-    radius = min(np.sqrt(2.0) * (np.linalg.norm(noise) + 2.5 * max(noise)), _LARGEST_NOISE * extent)
-    radius = max(radius, least)
+    radius = np.clip(np.sqrt(2.0) * (np.linalg.norm(noise) + 2.5 * max(noise)), least, _LARGEST_NOISE * extent)
     kept = [0]
     for k, point in enumerate(points):
         if np.linalg.norm(point - points[kept[-1]]) > radius:
@@ -222,9 +216,8 @@ def in_world(twists: Floats, goal: RigidTransform) -> RigidTransform:
 
 def from_goal(pose: RigidTransform, goal: RigidTransform) -> Floats:
     """The twist ``(6,)`` of a world pose relative to a goal: the inverse of `in_world`."""
-    return twist_of(
-        np.concatenate([(pose.rotation * goal.rotation.inv()).as_rotvec(), pose.translation - goal.translation])
-    )
+    turn = (pose.rotation * goal.rotation.inv()).as_rotvec()
+    return twist_of(np.concatenate([turn, pose.translation - goal.translation]))
 
 
 def shown_part(dof: int) -> slice:
@@ -245,26 +238,18 @@ def twist_of(displaced: Floats) -> Floats:
 
 @frozen
 class Warp:
-    """A match of the samples of two paths.
+    """A match of the samples of two paths."""
 
-    Attributes:
-        total: dynamic-time-warping distance: the least sum of distances over all alignments, each step of which
-            advances in one path or both (Sakoe and Chiba, IEEE T-ASSP 26(1), 1978); not normalised.
-        frechet: discrete Frechet distance: the least maximal distance over these alignments (Eiter and Mannila, 1994).
-        pairs: ``(L, 2)`` indices of the samples matched by the alignment of least sum.
-    """
-
+    # Dynamic-time-warping distance: the least sum of distances over all alignments, each step of which advances in one
+    # path or both (Sakoe and Chiba, IEEE T-ASSP 26(1), 1978); not normalised.
     total: float
+    # Discrete Frechet distance: the least maximal distance over these alignments (Eiter and Mannila, 1994).
     frechet: float
-    pairs: NDArray[np.intp]
+    pairs: NDArray[np.intp]  # (L, 2) indices of the samples matched by the alignment of least sum
 
 
 def warp(path: ArrayLike, other: ArrayLike) -> Warp:
-    """Match samples ``(K, D)`` and ``(L, D)`` of two paths.
-
-    Raises:
-        InputError: a path has no samples, or their dimensions differ.
-    """
+    """Match samples ``(K, D)`` and ``(L, D)`` of two paths; `InputError` if one has none, or another dimension."""
     first, second = (as_floats(name, samples, ("K", "D")) for name, samples in (("path", path), ("other", other)))
     n, m, backwards = len(first), len(second), second[::-1]
     if not n or not m or first.shape[1] != second.shape[1]:

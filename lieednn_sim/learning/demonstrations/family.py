@@ -101,16 +101,11 @@ def one_standard_error(errors: Floats) -> tuple[int, int]:
 def with_response(
     shaping: Shaping, curve: Floats, paths: Floats, units: Floats, goals: bool = False
 ) -> tuple[LieEDNN, Response, Floats]:
-    """The network shaped by the mean of demonstrations, made to depend on its start as they do.
+    """The network shaped by the mean of demonstrations with rho = 1, made to depend on its start as they do.
 
-    Then the response that it realises, in metres, and the codes ``(n, N, M, 6)`` of its residuals.
-
-    Args:
-        shaping: the network shaped by their mean, with rho = 1.
-        curve: ``(K, N, 6)`` the mean.
-        paths: ``(n, K, N, 6)`` the demonstrations at the same phases.
-        units: ``(N, 6)`` metres for a unit of each coordinate.
-        goals: whether their goals differ, and the motion depends on its goal, too.
+    Then the response that it realises, in metres, and the codes ``(n, N, M, 6)`` of its residuals. The mean is the
+    curve ``(K, N, 6)``, the demonstrations the paths ``(n, K, N, 6)`` at the same phases, the units ``(N, 6)`` metres
+    for a unit of each coordinate. With ``goals``, which differ then, the motion depends on its goal, too.
     """
     units = np.broadcast_to(units, curve.shape[1:])
     response = response_to_start((paths * units).reshape(*paths.shape[:2], -1), goals)
@@ -135,10 +130,8 @@ def with_response(
 def _phases(states: Floats, curve: Floats, units: Floats) -> Floats:
     """Phases ``(T,)`` of the mean ``(K, N, 6)`` at which the network's states ``(T, N, 6)`` are beside it."""
     # Equal phases of the demonstrations are not equal fractions of their mean's length.
-    passed, covered = (
-        np.append(0.0, np.cumsum(np.linalg.norm(np.diff(some, axis=0) * units, axis=(1, 2))))
-        for some in (curve, states)
-    )
+    steps = (np.linalg.norm(np.diff(some, axis=0) * units, axis=(1, 2)) for some in (curve, states))
+    passed, covered = (np.append(0.0, np.cumsum(lengths)) for lengths in steps)
     fraction = Curve.through(curve, units).feet(states, covered / covered[-1])
     return np.interp(fraction, passed / passed[-1], np.linspace(0.0, 1.0, len(curve)))
 
@@ -173,13 +166,10 @@ class CodeSpread:
 
     @classmethod
     def of(cls, codes: Floats, growth: Floats, units: Floats, least: Floats, activation: str) -> CodeSpread:
-        """The distribution of codes ``(n, M, 6)`` with mean zero.
+        """The distribution of codes ``(n, M, 6)`` with mean zero, standardised residuals (`Response.residuals`).
 
-        Args:
-            codes: residuals of n demonstrations, standardised (`Response.residuals`).
-            least: ``(6,)`` standard deviations of the displacement [rad, m] that are allowed for in any direction, also
-                where demonstrations do not differ.
-            growth, units, activation: as in the attributes.
+        ``least`` ``(6,)`` are standard deviations of the displacement [rad, m] that are allowed for in any direction,
+        also where demonstrations do not differ.
         """
         places = np.arange(PAIRS) / PAIRS
         # The deviations that are allowed for beside those seen are correlated over a fifth of the clock's way.

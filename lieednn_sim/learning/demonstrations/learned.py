@@ -124,9 +124,8 @@ class LearnedMotion:
     def _run(self, start: Floats, tau: Floats) -> Floats:
         """Displacements ``(n, K, 6)`` at network times ``tau``, from displacements ``(n, 6)``."""
         states = np.stack([self.network.start(item[None]).ravel() for item in start])
-        return run_field(
-            self.network.flat_vector_field, states, network_grid(max(tau[-1], _FRACTION_STEP), self.rate), tau, kept=6
-        )
+        grid = network_grid(max(tau[-1], _FRACTION_STEP), self.rate)
+        return run_field(self.network.flat_vector_field, states, grid, tau, kept=6)
 
 
 def network_grid(end: float, rate: float) -> Floats:

@@ -31,7 +31,6 @@ _LARGEST_TURN = 2.0 * np.pi - 0.2  # largest angle of a rotation vector [rad]: t
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _AXES = ("x", "y", "z")
-_QUATERNION_COLUMNS = tuple(f"q{letter}" for letter in "wxyz")
 
 
 def as_dof(dof: int) -> int:
@@ -187,24 +186,22 @@ def load_demonstrations(
     as_choice("order of quaternions", quaternion, QUATERNIONS)
     as_choice("time_unit", time_unit, TIME_UNITS)
     layout = Layout(_COUNTS, _WORDS, partial(_pose_columns, quaternion), as_positive("rate", rate), time_unit)
-    result = [
-        Demonstration.from_samples(samples, t, length, quaternion, rate, source)
-        for source, samples, t in read_tables(files, layout)
-    ]
-    for other in result[1:]:
-        if other.dof != result[0].dof:
-            raise InputError(
-                f"demonstrations must all show the same: {result[0].source} has {result[0].shown}, "
-                f"{other.source} {other.shown}"
-            )
-    return tuple(result)
+    shown = tuple(
+        Demonstration.from_samples(q, t, length, quaternion, rate, of) for of, q, t in read_tables(files, layout)
+    )
+    for other in shown[1:]:
+        if other.dof != shown[0].dof:
+            each = f"{shown[0].source} has {shown[0].shown}, {other.source} {other.shown}"
+            raise InputError(f"demonstrations must all show the same: {each}")
+    return shown
 
 
 def _pose_columns(quaternion: str, path: Path, names: list[str]) -> Sequence[str]:
     axes = _AXES if "x" in names else [f"t{letter}" for letter in _AXES]  # as in TUM's files
     chosen = [name for name in axes if name in names]
-    if any(name in names for name in _QUATERNION_COLUMNS):
-        chosen = [*axes, *(f"q{letter}" for letter in quaternion)]
+    turns = [f"q{letter}" for letter in quaternion]
+    if any(name in names for name in turns):
+        chosen = [*axes, *turns]
     if chosen[:2] != [*axes[:2]] or not set(chosen) <= set(names):
         raise InputError(f"{path} must have columns x, y, z and qw, qx, qy, qz, or x, y; it has: {', '.join(names)}")
     return chosen

@@ -215,9 +215,7 @@ class ShapedMotion(LearnedMotion):
         place = as_floats("via", via, (3,))
         # Motions in a plane leave it by what their fit leaves.
         if self.dof == 2 and abs(place[2]) > 1e-2 * np.abs(place[:2]).max():
-            raise InputError(
-                f"via must be in the plane of the demonstrations, with a third entry of 0, got {place[2]:g}"
-            )
+            raise InputError(f"via must be in the demonstrations' plane, with a third entry of 0, got {place[2]:g}")
         return place[: min(self.dof, 3)], slice(3, 3 + min(self.dof, 3))
 
     def _coded(

@@ -44,8 +44,7 @@ class StableMixture:
     @classmethod
     def fit(cls, demonstrations: Demonstrations, n_parameters: int, seed: int = 0) -> StableMixture:
         """Fit as many components as there are parameters to spend, at least one; ``seed`` is for k-means."""
-        d = demonstrations.dof
-        extent = demonstrations.extent
+        d, extent = demonstrations.dof, demonstrations.extent
         units = np.full(d, extent)
         if d == 6:
             units[:3] = extent / demonstrations.lever

@@ -36,28 +36,20 @@ _STRAIGHT = 0.02
 
 @dataclass(frozen=True)
 class Layout:
-    """What a table of a recording holds.
+    """What a table of a recording holds."""
 
-    Attributes:
-        counts: the numbers of columns that its samples may have.
-        words: these columns in words, for messages.
-        chosen: maps a text file and the names of its columns to those of the samples, in order.
-        rate: sampling rate of tables without times [1/s].
-        time_unit: unit of the times, unless the name of their column has one; a name of `TIME_UNITS`.
-    """
-
-    counts: Sequence[int]
-    words: str
+    counts: Sequence[int]  # the numbers of columns that its samples may have
+    words: str  # these columns in words, for messages
+    # Maps a text file and the names of its columns to those of the samples, in order.
     chosen: Callable[[Path, list[str]], Sequence[str]] = lambda _, names: names
-    rate: float = 100.0
-    time_unit: str = "s"
+    rate: float = 100.0  # sampling rate of tables without times [1/s]
+    time_unit: str = "s"  # unit of the times, unless the name of their column has one; a name of `TIME_UNITS`
 
 
 def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: Layout) -> tuple[Floats, Floats]:
     """Samples ``(K, D)`` and their times ``(K,)`` from 0 [s], which may be the first column of a table without names.
 
-    Raises:
-        InputError: the table is not as the layout says, or its times are none.
+    `InputError` if the table is not as the layout says, or its times are none.
     """
     table = as_floats(source, samples, ("K", "D"))
     count, columns = table.shape
@@ -165,7 +157,9 @@ def _npz(path: Path, layout: Layout) -> Iterator[Table]:
 def _text(path: Path, layout: Layout) -> Iterator[Table]:
     with opened(path, _LARGEST_TABLE) as stream:
         lines = [line for line in map(str.strip, stream.read().decode("utf-8-sig").splitlines()) if line]
-    comments = next(k for k, line in enumerate(lines) if line[0] not in "#%")
+    comments = next((k for k, line in enumerate(lines) if line[0] not in "#%"), None)
+    if comments is None:
+        raise FileError(f"{path} has no rows{', only comments' if lines else ''}")
     first = lines[comments]
     separator = "," if "," in first else "\t" if "\t" in first else None
 
@@ -178,9 +172,8 @@ def _text(path: Path, layout: Layout) -> Iterator[Table]:
             raise ValueError("there are no rows")
         table = np.loadtxt(rows, delimiter=separator, ndmin=2, quotechar='"')
     except ValueError as error:
-        raise FileError(
-            f"{path} must be separated by commas, blanks or tabs, with points in its numbers; {error}"
-        ) from None
+        wanted = "must be separated by commas, blanks or tabs, with points in its numbers"
+        raise FileError(f"{path} {wanted}; {error}") from None
     if headed:
         names = words(first)
         if len(names) != table.shape[1]:
@@ -197,11 +190,7 @@ def _text(path: Path, layout: Layout) -> Iterator[Table]:
 
 
 def _times(path: Path, others: Mapping[str, NDArray[Any]], layout: Layout) -> NDArray[Any] | None:
-    """The times among what is no sample, by names in lower-case letters, in the layout's unit; None if there are none.
-
-    Raises:
-        InputError: it is not clear what the times are.
-    """
+    """The times among what is no sample, by lower-case names, in the layout's unit; None if there are none."""
     found = {name: match["unit"] for name in others if (match := TIME.fullmatch(name))}
     if len(found) > 1:
         raise InputError(f"{path} may have one column of times alone, it has: {', '.join(found)}")

@@ -121,8 +121,7 @@ def run_case(
         try:
             plan = _plan(case, arm, target, settings)
         except LieEDNNError as error:
-            spent = cpu_time() - start
-            return failed_case(case, controllers, settings, f"plan: {error}", planning_s=spent)
+            return failed_case(case, controllers, settings, f"plan: {error}", planning_s=cpu_time() - start)
         except Exception as error:
             error.add_note(f"while planning the case {case}")
             raise
@@ -142,18 +141,14 @@ def run_case(
                 rows += failed_case(case, [name], settings, f"simulation: {error}", **planned)
             else:
                 values = _measured(evaluation) | planned
-                rows.append(_row(case, name, settings, evaluation.shortfall, **values))
+                rows += failed_case(case, [name], settings, evaluation.shortfall, **values)
         return rows
 
 
 def failed_case(case: Case, controllers: Sequence[str], settings: Settings, reason: str, **values: Any) -> list[Row]:
     """Rows of a failed case, with the reason and the values measured before."""
-    return [_row(case, name, settings, reason, **values) for name in controllers]
-
-
-def _row(case: Case, controller: str, settings: Settings, reason: str, **values: Any) -> Row:
-    keys = {**asdict(case), "controller": controller, "mass_scale": settings.mass_scale}
-    return Row(**keys, reason=reason, **values)
+    shared = {**asdict(case), "mass_scale": settings.mass_scale, "reason": reason, **values}
+    return [Row(controller=name, **shared) for name in controllers]
 
 
 def replay(case: Case, controller: str, settings: Settings, *, user_files: tuple[UserFile, ...] = ()) -> Rollout:
@@ -187,12 +182,9 @@ def _measured(metrics: MotionMetrics | Evaluation) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Shard:
-    """A part of a comparison's cases, for a machine that shares only a disk with the others.
+    """A part of a comparison's cases, for a machine that shares only a disk; `InputError` if there is no such shard.
 
     The shard of a case depends on the name of the case alone; numbers start at 1.
-
-    Raises:
-        InputError: there is no such shard.
     """
 
     number: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,7 +12,6 @@ import numpy as np
 from lieednn_sim import io
 from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
-from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.comparison.study import settings_of
 from lieednn_sim.studies.markdown import escaped
@@ -64,9 +64,8 @@ def write_summary(path: str | os.PathLike[str], table: Table[Row], missing: Mapp
 def method(table: Table[Row]) -> str:
     """The method and the meaning of the numbers, for the head of a report."""
     settings = settings_of(table)
-    masses = (
-        "" if settings.mass_scale == 1.0 else f" with {settings.mass_scale:g} times the masses the controllers know"
-    )
+    scale = settings.mass_scale
+    masses = "" if scale == 1.0 else f" with {scale:g} times the masses the controllers know"
     return (
         f"Motions lead from home to random reachable targets in {settings.duration:g} s, simulated{masses} until "
         f"{settings.hold:g} s afterwards. A rollout succeeds if nothing touches and every link ends within "
@@ -102,15 +101,12 @@ def shown(value: float | None, column: str = "_mm") -> str:
 
 @dataclass(frozen=True)
 class Failure:
-    """Failures at one step whose reasons differ only in names and numbers, which an ellipsis replaces in the pattern.
-
-    The example is one reason in full; the counts are numbers of rows by planner, largest first.
-    """
+    """Failures at one step whose reasons differ in names and numbers alone, in the pattern replaced by an ellipsis."""
 
     step: str
     pattern: str
-    example: str
-    counts: tuple[tuple[str, int], ...]
+    example: str  # one reason in full
+    counts: tuple[tuple[str, int], ...]  # numbers of rows by planner, largest first
 
     @property
     def total(self) -> int:
@@ -125,9 +121,8 @@ def verdict(rows: Iterable[Row]) -> str:
         return "-"
     if len(set(results)) == 1:
         return results[0]
-    return ", ".join(
-        f"{name} {results.count(name)}/{len(results)}" for name in ("global", "local", "none") if name in results
-    )
+    names = [name for name in ("global", "local", "none") if name in results]
+    return ", ".join(f"{name} {results.count(name)}/{len(results)}" for name in names)
 
 
 def seeds_by_planner(rows: Iterable[Row]) -> dict[str, int]:
@@ -141,16 +136,8 @@ def in_order(names: Iterable[str], known: Iterable[str]) -> list[str]:
     return [name for name in first if name in result] + sorted(result.difference(first))
 
 
-def controllers_of(rows: Iterable[Row]) -> list[str]:
-    """The controllers of rows, in the order of the registry."""
-    return in_order((row.controller for row in rows), CONTROLLERS)
-
-
 def failures(rows: Iterable[Row]) -> list[Failure]:
-    """Failures grouped by similar reasons, the most frequent first.
-
-    A plan's failure counts once, not once for each controller.
-    """
+    """Failures grouped by similar reasons, the most frequent first; a plan's counts once for all controllers."""
     failed = [row for row in rows if row.reason]
     once = [row for row in motions(failed) if not row.planned] + [row for row in failed if row.planned]
     result: dict[str, list[Row]] = {}
@@ -158,8 +145,7 @@ def failures(rows: Iterable[Row]) -> list[Failure]:
         result.setdefault(pattern_of(row.reason), []).append(row)
     created = []
     for pattern, members in result.items():
-        names = [row.planner for row in members]
-        counts = sorted({name: names.count(name) for name in names}.items(), key=lambda item: (-item[1], item[0]))
+        counts = sorted(Counter(row.planner for row in members).items(), key=lambda item: (-item[1], item[0]))
         step, _, rest = pattern.partition(": ")
         created.append(Failure(step, rest, members[0].reason.partition(": ")[2], tuple(counts)))
     return sorted(created, key=lambda failure: (-failure.total, failure.step, failure.pattern))

@@ -29,21 +29,13 @@ _ARRIVED = 1e-3
 
 @dataclass(frozen=True)
 class JointErrors:
-    """A joint motion against the one it should follow.
+    """A joint motion against the one it should follow, with samples paired by dynamic time warping."""
 
-    Attributes:
-        effector: errors of the end effector's path.
-        joints_rms: root mean square error of each joint [rad, m], of samples paired by dynamic time warping.
-        worst_percent: the largest of these, in percent of its joint's range.
-        gap_mm: largest mechanism gap of the network's states; 0 for demonstrations.
-        gap_deg: the same as an angle.
-    """
-
-    effector: PathErrors
-    joints_rms: tuple[float, ...]
-    worst_percent: float
-    gap_mm: float
-    gap_deg: float
+    effector: PathErrors  # of the end effector's path
+    joints_rms: tuple[float, ...]  # root mean square error of each joint [rad, m]
+    worst_percent: float  # the largest of these, in percent of its joint's range
+    gap_mm: float  # largest mechanism gap of the network's states; 0 for demonstrations
+    gap_deg: float  # the same as an angle
 
 
 @dataclass(frozen=True)
@@ -106,22 +98,18 @@ def motion_to(model: JointMotion, demonstrations: JointDemonstrations, goal: Flo
     return model.toward(goal) if demonstrations.goals_kept else model
 
 
-def joint_errors(arm: Arm, result: Floats, shown: Floats, gap: tuple[float, float] = (0.0, 0.0)) -> JointErrors:
+def joint_errors(arm: Arm, result: Floats, shown: Floats, gap: tuple[float, float]) -> JointErrors:
     """Compare joint positions ``(K, n)`` and ``(L, n)``; ``gap`` [m, rad] is the mechanism gap of the former."""
     poses = [arm.link_poses(q).as_matrix()[:, -1] for q in (result, shown)]
-    effector = [
-        Demonstration(np.arange(len(pose), dtype=float), pose[:, :3, 3], pose[:, :3, :3], 6, "the end effector")
-        for pose in poses
-    ]
+    each = "the end effector"
+    effector = [Demonstration(np.arange(float(len(at))), at[:, :3, 3], at[:, :3, :3], 6, each) for at in poses]
     pairs = warp(result / arm.ranges, shown / arm.ranges).pairs
     rms = np.sqrt(np.mean((result[pairs[:, 0]] - shown[pairs[:, 1]]) ** 2, axis=0))
-    return JointErrors(
+    errors, worst = (
         path_errors(effector[0].twists_from(effector[1]), effector[1].twists),
-        tuple(rms.tolist()),
-        float(100.0 * (rms / arm.ranges).max()),
-        1e3 * gap[0],
-        float(np.rad2deg(gap[1])),
+        100.0 * (rms / arm.ranges).max(),
     )
+    return JointErrors(errors, tuple(rms.tolist()), float(worst), 1e3 * gap[0], float(np.rad2deg(gap[1])))
 
 
 def joints_table(study: JointStudy, arm: Arm) -> Table:

@@ -87,25 +87,16 @@ def attraction(model: MotionModel, demonstrations: Demonstrations, starts: Float
 
 @dataclass(frozen=True)
 class ModelRow:
-    """One model of one set of demonstrations.
-
-    Attributes:
-        model: its name.
-        n_parameters: number of fitted parameters.
-        fit_s: CPU time of the fit [s].
-        mean: errors against the mean demonstration, from its start.
-        training: errors against each demonstration, from its start, on average.
-        left_out: the same for models fitted without that demonstration; None with a single one, or if not requested.
-        attraction: where random starts ended.
-    """
+    """One model of one set of demonstrations."""
 
     model: str
-    n_parameters: int
-    fit_s: float
-    mean: PathErrors
-    training: PathErrors
+    n_parameters: int  # that are fitted
+    fit_s: float  # CPU time of the fit [s]
+    mean: PathErrors  # against the mean demonstration, from its start
+    training: PathErrors  # against each demonstration, from its start, on average
+    # The same for models fitted without that demonstration; None with a single one, or if not requested.
     left_out: PathErrors | None
-    attraction: Attraction
+    attraction: Attraction  # where random starts ended
 
 
 def reproduction(
@@ -164,16 +155,10 @@ def compare_models(
                 if progress:
                     progress(number * (len(folds) + 1) + k, len(names) * (len(folds) + 1))
                 without.append(_errors(_fit(shaped, name, shown.without(k)), shown, shown.twists[k]))
-            row = ModelRow(
-                model=name,
-                n_parameters=model.n_parameters,
-                fit_s=seconds,
-                mean=_errors(model, shown, shown.mean),
-                training=mean_of([_errors(model, shown, twist) for twist in shown.twists]),
-                left_out=mean_of(without) if without else None,
-                attraction=attraction(model, shown, places),
-            )
-            rows.append(row)
+            mean = _errors(model, shown, shown.mean)
+            training = mean_of([_errors(model, shown, twist) for twist in shown.twists])
+            left_out, elsewhere = mean_of(without) if without else None, attraction(model, shown, places)
+            rows.append(ModelRow(name, model.n_parameters, seconds, mean, training, left_out, elsewhere))
             models[name] = model
     return rows, models
 
@@ -228,7 +213,5 @@ def models_table(rows: Sequence[ModelRow], *, turns: bool) -> Group:
         reached = row.attraction
         shown = [str(row.n_parameters), f"{row.fit_s:.1f}", f"{reached.arrived}/{reached.starts}"]
         starts.add_row(row.model, *shown, str(reached.spurious))
-    errors.caption = (
-        "From the start of the mean and of each demonstration; left out: fitted without the one compared with."
-    )
+    errors.caption = "From the start of the mean and of each demonstration; left out: fitted without the compared one."
     return Group(errors, starts)

@@ -44,15 +44,11 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
     """Plot demonstrations and each model's reproduction of their mean.
 
     Positions in a plane are shown in one view, positions in space in three. Below them, rotations, where they were
-    recorded, are shown over the fraction of the path.
-    Thin lines are the first model's reproductions from the demonstrations' own starts; the band about its reproduction
-    of the mean is two standard deviations wide on each side, if it has a spread.
+    recorded, are shown over the fraction of the path. Thin lines are the first model's reproductions from the
+    demonstrations' own starts; the band about its reproduction of the mean is two standard deviations on each side.
     """
-    paths = {
-        name: displacement(reproduction(model, demonstrations, demonstrations.mean[0]))
-        for name, model in models.items()
-    }
-    first = next(iter(models.values()))
+    start, first = demonstrations.mean[0], next(iter(models.values()))
+    paths = {name: displacement(reproduction(model, demonstrations, start)) for name, model in models.items()}
     fan = [displacement(reproduction(first, demonstrations, twist[0], twist[-1])) for twist in demonstrations.twists]
     groups: list[Group] = [
         ("demonstrations", list(demonstrations.displaced), _SHOWN),
@@ -62,7 +58,7 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
     band, path_of_band = np.empty((0, 6, 6)), paths[first.name]
     if isinstance(first, ShapedMotion) and first.spread is not None:
         t = np.linspace(0.0, first.durations * demonstrations.duration, len(path_of_band))
-        band = first.covariance(demonstrations.mean[0], t)
+        band = first.covariance(start, t)
     views = ((0, 1),) if demonstrations.dof == 2 else ((0, 1), (0, 2), (1, 2))
     with matplotlib.rc_context(STYLE):
         turns = demonstrations.dof == 6
@@ -181,9 +177,8 @@ def _draw_field(
     step = 0.02 * demonstrations.duration
     moved = model.reproduce(starts, np.array([0.0, step]))
     flow = 1e3 * (moved[:, 1] - moved[:, 0])[:, [3 + c for c in plane]].reshape(_FIELD, _FIELD, 2)
-    axis.streamplot(
-        *lines, flow[..., 0], flow[..., 1], color="0.85", linewidth=0.6, arrowsize=0.7, density=1.3, zorder=1
-    )
+    look = {"color": "0.85", "linewidth": 0.6, "arrowsize": 0.7, "density": 1.3, "zorder": 1}
+    axis.streamplot(*lines, flow[..., 0], flow[..., 1], **look)
 
 
 def _draw_band(axis: Any, path: Floats, covariance: Floats, view: list[int], label: str | None) -> None:

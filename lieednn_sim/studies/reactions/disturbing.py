@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -23,19 +22,12 @@ WALKER = "obstacle_walker"
 
 @dataclass(frozen=True)
 class PathRecovery:
-    """How an arm recovered from a disturbance.
+    """How an arm recovered; the distance of configurations is the largest difference of a joint, in its range."""
 
-    The distance of two configurations is the largest difference of a joint in units of its range.
-
-    Attributes:
-        deviation: largest distance from the path.
-        time_s: time from the disturbance's end until the distance stays below a tenth of that; None if it never does.
-        fraction: of the path that was left when the disturbance began, the fraction covered by then; None likewise.
-    """
-
-    deviation: float
+    deviation: float  # largest distance from the path
+    # Time from the disturbance's end until the distance stays below a tenth of that; None if it never does.
     time_s: float | None
-    fraction: float | None
+    fraction: float | None  # of the path left when the disturbance began, what was covered by then; None likewise
 
 
 class UndisturbedPath:
@@ -100,24 +92,14 @@ def pushing_force(deviation_under: Callable[[float], float]) -> float:
     return force
 
 
-class Walk(NamedTuple):
-    """An arm with a pole beside it, and how that walks."""
-
-    arm: Arm
-    obstacle: MovingObstacle
-
-
-def walking_pole(arm: Arm, t: Floats, q: Floats, gone: Floats, begin: float, rng: np.random.Generator) -> Walk:
-    """A pole that walks from ``begin`` on to a place that the arm's end effector would pass later.
+def walking_pole(
+    arm: Arm, t: Floats, q: Floats, gone: Floats, begin: float, rng: np.random.Generator
+) -> tuple[Arm, MovingObstacle]:
+    """The arm with a pole that walks from ``begin`` on to a place that its end effector would pass later, or PlanError.
 
     It waits clear of the whole way, keeps clear of where the arm is while it walks, and has been since ``begin``, and
-    stands clear of the arm's last posture.
-
-    The undisturbed motion has times ``t`` ``(K,)`` [s], joint coordinates ``q`` ``(K, n)`` and fractions of the path
-    ``gone`` ``(K,)``.
-
-    Raises:
-        PlanError: no such place was found.
+    stands clear of the arm's last posture. The undisturbed motion has times ``t`` ``(K,)`` [s], joint coordinates ``q``
+    ``(K, n)`` and fractions of the path ``gone`` ``(K,)``.
     """
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name=WALKER.removeprefix("obstacle_"))
@@ -145,7 +127,7 @@ def walking_pole(arm: Arm, t: Floats, q: Floats, gone: Floats, begin: float, rng
             continue
         # It walks into no arm, not even into one that has slowed down since it began.
         if not any(_blocks(before, obstacle.at(t[k]), q[walking[walking <= k]]) for k in walking):
-            return Walk(beside.with_moved_bodies({WALKER: first}), obstacle)
+            return beside.with_moved_bodies({WALKER: first}), obstacle
     raise PlanError("no place was found where a pole can stand in the arm's way")
 
 

@@ -20,7 +20,7 @@ from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import LIMIT_MARGIN
-from lieednn_sim.errors import LieEDNNError, PlanError
+from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.planning import Plan, ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
@@ -47,11 +47,9 @@ class ComparedPolicy(NamedTuple):
     filtered: bool = True
 
 
+_AT_RATES = {f"lieednn-shaped, rho {rate:g}": ShapedOptions(rate=rate) for rate in (1, 0.3, 0.1)}
 COMPARED: dict[str, ComparedPolicy] = {
-    **{
-        f"lieednn-shaped, rho {rate:g}": ComparedPolicy("lieednn-shaped", ShapedOptions(rate=rate))
-        for rate in (1, 0.3, 0.1)
-    },
+    **{name: ComparedPolicy("lieednn-shaped", options) for name, options in _AT_RATES.items()},
     "lieednn-certified": ComparedPolicy("lieednn-certified"),
     "lieednn-replanning": ComparedPolicy("lieednn-replanning", filtered=False),
     "linear-attractor": ComparedPolicy("linear-attractor"),
@@ -115,16 +113,13 @@ MEASURED = columns_of(Reaction)
 
 @frozen
 class Task:
-    """An arm among its obstacles, a joint target ``(n,)``, and the guide's motion to it that imitating policies learn.
-
-    The seed is that of target, obstacles, disturbances and policies.
-    """
+    """An arm among its obstacles, a joint target ``(n,)``, and the guide's motion to it that policies imitate."""
 
     arm: Arm
     scene: str
     target: Floats
     motion: Motion
-    seed: int
+    seed: int  # of target, obstacles, disturbances and policies
 
     def policy(self, name: str, *, obstructed: bool = False) -> Policy:
         """A policy of `COMPARED` for this task, or for one with a moving obstacle."""
@@ -140,10 +135,7 @@ class Task:
 def run_reactions(
     arm: str, scene: str, policy: str, seed: int, *, user_files: tuple[UserFile, ...] = ()
 ) -> list[Reaction]:
-    """Run a policy under each disturbance: one row each, with the reason for a failure.
-
-    Arms and scenes from files are found by their names in ``user_files``.
-    """
+    """As `run_case`: run a policy under each disturbance, one row each, with the reason for a failure."""
     with one_blas_thread():
         try:
             task = _task(arm, scene, seed, user_files)
@@ -170,12 +162,10 @@ def run_reactions(
                 continue
             row = _row(task, policy, disturbance, following)
             if changes is not None:
-                recovery = path.recovery(following.rollout.t, following.rollout.q, begin, end)
-                row = replace(
-                    row, deviation=recovery.deviation, back_s=recovery.time_s, back_fraction=recovery.fraction
-                )
-            if disturbance == "push" and changes is not None:
-                row = replace(row, push_n=float(np.linalg.norm(changes.pushes[0].force)))
+                back = path.recovery(following.rollout.t, following.rollout.q, begin, end)
+                row = replace(row, deviation=back.deviation, back_s=back.time_s, back_fraction=back.fraction)
+                if disturbance == "push":
+                    row = replace(row, push_n=float(np.linalg.norm(changes.pushes[0].force)))
             rows.append(row)
         return rows
 
@@ -192,10 +182,8 @@ def _task(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...]) ->
     return Task(arm, scene, target, (shown.guide or shown).motion, seed)
 
 
-def _run(
-    policy: Policy, targets: Floats, changes: Disturbances | None = None, duration: float = _DURATION
-) -> Following:
-    return follow(policy, targets, duration, controller="inverse-dynamics", disturbances=changes)
+def _run(policy: Policy, targets: Floats, changes: Disturbances | None = None, lasts: float = _DURATION) -> Following:
+    return follow(policy, targets, lasts, controller="inverse-dynamics", disturbances=changes)
 
 
 def _row(task: Task, policy: str, disturbance: str, following: Following) -> Reaction:
@@ -223,15 +211,14 @@ def _obstructed(task: Task, policy: str, nominal: Following, gone: Floats, begin
     """The row of a run in which a pole walks into the way; up to then it is the undisturbed one."""
     kind, ran = "obstacle", nominal.rollout
     rng = np.random.default_rng([task.seed, DISTURBANCES.index(kind)])
+    step = "problem"
     try:
-        walk = walking_pole(task.arm, ran.t, ran.q, gone, begin, rng)
-    except PlanError as error:
-        return Reaction(task.arm.name, task.scene, policy, kind, task.seed, reason=f"problem: {error}")
-    try:
-        result = replace(task, arm=walk.arm).policy(policy, obstructed=True)
-        following = _run(result, task.target, Disturbances(obstacles=(walk.obstacle,)))
+        arm, pole = walking_pole(task.arm, ran.t, ran.q, gone, begin, rng)
+        step = "simulation"
+        result = replace(task, arm=arm).policy(policy, obstructed=True)
+        following = _run(result, task.target, Disturbances(obstacles=(pole,)))
     except LieEDNNError as error:
-        return Reaction(task.arm.name, task.scene, policy, kind, task.seed, reason=f"simulation: {error}")
+        return Reaction(task.arm.name, task.scene, policy, kind, task.seed, reason=f"{step}: {error}")
     return _row(task, policy, kind, following)
 
 
@@ -344,10 +331,7 @@ class ReactionGroup(Group[Reaction]):
 
 
 def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
-    """Groups over arms and seeds, sorted by their keys: scene, disturbance and policy.
-
-    Rows of a problem that could not be posed, such as a pole without a place in the arm's way, belong to none.
-    """
+    """Groups of `posed` rows over arms and seeds, sorted by their keys: scene, disturbance and policy."""
     order = {name: index for index, name in enumerate((*DISTURBANCES, *COMPARED))}
     result = grouped((row for row in rows if row.posed), ("scene", "disturbance", "policy"))
     result.sort(key=lambda item: (item.key[0], order[item.key[1]], order[item.key[2]]))
@@ -358,14 +342,8 @@ def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> Non
     """Write the summary in Markdown: arrival, contact, and medians over arms and seeds."""
     rows = table.sorted_rows()
     arms, seeds = sorted({row.arm for row in rows}), len({row.seed for row in rows})
-    lines = [
-        "# Policies, disturbed",
-        "",
-        METHOD,
-        "",
-        f"Arms: {markdown.escaped(', '.join(arms))}; {seeds} seed{'s' if seeds != 1 else ''}; medians.",
-    ]
-    medians = []
+    head = f"Arms: {markdown.escaped(', '.join(arms))}; {seeds} seed{'s' if seeds != 1 else ''}; medians."
+    lines, medians = ["# Policies, disturbed", "", METHOD, "", head], []
     for group in groups(rows):
         counts = [f"{group.successes} of {group.total}", str(group.touched)]
         counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
@@ -374,15 +352,14 @@ def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> Non
     heads = ["scene", "disturbance", "policy", "arrived", "touched", "back", *(column.heading for column in MEASURED)]
     lines += markdown.table(heads, medians)
     unposed = Counter((row.scene, row.disturbance, row.policy, row.reason) for row in rows if not row.posed)
-    failed = [row for row in rows if row.reason.startswith(("plan", "simulation", "error"))]
-    lines += ["", "## Could not be run", ""] if failed or unposed else []
-    lines += [
-        markdown.escaped(f"- {', '.join(key)}, {count} case{'s' if count != 1 else ''}: {reason}")
+    failures = [
+        f"- {', '.join(key)}, {count} case{'s' if count != 1 else ''}: {reason}"
         for (*key, reason), count in sorted(unposed.items())
+    ] + [
+        f"- {row.policy}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}"
+        for row in rows
+        if row.reason.startswith(("plan", "simulation", "error"))
     ]
-    lines += [
-        markdown.escaped(f"- {row.policy}, {row.arm}, {row.scene}, {row.disturbance}, seed {row.seed}: {row.reason}")
-        for row in failed
-    ]
+    lines += ["", "## Could not be run", "", *map(markdown.escaped, failures)] if failures else []
     with io.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")

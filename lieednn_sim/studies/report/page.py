@@ -12,7 +12,7 @@ import jinja2
 
 from lieednn_sim import io
 from lieednn_sim.errors import InputError
-from lieednn_sim.registry import PLANNERS
+from lieednn_sim.registry import CONTROLLERS, PLANNERS
 from lieednn_sim.rendering.page import Recording, player, record
 from lieednn_sim.studies.comparison import summary
 from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Case, Row
@@ -125,7 +125,7 @@ def write_page(
     if not all(isinstance(row, Reaction) for row in reacted):
         raise InputError("reactions must be a table of the reactive benchmark, got one of another kind")
     names = summary.in_order((row.planner for row in rows), PLANNERS)
-    controllers = summary.controllers_of(rows)
+    controllers = summary.in_order((row.controller for row in rows), CONTROLLERS)
     arms = sorted({row.arm for row in rows})
     columns, counts = _columns(), summary.seeds_by_planner(rows).values()
     lines = grouped(rows, ("arm", "scene", "planner", "controller"))

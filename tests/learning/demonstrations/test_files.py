@@ -208,6 +208,14 @@ def test_files_that_do_not_fit(tmp_path):
         (tmp_path / "sheet.csv").write_text(line * 2)
         with pytest.raises(FileError, match=r"sheet.csv must be separated by commas, blanks or tabs, with points in"):
             load_demonstrations([tmp_path / "sheet.csv"])
+    for text, why in (
+        ("# t x y\n% none\n", "has no rows, only comments"),
+        ("", "has no rows"),
+        ("x y\n", "there are no rows"),
+    ):
+        (tmp_path / "bare.csv").write_text(text)
+        with pytest.raises(FileError, match=rf"bare.csv .*{why}$"):
+            load_demonstrations([tmp_path / "bare.csv"])
     np.savetxt(tmp_path / "epoch.csv", np.add([1764145800.0, 0.0, 0.0], np.outer(np.arange(3), [0.1, 1.0, 2.0])))
     with pytest.raises(InputError, match=r"got 1764145800.2 in row 2, column 0; if it is the time, name the columns"):
         load_demonstrations([tmp_path / "epoch.csv"])

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.studies import Comparison, Settings, write_summary
 from lieednn_sim.studies.comparison.rows import BY_NAME, COLUMNS, SHOWN, Row
-from lieednn_sim.studies.comparison.summary import controllers_of, method, verdict
+from lieednn_sim.studies.comparison.summary import in_order, method, verdict
 from lieednn_sim.studies.reactions.study import MEASURED, Reaction, Reactions
 from lieednn_sim.studies.report import figures, page, write_page
 
@@ -178,4 +179,5 @@ def test_figures_draw_values_and_medians(monkeypatch):
 
 def test_controllers_come_in_the_order_of_the_package_then_those_that_are_not_installed_any_more():
     rows = [row(FIRST, 0, controller=name) for name in ("gone", "inverse-dynamics", "position-servo")]
-    assert controllers_of(rows) == ["position-servo", "inverse-dynamics", "gone"]
+    names = [row.controller for row in rows]
+    assert in_order(names, CONTROLLERS) == ["position-servo", "inverse-dynamics", "gone"]
