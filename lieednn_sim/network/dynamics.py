@@ -80,16 +80,10 @@ class Trajectory:
 def find_equilibrium(
     vector_field: VectorField, jacobian: VectorField, start: Floats, *, rate: float, tolerance: float
 ) -> Equilibrium:
-    """Find an equilibrium by damped Newton steps; if they stall, follow the flow and try again.
+    """Find an equilibrium by damped Newton steps from ``(N, d)``; if they stall, follow the flow and try again.
 
-    Args:
-        vector_field, jacobian: flat right-hand side and its derivative.
-        start: ``(N, d)`` first guess.
-        rate: decay rate of the system, which scales residuals and times.
-        tolerance: tolerance of the largest entry of the vector field, relative to rate (1 + |x|).
-
-    Raises:
-        LieEDNNError: the numbers are so large that the search overflows.
+    The decay rate scales residuals and times; the tolerance of the largest entry of the vector field is relative to
+    rate (1 + |x|). `LieEDNNError` if the numbers are so large that the search overflows.
     """
     x, steps, how = start.ravel().copy(), 0, "Newton converged"
     with np.errstate(all="ignore"):  # squares may overflow meanwhile; a result that is not finite is rejected below

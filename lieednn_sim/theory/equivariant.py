@@ -38,7 +38,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike
 
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import as_rates, as_strengths
+from lieednn_sim.network.base import as_strengths, checked_fields
 from lieednn_sim.network.se3 import RigidNetwork, as_poses, require_rotations
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen, set_fields
@@ -78,16 +78,8 @@ class EquivariantLieEDNN(RigidNetwork):
 
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)
-        n = len(alpha)
-        diagonal = self.lyapunov_diagonal
-        set_fields(
-            self,
-            alpha=alpha,
-            **as_poses(self.rotation, self.translation, alpha),
-            bias=as_floats("bias", self.bias, (n, 6)),
-            **as_rates(self.gamma, self.mu),
-            lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (n,)),
-        )
+        poses = as_poses(self.rotation, self.translation, alpha)
+        set_fields(self, alpha=alpha, **poses, **checked_fields(self, (len(alpha), 6), len(alpha)))
 
     def phi(self, x: Floats) -> Floats:
         """Activation Phi of twists ``(..., 6)``: the whole twist, scaled by tanh(||omega||)/||omega||; unchecked."""
