@@ -154,12 +154,8 @@ def runge_kutta_step(field: VectorField, x: Floats, h: float) -> Floats:
 def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Floats, Floats, OdeSolution | PPoly]:
     """Times ``(K,)``, states ``(K, n)`` and their interpolant, of a solver run to its end or to where ``away`` is zero.
 
-    It is quicker than SciPy's `solve_ivp`.
-
-    Raises:
-        ArithmeticError: the solver fails.
-        LieEDNNError: it needs too many evaluations, as for a stiff network.
-        OutOfTimeError: the time budget is spent.
+    It is quicker than SciPy's `solve_ivp`. `ArithmeticError` if the solver fails, `LieEDNNError` if it needs too many
+    evaluations, as for a stiff network.
     """
     t, x, pieces = [solver.t], [solver.y], list[DenseOutput]()
     while solver.status == "running":

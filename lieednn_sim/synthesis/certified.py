@@ -269,8 +269,9 @@ def _attempt_all(
         for attempt in range(options.max_attempts):
             left = [task for task in tasks if task.outcome is None]
             if solved or attempt < fast_attempts:
-                # All problems in a stack have the same number of equations.
-                for stack in ([task for task in left if len(task.columns) == columns] for columns in (1, 2)):
+                # All problems in a stack have the same number of equations, which an attempt changes.
+                stacks = [[task for task in left if len(task.columns) == columns] for columns in (1, 2)]
+                for stack in stacks:
                     for first in range(0, len(stack), at_once):
                         _fast_attempt(stack[first : first + at_once], solved)
             else:

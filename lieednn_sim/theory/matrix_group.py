@@ -61,7 +61,7 @@ class MatrixLieGroup:
         worst = np.unravel_index(np.argmax(outside), outside.shape)
         if outside[worst] > _TOLERANCE * (1.0 + np.linalg.norm(commutators[worst])):
             pair = " and ".join(f"E_{k + 1}" for k in worst)
-            raise InputError(f"the basis of {self.name} spans no Lie algebra: the commutator of {pair} is outside")
+            raise InputError(f"the basis of {self.name} spans no Lie algebra: the commutator of {pair} lies outside")
 
     @property
     def dimension(self) -> int:
