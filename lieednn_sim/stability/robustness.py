@@ -10,19 +10,14 @@ Contraction (`stability.contraction`), of any two motions: |e(t)|_P <= exp(-c t)
 behind an equilibrium that moves at the velocity x*', and steps h < h_0 of forward Euler and of Runge-Kutta 4, with the
 largest h_0 for which 2 <e', e>_P <= -h_0 |e'|_P^2; see `docs/mathematics/robustness.md`.
 
-The certificate's own diagonal P = S^2, about the equilibrium, where contraction is not proved: with y = S e, g = S f,
-M = S W S^-1, s = |M|_2 and V of `stability.certificate`, U = eps |y|^2 / 2 + V has
+The certificate's own diagonal P = S^2, about the equilibrium, where contraction is not proved: with y = S e, g = S f
+and V of `stability.certificate`, U = eps |y|^2 / 2 + V falls at a rate c (`docs/mathematics/robustness.md`), and
 
-    U' + c U <= -eps (gamma - c/2) |y|^2 + eps mu s |y| |g| - k |g|^2,  k = gamma - c - mu max(lambda_max, 0),
-
-which is not positive for eps = 4 k (gamma - c/2) / (mu s)^2. As eps |y|^2 <= 2 U <= (1 + eps) |y|^2,
-|y(t)| <= sqrt(1 + 1/eps) exp(-c t / 2) |y(0)|. A moving equilibrium adds at most (1 + eps) |y| |S x*'| to U', and the
-lag comes to 2 (1 + 1/eps) / c |S x*'|.
+    |y(t)| <= sqrt(1 + 1/eps) exp(-c t / 2) |y(0)|,  |y| <= 2 (1 + 1/eps) / c |S x*'|.
 
 Time steps h. Under U, whose second derivative is at most (1 + eps) P, a quadratic form in |y| and |g| tells when U
 falls. The mean of the four fields of Runge-Kutta 4 differs from the first by at most z/2 + z^2/6 + z^3/24 of it, z = h
-(gamma + mu s). The weights of the adaptive Runge-Kutta 4(5) are not all positive: nothing is proved about it except
-that its error is small.
+(gamma + mu |S W S^-1|_2). The weights of the adaptive Runge-Kutta 4(5) are not all positive: it has no proof.
 """
 
 from __future__ import annotations
