@@ -56,19 +56,12 @@ LIBRARIES: Mapping[str, Library] = {
 
 @dataclass(frozen=True)
 class Entry:
-    """A row of a registry.
+    """A row of a registry."""
 
-    Attributes:
-        place: where the thing is, ``module:name`` within this package; or what another package has registered.
-        help: what it is or does, in one line.
-        takes: class of its options, by name in the same module or the class itself; empty or None for no options.
-        library: module of `LIBRARIES` that it needs; empty if it needs none.
-    """
-
-    place: Any = ""
-    help: str = ""
-    takes: Any = ""
-    library: str = ""
+    place: Any = ""  # where the thing is, ``module:name`` within this package; or what another package has registered
+    help: str = ""  # what it is or does, in one line
+    takes: Any = ""  # class of its options, by name in the same module or itself; empty or None for no options
+    library: str = ""  # module of `LIBRARIES` that it needs; empty if it needs none
 
     @property
     def own(self) -> bool:
@@ -100,19 +93,13 @@ class PlannerEntry(Entry):
     It returns a plan, or a motion if there is no network, or raises. The motion is sampled at the model's time step and
     passes `motion.check_motion`; its velocities are the derivatives of its positions, and its accelerations are
     continuous.
-
-    Attributes:
-        cost: CPU time of a case of a comparison [s], planning and both default controllers, in the mean over the
-            package's arms, free and behind the window. Declared, not measured, so that which cases there are depends
-            on no machine.
-        network: whether its plans have a certifiable network, which a run stores.
-        path_constraints: whether it takes the argument `path_constraint` of `planning.plan`; whether a motion obeys it
-            is checked in any case.
     """
 
+    # CPU time of a case of a comparison [s], planning and both default controllers, in the mean over its arms,
+    # free and behind the window. Declared, not measured, so that which cases there are depends on no machine.
     cost: float = TYPICAL
-    network: bool = False
-    path_constraints: bool = False
+    network: bool = False  # whether its plans have a certifiable network, which a run stores
+    path_constraints: bool = False  # whether it takes the argument `path_constraint` of `planning.plan`
 
 
 @dataclass(frozen=True)
@@ -121,12 +108,9 @@ class PolicyEntry(Entry):
 
     A reset lets it begin anew to the bit, and it can be copied and pickled at any time. Its message is "moves", or "has
     ended" at the end of a motion; anything else says what keeps it from moving on.
-
-    Attributes:
-        arrives: whether it comes to rest at a target that rests, where nothing is in its way.
     """
 
-    arrives: bool = True
+    arrives: bool = True  # whether it comes to rest at a target that rests, where nothing is in its way
 
 
 @dataclass(frozen=True)
@@ -134,12 +118,9 @@ class FormatEntry(Entry):
     """A format of another tool: a function of sources by name, a folder, and options, which writes files into it.
 
     That of rollouts takes the option ``rate`` [Hz], see `exports.formats.samples`; None is for its default.
-
-    Attributes:
-        of_comparison: whether it holds the table of a comparison; otherwise it holds rollouts.
     """
 
-    of_comparison: bool = False
+    of_comparison: bool = False  # whether it holds the table of a comparison; otherwise it holds rollouts
 
 
 _Entry = TypeVar("_Entry", bound=Entry)
@@ -153,14 +134,12 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
 
     Args:
         kind: name of the kind.
-        entries: this package's own rows.
+        entries: this package's own rows; as an attribute with those that decorators have added, without looking for
+            others.
         make: makes the row of an added thing from the thing and its options, ``make(place, takes=...)``; None if
             others add none.
         wanted: what an added thing must be, in words.
         group: packages declare theirs as entry points of this group.
-
-    Attributes:
-        entries: the rows of this package and those that decorators have added, without looking for others.
     """
 
     def __init__(

@@ -192,10 +192,6 @@ def _is_number(value: object, abstract: type, kinds: str) -> bool:
     return isinstance(value, abstract) and not isinstance(value, bool)
 
 
-def _is_whole(value: object) -> bool:
-    return type(value) is int or _is_number(value, numbers.Integral, "iu")
-
-
 def _is_real(value: object) -> bool:
     return type(value) is float or _is_number(value, numbers.Real, "iuf")
 
@@ -222,7 +218,7 @@ _PLAIN: dict[Any, _Hint] = {
     str: _Hint("a string", lambda value: isinstance(value, str)),
     os.PathLike: _Hint("a path", lambda value: isinstance(value, os.PathLike)),
     bool: _Hint("True or False", lambda value: isinstance(value, bool | np.bool_)),
-    int: _Hint("a whole number", _is_whole),
+    int: _Hint("a whole number", lambda value: type(value) is int or _is_number(value, numbers.Integral, "iu")),
     float: _Hint("a number", _is_real),
 }
 

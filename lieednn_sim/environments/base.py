@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.environments.frames import LinkFrames, pose_error_twists
-from lieednn_sim.environments.observations import Bounds, Observation, Observations, State, Target, common_bounds
+from lieednn_sim.environments import observations
+from lieednn_sim.environments.observations import Bounds, LinkFrames, Observation, Observations, State, Target
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.planning.motion import steps_in
@@ -173,7 +173,7 @@ class ArmTask(ABC):
         self.commands = Commands(self.arm, self.substeps)
         self.frames = slice(-1, None) if self.goal == "end-effector" else slice(None)
         frames = len(range(self.arm.n_links)[self.frames])
-        self.bounds: Bounds = common_bounds(self.arm, frames) | self._more_bounds()
+        self.bounds: Bounds = observations.common_bounds(self.arm, frames) | self._more_bounds()
         self.observations = Observations(self.bounds)
         self.episode = 0
         self._state: State | None = None
@@ -212,7 +212,7 @@ class ArmTask(ABC):
         q = self.arm.space.from_qpos(qpos)
         qd = self.arm.space.from_qvel(q, qvel)
         desired, goals, *more = target
-        twist, distance, angle = pose_error_twists(frames, goals)
+        twist, distance, angle = observations.pose_error_twists(frames, goals)
         approach, pose_error = self.commands.towards(command, desired), twist.reshape(*q.shape[:-1], -1)
         row = self.observations.rows(q, qd, command, desired - q, approach, pose_error, *more)
         return State(steps, command, row, *self.judge(distance, angle, qd), distance, angle)

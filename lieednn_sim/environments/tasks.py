@@ -18,8 +18,7 @@ from scipy.interpolate import CubicHermiteSpline
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments.base import ArmTask
-from lieednn_sim.environments.frames import goal_frames
-from lieednn_sim.environments.observations import Bounds, Target, reach
+from lieednn_sim.environments.observations import Bounds, Target, goal_frames, reach
 from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.planning.time_laws import minimum_jerk_law
@@ -47,11 +46,8 @@ class Closeness:
 
     Half of it falls linearly with distance and angle, to 0 at the reach of the arm and pi, so that it guides from
     everywhere. A quarter each are a near and a fine part with narrow margins, which are products of a term for the
-    distance and one for the angle. A term falls to a tenth where its error exceeds the tolerance by the margin.
-
-    Args:
-        task: the task, whose tolerances count, and the reach of its arm.
-        more: tolerances and margins of further errors, whose terms are factors of the fine part.
+    distance and one for the angle. A term falls to a tenth where its error exceeds the tolerance by the margin. Terms
+    of further errors, of which ``more`` are the tolerances and margins, are factors of the fine part.
     """
 
     def __init__(self, task: ArmTask, *more: tuple[float, float]) -> None:
@@ -230,12 +226,7 @@ def planned(arm: Arm, target: ArrayLike | str, *, planner: str | None = None, se
     """A planned motion from the keyframe ``home``, as fast as 90 % of the velocity and acceleration limits allow.
 
     The planner is by default a certified LieEDNN, of which two networks are drawn at first; if their motions break
-    limits, four times as many are drawn, and then sixteen times as many.
-
-    Raises:
-        InputError: an unknown planner, or the target is out of the arm's reach.
-        NotCertifiedError: no network could be certified.
-        PlanError: every motion breaks a limit.
+    limits, four times as many are drawn, and then sixteen times as many. Raises as `plan`.
     """
     if planner is not None:
         result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
@@ -261,9 +252,7 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTr
     q(t) = home + r(t) (m + h u(t) - home), elementwise, where u is a sum of sines of 0.1 to 0.5 Hz with random
     weights, frequencies and phases, |u| <= 1; m - h and m + h are random positions within the limits; r rises from 0
     to 1 by the minimum-jerk law. If it exceeds half the velocity or acceleration limits, it is slowed down as a whole.
-
-    Raises:
-        NoSolutionError: every attempt touches something.
+    `NoSolutionError` if every attempt touches something.
     """
     total = as_positive("duration", duration)
     # A fraction of the joint ranges, which is reduced after a contact.

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.environments.frames import LinkFrames
-from lieednn_sim.environments.observations import Bounds, State, Target
+from lieednn_sim.environments.observations import Bounds, LinkFrames, State, Target
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_workers

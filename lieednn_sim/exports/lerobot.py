@@ -30,10 +30,7 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
 
     ``observation.state`` holds the measured positions and velocities, and ``action`` the planned positions one sample
     later. ``rate`` is a whole number; by default that which is nearest to 50 Hz and divides the simulation's rate.
-
-    Raises:
-        InputError: the rollouts are of arms with other joints, or no whole number of samples per second divides the
-            simulation's rate, or the rate is none.
+    `InputError` if rollouts are of arms with other joints, or for the rate.
     """
     (first, timestep), episodes = next((item.arm, item.timestep) for item in rollouts.values()), []
     fps = _frames_per_second(rate, timestep)
@@ -62,10 +59,8 @@ def _frames_per_second(rate: float | None, timestep: float) -> int:
         )
     nearest = min(allowed, key=lambda k: abs(k - wanted))
     if rate is not None and nearest != rate:
-        raise InputError(
-            f"rate must divide the simulation's {most} Hz and be a whole number of frames per second in LeRobot's "
-            f"format, got {rate:g} Hz; for example {nearest} Hz"
-        )
+        demands = f"divide the simulation's {most} Hz and be a whole number of frames per second in LeRobot's format"
+        raise InputError(f"rate must {demands}, got {rate:g} Hz; for example {nearest} Hz")
     return nearest
 
 
@@ -79,10 +74,8 @@ def write_dataset(
 ) -> None:
     """Write a data set of episodes with the same features into a folder; numbers are stored with 32 bits.
 
-    ``names`` are those of the components, by feature; ``task`` says in words what is done in all episodes.
-
-    Raises:
-        InputError: ``fps`` [Hz] is no whole number, which the format demands.
+    ``names`` are those of the components, by feature; ``task`` says in words what is done in all episodes. `InputError`
+    if ``fps`` [Hz] is no whole number.
     """
     if abs(fps - round(fps)) > 1e-6:
         raise InputError(f"LeRobot's format has a whole number of frames per second, got {fps:g}")
@@ -111,14 +104,10 @@ def write_dataset(
     parquet.write_table(pa.Table.from_pylist(rows), told)
     _write_task(tasks, task)
     whole = {name: np.concatenate([frames[name] for frames in tables]) for name in tables[0]}
-    features = {
-        name: {
-            "dtype": values.dtype.name,
-            "shape": list(values.shape[1:] or (1,)),
-            "names": list(names[name]) if name in names else None,
-        }
-        for name, values in whole.items()
-    }
+    features = {}
+    for name, values in whole.items():
+        known = list(names[name]) if name in names else None
+        features[name] = {"dtype": values.dtype.name, "shape": list(values.shape[1:] or (1,)), "names": known}
     info = {
         **{"codebase_version": "v3.0", "robot_type": robot, "total_episodes": len(rows), "total_frames": begin},
         **{"total_tasks": 1, "chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 500},

@@ -25,11 +25,8 @@ def write(comparisons: Mapping[str, str | os.PathLike[str]], folder: Path) -> No
 
     Each log is an experiment of OMPL, whose runs are the seeds: another target, and other obstacles, for each. ``time``
     is the CPU time of the planner, ``solved`` whether it planned a motion, and ``arrived`` whether the simulated arm
-    came to the target without contact; the other columns are those of the comparison.
-
-    Raises:
-        FileError: a directory holds no comparison.
-        InputError: a comparison has no rows.
+    came to the target without contact; the other columns are those of the comparison. `FileError` if a directory holds
+    no comparison, `InputError` if one has no rows.
     """
     for name, directory in comparisons.items():
         table = Comparison.read(directory)
@@ -68,11 +65,10 @@ def _log(experiment: str, rows: Sequence[Row], *, version: str, date: str, setup
     for group in planners:
         lines += [str(group.key[0]), "0 common properties", f"{len(_PROPERTIES)} properties for each run"]
         lines += [f"{name} {kind}" for name, kind in _PROPERTIES]
-        lines += [f"{len(group.rows)} runs", *map(_run, group.rows), "."]
+        lines.append(f"{len(group.rows)} runs")
+        for row in group.rows:
+            measured = [getattr(row, name) for name, _ in _PROPERTIES[4:]]
+            values = [row.planning_s, int(row.planned), int(row.success), row.seed, *measured]
+            lines.append("".join("; " if value is None else f"{value}; " for value in values))
+        lines.append(".")
     return lines
-
-
-def _run(row: Row) -> str:
-    measured = [getattr(row, name) for name, _ in _PROPERTIES[4:]]
-    values = [row.planning_s, int(row.planned), int(row.success), row.seed, *measured]
-    return "".join("; " if value is None else f"{value}; " for value in values)

@@ -34,9 +34,7 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
     The YAML is a trajectory_msgs/JointTrajectory of the planned positions and velocities, from the start until the
     motion comes to rest. The bag holds the same message at time 0 on the topic ``/joint_trajectory``, and the measured
     positions, velocities and actuator forces as sensor_msgs/JointState on ``/joint_states``. Times begin at 0.
-
-    Raises:
-        InputError: the arm has ball joints, which these messages cannot hold.
+    `InputError` for an arm with ball joints, which these messages cannot hold.
     """
     for name, rollout in rollouts.items():
         if len(rollout.arm.space.balls):

@@ -130,15 +130,10 @@ def descend(
     evaluate: Callable[[NDArray[Any], NDArray[np.intp]], tuple[Floats, Floats, Floats]],
     move: Callable[[NDArray[Any], Floats], NDArray[Any]],
 ) -> tuple[NDArray[Any], Floats]:
-    """The ends of a damped Newton descent of many points on a manifold at once, and their values.
+    """The ends of a damped Newton descent of many points ``(B, ...)`` on a manifold at once, and their values.
 
-    Beyond rounding no value ever rises.
-
-    Args:
-        points: ``(B, ...)`` starts.
-        evaluate: maps points and their indices to values ``(B,)``, gradients ``(B, d)`` and Hessians ``(B, d, d)`` of
-            the value in the coordinates of a step.
-        move: maps points and steps ``(B, d)`` to new points.
+    Beyond rounding no value ever rises. Points and their indices are evaluated to values ``(B,)``, gradients ``(B, d)``
+    and Hessians ``(B, d, d)`` of the value in the coordinates of a step; points and steps ``(B, d)`` give new points.
     """
     points = points.copy()
     active = np.arange(len(points))

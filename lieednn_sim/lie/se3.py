@@ -146,9 +146,8 @@ def adjoint(rotation: RigidTransform | ArrayLike, translation: ArrayLike | None 
     matrix = as_floats("rotation", rotation, (3, 3), batched=True)
     offset = as_floats("translation", translation, (3,), batched=True)
     if matrix.shape[:-2] != offset.shape[:-1]:
-        raise InputError(
-            f"rotation and translation must share their leading axes, got {matrix.shape} and {offset.shape}"
-        )
+        shapes = f"{matrix.shape} and {offset.shape}"
+        raise InputError(f"rotation and translation must share their leading axes, got {shapes}")
     result = np.zeros((*matrix.shape[:-2], 6, 6))
     result[..., :3, :3] = result[..., 3:, 3:] = matrix
     result[..., 3:, :3] = skew(offset) @ matrix

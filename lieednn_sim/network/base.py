@@ -222,13 +222,12 @@ class BlockNetwork(ABC):
     def equilibrium(self, start: ArrayLike | None = None, *, tolerance: float = 1e-12) -> Equilibrium:
         """Find an equilibrium by damped Newton steps, with the flow as fallback; see `dynamics.find_equilibrium`.
 
+        A certified network has exactly one equilibrium.
+
         Args:
             start: ``(N, d)`` first guess, zero by default.
             tolerance: tolerance of the largest entry of the vector field, relative to gamma (1 + |xi|); a hundred times
                 as much is accepted if rounding keeps Newton's method from improving further.
-
-        Returns:
-            The point found and whether it converged; a certified network has exactly one equilibrium.
         """
         shape, driven = self.bias.shape, self.n_driven
         first = np.zeros(shape) if start is None else as_floats("start", start, shape)
@@ -336,16 +335,17 @@ class BlockNetwork(ABC):
             bias[self.n_visible :] = self.bias[self.n_visible :]
         # Weights and proof are the same: hand over what was checked and computed for them, and nothing else.
         network, known = object.__new__(type(self)), vars(self)
-        vars(network).update({name: known[name] for name in self._kept() if name in known})
-        vars(network)["bias"] = read_only(as_floats("bias", bias, bias.shape))
+        values = {name: known[name] for name in self._kept() if name in known}
+        values["bias"] = read_only(as_floats("bias", bias, bias.shape))
         if self.start_reference is not None:
             reached = target[: self.n_visible]
             moved = reached - self._visible_target
-            vars(network)["start_reference"] = read_only(self.start_reference + moved)
+            values["start_reference"] = read_only(self.start_reference + moved)
             if self.goal_gain is not None:
                 shift = (self.goal_gain @ moved.ravel()).reshape(self.hidden_start.shape)
-                vars(network)["hidden_start"] = read_only(self.hidden_start + shift)
-            vars(network)["_visible_target"] = read_only(reached)
+                values["hidden_start"] = read_only(self.hidden_start + shift)
+            values["_visible_target"] = read_only(reached)
+        vars(network).update(values)
         return network
 
     @cached_property
@@ -424,6 +424,14 @@ def as_rates(gamma: float, mu: float) -> dict[str, float]:
     """Return gamma and mu checked, by name."""
     as_ratio(gamma, mu)
     return {"gamma": as_positive("gamma", gamma), "mu": as_positive("mu", mu)}
+
+
+def checked_fields(network: BlockNetwork, shape: tuple[int | str, ...], rows: int | None = None) -> dict[str, Any]:
+    """Return a new network's bias of a shape, rates and Lyapunov diagonal of some rows checked, by name."""
+    bias, diagonal = as_floats("bias", network.bias, shape), network.lyapunov_diagonal
+    if diagonal is not None:
+        diagonal = as_floats("lyapunov_diagonal", diagonal, (bias.size if rows is None else rows,))
+    return {"bias": bias, **as_rates(network.gamma, network.mu), "lyapunov_diagonal": diagonal}
 
 
 def flatten_blocks(blocks: Floats) -> Floats:

@@ -28,13 +28,7 @@ def integrate_batch(
     """States ``(K, N, d)`` of each network at the steps that `trajectory` takes with ``RK45``, up to rounding.
 
     Each network has its own step sizes. Two dozen networks of four neurons take an eighth of the time of single ones.
-
-    Args:
-        networks: networks of the same size and activation.
-        start, duration, rtol, atol: as of `BlockNetwork.trajectory`, for all networks; it raises the same, too.
-
-    Raises:
-        InputError: the networks differ in size or activation.
+    Arguments and errors are as of `BlockNetwork.trajectory`; `InputError` if networks differ in size or activation.
     """
     kinds = {(network.bias.shape, network.activation) for network in networks}
     if kinds != {(np.shape(start), networks[0].activation)}:

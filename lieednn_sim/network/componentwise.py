@@ -6,14 +6,14 @@ import os
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim import stability
 from lieednn_sim.errors import InputError, NotCertifiedError
-from lieednn_sim.network.base import BlockNetwork, as_rates
+from lieednn_sim.network.base import BlockNetwork, checked_fields
 from lieednn_sim.network.exporting import write_c, write_onnx
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen, read_only, set_fields
@@ -77,9 +77,8 @@ def _values(name: str, function: Callable[[Floats], Floats], x: Floats) -> Float
     except InputError:
         raise
     except Exception as error:
-        raise InputError(
-            f"{name} must be a function of an array, which raised {type(error).__name__}: {error}"
-        ) from None
+        why = f"{type(error).__name__}: {error}"
+        raise InputError(f"{name} must be a function of an array, which raised {why}") from None
 
 
 #: Activation functions by name: ``tanh``, and others that are added, ``ACTIVATIONS["name"] = Activation(...)``.
@@ -120,14 +119,15 @@ class ComponentwiseNetwork(BlockNetwork):
     def assess(self, start: ArrayLike | None = None) -> stability.Verdict:
         """All stability conditions with the rates they prove; the local one at the equilibrium found from ``start``."""
         result = self.equilibrium(start)
-        return stability.assess(
-            self.weight,
-            gamma=self.gamma,
-            mu=self.mu,
-            rotational_weight=None if self.certifiable_weight is self.weight else self.certifiable_weight,
-            jacobian=self.jacobian(result.xi) if result.success else None,
-            lyapunov_diagonal=self.lyapunov_diagonal,
-        )
+        jacobian = self.jacobian(result.xi) if result.success else None
+        return stability.assess(self.weight, jacobian=jacobian, **self._proved_on)
+
+    @property
+    def _proved_on(self) -> dict[str, Any]:
+        """What functions of `stability` take besides W."""
+        core = None if self.certifiable_weight is self.weight else self.certifiable_weight
+        proof = {"rotational_weight": core, "lyapunov_diagonal": self.lyapunov_diagonal}
+        return {"gamma": self.gamma, "mu": self.mu, **proof}
 
     def robustness(self, pushed: ArrayLike | None = None) -> stability.Robustness:
         """Bounds on the effect of pushes and its duration, on the lag behind a moving target, and on time steps.
@@ -138,14 +138,8 @@ class ComponentwiseNetwork(BlockNetwork):
         Raises:
             NotCertifiedError: the neurons that the pushes affect are not certified.
         """
-        return stability.robustness(
-            self.weight,
-            gamma=self.gamma,
-            mu=self.mu,
-            pushed=np.arange(self.n_visible * self.bias.shape[1]) if pushed is None else pushed,
-            rotational_weight=None if self.certifiable_weight is self.weight else self.certifiable_weight,
-            lyapunov_diagonal=self.lyapunov_diagonal,
-        )
+        moved = np.arange(self.n_visible * self.bias.shape[1]) if pushed is None else pushed
+        return stability.robustness(self.weight, pushed=moved, **self._proved_on)
 
     def to_c(self, folder: str | os.PathLike[str]) -> Path:
         """Write the network as C99, for a controller: ``lieednn.h`` and ``lieednn.c``, without allocation.
@@ -221,16 +215,9 @@ class HopfieldNetwork(ComponentwiseNetwork):
     _kind: ClassVar[str] = "hopfield-network"
 
     def __post_init__(self) -> None:
-        bias = as_floats("bias", self.bias, ("N", "d"))
-        diagonal = self.lyapunov_diagonal
-        set_fields(
-            self,
-            matrix=as_floats("matrix", self.matrix, (bias.size, bias.size)),
-            bias=bias,
-            **as_rates(self.gamma, self.mu),
-            activation=as_activation(self.activation),
-            lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (bias.size,)),
-        )
+        shared = checked_fields(self, ("N", "d"))
+        matrix = as_floats("matrix", self.matrix, (shared["bias"].size,) * 2)
+        set_fields(self, matrix=matrix, **shared, activation=as_activation(self.activation))
 
     @cached_property
     def blocks(self) -> Floats:

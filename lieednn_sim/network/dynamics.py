@@ -80,16 +80,10 @@ class Trajectory:
 def find_equilibrium(
     vector_field: VectorField, jacobian: VectorField, start: Floats, *, rate: float, tolerance: float
 ) -> Equilibrium:
-    """Find an equilibrium by damped Newton steps; if they stall, follow the flow and try again.
+    """Find an equilibrium by damped Newton steps from ``(N, d)``; if they stall, follow the flow and try again.
 
-    Args:
-        vector_field, jacobian: flat right-hand side and its derivative.
-        start: ``(N, d)`` first guess.
-        rate: decay rate of the system, which scales residuals and times.
-        tolerance: tolerance of the largest entry of the vector field, relative to rate (1 + |x|).
-
-    Raises:
-        LieEDNNError: the numbers are so large that the search overflows.
+    The decay rate scales residuals and times; the tolerance of the largest entry of the vector field is relative to
+    rate (1 + |x|). `LieEDNNError` if the numbers are so large that the search overflows.
     """
     x, steps, how = start.ravel().copy(), 0, "Newton converged"
     with np.errstate(all="ignore"):  # squares may overflow meanwhile; a result that is not finite is rejected below
@@ -160,12 +154,8 @@ def runge_kutta_step(field: VectorField, x: Floats, h: float) -> Floats:
 def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Floats, Floats, OdeSolution | PPoly]:
     """Times ``(K,)``, states ``(K, n)`` and their interpolant, of a solver run to its end or to where ``away`` is zero.
 
-    It is quicker than SciPy's `solve_ivp`.
-
-    Raises:
-        ArithmeticError: the solver fails.
-        LieEDNNError: it needs too many evaluations, as for a stiff network.
-        OutOfTimeError: the time budget is spent.
+    It is quicker than SciPy's `solve_ivp`. `ArithmeticError` if the solver fails, `LieEDNNError` if it needs too many
+    evaluations, as for a stiff network.
     """
     t, x, pieces = [solver.t], [solver.y], list[DenseOutput]()
     while solver.status == "running":

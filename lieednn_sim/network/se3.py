@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import BlockNetwork, as_rates, as_strengths, flatten_blocks, leading
+from lieednn_sim.network.base import BlockNetwork, as_strengths, checked_fields, flatten_blocks, leading
 from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats, frozen, read_only, set_fields
@@ -102,15 +102,12 @@ class LieEDNN(RigidNetwork, ComponentwiseNetwork):
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)
         n = len(alpha)
-        diagonal = self.lyapunov_diagonal
         set_fields(
             self,
             alpha=alpha,
             **as_poses(self.rotation, self.translation, alpha),
-            bias=as_floats("bias", self.bias, (n, 6)),
-            **as_rates(self.gamma, self.mu),
+            **checked_fields(self, (n, 6), 3 * n),
             activation=as_activation(self.activation),
-            lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (3 * n,)),
             **as_hidden(self.hidden_start, self.n_clock, n),
             **as_start_law(self.start_gain, self.start_reference, self.goal_gain, len(self.hidden_start), n),
         )
@@ -149,23 +146,18 @@ def as_poses(rotation: ArrayLike, translation: ArrayLike, alpha: Floats) -> dict
     Their product with the strengths ``(N, N)``, which the weights are made of, must be in range as well.
     """
     n = len(alpha)
-    checked = {
-        "rotation": as_floats("rotation", rotation, (n, n, 3, 3)),
-        "translation": as_floats("translation", translation, (n, n, 3)),
-    }
-    require_rotations(checked["rotation"])
-    as_floats("alpha times translation", alpha[:, :, None] * checked["translation"], (n, n, 3))
-    return checked
+    turns, moves = as_floats("rotation", rotation, (n, n, 3, 3)), as_floats("translation", translation, (n, n, 3))
+    require_rotations(turns)
+    as_floats("alpha times translation", alpha[:, :, None] * moves, (n, n, 3))
+    return {"rotation": turns, "translation": moves}
 
 
 def as_hidden(hidden_start: ArrayLike, n_clock: int, n: int) -> dict[str, Floats | int]:
     """Return the hidden neurons' start ``(M, 6)`` and the size of the clock checked, by name, in a network of N."""
     start = as_floats("hidden_start", hidden_start, ("M", 6))
     if len(start) >= n:
-        raise InputError(
-            f"hidden_start must hold fewer neurons than the network, which has {n} and needs a visible one, got "
-            f"{len(start)}"
-        )
+        wanted = f"fewer neurons than the network, which has {n} and needs a visible one"
+        raise InputError(f"hidden_start must hold {wanted}, got {len(start)}")
     clock = as_count("n_clock", n_clock, least=0)
     if clock > len(start):
         raise InputError(f"n_clock must be at most {len(start)}, the number of hidden neurons, got {clock}")

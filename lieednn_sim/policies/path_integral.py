@@ -202,11 +202,5 @@ class PathIntegral(JointPolicy):
 
 def path_integral(task: PolicyTask, options: PathIntegralOptions) -> PathIntegral:
     """The controller of a task, which needs no motion."""
-    return PathIntegral(
-        task.arm,
-        task.rate,
-        convergence_rate=task.convergence_rate,
-        options=options,
-        feedback=task.feedback,
-        seed=task.seed,
-    )
+    rate, feedback = task.convergence_rate, task.feedback
+    return PathIntegral(task.arm, task.rate, convergence_rate=rate, options=options, feedback=feedback, seed=task.seed)

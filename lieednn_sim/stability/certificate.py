@@ -92,29 +92,21 @@ def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.
     decay = as_positive("gamma", gamma)
     spread = most / least if least >= 1.0 / LARGEST else np.inf
     if spread > _LARGEST_SPREAD:
-        raise InputError(
-            f"lyapunov_diagonal must have entries from {1.0 / LARGEST:g}, none more than {_LARGEST_SPREAD:g} times "
-            f"another, got {least:g} to {most:g}"
-        )
+        wanted = f"from {1.0 / LARGEST:g}, none more than {_LARGEST_SPREAD:g} times another"
+        raise InputError(f"lyapunov_diagonal must have entries {wanted}, got {least:g} to {most:g}")
     root = np.sqrt(diagonal)
     # The quotient first: within the bounds on P it neither overflows nor underflows, nor do its products with W.
     scaled = matrix * (root[:, None] / root)
     # By a power of two, which is exact, so that the eigensolver and the norm see entries of about 1.
     exponent = int(np.frexp(np.abs(scaled).max())[1])
     unit = np.ldexp(scaled, -exponent)
-    # Forming an entry rounds at most five times; the symmetric eigensolver is backward stable, with an error
-    # below n eps ||A||_2. Both are doubled, in the Frobenius norm. Underflow changes each entry, and the eigenvalue, by
-    # less than the smallest normal number.
-    # The reduction is by a product of reflections, backward stable with an error of the same size.
+    # Forming an entry rounds at most five times; the symmetric eigensolver and the reduction, by reflections, are
+    # backward stable, with an error below n eps ||A||_2. Both are doubled, in the Frobenius norm. Underflow changes
+    # each entry, and the eigenvalue, by less than the smallest normal number.
     relative = (10.0 + 4.0 * diagonal.size) * EPS * np.linalg.norm(unit)
     rounding = float(np.ldexp(relative, exponent)) + (diagonal.size + 1.0) * _TINY
-    return Certificate(
-        lyapunov_diagonal=diagonal * np.exp(-np.log(diagonal).mean()),
-        lambda_max=float(np.ldexp(_largest(unit), exponent)),
-        rounding=rounding,
-        bound=as_ratio(decay, mu),
-        gamma=decay,
-    )
+    normal, largest = diagonal * np.exp(-np.log(diagonal).mean()), float(np.ldexp(_largest(unit), exponent))
+    return Certificate(normal, largest, rounding, as_ratio(decay, mu), decay)
 
 
 def _largest(matrix: Floats) -> float:

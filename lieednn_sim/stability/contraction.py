@@ -101,14 +101,8 @@ def verify_contraction(
     # A triangular factor with a larger condition number has no useful inverse in floating point.
     if size * inverse_size > 1e12 or not np.isfinite(norm + error):
         error = np.inf
-    return Contraction(
-        factor=upper,
-        multiplier=diagonal,
-        value=0.25 * norm**2,
-        rounding=float(0.25 * error * (2.0 * norm + error)),
-        bound=as_ratio(as_positive("gamma", gamma), mu),
-        gamma=float(gamma),
-    )
+    value, rounding = 0.25 * norm**2, float(0.25 * error * (2.0 * norm + error))
+    return Contraction(upper, diagonal, value, rounding, as_ratio(as_positive("gamma", gamma), mu), float(gamma))
 
 
 def find_contraction(
@@ -167,11 +161,8 @@ def least_level(scaled: Floats) -> tuple[float, float, float]:
     angles = np.linspace(0.0, 0.5 * np.pi, 32, endpoint=False)
     levels = level(angles)
     k = int(np.argmax(levels))
-    near = minimize_scalar(
-        lambda a: -float(level(np.asarray(a))),
-        bounds=(angles[max(k - 1, 0)], angles[min(k + 1, len(angles) - 1)]),
-        method="bounded",
-    )
+    around = angles[max(k - 1, 0)], angles[min(k + 1, len(angles) - 1)]
+    near = minimize_scalar(lambda a: -float(level(np.asarray(a))), bounds=around, method="bounded")
     value, angle = max((float(levels[k]), float(angles[k])), (-float(near.fun), float(near.x)))
     return max(value, 0.0), angle, max(float(levels[0]), 0.0)
 

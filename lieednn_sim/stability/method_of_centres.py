@@ -25,12 +25,8 @@ _LEAST, _MOST = np.exp(-2.0 * _LOG_SCALE_BOUND), np.exp(2.0 * _LOG_SCALE_BOUND)
 def minimise_by_centres(weight: Floats, group_size: int, start: Floats) -> Floats:
     """Log S ``(n / group_size,)`` that makes the largest eigenvalue of sym(S W S^-1) smallest, with |log S| <= 8.
 
-    Nothing about it is guaranteed: pass it to `stability.verify`.
-
-    Args:
-        weight: W, ``(n, n)``.
-        group_size: entries of S are equal within consecutive groups of this size.
-        start: initial log S of each group; a common factor of S is removed, and the rest is clipped to the bounds.
+    Nothing about it is guaranteed: pass it to `stability.verify`. Entries of S are equal within consecutive groups of
+    ``group_size``. Of the initial log S, ``start``, a common factor is removed, and the rest is clipped to the bounds.
     """
     inside = 0.99 * _LOG_SCALE_BOUND
     start = np.clip(start - start.mean(), -inside, inside)

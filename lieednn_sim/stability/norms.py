@@ -23,12 +23,8 @@ EPS = float(np.finfo(float).eps)
 def smallest_one_norm(output: ArrayLike, required: ArrayLike) -> float:
     """Smallest 1-norm that a matrix W with W output = required can have: ||required||_1 / ||output||_1.
 
-    Args:
-        output: phi(xi*), any shape.
-        required: (gamma/mu) xi* - b, the same shape.
-
-    Returns:
-        The ratio; infinite when the output vanishes beside the requirement, 0 when both vanish.
+    The output is phi(xi*) of any shape, (gamma/mu) xi* - b, of the same, is required. Infinite when the output vanishes
+    beside the requirement, 0 when both vanish.
     """
     outputs = as_floats("output", output, (), batched=True)
     given, target = np.abs(outputs).sum(), np.abs(as_floats("required", required, outputs.shape)).sum()

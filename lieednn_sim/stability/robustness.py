@@ -10,19 +10,14 @@ Contraction (`stability.contraction`), of any two motions: |e(t)|_P <= exp(-c t)
 behind an equilibrium that moves at the velocity x*', and steps h < h_0 of forward Euler and of Runge-Kutta 4, with the
 largest h_0 for which 2 <e', e>_P <= -h_0 |e'|_P^2; see `docs/mathematics/robustness.md`.
 
-The certificate's own diagonal P = S^2, about the equilibrium, where contraction is not proved: with y = S e, g = S f,
-M = S W S^-1, s = |M|_2 and V of `stability.certificate`, U = eps |y|^2 / 2 + V has
+The certificate's own diagonal P = S^2, about the equilibrium, where contraction is not proved: with y = S e, g = S f
+and V of `stability.certificate`, U = eps |y|^2 / 2 + V falls at a rate c (`docs/mathematics/robustness.md`), and
 
-    U' + c U <= -eps (gamma - c/2) |y|^2 + eps mu s |y| |g| - k |g|^2,  k = gamma - c - mu max(lambda_max, 0),
-
-which is not positive for eps = 4 k (gamma - c/2) / (mu s)^2. As eps |y|^2 <= 2 U <= (1 + eps) |y|^2,
-|y(t)| <= sqrt(1 + 1/eps) exp(-c t / 2) |y(0)|. A moving equilibrium adds at most (1 + eps) |y| |S x*'| to U', and the
-lag comes to 2 (1 + 1/eps) / c |S x*'|.
+    |y(t)| <= sqrt(1 + 1/eps) exp(-c t / 2) |y(0)|,  |y| <= 2 (1 + 1/eps) / c |S x*'|.
 
 Time steps h. Under U, whose second derivative is at most (1 + eps) P, a quadratic form in |y| and |g| tells when U
 falls. The mean of the four fields of Runge-Kutta 4 differs from the first by at most z/2 + z^2/6 + z^3/24 of it, z = h
-(gamma + mu s). The weights of the adaptive Runge-Kutta 4(5) are not all positive: nothing is proved about it except
-that its error is small.
+(gamma + mu |S W S^-1|_2). The weights of the adaptive Runge-Kutta 4(5) are not all positive: it has no proof.
 """
 
 from __future__ import annotations
@@ -114,13 +109,9 @@ def _by_lyapunov(weight: Floats, log_scale: Floats, gamma: float, mu: float) -> 
         # Below the largest, so that the quadratic form of the steps is definite.
         eps = min(4.0 * (certificate.rate - c) * (gamma - 0.5 * c) / drive**2, 1e6)
         euler, rk4 = (_lyapunov_step(certificate.rate, eps, gamma, drive, stages) for stages in (1, 4))
-        root = np.asarray(np.exp(log_scale), np.float64)
-        growth = 1.0 + 1.0 / eps
-        results.append(
-            Guarantee(
-                False, np.diag(root), np.diag(1.0 / root), float(np.sqrt(growth)), 0.5 * c, 2.0 * growth / c, euler, rk4
-            )
-        )
+        root, growth = np.asarray(np.exp(log_scale), np.float64), 1.0 + 1.0 / eps
+        norm = np.diag(root), np.diag(1.0 / root)
+        results.append(Guarantee(False, *norm, float(np.sqrt(growth)), 0.5 * c, 2.0 * growth / c, euler, rk4))
     return results
 
 
@@ -237,10 +228,9 @@ class Robustness:
             raise InputError(f"pushed must name some of the coordinates {self.pushed.tolist()}, got {moved.tolist()}")
         seen = self.pushed if watched is None else _coordinates("watched", watched, n)
         columns, rows = np.isin(self.reached, moved), np.isin(self.reached, seen)
+        norm = _spectral_norm
         # Coordinates that the push does not reach never move.
-        return [
-            (g, _spectral_norm(g.factor[:, columns]) * _spectral_norm(g.inverse[rows]) * _UP) for g in self.guarantees
-        ]
+        return [(g, norm(g.factor[:, columns]) * norm(g.inverse[rows]) * _UP) for g in self.guarantees]
 
 
 def robustness(
@@ -276,9 +266,8 @@ def robustness(
     core = matrix if rotational_weight is None else as_floats("rotational_weight", rotational_weight, (n // 2, n // 2))
     kept = reached.reshape(-1, 2, 3).any(axis=1).ravel() if twists else reached
     part = core[np.ix_(kept, kept)]
-    known = None
-    if lyapunov_diagonal is not None:
-        known = as_floats("lyapunov_diagonal", lyapunov_diagonal, (len(core),))[kept]
+    diagonal = lyapunov_diagonal
+    known = None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (len(core),))[kept]
     certificate = known_or_found(known, part, gamma=gamma, mu=mu)
     if not certificate.valid:
         raise NotCertifiedError(f"nothing is proved about pushes without a certificate ({certificate})")
@@ -306,12 +295,9 @@ def robustness(
     if not reached.all():
         # The reached coordinates do not affect them. They need not be whole twists, so the proof is on W itself.
         rest = matrix[np.ix_(~reached, ~reached)]
-        if rest.any():
-            others = robustness(rest, gamma=gamma, mu=mu)
-        else:
-            # Each decays on its own, as one does.
-            every = np.arange(len(rest))
-            others = replace(robustness(rest[:1, :1], gamma=gamma, mu=mu), pushed=every, reached=every)
+        every, alone = np.arange(len(rest)), not rest.any()  # where each decays on its own, as one does
+        others = robustness(rest[:1, :1] if alone else rest, gamma=gamma, mu=mu)
+        others = replace(others, pushed=every, reached=every)
     return Robustness(moved, np.flatnonzero(reached), tuple(guarantees), others)
 
 
@@ -347,10 +333,8 @@ class Decay:
         if bounds.others is not None:
             raise InputError("bounds must be for pushes that reach all coordinates")
         self.watched = as_count("watched", watched, 1, len(bounds.reached))
-        rows = slice(self.watched)
-        self._factors = np.array(
-            [g.overshoot * _UP * _spectral_norm(g.inverse[rows]) * g.factor for g in bounds.guarantees]
-        )
+        sizes = [g.overshoot * _UP * _spectral_norm(g.inverse[: self.watched]) for g in bounds.guarantees]
+        self._factors = np.array([size * g.factor for size, g in zip(sizes, bounds.guarantees, strict=True)])
         self._rates = np.array([g.rate for g in bounds.guarantees])
 
     def begin(self, off: ArrayLike) -> Floats:

@@ -44,11 +44,8 @@ def resolve(
 ) -> tuple[list[str], list[UserFile]]:
     """The names under which arms or scenes appear in tables, and those of them that come from files.
 
-    Values are names, ``known`` in the package, or files as `Arm.load` takes them.
-
-    Raises:
-        FileError: a file is missing or cannot be read.
-        InputError: it holds no arm or scene, or its name is taken or not allowed.
+    Values are names, ``known`` in the package, or files as `Arm.load` takes them. `FileError` if one is missing or
+    cannot be read, `InputError` if it holds no arm or scene, or its name is taken or not allowed.
     """
     names: list[str] = []
     user_files: list[UserFile] = []

@@ -81,14 +81,11 @@ def impossibility(outputs: Floats, required: Floats) -> str | None:
         given, target = outputs[:, part], required[:, part]
         if given.any():
             if (given * (target - given)).min() >= 0.0:
-                return (
-                    f"no {name} coordinate has its bias on the side of its target, so no diagonal Lyapunov matrix can "
-                    "exist; use the sign-matched bias or retarget a certified network"
-                )
+                lacking = f"no {name} coordinate has its bias on the side of its target"
+                way = "use the sign-matched bias or retarget a certified network"
+                return f"{lacking}, so no diagonal Lyapunov matrix can exist; {way}"
             return None  # nonzero rotations may drive the translations through t
         if target.any():
-            return (
-                f"every {name} coordinate of the target is zero, so no weights can produce the {name} bias; "
-                "use the sign-matched bias"
-            )
+            why = f"every {name} coordinate of the target is zero, so no weights can produce the {name} bias"
+            return f"{why}; use the sign-matched bias"
     return None

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -176,8 +177,8 @@ class _Options:
         as_activation(self.activation)
         for name in ("gamma", "mu", "max_translation"):
             as_positive(name, getattr(self, name))
-        most_attempts = 10_000  # some minutes of searching: where thousands of starts find nothing, more don't either
-        as_count("max_attempts", self.max_attempts, most=most_attempts)
+        # Some minutes of searching: where thousands of starts find nothing, more don't either.
+        as_count("max_attempts", self.max_attempts, most=10_000)
 
     @property
     def ratio(self) -> float:
@@ -219,10 +220,8 @@ class _Task:
         if network is not None:
             residual = float(np.abs(network.vector_field(self.target)).max())
             largest = float(np.linalg.norm(network.translation, axis=-1).max())
-        elapsed = cpu_time() - self.begun
-        self.outcome = Synthesis(
-            impossible, message, network, residual, largest, self.attempts, self.iterations, elapsed
-        )
+        counts = self.attempts, self.iterations
+        self.outcome = Synthesis(impossible, message, network, residual, largest, *counts, cpu_time() - self.begun)
         return self.outcome
 
     def offer(self, network: LieEDNN) -> None:
@@ -257,24 +256,20 @@ def _attempt_all(
     options: _Options,
 ) -> list[Synthesis]:
     """The outcomes of `synthesize` for targets ``(B, N, 6)``; the bias is a rule or an array ``(B, N, 6)``."""
-    start = cpu_time()
-    rule = bias if isinstance(bias, str) else None
+    start, solved = cpu_time(), isinstance(bias, str) and bias == "solved"
     tasks = []
     for k, (target, state) in enumerate(zip(targets, ACTIVATIONS[options.activation].phi(targets), strict=True)):
         offset = bias_for(bias, target, state, options.ratio, magnitudes[k]) if isinstance(bias, str) else bias[k]
         tasks.append(_Task(target, state, offset, generators[k], options, start))
-    solved = rule == "solved"
-    if not solved:
-        for task in tasks:
-            task.refuse()
-    size = 3 * targets.shape[1]
-    at_once = max(1, _LARGEST_STACK // (size**4 // 4))
+        if not solved:
+            tasks[k].refuse()
+    at_once = max(1, _LARGEST_STACK // ((3 * targets.shape[1]) ** 4 // 4))
     fast_attempts = 4  # starts of the fast search before the patient one takes over
     with one_blas_thread():
         for attempt in range(options.max_attempts):
             left = [task for task in tasks if task.outcome is None]
             if solved or attempt < fast_attempts:
-                # All problems in a stack have the same number of equations.
+                # All problems in a stack have the same number of equations, which an attempt changes.
                 stacks = [[task for task in left if len(task.columns) == columns] for columns in (1, 2)]
                 for stack in stacks:
                     for first in range(0, len(stack), at_once):
@@ -282,15 +277,11 @@ def _attempt_all(
             else:
                 for task in left:
                     _patient_attempt(task)
-    other = "a larger bias magnitude" if rule == "sign-matched" else "the sign-matched bias"
-    return [
-        task.outcome
-        or task.end(
-            f"not certified: no feasible weights found from {task.attempts} starts, which does not prove that there "
-            f"are none; try another seed, {other}, or retarget a certified network"
-        )
-        for task in tasks
-    ]
+    matched = isinstance(bias, str) and bias == "sign-matched"
+    other = "a larger bias magnitude" if matched else "the sign-matched bias"
+    advice = f"which does not prove that there are none; try another seed, {other}, or retarget a certified network"
+    lacking = "not certified: no feasible weights found from"
+    return [task.outcome or task.end(f"{lacking} {task.attempts} starts, {advice}") for task in tasks]
 
 
 def _start(stack: Sequence[_Task]) -> tuple[Problem, Floats]:
@@ -349,16 +340,10 @@ def _networks(stack: Sequence[_Task], problem: Problem, unknowns: Floats, transl
     rotation = problem.signs[..., None, None] * blocks / safe[..., None, None]
     rotation[size == 0.0] = np.eye(3)
     diagonal = np.exp(2.0 * unknowns[:, problem.n_quaternion :])
-    return [
-        LieEDNN(
-            alpha=task.options.ratio * problem.signs[k] * size[k],
-            rotation=rotation[k],
-            translation=translation[k],
-            bias=task.offset,
-            gamma=task.options.gamma,
-            mu=task.options.mu,
-            activation=task.options.activation,
-            lyapunov_diagonal=diagonal[k],
-        )
-        for k, task in enumerate(stack)
-    ]
+    result = []
+    for k, task in enumerate(stack):
+        options, alpha = task.options, task.options.ratio * problem.signs[k] * size[k]
+        rates: dict[str, Any] = {"gamma": options.gamma, "mu": options.mu, "activation": options.activation}
+        parts = alpha, rotation[k], translation[k], task.offset
+        result.append(LieEDNN(*parts, **rates, lyapunov_diagonal=diagonal[k]))
+    return result

@@ -74,14 +74,11 @@ def pairs(size: int, first: int) -> tuple[Indices, Indices]:
 class Problem:
     """W_R inputs = outputs and lambda_max(sym(S W_R S^-1)) < 1, in units of gamma/mu.
 
+    Inputs and outputs have K columns each, ``(N, 3, K)``; the signs ``(N, N)`` of the blocks' alpha are fixed.
+
     Arguments, unknowns and results may have leading axes, as a stack of independent problems of one size: products,
     solves and decompositions are those of each problem by itself, so that its results are the same in every stack, to
     the last bit.
-
-    Args:
-        inputs: ``(N, 3, K)`` columns that W_R acts on.
-        outputs: ``(N, 3, K)`` columns to which W_R must map them.
-        signs: ``(N, N)`` signs of the blocks' alpha, fixed.
     """
 
     def __init__(self, inputs: Floats, outputs: Floats, signs: Floats) -> None:
@@ -183,11 +180,8 @@ def random_starts(
 ) -> tuple[Problem, Floats]:
     """A stack of B random problems (signs of the blocks) and a random start ``(B, 4 N^2 + 3N)``, each by its generator.
 
-    Args:
-        state: phi(xi) of the targets, ``(B, N, 6)``.
-        required: what W phi(xi) must be, ``(B, N, 6)``.
-        columns: parts of the twists that W_R must meet by itself.
-        generators: B generators.
+    ``required`` is what W phi(xi) must be, phi(xi) the ``state``, both ``(B, N, 6)``; ``columns`` are the parts of the
+    twists that W_R must meet by itself.
     """
     count, n = state.shape[:2]
     signs, quaternion, size = np.empty((count, n, n)), np.empty((count, n, n, 4)), np.empty((count, n, n, 1))

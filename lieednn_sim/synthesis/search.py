@@ -36,16 +36,9 @@ def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: floa
     onto that cone (Malick and Sendov, Set-Valued Analysis 14, 2006).
 
     Each problem has its own damping, and leaves the stack when it is solved or given up: its result does not depend on
-    the others, to the last bit.
-
-    Args:
-        problem: a stack of B problems to solve, bound 1.
-        start: initial unknowns, ``(B, 4 N^2 + 3N)``.
-        aim: eigenvalue bound of the residual.
-        accept: stop as soon as the largest eigenvalue is below this and the equations are roughly met.
-
-    Returns:
-        Unknowns ``(B, 4 N^2 + 3N)``, whether they are feasible ``(B,)``, and the number of iterations ``(B,)``.
+    the others, to the last bit. It is solved when the largest eigenvalue is below ``accept`` and the equations are
+    roughly met. Returns the unknowns, as the start ``(B, 4 N^2 + 3N)``, whether they are feasible ``(B,)``, and the
+    number of iterations ``(B,)``.
     """
     unknowns, feasible, iterations = start.copy(), np.zeros(len(start), bool), np.zeros(len(start), int)
     # For the problems left in the stack: their indices, points, and linear least squares there.
@@ -173,17 +166,10 @@ def smallest_eigenvalue_point(
         check_time()
         return problem.smooth_largest_eigenvalue(trial, sharpness)
 
+    equations = {"type": "eq", "fun": problem.flat_residual, "jac": problem.flat_jacobian}
+    how = {"jac": True, "bounds": bounds, "constraints": equations, "options": {"maxiter": 400, "ftol": 1e-6}}
     for sharpness in (20.0, 80.0, 320.0, 1280.0):
-        solution = minimize(
-            largest,
-            unknowns,
-            args=(sharpness,),
-            jac=True,
-            method="SLSQP",
-            bounds=bounds,
-            constraints={"type": "eq", "fun": problem.flat_residual, "jac": problem.flat_jacobian},
-            options={"maxiter": 400, "ftol": 1e-6},
-        )
+        solution = minimize(largest, unknowns, (sharpness,), "SLSQP", **how)
         iterations += solution.nit
         if not np.isfinite(solution.x).all():
             return None, iterations
@@ -201,14 +187,10 @@ def polish(
 
     Steps have the least norm. Quaternions are weighted down, so that translations do the work where they can and the
     certificate hardly changes; where the rotations are too small to drive a translation, the quaternions step in and
-    |t| stays small.
+    |t| stays small: a step of theirs of the size ``quaternion_weight`` counts as much as a unit translation.
 
-    Args:
-        problem: a stack of B problems, which define the blocks as functions of the quaternions.
-        unknowns: ``(B, 4 N^2 + 3N)``, which meet the rotational equations roughly.
-        state: phi(xi) of the targets, ``(B, N, 6)``.
-        required: what W phi(xi) must be, ``(B, N, 6)``.
-        quaternion_weight: size of a quaternion step that counts as much as a unit translation.
+    The unknowns ``(B, 4 N^2 + 3N)`` of the problems meet the rotational equations roughly; ``state`` and ``required``
+    are as of `random_starts`.
     """
     n, count = problem.n_neurons, len(unknowns)
     best, best_translation = unknowns.copy(), np.zeros((count, n, n, 3))

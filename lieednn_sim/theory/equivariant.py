@@ -1,31 +1,14 @@
 """LieEDNN with an activation that commutes with the adjoint action (paper, App. N).
 
 Phi(X) = tanh(||omega||)/||omega|| X scales the whole twist X = (omega, v). Ad_h turns omega by a rotation, so the
-factor is invariant and Phi(Ad_h X) = Ad_h Phi(X). It is continuous at omega = 0, with value X. (Printed are
-tanh(||omega||)/(||omega|| + eps), which sends every pure translation to 0, and sqrt(tr X^2)/2 in place of ||omega||,
-which is not real: tr X^2 = -2 ||omega||^2, so ||omega|| = sqrt(-tr(X^2)/2).)
+factor is invariant and Phi(Ad_h X) = Ad_h Phi(X). It is continuous at omega = 0, with value X.
 
 Frames: if each neuron is written in a frame of its own, X_i -> Ad(h_i) X_i, then theta_ij -> h_i theta_ij h_j^-1 and
 b_i -> Ad(h_i) b_i describe the same network. The paper's theta_ij -> h theta_ij h^-1 is the case of one common h.
 
 Stability. Phi is unbounded and not globally Lipschitz in (omega, v), so the theorem of `stability` does not apply to W.
-It follows by the cascade, from a P = diag(p_i I_3) with P (W_R - (gamma/mu) I) negative definite in its symmetric part:
-
-1. The omega_i run on their own, with W_R and phi(omega) = tanh(||omega||)/||omega|| omega, the gradient of the convex
-   H(omega) = log cosh ||omega||. The Hessian of H has the eigenvalues 1/cosh^2 r and (twice) tanh(r)/r, all in (0, 1],
-   so phi is cocoercive: (phi(a) - phi(b)).(a - b) >= ||phi(a) - phi(b)||^2. An equilibrium omega* exists, since phi is
-   bounded (Brouwer). Let V = sum_i p_i D(omega_i, omega*_i) with D(a, b) = H(a) - H(b) - phi(b).(a - b), and
-   u_i = phi(omega_i) - phi(omega*_i). Then V' <= -gamma sum_i p_i ||u_i||^2 + mu u^T P W_R u
-   = mu u^T P (W_R - (gamma/mu) I) u < 0 unless omega = omega*. V is radially unbounded because ||phi(omega*_i)|| < 1.
-   So omega* is unique and attracts every start.
-2. v' = (-gamma I + mu W_R G) v + mu (W_C G omega + b_v), linear in v, with G = diag(g_i I_3), g_i = tanh(r_i)/r_i in
-   (0, 1]. Along omega -> omega* matrix and input converge. The limit matrix is mu A G* with
-   A = W_R - (gamma/mu) G*^-1; P A is negative definite since P and G* commute and G*^-1 >= I, hence x^T G* P x is a
-   Lyapunov function of x' = mu A G* x, and the matrix is Hurwitz. So v converges to the one solution of the limit.
-
-P is constant on each neuron, so rotating the frames leaves the inequality as it is: the proof is as invariant as the
-network. It is a diagonal P like any other, and so proves `LieEDNN` with the same weights too; a P that tells axes apart
-proves nothing here (there are networks that are stable with tanh on each axis and not with Phi).
+It follows by the cascade from a P = diag(p_i I_3) with P (W_R - (gamma/mu) I) negative definite in its symmetric part;
+`docs/mathematics/groups.md` has the proof. P is constant on each neuron, so the proof is as invariant as the network.
 """
 
 from __future__ import annotations
@@ -38,7 +21,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike
 
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import as_rates, as_strengths
+from lieednn_sim.network.base import as_strengths, checked_fields
 from lieednn_sim.network.se3 import RigidNetwork, as_poses, require_rotations
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen, set_fields
@@ -78,16 +61,8 @@ class EquivariantLieEDNN(RigidNetwork):
 
     def __post_init__(self) -> None:
         alpha = as_strengths(self.alpha)
-        n = len(alpha)
-        diagonal = self.lyapunov_diagonal
-        set_fields(
-            self,
-            alpha=alpha,
-            **as_poses(self.rotation, self.translation, alpha),
-            bias=as_floats("bias", self.bias, (n, 6)),
-            **as_rates(self.gamma, self.mu),
-            lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (n,)),
-        )
+        poses = as_poses(self.rotation, self.translation, alpha)
+        set_fields(self, alpha=alpha, **poses, **checked_fields(self, (len(alpha), 6), len(alpha)))
 
     def phi(self, x: Floats) -> Floats:
         """Activation Phi of twists ``(..., 6)``: the whole twist, scaled by tanh(||omega||)/||omega||; unchecked."""

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.network.base import as_rates, as_strengths
+from lieednn_sim.network.base import as_rates, as_strengths, checked_fields
 from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
 from lieednn_sim.theory import groups
 from lieednn_sim.theory.matrix_group import MatrixLieGroup, as_numbers
@@ -69,20 +69,11 @@ class GroupLieEDNN(ComponentwiseNetwork):
         n, d = len(alpha), self.group.dimension
         theta = as_numbers("theta", self.theta, (n, n, self.group.size, self.group.size))
         if outside := np.count_nonzero(~self.group.contains(theta)):
-            raise InputError(
-                f"theta must hold elements of {self.group.name}, {outside} of {n * n} are none; "
-                "`project_to_adjoint` of the group finds the nearest"
-            )
-        diagonal = self.lyapunov_diagonal
-        set_fields(
-            self,
-            alpha=alpha,
-            theta=np.array(theta, dtype=self.group.basis.dtype),
-            bias=as_floats("bias", self.bias, (n, d)),
-            **as_rates(self.gamma, self.mu),
-            activation=as_activation(self.activation),
-            lyapunov_diagonal=None if diagonal is None else as_floats("lyapunov_diagonal", diagonal, (n * d,)),
-        )
+            wrong = f"theta must hold elements of {self.group.name}, {outside} of {n * n} are none"
+            raise InputError(f"{wrong}; `project_to_adjoint` of the group finds the nearest")
+        theta = np.array(theta, dtype=self.group.basis.dtype)
+        shared, activation = checked_fields(self, (n, d)), as_activation(self.activation)
+        set_fields(self, alpha=alpha, theta=theta, **shared, activation=activation)
 
     @cached_property
     def blocks(self) -> Floats:
@@ -110,9 +101,8 @@ def complex_network(
     Raises:
         InputError: wrong shapes, or entries that are not finite.
     """
-    return _network(
-        groups.group("C^x"), _components("weights", weights), _components("bias", bias), gamma, mu, activation
-    )
+    parts = _components("weights", weights), _components("bias", bias)
+    return _network(groups.group("C^x"), *parts, gamma, mu, activation)
 
 
 def quaternion_network(
@@ -156,12 +146,12 @@ def _network(
     algebra: MatrixLieGroup, weights: ArrayLike, bias: ArrayLike, gamma: float, mu: float, activation: str
 ) -> GroupLieEDNN:
     size = algebra.size
-    parts = as_floats("weights", weights, ("N", "N", size))
-    n = len(parts)
+    given = as_floats("weights", weights, ("N", "N", size))
+    n = len(given)
     if n == 0:
         raise InputError("weights must have N >= 1 rows and columns, got none")
     rates = as_rates(gamma, mu)
-    modulus = np.linalg.norm(parts, axis=-1)
+    modulus = np.linalg.norm(given, axis=-1)
     # s, a power of two so that it rounds nothing: the blocks of the other coordinates are orthogonal times alpha, so
     # their matrix is bounded by ||alpha||_2.
     needed = 2.0 * rates["mu"] / rates["gamma"] * float(np.linalg.norm(modulus, 2))
@@ -169,16 +159,9 @@ def _network(
     theta = np.broadcast_to(np.eye(size + 1), (n, n, size + 1, size + 1)).copy()
     linked = modulus > 0.0
     # The Lie algebra of C^x is C itself, with basis 1, i, and that of H^x is H: `hat` is the matrix of the product.
-    theta[linked, :size, :size] = scale * algebra.hat(parts[linked] / modulus[linked][:, None])
-    return GroupLieEDNN(
-        groups.affine(algebra),
-        modulus / scale,
-        theta,
-        _embed(as_floats("bias", bias, (n, size))),
-        gamma=rates["gamma"],
-        mu=rates["mu"],
-        activation=activation,
-    )
+    theta[linked, :size, :size] = scale * algebra.hat(given[linked] / modulus[linked][:, None])
+    parts = modulus / scale, theta, _embed(as_floats("bias", bias, (n, size)))
+    return GroupLieEDNN(groups.affine(algebra), *parts, rates["gamma"], rates["mu"], activation)
 
 
 def _embed(components: Floats) -> Floats:

@@ -61,9 +61,7 @@ class MatrixLieGroup:
         worst = np.unravel_index(np.argmax(outside), outside.shape)
         if outside[worst] > _TOLERANCE * (1.0 + np.linalg.norm(commutators[worst])):
             pair = " and ".join(f"E_{k + 1}" for k in worst)
-            raise InputError(
-                f"the basis of {self.name} spans no Lie algebra: the commutator of {pair} lies outside its span"
-            )
+            raise InputError(f"the basis of {self.name} spans no Lie algebra: the commutator of {pair} lies outside")
 
     @property
     def dimension(self) -> int:
@@ -95,9 +93,8 @@ class MatrixLieGroup:
         coordinates = self._coordinates(array)
         outside = self._outside(array, coordinates)
         if (outside > 1.0).any():
-            raise InputError(
-                f"matrix must lie in the Lie algebra of {self.name}, got one off by {outside.max() * _TOLERANCE:.1e}"
-            )
+            off = outside.max() * _TOLERANCE
+            raise InputError(f"matrix must lie in the Lie algebra of {self.name}, got one off by {off:.1e}")
         return coordinates
 
     def exp(self, x: ArrayLike) -> Matrices:
@@ -215,9 +212,8 @@ class MatrixLieGroup:
     def _outside(self, matrix: Matrices, coordinates: Floats) -> Floats:
         """Distance from the algebra in units of the tolerance."""
         rest = matrix - np.tensordot(coordinates, self.basis, axes=1)
-        return np.asarray(np.linalg.norm(rest, axis=(-2, -1)), np.float64) / (
-            _TOLERANCE * (1.0 + np.linalg.norm(matrix, axis=(-2, -1)))
-        )
+        size, off = (np.linalg.norm(array, axis=(-2, -1)) for array in (matrix, rest))
+        return np.asarray(off, np.float64) / (_TOLERANCE * (1.0 + size))
 
     def _basis_commutators(self) -> Matrices:
         products = self.basis[:, None] @ self.basis
@@ -239,9 +235,8 @@ def as_numbers(name: str, value: ArrayLike, shape: tuple[int | str, ...], *, bat
     if not is_complex:
         # `as_floats` also reports what is not an array of numbers at all.
         return as_floats(name, value, shape, batched=batched).copy()
-    return as_floats(name, array.real, shape, batched=batched) + 1j * as_floats(
-        name, array.imag, shape, batched=batched
-    )
+    real, imaginary = (as_floats(name, part, shape, batched=batched) for part in (array.real, array.imag))
+    return real + 1j * imaginary
 
 
 def _real_parts(matrix: Matrices) -> Floats:

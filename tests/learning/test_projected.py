@@ -248,7 +248,7 @@ def test_progress_is_reported():
         ({"projection": "best"}, "no projection 'best'; allowed: block-wise, exact, none, scaled"),
         ({"period": 0}, "period must be at least 1"),
         ({"tolerance": -1.0}, "tolerance must be positive"),
-        ({"initial_rate": 1.0}, "initial_rate must lie between min_rate 0.002 and max_rate 0.2"),
+        ({"initial_rate": 1.0}, "initial_rate must be from min_rate 0.002 to max_rate 0.2"),
         ({"shrink": 1.5}, "shrink must be below 1"),
         ({"restarts": -1}, "restarts must be at least 0"),
     ],

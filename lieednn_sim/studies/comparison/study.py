@@ -72,13 +72,7 @@ def load_arm(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] 
 
 
 def arm_and_target(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] = ()) -> tuple[Arm, Floats]:
-    """The arm, and a random target ``(n,)`` for its scene; the same for every planner.
-
-    Raises:
-        FileError: a file no longer exists.
-        InputError: the arm or scene is unknown, or they do not fit together.
-        NoSolutionError: no target was found.
-    """
+    """The arm, and a random target ``(n,)`` for its scene, the same for every planner; raises as these two."""
     result = _arm_and_target(name, scene, seed, tuple(user_files))
     if isinstance(result, LieEDNNError):
         raise result
@@ -329,14 +323,9 @@ def settings_of(table: Table[Row]) -> Settings:
 def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike[str]]) -> Table[Row]:
     """Add the rows of other comparisons, such as the shards of one, to the table in a directory.
 
-    Args:
-        directory: created if it is missing; it may hold rows already, which stay.
-        folders: directories of the other tables, which may be incomplete or still grow.
-
-    Raises:
-        InputError: there are no folders.
-        FileError: a folder holds no comparison, or those of the folders differ in settings, versions, arms or scenes,
-            or disagree on a row; see `Table.merge`. The rows of the folders before it are kept.
+    The directory is created if it is missing; it may hold rows already, which stay. The folders of the other tables may
+    be incomplete or still grow. `FileError` if one holds no comparison, or cannot be merged (see `Table.merge`); the
+    rows of the folders before it are kept.
     """
     if not folders:
         raise InputError("there is nothing to merge: give the folders of other comparisons")

@@ -121,17 +121,15 @@ def compare_models(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[list[ModelRow], dict[str, MotionModel]]:
-    """Compare a shaped network with models that have as many parameters.
+    """Compare a network shaped by all demonstrations with models that have as many parameters.
 
     Args:
-        demonstrations: the demonstrations.
-        shaped: the network fitted to all of them.
+        demonstrations, shaped: the demonstrations and the network.
         rivals: names of `RIVALS`; by default all.
         aligned: if goals are kept, the same demonstrations with aligned goals: rivals know one goal. An error is the
             same seen from either.
-        starts: number of random starts, see `random_starts`.
+        starts, seed: number and seed of random starts, see `random_starts`.
         leave_one_out: fit each model again without each of the demonstrations, the network with as many hidden neurons.
-        seed: seed of the starts.
         progress: called with the steps done and their total.
 
     Returns:

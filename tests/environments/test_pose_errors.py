@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.environments.frames import pose_error_twists
+from lieednn_sim.environments.observations import pose_error_twists
 from lieednn_sim.environments.tasks import tail
 
 
