@@ -34,6 +34,9 @@ from lieednn_sim.values import Floats
 _TOUCHING = 1e-6
 # Configurations whose pairs of geoms are in memory at once.
 _AT_ONCE = 32
+# Where joints may bring more pairs than this together, by up to more than a distance [m], none is measured: a bound
+# would not suffice for all of them.
+_CROWDED, _WIDE = 200, 0.1
 
 
 class ClearanceBounds:
@@ -71,7 +74,7 @@ class ClearanceBounds:
         self._ball_joints = joints[arm.space.ball_rate_addresses[:, 0]] if len(self._balls) else np.zeros(0, int)
         moves = [arm.moved_by(body)[model.jnt_dofadr] for body in model.geom_bodyid]
         self._moves = np.array(moves, dtype=bool).reshape(model.ngeom, model.njnt)
-        self._hulls, self._round = _hulls(model)
+        self._hulls, self._counts, self._round = _hulls(model)
         self._radius = np.linalg.norm(self._hulls, axis=-1).max(axis=1) + self._round
         self._first, self._second = self._collisions.pairs.T
 
@@ -97,7 +100,8 @@ class ClearanceBounds:
         steps = self._displacements(np.stack([np.abs(path) + rest[:, 0], rest[:, 1], each]))
         if len(self._balls):
             steps[2][:, self._ball_joints] = each[:, self._balls[:, 0]]
-        at, pairs, free, gap, slope, square = self._rows(q, path, rest, spread, steps, steps[0] + most * steps[2], 0.0)
+        widest = steps[0] + most * steps[2]
+        at, pairs, free, gap, slope, square, _ = self._rows(q, path, rest, spread, steps, widest, 0.0, np.inf)
         corners = _largest(free, slope, square[:, None]).min(axis=-1)
         found = np.maximum(corners, _largest(gap, slope.max(axis=-1, initial=0.0), square))
         whole, _ = _least(found.min(axis=0), at, pairs, len(q), most)
@@ -107,7 +111,8 @@ class ClearanceBounds:
     def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
         """Lower bounds ``(I,)`` of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
 
-        They are no larger than the cutoff, and not below -1. The geoms ``(I, 2)`` are those of the bound, or -1.
+        They are no larger than the cutoff, and not below -1, as where too much may come near for a bound to be worth
+        its cost. The geoms ``(I, 2)`` are those of the bound, or -1.
 
         Args:
             q: ``(I, n)`` configurations.
@@ -121,19 +126,29 @@ class ClearanceBounds:
             return np.concatenate(bounds), np.concatenate(limiting)
         steps = self._displacements(np.stack([np.abs(path) + rest, 0.0 * rest, 0.0 * rest]))
         rests, still = np.stack([rest, 0.0 * rest], axis=1), np.zeros((len(q), len(self._members)))
-        at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)
+        at, pairs, free, gap, _, _, crowded = self._rows(q, path, rests, still, steps, steps[0], cutoff, _CROWDED)
         found = np.maximum(np.maximum(free[0].min(axis=-1, initial=cutoff), gap[0]), -1.0)
-        return _least(found, at, pairs, len(q), cutoff)
+        bound, nearest = _least(found, at, pairs, len(q), cutoff)
+        return np.where(crowded, -1.0, bound), nearest
 
     def _rows(
-        self, q: Floats, path: Floats, rest: Floats, spread: Floats, steps: Floats, widest: Floats, cutoff: float
-    ) -> tuple[NDArray[np.int_], Pairs, Floats, Floats, Floats, Floats]:
+        self,
+        q: Floats,
+        path: Floats,
+        rest: Floats,
+        spread: Floats,
+        steps: Floats,
+        widest: Floats,
+        cutoff: float,
+        most: float,
+    ) -> tuple[NDArray[np.int_], Pairs, Floats, Floats, Floats, Floats, NDArray[np.bool_]]:
         """Pairs of geoms that displacements ``widest`` ``(I, J)`` of the joints could bring nearer than a cutoff.
 
         Returns:
             Which configuration each is at, ``(P,)``; its geoms; what is left by corners, ``(2, P, V)``, and in all,
             ``(2, P)``, with the path and without it, less what deviations of scale s take: ``(P, V)`` times s and
-            ``(P,)`` times its square.
+            ``(P,)`` times its square. At last at which configurations ``(I,)`` there are more pairs than ``most``,
+            which are then left out.
         """
         qpos = self._arm.qpos(q)
         place = _Places(self._arm.model, self._data, qpos)
@@ -141,8 +156,12 @@ class ClearanceBounds:
         reach = np.where(self._turns, levers, 1.0) * self._moves
         table = (reach * widest[:, None]) @ ~self._moves.T
         moved = table[:, self._first, self._second] + table[:, self._second, self._first]
-        at, index, gaps, points = self._collisions.separations_near(
-            qpos, place.geoms, place.turns, moved + (cutoff + self._margin)
+        at, index, gaps, points, crowded = self._collisions.separations_near(
+            qpos,
+            place.geoms,
+            place.turns,
+            moved + (cutoff + self._margin),
+            np.where(moved.max(axis=1, initial=0.0) > _WIDE, most, np.inf),
         )
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
         margin = self._margin + self._collisions.offsets(pairs)
@@ -168,7 +187,7 @@ class ClearanceBounds:
         hollow = (self._arm.model.geom_type[pairs] == int(mujoco.mjtGeom.mjGEOM_HFIELD)).any(axis=1)
         free[:, hollow], gap[0, hollow] = -np.inf, (gaps - margin)[hollow] - moved[at, index][hollow]
         gap[1, hollow] = gap[0, hollow]
-        return at, pairs, free, gap, slope, square
+        return at, pairs, free, gap, slope, square, crowded
 
     def names(self, pair: tuple[int, int]) -> tuple[str, str]:
         """Names of two geoms."""
@@ -189,19 +208,18 @@ class ClearanceBounds:
         swapped = self._moves[pairs].sum(axis=2) @ [1, -1] > 0
         normals[swapped] *= -1.0
         pairs = np.where(swapped[:, None], pairs[:, ::-1], pairs)
-        planes = self._arm.model.geom_type[pairs[:, 0]] == mujoco.mjtGeom.mjGEOM_PLANE
+        planes = self._arm.model.geom_type[pairs[:, 0]] == int(mujoco.mjtGeom.mjGEOM_PLANE)
         normals[planes] = place.turns[at[planes], pairs[planes, 0], :, 2]
         return pairs, normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
 
-    def _points(self, place: _Places, at: NDArray[np.int_], geoms: NDArray[np.int_]) -> Floats:
-        """Corners ``(P, V, 3)`` of the hulls of geoms."""
-        turned = self._hulls[geoms] @ np.swapaxes(place.turns[at, geoms], -1, -2)
-        return np.asarray(place.geoms[at, geoms][:, None] + turned)
+    def _points(self, geoms: NDArray[np.int_]) -> Floats:
+        """Corners ``(P, V, 3)`` of the hulls of geoms in their frames, as many as the one with the most has."""
+        return self._hulls[geoms, : self._counts[geoms].max(initial=1)]
 
     def _support(self, place: _Places, at: NDArray[np.int_], geoms: NDArray[np.int_], normals: Floats) -> Floats:
         """How far geoms reach along normals, ``(P,)``."""
-        points = self._points(place, at, geoms)
-        return np.asarray((points @ normals[..., None])[..., 0].max(axis=1) + self._round[geoms])
+        within = np.matvec(self._points(geoms), np.vecmat(normals, place.turns[at, geoms])).max(axis=1)
+        return np.asarray(np.vecdot(place.geoms[at, geoms], normals) + within + self._round[geoms])
 
     def _corners(
         self,
@@ -221,7 +239,8 @@ class ClearanceBounds:
             Their places along the normals, ``(P, V)``; how far they move along them, to first order, by path and rests,
             ``(2, P, V)``, and by the deviation, ``(P, V)``; and the longest lever arms ``(P, J)``.
         """
-        points, ahead = self._points(place, at, geoms), normals[:, None]
+        turned = self._points(geoms) @ np.swapaxes(place.turns[at, geoms], -1, -2)
+        points, ahead = place.geoms[at, geoms][:, None] + turned, normals[:, None]
         axes, anchors = place.axes[:, self._joints], place.anchors[:, self._joints]
         if self._is_ball.any():
             axes = place.ball_axes(self._arm.model, axes)
@@ -327,8 +346,11 @@ def _largest(free: Floats, slope: Floats, bent: Floats) -> Floats:
     return np.where(free > 0.0, np.where(np.isnan(result), np.inf, result), 0.0)
 
 
-def _hulls(model: mujoco.MjModel) -> tuple[Floats, Floats]:
-    """Corners ``(G, V, 3)`` in the geoms' frames, and radii ``(G,)`` of balls: each geom is inside their sum."""
+def _hulls(model: mujoco.MjModel) -> tuple[Floats, NDArray[np.int_], Floats]:
+    """Corners ``(G, V, 3)`` in the geoms' frames, numbers ``(G,)`` of them, after which they recur, and radii ``(G,)``.
+
+    Each geom is inside the sum of its corners' hull and a ball.
+    """
     sides = 12  # of the prism around a cylinder
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], axis=1) / np.cos(np.pi / sides)
@@ -337,6 +359,7 @@ def _hulls(model: mujoco.MjModel) -> tuple[Floats, Floats]:
     box = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
     segment = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     hulls, radii = np.zeros((model.ngeom, len(prism), 3)), np.zeros(model.ngeom)
+    counts = np.zeros(model.ngeom, dtype=int)
     kinds = mujoco.mjtGeom
     for geom in range(model.ngeom):
         kind, size, center = model.geom_type[geom], model.geom_size[geom], model.geom_aabb[geom, :3]
@@ -350,5 +373,5 @@ def _hulls(model: mujoco.MjModel) -> tuple[Floats, Floats]:
             corners = np.zeros((1, 3))
         else:
             corners = center + box * model.geom_aabb[geom, 3:]
-        hulls[geom] = corners[np.arange(len(prism)) % len(corners)]
-    return hulls, radii
+        hulls[geom], counts[geom] = corners[np.arange(len(prism)) % len(corners)], len(corners)
+    return hulls, counts, radii

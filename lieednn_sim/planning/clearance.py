@@ -147,6 +147,8 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     cubics = Cubics(step, q, qd)
     begin, end = _edges(len(t) - 1)
     tested = 0
+    # Most motions that touch something do so here, and a test costs a fiftieth of a bound.
+    _test(arm, step, cubics, begin)
     while len(begin):
         check_time()
         if isinstance(bounds, str) or tested > _MOST + len(t) // 4:

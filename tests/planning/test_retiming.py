@@ -12,12 +12,13 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, LieEDNNError, TooFastError
 from lieednn_sim.planning import plan, retime
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along
+from lieednn_sim.planning.joint_space import travelled
 from lieednn_sim.planning.motion import check_motion, least_duration
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.time_laws import eased_law, minimum_jerk_law
 from lieednn_sim.registry import DEFAULT_ARMS
 
-pytest.importorskip("toppra")
+toppra = pytest.importorskip("toppra")
 
 
 def rates(arm, motion):
@@ -172,6 +173,23 @@ def test_a_turn_is_sharp_from_ten_lengths_over_the_squared_duration_on(gantry):
             assert (law is None) == (bound < 10.0)
     with_units, without = (eased_law(one, minimum_jerk_law, u) for one, u in ((stretched, units), (motion, np.ones(4))))
     np.testing.assert_allclose(with_units(motion.t / 4.0), without(motion.t / 4.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("radius", [0.004, 0.02, 0.4])
+def test_a_turn_of_any_radius_is_taken_in_the_least_time(gantry, radius):
+    """As by TOPP-RA on two thousand pieces of equal length, of which some eight are in the sharpest turn."""
+    motion, _ = turning(gantry, radius)
+    path = toppra.SplineInterpolator(travelled(motion.q), motion.q)
+    velocity, acceleration = (x[:, None] * [-1.0, 1.0] for x in (gantry.velocity_limits, gantry.acceleration_limits))
+    constraints = [
+        toppra.constraint.JointVelocityConstraint(velocity),
+        toppra.constraint.JointAccelerationConstraint(acceleration),
+    ]
+    grid = np.linspace(0.0, path.duration, 2001)
+    _, rate, _ = toppra.algorithm.TOPPRA(constraints, path, grid, "seidel").compute_parameterization(0.0, 0.0)
+    least = float(np.sum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
+    found = retime(gantry, motion)
+    assert least <= found.t[-1] + gantry.timestep <= 1.03 * least + 2.0 * gantry.timestep
 
 
 def test_a_straight_way_has_no_turns_however_sharply_it_accelerates(gantry):
