@@ -29,8 +29,9 @@ def tangent_basis(space: Coordinates) -> Floats:
     zero, and those of coupled stages are multiples of their leaders'. Its transpose turns generalised forces ``(nv,)``
     into forces along the coordinates; for ball joints, along the axes of the moving body.
     """
-    rates = np.eye(len(space))
-    return space.to_qvel(np.zeros_like(rates), rates).T
+    basis = space.rates.copy(order="F")
+    basis[space.ball_rate_addresses, space.balls] = 1.0
+    return basis
 
 
 def disabled_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:

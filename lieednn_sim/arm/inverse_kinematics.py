@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
+import daqp
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
+from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.regions import TaskSpaceRegion
 from lieednn_sim.errors import InputError, NoSolutionError
-from lieednn_sim.lie import hat, transforms
+from lieednn_sim.lie import transforms
 from lieednn_sim.validation import Seed, as_floats, as_generator
 from lieednn_sim.values import Floats
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 _TOLERANCE = 1e-6
 # Attempts, unless one comes near a solution and several are wanted.
 _ATTEMPTS = 8
+# Steps of an attempt. An error beyond this length [m, rad] counts as one of it, as if the goal were drawn nearer.
+_STEPS, _FAR = 60, 3.0
 
 
 def solve_ik(
@@ -93,27 +96,35 @@ def ik_candidates(
 
 
 class _Point:
-    """A position of the end effector, with an orientation or without: errors and slopes as of a region."""
+    """A position of the end effector, with an orientation or without: its error.
+
+    Attributes:
+        size: number of the error's entries; the derivatives of these are the end effector's Jacobian, [v; omega]. That
+            of a rotation vector differs from it by terms that vanish at the goal, and has the same product with it.
+    """
 
     def __init__(self, position: ArrayLike, rotation: Rotation | None) -> None:
         self._place = as_floats("position", position, (3,))
         # No arm reaches further, and squares stay far from overflow.
         if np.abs(self._place).max() > 1e6:
             raise InputError(f"position must be within 1e+06 m of the origin, got {np.abs(self._place).max():g} m")
-        self._rotation = rotation
+        self._rotation, self.size = rotation, 3 if rotation is None else 6
+        self._quaternion = None if rotation is None else rotation.as_quat(scalar_first=True)
 
     def error(self, place: Floats, turn: Floats) -> Floats:
-        """Zero at the goal, for a position ``(3,)`` and a matrix ``(3, 3)`` of the end effector."""
-        if self._rotation is None:
-            return place - self._place
-        return np.concatenate([place - self._place, (self._rotation.as_matrix().T @ turn - np.eye(3)).ravel()])
+        """Zero at the goal: the offset from it [m] and, with an orientation, the rotation vector from it, world [rad].
 
-    def slopes(self, turn: Floats, linear: Floats, angular: Floats) -> Floats:
-        """Derivatives ``(E, n)`` of the error, from those ``(3, n)`` of the position and the rotation."""
-        if self._rotation is None:
-            return linear
-        turned = self._rotation.as_matrix().T @ hat(angular.T) @ turn
-        return np.vstack([linear, turned.reshape(-1, 9).T])
+        Args:
+            place: position ``(3,)`` of the end effector.
+            turn: its rotation ``(3, 3)``.
+        """
+        away = place - self._place
+        if self._quaternion is None:
+            return away
+        quaternion, turned = np.empty(4), np.empty(3)
+        mujoco.mju_mat2Quat(quaternion, turn.ravel())
+        mujoco.mju_subQuat(turned, self._quaternion, quaternion)
+        return np.concatenate([away, -turn @ turned])
 
     def __str__(self) -> str:
         place = ", ".join(f"{x:g}" for x in self._place)
@@ -141,7 +152,7 @@ class _Search:
         self._arm, self._goal, self._path_constraint, self._start = arm, goal, path_constraint, start
         # Solutions are sought a little inside of a region, so that they are in it.
         self._regions = [r.within(2.0 * _TOLERANCE) for r in (goal, path_constraint) if isinstance(r, TaskSpaceRegion)]
-        self._data, self._tip = mujoco.MjData(arm.model), arm.frames[-1:]
+        self._data, self._tip, self._basis = arm.moving_data, arm.frames[-1:], tangent_basis(arm.space)
 
     def solutions(
         self, seed: Seed, attempts: int, *, several: bool, progress: Callable[[int, int], None] | None = None
@@ -156,8 +167,7 @@ class _Search:
             if progress is not None:
                 progress(attempt, attempts)
             q = self._start if attempt == 0 else rng.uniform(low, high)
-            q = self._descend(q, q if several else self._start)
-            distance = float(np.abs(self._error(q)).max())
+            q, distance = self._descend(q, q if several else self._start)
             if distance < _TOLERANCE:
                 refusal = self._refusal(q)
                 if not refusal:
@@ -172,50 +182,68 @@ class _Search:
         if not solved:
             raise NoSolutionError(self._failure(closest, refused))
 
-    def _error(self, q: Floats) -> Floats:
-        """Zero at solutions, for joint coordinates ``(n,)``."""
-        place, turn = self._move(q)
+    def _error(self) -> Floats:
+        """Zero at solutions, ``(E,)``, at the positions in the data, to which the end effector is moved."""
+        mujoco.mj_kinematics(self._arm.model, self._data)
+        place, turn = self._pose
         parts = [self._goal.error(place, turn)] if isinstance(self._goal, _Point) else []
         return np.concatenate([*parts, *(region.excess(transforms(turn, place)) for region in self._regions)])
 
-    def _slopes(self, q: Floats) -> Floats:
-        """Derivatives ``(E, n)`` of the error."""
-        arm, data = self._arm, self._data
-        place, turn = self._move(q)
+    def _slopes(self) -> Floats:
+        """Derivatives ``(E, n)`` of the error where the end effector is; ball joints turn about the body's axes."""
+        arm, data, jacobian = self._arm, self._data, np.empty((2, 3, self._arm.model.nv))
         mujoco.mj_comPos(arm.model, data)
-        linear, angular = self._tip.jacobian(arm.model, data, 0)
-        to_rates = arm.space.to_qvel(q, np.eye(arm.n_joints)).T
-        linear, angular = linear @ to_rates, angular @ to_rates
-        parts = [self._goal.slopes(turn, linear, angular)] if isinstance(self._goal, _Point) else []
-        twist = np.vstack([angular, linear])
-        return np.vstack([*parts, *(region.excess_slopes(transforms(turn, place)) @ twist for region in self._regions)])
+        self._tip.jacobian(arm.model, data, 0, jacobian)
+        slopes = jacobian.reshape(6, -1) @ self._basis
+        parts = [slopes[: self._goal.size]] if isinstance(self._goal, _Point) else []
+        if self._regions:
+            (place, turn), twist = self._pose, np.roll(slopes, 3, axis=0)
+            parts += [region.excess_slopes(transforms(turn, place)) @ twist for region in self._regions]
+        return np.vstack(parts)
 
-    def _move(self, q: Floats) -> tuple[Floats, Floats]:
+    @property
+    def _pose(self) -> tuple[Floats, Floats]:
         """Position ``(3,)`` and rotation ``(3, 3)`` of the end effector."""
-        # Of the chain alone: other joints do not move the end effector.
-        self._data.qpos[:] = self._arm.space.to_qpos(q)
-        mujoco.mj_kinematics(self._arm.model, self._data)
-        places, turns = self._tip.poses(self._data.xpos, self._data.xmat)
-        return places[0], turns[0]
+        (place,), (turn,) = self._tip.poses(self._data.xpos, self._data.xmat)
+        return place, turn
 
-    def _descend(self, q: Floats, near: Floats) -> Floats:
-        """The joint coordinates of least error next to ``q``, and of those that are equally good, near others."""
-        (low, high), spread = self._arm.position_limits.T, self._arm.ranges
-        # First with a pull that picks one of the many solutions of a redundant arm; then without it, for an exact one.
-        for weight in (1e-3, 0.0):
-            pull = np.diag(weight / spread)
-            q = scipy.optimize.least_squares(
-                lambda x, pull=pull: np.concatenate([self._error(x), pull @ (x - near)]),
-                np.clip(q, low + 1e-9 * spread, high - 1e-9 * spread),
-                jac=lambda x, pull=pull: np.vstack([self._slopes(x), pull]),
-                bounds=(low, high),
-                x_scale=spread,
-                xtol=1e-12,
-                ftol=1e-12,
-                gtol=1e-12,
-                max_nfev=200,
-            ).x
-        return q
+    def _descend(self, q: Floats, near: Floats) -> tuple[Floats, float]:
+        """The joint coordinates of least error next to ``q``, drawn near others on the way; and their largest error.
+
+        Levenberg-Marquardt steps in units of the joints' ranges, within the limits, each the optimum of a quadratic
+        program. The damping is the squared error (Sugihara, IEEE Trans. Robotics 27(5), 2011), so that convergence is
+        quadratic at solutions.
+        """
+        arm, (low, high), spread = self._arm, self._arm.position_limits.T, self._arm.ranges
+        none, kinds, diagonal = np.zeros((0, len(q))), np.zeros(len(q), dtype=np.int32), np.diag_indices(len(q))
+        q, distance, data = np.clip(q, low, high), np.inf, self._data
+        # Of the chain alone: other joints do not move the end effector.
+        data.qpos[:] = arm.space.to_qpos(q)
+        for _ in range(_STEPS):
+            error = self._error()
+            distance, square = float(np.abs(error).max()), float(error @ error)
+            if distance < _TOLERANCE:
+                break
+            if square > _FAR**2:
+                error, square = error * (_FAR / np.sqrt(square)), _FAR**2
+            slopes = self._slopes() * spread
+            hessian, gradient, damping = slopes.T @ slopes, slopes.T @ error, square + 1e-9
+            hessian[diagonal] += damping
+            # Of the many solutions of a redundant arm, one that is near: until it is close, part of the damping is from
+            # there. Without that, the last steps lead to the next solution.
+            if square > 1e-4:
+                gradient += 0.3 * damping * (q - near) / spread
+            step, *_ = daqp.solve(hessian, gradient, none, (high - q) / spread, (low - q) / spread, kinds)
+            left = error + slopes @ step
+            # No solution lies ahead where a step leaves nearly all of the error.
+            if square - left @ left < 1e-3 * square:
+                break
+            mujoco.mj_integratePos(arm.model, data.qpos, self._basis @ (spread * step), 1.0)
+            moved = arm.space.from_qpos(data.qpos)
+            q = np.clip(moved, low, high)
+            if (q != moved).any():
+                data.qpos[:] = arm.space.to_qpos(q)
+        return q, distance
 
     def _refusal(self, q: Floats) -> str:
         """Why the arm cannot be at a solution ``(n,)``; empty if it can."""
