@@ -17,7 +17,9 @@ Before a time t_r at which the arm must rest, p <= (2 c (t_r - t))^(1/2), with t
 To a new target it goes straight if that is clear. Where something is in the way, on the path ahead or on the way to a
 new target, the arm slows down so as to rest before the first blocked sample, while RRT-Connect searches for a path from
 where it can rest. If there is none, the arm waits there, and the search is made again. Obstacles are where they were
-last seen, or where they soon will be as they move: that nothing touches is only checked, at samples of the path.
+last seen, or where they soon will be as they move. A path that is searched for is proved to be clear of them there, as
+every planned motion; that straight motions and transitions onto paths are, which a period has no time to prove, is only
+checked, at samples.
 """
 
 from __future__ import annotations
