@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import SCALAR
-from lieednn_sim.arm.equalities import (
-    EXACT,
-    Indices,
-    Residuals,
-    dof_addresses,
-    names,
-    position_addresses,
-    turns,
-)
+from lieednn_sim.arm.equalities import EXACT, Indices, Residuals, dof_addresses, names, position_addresses, turns
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.values import Floats
 
@@ -31,8 +23,7 @@ LARGEST_TURN, LEAST_STEP = 0.5, 1e-3
 GRID_TURN, GRID_SLIDE, GRID_SIZE = 0.25, 0.05, 4096
 
 
-@dataclass(frozen=True, eq=False)
-class _Solution:
+class _Solution(NamedTuple):
     """A configuration ``(nq,)`` that closes the loops, and the Jacobian ``(E, nv)`` of their residual there."""
 
     qpos: Floats

@@ -92,11 +92,8 @@ class Dependents:
             self._find_lines(qpos, sorted(looped))
         self.has_loops = self._loops is not None
         self.linear = not equalities and all(len(follower.coefficients) <= 2 for follower in self._followers)
-        self.coupling: Floats | None = None
-        self.offset: Floats | None = None
-        self.rates: Floats | None = None
-        if self.linear:
-            self.coupling, self.offset, self.rates = self._affine(qpos)
+        affine: Sequence[Floats | None] = self._affine(qpos) if self.linear else (None, None, None)
+        self.coupling, self.offset, self.rates = affine
 
     def to_qpos(self, qpos: Floats, *, strict: bool = True) -> Floats:
         """Rows ``(..., nq)`` with the independent joints set to rows with the dependent joints solved; others stay.

@@ -23,7 +23,7 @@ from lieednn_sim.cli.run_directory import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
 from lieednn_sim.registry import CONTROLLERS
-from lieednn_sim.rendering.video import check_rate, check_view, render_video
+from lieednn_sim.rendering.video import render_video
 from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_choice
@@ -204,12 +204,6 @@ class Simulating:
         for push in pushes:
             push.body_id(arm, arm.model)
         return replace(self.disturbances, pushes=pushes)
-
-
-def check_look(arm: Arm, look: Look) -> None:
-    """Check the look of a video before any work."""
-    check_view(arm, **still_look(look))
-    check_rate(look.get("fps", 30), "video.mp4")
 
 
 def still_look(look: Look) -> dict[str, Any]:

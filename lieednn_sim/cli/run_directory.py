@@ -122,12 +122,6 @@ class RunDirectory:
         self.metrics_csv = self.path / "metrics.csv"
 
     @property
-    def files(self) -> list[Path]:
-        """All files that a run may hold."""
-        named = [path for name, path in vars(self).items() if isinstance(path, Path) and name != "path"]
-        return named + self._plots_of(*_PLOTS)
-
-    @property
     def results(self) -> list[Path]:
         """Files made from a rollout, which are outdated when there is a new one."""
         plots = self._plots_of(*_PLOTS[3:])
@@ -205,7 +199,8 @@ class RunDirectory:
             task = replace(task, motion=task.fingerprint(motion))
         given: dict[Path, Any] = {self.network: network, self.motion: motion, self.history: history, self.task: task}
         items = {path: item for path, item in given.items() if item is not None}
-        with io.atomic_paths(list(items), [self.task, *self.files]) as temporaries:
+        named = [path for name, path in vars(self).items() if isinstance(path, Path) and name != "path"]
+        with io.atomic_paths(list(items), [self.task, *named, *self._plots_of(*_PLOTS)]) as temporaries:
             for item, temporary in zip(items.values(), temporaries, strict=True):
                 item.save(temporary)
         return [self.task, *(path for path in items if path != self.task)]

@@ -120,11 +120,9 @@ def run_case(
             error.add_note(f"while planning the case {case}")
             raise
         planned = {"planning_s": cpu_time() - start, **_stability(plan.network)}
-        planned |= _measured(motion_metrics(arm, plan.motion))
-        clearance = plan.clearance
-        planned["proved_fraction"] = clearance.proved_fraction
-        if clearance.bound > 0.0:
-            planned["proved_clearance_mm"] = 1e3 * clearance.bound
+        planned |= {**_measured(motion_metrics(arm, plan.motion)), "proved_fraction": plan.clearance.proved_fraction}
+        if plan.clearance.bound > 0.0:
+            planned["proved_clearance_mm"] = 1e3 * plan.clearance.bound
         with contextlib.suppress(LieEDNNError):  # the plan has no tube
             planned["tube_mm"] = 1e3 * find_tube(arm, plan).size
         rows = []
@@ -166,8 +164,8 @@ def _stability(network: Any) -> dict[str, Any]:
     if network is None:
         return {"stability": "-", "stability_level": "-"}
     verdict = network.assess()
-    local = "local" if verdict.level == "local" else "none"
-    return {"stability": "global" if verdict.globally_stable else local, "stability_level": verdict.level}
+    proved = "global" if verdict.globally_stable else "local" if verdict.level == "local" else "none"
+    return {"stability": proved, "stability_level": verdict.level}
 
 
 def _measured(metrics: MotionMetrics | Evaluation) -> dict[str, Any]:
@@ -305,10 +303,9 @@ class Comparison(Study[Row]):
         """See `Study`."""
         cases = sorted(self.cases(), key=lambda case: (case.arm, case.scene, case.seed, -PLANNERS[case.planner].cost))
         jobs = []
-        for case in cases:
-            keys = {name: (case.arm, case.scene, case.planner, name, case.seed) for name in self.controllers}
-            if missing := [name for name, key in keys.items() if key not in table.rows]:
-                jobs.append((case, missing, self.common))
+        for c in cases:
+            names = [n for n in self.controllers if (c.arm, c.scene, c.planner, n, c.seed) not in table.rows]
+            jobs += [(c, names, self.common)] if names else []
         return jobs
 
 
