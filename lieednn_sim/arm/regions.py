@@ -105,9 +105,6 @@ class TaskSpaceRegion:
             tolerance: deviation from it about each axis [rad].
             axis: ``(3,)`` axis of the world about which it may turn freely, which is z of the region's frame; none when
                 omitted.
-
-        Raises:
-            InputError: a value is malformed.
         """
         width = np.full(3, as_nonnegative("tolerance", tolerance, _FARTHEST))
         frame = scipy.spatial.transform.Rotation.identity()

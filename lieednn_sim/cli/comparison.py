@@ -35,9 +35,6 @@ class Shown:
         reactive: number of seeds for a benchmark of policies that are pushed, loaded and given another target.
         views: number of problems that the page shows in 3D, with the motions of several planners.
         date: date to print at the top of the page (default: none).
-
-    Raises:
-        InputError: a number is negative.
     """
 
     reactive: int = 0

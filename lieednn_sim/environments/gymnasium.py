@@ -57,9 +57,6 @@ class Environment(gymnasium.Env[Any, Floats]):
 
     Attributes:
         task: the task.
-
-    Raises:
-        InputError: an argument is malformed.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 (Gymnasium's own)

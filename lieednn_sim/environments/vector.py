@@ -53,9 +53,6 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
 
     Attributes:
         task: the definition of the task; its own episode is not used.
-
-    Raises:
-        InputError: an argument is malformed.
     """
 
     def __init__(

@@ -24,9 +24,6 @@ def project_to_rotation(matrix: ArrayLike) -> Floats:
     It is U diag(1, 1, det(U V^T)) V^T (paper, Lemma "Metric Projection to SO(3)"), where U and V are those of the
     singular value decomposition. A matrix of rank below 2, or with a negative determinant and equal smallest singular
     values, has many nearest rotations; one of them is returned.
-
-    Raises:
-        InputError: wrong shape or entries that are not finite.
     """
     u, _, vt = np.linalg.svd(as_floats("matrix", matrix, (3, 3), batched=True, largest=_LARGEST))
     u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
@@ -58,9 +55,6 @@ def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
 
     Returns:
         Rotations ``(..., 3, 3)`` and translations ``(..., 3)``; `adjoint` puts them together.
-
-    Raises:
-        InputError: wrong shape or entries that are not finite.
     """
     blocks = as_floats("matrix", matrix, (6, 6), batched=True, largest=_LARGEST)
     flat = blocks.reshape(-1, 6, 6)
@@ -108,9 +102,6 @@ def project_to_scaled_adjoint(matrix: ArrayLike) -> tuple[Floats, Floats, Floats
 
     Returns:
         alpha ``(...)``, rotations ``(..., 3, 3)`` and translations ``(..., 3)``.
-
-    Raises:
-        InputError: wrong shape or entries that are not finite.
     """
     blocks = as_floats("matrix", matrix, (6, 6), batched=True, largest=_LARGEST)
     u, singular, vt = np.linalg.svd(0.5 * (blocks[..., :3, :3] + blocks[..., 3:, 3:]))

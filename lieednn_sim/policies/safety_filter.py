@@ -209,9 +209,6 @@ class SafetyFilter:
         arm: the arm, with its obstacles.
         timestep: h, the control step [s].
         options: settings of the filter.
-
-    Raises:
-        InputError: a value is malformed.
     """
 
     def __init__(self, arm: Arm, timestep: float, options: FilterOptions | None = None) -> None:
@@ -248,11 +245,7 @@ class SafetyFilter:
         self.clearance.collisions.move(places)
 
     def step(self, q: ArrayLike, velocity: ArrayLike, wanted: ArrayLike) -> FilterStep:
-        """Velocities at the end of a step that begins at ``q`` with ``velocity``, all ``(n,)``.
-
-        Raises:
-            InputError: a value is malformed.
-        """
+        """Velocities at the end of a step that begins at ``q`` with ``velocity``, all ``(n,)``."""
         n, options = self.arm.n_joints, self.options
         # No arm has larger values; with them the quadratic program could not tell its bounds apart.
         given = {"q": q, "velocity": velocity, "wanted": wanted}

@@ -104,9 +104,6 @@ def synthesize(
     Returns:
         The outcome. If it failed, `network` is None and `message` says whether no such network exists or none was
         found.
-
-    Raises:
-        InputError: a value has the wrong shape or range.
     """
     target = as_floats("xi", xi, ("N", 6))
     _require_neurons(target)
@@ -143,9 +140,6 @@ def synthesize_many(
 
     Returns:
         B outcomes, in the order of the targets; a failure does not affect the others.
-
-    Raises:
-        InputError: a value has the wrong shape or range.
     """
     targets = as_floats("xi", xi, ("B", "N", 6))
     _require_neurons(targets)

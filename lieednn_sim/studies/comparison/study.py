@@ -46,9 +46,6 @@ class Settings:
         hold: time simulated after it [s].
         mass_scale: true masses relative to those that the controller knows.
         time_budget: largest CPU time for planning a case [s].
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     duration: float = 4.0
