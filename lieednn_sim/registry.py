@@ -179,11 +179,7 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         return self[as_choice(self.kind, name, self)]
 
     def register(self, name: str, options: type | None = None) -> Callable[[_Given], _Given]:
-        """Decorator that adds the decorated thing.
-
-        Raises:
-            InputError: its name is taken, or not of lower-case letters, digits and hyphens, or it is not callable.
-        """
+        """Decorator that adds a thing; `InputError` if its name is taken or malformed, or it is not callable."""
 
         def decorate(given: _Given) -> _Given:
             if not _NAME.fullmatch(name):

@@ -114,10 +114,8 @@ class Goal(ChosenArm):
     def start_and_goal(self, arm: Arm, *, place: bool = False) -> tuple[Floats, _Goal]:
         """Joint position of the start, and the goal.
 
-        A position is a joint position with it or, if ``place`` is true, the region of all poses there.
-
-        Raises:
-            InputError: there are several kinds of goals, or one that the arm has not.
+        A position is a joint position with it or, if ``place`` is true, the region of all poses there. `InputError` for
+        several kinds of goals, or one that the arm has not.
         """
         if (self.target is not None) + (self.position is not None) + bool(self.pose) > 1:
             raise InputError("give one of --target, --position and --pose")
@@ -227,11 +225,7 @@ def joint_position(arm: Arm, text: str, what: str) -> Floats:
 
 
 def read_options(options: Any, texts: Sequence[str]) -> Any:
-    """Options of a dataclass with values from ``NAME=VALUE``, or ``NAME.OTHER=VALUE`` for options within options.
-
-    Raises:
-        InputError: there is no such option, or its value is not of its kind.
-    """
+    """Options of a dataclass with values from ``NAME=VALUE``, or ``NAME.OTHER=VALUE``; or `InputError`."""
     known = {entry.name: entry for entry in fields(options)}
     changes: dict[str, Any] = {}
     inner: dict[str, list[str]] = {}

@@ -226,10 +226,7 @@ class SafetyFilter:
     def allow(self, q: ArrayLike) -> None:
         """Reduce margins where ``q`` ``(n,)`` is closer, and tighten limits, but not beyond it.
 
-        Joints that reverse within a step then keep the arm's limits.
-
-        Raises:
-            InputError: something touches there.
+        Joints that reverse within a step then keep the arm's limits. `InputError` if something touches there.
         """
         position = as_floats("q", q, (self.arm.n_joints,))
         self.clearance.allow(position)

@@ -141,11 +141,7 @@ def failed_case(case: Case, controllers: Sequence[str], settings: Settings, reas
 
 
 def replay(case: Case, controller: str, settings: Settings, *, user_files: tuple[UserFile, ...] = ()) -> Rollout:
-    """Plan and simulate a case again, to render or plot it.
-
-    Raises:
-        LieEDNNError: it cannot be planned or simulated.
-    """
+    """Plan and simulate a case again, to render or plot it; `LieEDNNError` if it cannot be planned or simulated."""
     with one_blas_thread():
         arm, target = arm_and_target(case.arm, case.scene, case.seed, user_files)
         return _simulate(arm, _plan(case, arm, target, settings), controller, settings)
