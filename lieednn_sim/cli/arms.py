@@ -79,9 +79,7 @@ def _print_summaries(loaded: list[Arm]) -> None:
             f"{arm.length_scale:g}",
             ", ".join(arm.keyframes),
         )
-    rows.caption = (
-        "n: joint coordinates; reach: farthest end effector found from the base; unit: of the network's lengths"
-    )
+    rows.caption = "n: joint coordinates; reach: farthest end effector found from the base; unit: network's length unit"
     console.print(rows)
 
 

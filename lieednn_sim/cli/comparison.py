@@ -87,9 +87,8 @@ def compare(
             return
         reactions = None
         if shown.reactive:
-            reactions = compute(
-                Reactions(study.arms, study.scenes, shown.reactive, user_files=study.user_files), directory, **how
-            )
+            pushed = Reactions(study.arms, study.scenes, shown.reactive, user_files=study.user_files)
+            reactions = compute(pushed, directory, **how)
         controller = study.controllers[0]
         views = _views(table, choose_problems(table, shown.views, controller), controller)
         head = {"command": line, "date": shown.date}

@@ -94,7 +94,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         return self._shown(observation), self.task.state.info()
 
     def step(self, action: Floats) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Do one control step; terminated when the simulation failed, truncated at the time limit; raises as `ArmTask`."""
+        """Do one control step; terminated when the simulation failed, truncated at the time limit; see `ArmTask`."""
         observation, *others = self.task.step(action)
         return self._shown(observation), *others
 

@@ -28,7 +28,7 @@ from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.studies.comparison.rows import BY_NAME, Case, Row
 from lieednn_sim.studies.study import Study, compute
 from lieednn_sim.studies.table import SUFFIX, Table
-from lieednn_sim.studies.user_files import ARM, SCENE, UserFile, load, resolve
+from lieednn_sim.studies.user_files import ARM, SCENE, UserFiles, load, resolve
 from lieednn_sim.validation import as_choice, as_count, as_path, as_positive
 from lieednn_sim.values import Floats, check_fields, set_fields
 
@@ -59,7 +59,7 @@ class Settings:
 
 
 @lru_cache(maxsize=4)
-def load_arm(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] = ()) -> Arm:
+def load_arm(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> Arm:
     """The arm in its scene; warms up what is computed once per process, so that no planning time includes it."""
     arm = load(name, scene, seed, user_files)
     with contextlib.suppress(LieEDNNError):  # reported where it is needed
@@ -68,7 +68,7 @@ def load_arm(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] 
     return arm
 
 
-def arm_and_target(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] = ()) -> tuple[Arm, Floats]:
+def arm_and_target(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> tuple[Arm, Floats]:
     """The arm, and a random target ``(n,)`` for its scene, the same for every planner; raises as these two."""
     result = _arm_and_target(name, scene, seed, tuple(user_files))
     if isinstance(result, LieEDNNError):
@@ -77,9 +77,7 @@ def arm_and_target(name: str, scene: str, seed: int, user_files: tuple[UserFile,
 
 
 @lru_cache(maxsize=4)
-def _arm_and_target(
-    name: str, scene: str, seed: int, user_files: tuple[UserFile, ...]
-) -> tuple[Arm, Floats] | LieEDNNError:
+def _arm_and_target(name: str, scene: str, seed: int, user_files: UserFiles) -> tuple[Arm, Floats] | LieEDNNError:
     """`arm_and_target`, or its error, so that a failed search is not repeated for each planner."""
     # Without random obstacles the arm does not depend on the seed, and is shared.
     drawn = scene != FREE and (SCENE, scene) not in {file[:2] for file in user_files}
@@ -95,9 +93,7 @@ def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
         return plan(arm, target, planner=case.planner, duration=settings.duration, seed=case.seed)
 
 
-def run_case(
-    case: Case, controllers: Sequence[str], settings: Settings, *, user_files: tuple[UserFile, ...] = ()
-) -> list[Row]:
+def run_case(case: Case, controllers: Sequence[str], settings: Settings, *, user_files: UserFiles = ()) -> list[Row]:
     """Plan once and track with every controller: one row each, with the reason for a failure; bugs are raised.
 
     Arms and scenes from files are found by their names in ``user_files``. The planning time is CPU time of this
@@ -140,7 +136,7 @@ def failed_case(case: Case, controllers: Sequence[str], settings: Settings, reas
     return [Row(controller=name, **shared) for name in controllers]
 
 
-def replay(case: Case, controller: str, settings: Settings, *, user_files: tuple[UserFile, ...] = ()) -> Rollout:
+def replay(case: Case, controller: str, settings: Settings, *, user_files: UserFiles = ()) -> Rollout:
     """Plan and simulate a case again, to render or plot it; `LieEDNNError` if it cannot be planned or simulated."""
     with one_blas_thread():
         arm, target = arm_and_target(case.arm, case.scene, case.seed, user_files)
@@ -235,7 +231,7 @@ class Comparison(Study[Row]):
     controllers: Sequence[str] = ()
     seeds: int = 3
     first_seed: int = 0
-    user_files: tuple[UserFile, ...] = ()
+    user_files: UserFiles = ()
     slow_seeds: int | None = None
     common: Settings = field(default_factory=Settings)
     shard: Shard | None = None
