@@ -132,14 +132,9 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
     An entry point that cannot be loaded is left out, with a warning that names its package. Where others may add to a
     kind, `find` also takes ``file.py:thing``, and runs that file.
 
-    Args:
-        kind: name of the kind.
-        entries: this package's own rows; as an attribute with those that decorators have added, without looking for
-            others.
-        make: makes the row of an added thing from the thing and its options, ``make(place, takes=...)``; None if
-            others add none.
-        wanted: what an added thing must be, in words.
-        group: packages declare theirs as entry points of this group.
+    The attribute ``entries`` holds this package's own rows, and those that decorators have added, without looking for
+    others. Where others may add to the kind, ``make(place, takes=...)`` is the row of an added thing and its options;
+    ``wanted`` says what such a thing must be, and ``group`` is that of packages' entry points.
     """
 
     def __init__(

@@ -36,17 +36,9 @@ class ClosedLoops:
     A solution is followed from the model's state along a straight line in the given joints, so that the loops stay on
     the branch of the state. It does not depend on earlier calls. It uses one `mujoco.MjData`: one thread at a time.
 
-    Args:
-        model: the compiled model, which is not changed.
-        data: the state; copied.
-        equalities: the loops' equalities.
-        joints: the dependent joints of the loops, of any kind.
-        drivers: dofs of the independent joints that move them.
-        follow: sets the joints of ``(nq,)`` that follow the independent ones in closed form, in place.
-
-    Raises:
-        NoSolutionError: the loops cannot be closed near the state, or it is a dead centre.
-        InputError: the dependent joints are not determined.
+    The dependent joints of the loops' equalities are moved by the drivers, dofs of the independent joints; ``follow``
+    sets the joints of ``(nq,)`` that follow those in closed form, in place. `NoSolutionError` if the loops cannot be
+    closed near the state, or it is a dead centre; `InputError` if the dependent joints are not determined.
     """
 
     def __init__(
