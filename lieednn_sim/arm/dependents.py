@@ -255,11 +255,8 @@ def freely_moving(model: mujoco.MjModel, qpos: Floats, joints: Sequence[int]) ->
 
 def tied_joints(model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Pairs (follower, leader) of the active equalities between two joints."""
-    return [
-        (int(model.eq_obj1id[e]), int(model.eq_obj2id[e]))
-        for e in range(model.neq)
-        if model.eq_type[e] == int(mujoco.mjtEq.mjEQ_JOINT) and model.eq_active0[e] and model.eq_obj2id[e] >= 0
-    ]
+    tied = (model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)) & (model.eq_active0 != 0) & (model.eq_obj2id >= 0)
+    return list(zip(model.eq_obj1id[tied].tolist(), model.eq_obj2id[tied].tolist(), strict=True))
 
 
 def _check_joints(model: mujoco.MjModel, joints: Sequence[int]) -> None:

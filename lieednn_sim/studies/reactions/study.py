@@ -188,12 +188,9 @@ def _row(task: Task, policy: str, disturbance: str, following: Following) -> Rea
     rollout = following.rollout
     evaluation = evaluate(rollout, clearance=False)
     use = np.mean((rollout.force / rollout.arm.force_limits) ** 2, axis=1)
+    key = task.arm.name, task.scene, policy, disturbance, task.seed
     return Reaction(
-        task.arm.name,
-        task.scene,
-        policy,
-        disturbance,
-        task.seed,
+        *key,
         reason=evaluation.shortfall,
         final_mm=evaluation.final_worst_mm,
         effort=float(use.sum() * rollout.timestep),
