@@ -69,7 +69,7 @@ def load_arm(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> Ar
 
 
 def arm_and_target(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> tuple[Arm, Floats]:
-    """The arm, and a random target ``(n,)`` for its scene, the same for every planner; raises as these two."""
+    """The arm, and a random target ``(n,)`` for its scene, the same for every planner; raises if there is none."""
     result = _arm_and_target(name, scene, seed, tuple(user_files))
     if isinstance(result, LieEDNNError):
         raise result
