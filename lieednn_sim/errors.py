@@ -10,7 +10,7 @@ class LieEDNNError(Exception):
 
 
 class InputError(LieEDNNError, ValueError):
-    """A value has the wrong shape, type or range."""
+    """A value has the wrong shape, type or range; all functions raise it, docstrings name further reasons."""
 
 
 class FileError(LieEDNNError, OSError):

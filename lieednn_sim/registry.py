@@ -132,14 +132,9 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
     An entry point that cannot be loaded is left out, with a warning that names its package. Where others may add to a
     kind, `find` also takes ``file.py:thing``, and runs that file.
 
-    Args:
-        kind: name of the kind.
-        entries: this package's own rows; as an attribute with those that decorators have added, without looking for
-            others.
-        make: makes the row of an added thing from the thing and its options, ``make(place, takes=...)``; None if
-            others add none.
-        wanted: what an added thing must be, in words.
-        group: packages declare theirs as entry points of this group.
+    The attribute ``entries`` holds this package's own rows, and those that decorators have added, without looking for
+    others. Where others may add to the kind, ``make(place, takes=...)`` is the row of an added thing and its options;
+    ``wanted`` says what such a thing must be, and ``group`` is that of packages' entry points.
     """
 
     def __init__(
@@ -179,11 +174,7 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         return self[as_choice(self.kind, name, self)]
 
     def register(self, name: str, options: type | None = None) -> Callable[[_Given], _Given]:
-        """Decorator that adds the decorated thing.
-
-        Raises:
-            InputError: its name is taken, or not of lower-case letters, digits and hyphens, or it is not callable.
-        """
+        """Decorator that adds a thing; `InputError` if its name is taken or malformed, or it is not callable."""
 
         def decorate(given: _Given) -> _Given:
             if not _NAME.fullmatch(name):
@@ -286,9 +277,7 @@ def optional_module(name: str) -> Any:
 
 _PLANNERS = {
     "minimum-jerk": PlannerEntry("planning.baselines.interpolation:minimum_jerk", "straight in joint space"),
-    "se3-geodesic": PlannerEntry(
-        "planning.baselines.interpolation:se3_geodesic", "compound joints on geodesics of SE(3)"
-    ),
+    "se3-geodesic": PlannerEntry("planning.baselines.interpolation:se3_geodesic", "compound joints on SE(3) geodesics"),
     "dmp": PlannerEntry("planning.baselines.interpolation:dmp", "a dynamic movement primitive", "DmpOptions"),
     "rrt-connect": PlannerEntry(
         "planning.baselines.sampling:rrt_connect", "OMPL's RRT-Connect", "RrtConnectOptions", "ompl"

@@ -47,17 +47,10 @@ def quoted(value: object) -> str:
 def as_floats(
     name: str, value: ArrayLike, shape: tuple[int | str, ...], *, batched: bool = False, largest: float = LARGEST
 ) -> NDArray[np.float64]:
-    """Return ``value`` as a finite float64 array whose trailing axes match ``shape``.
+    """Return ``value`` as a finite float64 array of a shape, or raise `InputError`.
 
-    Args:
-        name: name of the value in error messages.
-        value: anything that NumPy can turn into an array of numbers.
-        shape: required sizes; a string is a free size, equal wherever it recurs.
-        batched: allow any number of leading axes.
-        largest: largest absolute value of an entry.
-
-    Raises:
-        InputError: the value is not numeric, not finite, too large, or of another shape.
+    A string in the shape is a free size, equal wherever it recurs. A batched value may have any number of leading axes;
+    no entry may exceed the largest size.
     """
     # Fast path for inner loops.
     if type(value) is np.ndarray and value.dtype == np.float64:

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import SCALAR
-from lieednn_sim.arm.equalities import (
-    EXACT,
-    Indices,
-    Residuals,
-    dof_addresses,
-    names,
-    position_addresses,
-    turns,
-)
+from lieednn_sim.arm.equalities import EXACT, Indices, Residuals, dof_addresses, names, position_addresses, turns
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.values import Floats
 
@@ -31,8 +23,7 @@ LARGEST_TURN, LEAST_STEP = 0.5, 1e-3
 GRID_TURN, GRID_SLIDE, GRID_SIZE = 0.25, 0.05, 4096
 
 
-@dataclass(frozen=True, eq=False)
-class _Solution:
+class _Solution(NamedTuple):
     """A configuration ``(nq,)`` that closes the loops, and the Jacobian ``(E, nv)`` of their residual there."""
 
     qpos: Floats
@@ -45,17 +36,9 @@ class ClosedLoops:
     A solution is followed from the model's state along a straight line in the given joints, so that the loops stay on
     the branch of the state. It does not depend on earlier calls. It uses one `mujoco.MjData`: one thread at a time.
 
-    Args:
-        model: the compiled model, which is not changed.
-        data: the state; copied.
-        equalities: the loops' equalities.
-        joints: the dependent joints of the loops, of any kind.
-        drivers: dofs of the independent joints that move them.
-        follow: sets the joints of ``(nq,)`` that follow the independent ones in closed form, in place.
-
-    Raises:
-        NoSolutionError: the loops cannot be closed near the state, or it is a dead centre.
-        InputError: the dependent joints are not determined.
+    The dependent joints of the loops' equalities are moved by the drivers, dofs of the independent joints; ``follow``
+    sets the joints of ``(nq,)`` that follow those in closed form, in place. `NoSolutionError` if the loops cannot be
+    closed near the state, or it is a dead centre; `InputError` if the dependent joints are not determined.
     """
 
     def __init__(

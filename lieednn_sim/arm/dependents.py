@@ -92,11 +92,8 @@ class Dependents:
             self._find_lines(qpos, sorted(looped))
         self.has_loops = self._loops is not None
         self.linear = not equalities and all(len(follower.coefficients) <= 2 for follower in self._followers)
-        self.coupling: Floats | None = None
-        self.offset: Floats | None = None
-        self.rates: Floats | None = None
-        if self.linear:
-            self.coupling, self.offset, self.rates = self._affine(qpos)
+        affine: Sequence[Floats | None] = self._affine(qpos) if self.linear else (None, None, None)
+        self.coupling, self.offset, self.rates = affine
 
     def to_qpos(self, qpos: Floats, *, strict: bool = True) -> Floats:
         """Rows ``(..., nq)`` with the independent joints set to rows with the dependent joints solved; others stay.
@@ -258,11 +255,8 @@ def freely_moving(model: mujoco.MjModel, qpos: Floats, joints: Sequence[int]) ->
 
 def tied_joints(model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Pairs (follower, leader) of the active equalities between two joints."""
-    return [
-        (int(model.eq_obj1id[e]), int(model.eq_obj2id[e]))
-        for e in range(model.neq)
-        if model.eq_type[e] == int(mujoco.mjtEq.mjEQ_JOINT) and model.eq_active0[e] and model.eq_obj2id[e] >= 0
-    ]
+    tied = (model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)) & (model.eq_active0 != 0) & (model.eq_obj2id >= 0)
+    return list(zip(model.eq_obj1id[tied].tolist(), model.eq_obj2id[tied].tolist(), strict=True))
 
 
 def _check_joints(model: mujoco.MjModel, joints: Sequence[int]) -> None:

@@ -31,15 +31,8 @@ class NearestPose:
     a nearer one for 3 of 3850 poses disturbed by 0.8 (by at most 0.09 in the root of f; from the reference alone for
     9 %, by at most 1.7).
 
-    Attributes:
-        length: as given.
-        sliding: ``(c,)`` whether a coordinate is that of a slide.
-
-    Args:
-        joints: the group.
-        indices: ``(c,)`` indices of its coordinates in q.
-        size: n, the length of q.
-        length: length that weighs as much as one radian [m].
+    The ``indices`` ``(c,)`` are those of the group's coordinates in q, of ``size`` n; a ``length`` [m] weighs as much
+    as one radian; ``sliding`` ``(c,)`` tells which coordinates are those of slides.
     """
 
     def __init__(self, joints: Sequence[CompoundJoint], indices: NDArray[np.int_], size: int, length: float) -> None:

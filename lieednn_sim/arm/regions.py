@@ -105,9 +105,6 @@ class TaskSpaceRegion:
             tolerance: deviation from it about each axis [rad].
             axis: ``(3,)`` axis of the world about which it may turn freely, which is z of the region's frame; none when
                 omitted.
-
-        Raises:
-            InputError: a value is malformed.
         """
         width = np.full(3, as_nonnegative("tolerance", tolerance, _FARTHEST))
         frame = scipy.spatial.transform.Rotation.identity()
@@ -177,11 +174,7 @@ class TaskSpaceRegion:
         return self._pose(given - self._beyond(given))
 
     def sample(self, seed: Seed) -> RigidTransform:
-        """Draw a pose of the region, uniform in its coordinates.
-
-        Raises:
-            InputError: the seed is malformed, or a bound of the position is infinite.
-        """
+        """Draw a pose, uniform in the coordinates; `InputError` if a bound of the position is infinite."""
         rng, limits = as_generator("seed", seed), np.append(_FREE, np.full(3, np.pi))
         low = np.where(np.isinf(self.lower), -limits, self.lower)
         high = np.where(np.isinf(self.upper), limits, self.upper)

@@ -18,10 +18,8 @@ from lieednn_sim.cli import parser
 from lieednn_sim.cli.interruption import Interruption, say
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
 
-_DESCRIPTION = (
-    "Plan the motion of a telescopic manipulator with LieEDNN networks that carry a proof of global stability, "
-    "simulate it in MuJoCo, render and evaluate it."
-)
+_DESCRIPTION = """Plan the motion of a telescopic manipulator with LieEDNN networks that carry a proof of global
+stability, simulate it in MuJoCo, render and evaluate it."""
 #: The commands by groups, and the modules with their functions; a function's signature and docstring are its options.
 COMMANDS = {
     "one motion": {

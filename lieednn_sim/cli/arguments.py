@@ -23,7 +23,7 @@ from lieednn_sim.cli.run_directory import Task
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
 from lieednn_sim.registry import CONTROLLERS
-from lieednn_sim.rendering.video import check_rate, check_view, render_video
+from lieednn_sim.rendering.video import render_video
 from lieednn_sim.simulation.disturbances import Disturbances, Push
 from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.validation import as_choice
@@ -114,10 +114,8 @@ class Goal(ChosenArm):
     def start_and_goal(self, arm: Arm, *, place: bool = False) -> tuple[Floats, _Goal]:
         """Joint position of the start, and the goal.
 
-        A position is a joint position with it or, if ``place`` is true, the region of all poses there.
-
-        Raises:
-            InputError: there are several kinds of goals, or one that the arm has not.
+        A position is a joint position with it or, if ``place`` is true, the region of all poses there. `InputError` for
+        several kinds of goals, or one that the arm has not.
         """
         if (self.target is not None) + (self.position is not None) + bool(self.pose) > 1:
             raise InputError("give one of --target, --position and --pose")
@@ -206,12 +204,6 @@ class Simulating:
         return replace(self.disturbances, pushes=pushes)
 
 
-def check_look(arm: Arm, look: Look) -> None:
-    """Check the look of a video before any work."""
-    check_view(arm, **still_look(look))
-    check_rate(look.get("fps", 30), "video.mp4")
-
-
 def still_look(look: Look) -> dict[str, Any]:
     """What of the look pictures have, too."""
     return {name: value for name, value in look.items() if name != "fps"}
@@ -233,11 +225,7 @@ def joint_position(arm: Arm, text: str, what: str) -> Floats:
 
 
 def read_options(options: Any, texts: Sequence[str]) -> Any:
-    """Options of a dataclass with values from ``NAME=VALUE``, or ``NAME.OTHER=VALUE`` for options within options.
-
-    Raises:
-        InputError: there is no such option, or its value is not of its kind.
-    """
+    """Options of a dataclass with values from ``NAME=VALUE``, or ``NAME.OTHER=VALUE``; or `InputError`."""
     known = {entry.name: entry for entry in fields(options)}
     changes: dict[str, Any] = {}
     inner: dict[str, list[str]] = {}

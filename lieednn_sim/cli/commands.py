@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from lieednn_sim import io
-from lieednn_sim.cli.arguments import Look, Planning, Simulating, check_look, still_look
+from lieednn_sim.cli.arguments import Look, Planning, Simulating, still_look
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
 from lieednn_sim.cli.planning import plan_run
@@ -16,8 +15,7 @@ from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableErr
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.rendering import opengl
-from lieednn_sim.rendering.video import render_video
-from lieednn_sim.simulation import Rollout
+from lieednn_sim.rendering.video import check_rate, check_view, render_video
 from lieednn_sim.simulation import simulate as simulate_motion
 from lieednn_sim.validation import as_path
 
@@ -51,7 +49,8 @@ def demo(
     arm = planning.load()
     simulating.all_disturbances(arm)
     if video:
-        check_look(arm, look)
+        check_view(arm, **still_look(look))
+        check_rate(look.get("fps", 30), "video.mp4")
     run = RunDirectory(output, plots)
     with run.at_work():
         # The paper's bias leaves more to the weights.
@@ -158,13 +157,8 @@ def _evaluate(run: RunDirectory) -> None:
     rollout = run.load_rollout(*run.load_task())
     evaluation = evaluate_rollout(rollout)
     console.print(evaluation)
-    drawn: dict[Path, Callable[[Rollout, Path], None]] = {
-        run.plot("network"): plots.plot_network,
-        run.plot("tracking"): plots.plot_tracking,
-        run.plot("joints"): plots.plot_joints,
-    }
-    if rollout.channels:
-        drawn[run.plot("channels")] = plots.plot_channels
+    names = ["network", "tracking", "joints"] + ["channels"] * bool(rollout.channels)
+    drawn = {run.plot(name): getattr(plots, f"plot_{name}") for name in names}
     outputs = [run.metrics_json, run.metrics_csv, *drawn]
     with io.atomic_paths(outputs) as (metrics_json, metrics_csv, *pictures):
         evaluation.save_json(metrics_json)

@@ -35,9 +35,6 @@ class Shown:
         reactive: number of seeds for a benchmark of policies that are pushed, loaded and given another target.
         views: number of problems that the page shows in 3D, with the motions of several planners.
         date: date to print at the top of the page (default: none).
-
-    Raises:
-        InputError: a number is negative.
     """
 
     reactive: int = 0
@@ -90,9 +87,8 @@ def compare(
             return
         reactions = None
         if shown.reactive:
-            reactions = compute(
-                Reactions(study.arms, study.scenes, shown.reactive, user_files=study.user_files), directory, **how
-            )
+            pushed = Reactions(study.arms, study.scenes, shown.reactive, user_files=study.user_files)
+            reactions = compute(pushed, directory, **how)
         controller = study.controllers[0]
         views = _views(table, choose_problems(table, shown.views, controller), controller)
         head = {"command": line, "date": shown.date}

@@ -104,11 +104,8 @@ def learn(
     run = RunDirectory(output, plots)
     # Check values before any work.
     usual = 1000 if arm is None else 20
-    how = {
-        "starts": as_count("starts", usual if fitting.starts is None else fitting.starts),
-        "leave_one_out": fitting.leave_one_out,
-        "seed": as_seed("seed", fitting.seed),
-    }
+    starts = as_count("starts", usual if fitting.starts is None else fitting.starts)
+    how = {"starts": starts, "leave_one_out": fitting.leave_one_out, "seed": as_seed("seed", fitting.seed)}
     if arm is not None:
         if reading != Reading():
             raise InputError(

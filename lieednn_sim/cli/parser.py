@@ -182,9 +182,8 @@ def overview(description: str, commands: Mapping[str, Mapping[str, str]]) -> str
             summary = definition(module, command).docstring.partition("\n")[0]
             lines.append(f"  {command:<12}{summary[0].lower()}{summary[1:].rstrip('.')}")
         lines.append("")
-    return "\n".join(
-        [*lines, f"{_PROGRAM} COMMAND --help explains the options of a command, --version prints the version"]
-    )
+    last = f"{_PROGRAM} COMMAND --help explains the options of a command, --version prints the version"
+    return "\n".join([*lines, last])
 
 
 def bind(source: Definition, words: Sequence[str]) -> Callable[[], Any]:

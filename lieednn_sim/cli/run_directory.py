@@ -37,38 +37,22 @@ _PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints
 
 @dataclass(frozen=True)
 class Task:
-    """The task of a run, which makes it reproducible.
-
-    Attributes:
-        arm: name of an arm of the package, or a model file.
-        start: joint position at rest [rad, m].
-        target: joint target [rad, m].
-        duration: duration of the motion [s].
-        scene: the obstacles around the arm, see `Arm.load`.
-        scene_seed: seed of the obstacles' positions.
-        imported: import options of a model file, see `Arm.load`.
-        planner: a name of `planning.PLANNERS`, or ``train`` or ``learn``, the commands.
-        reason: why this planner was chosen.
-        seed: seed of its random draws.
-        options: its other options by name, as JSON values.
-        model: `Arm.fingerprint` of the arm.
-        motion: `fingerprint` with the motion that was made for the task; empty without one.
-        versions: versions of the packages with which the task was made.
-    """
+    """The task of a run, which makes it reproducible; arm, scene, seed and import options are as of `Arm.load`."""
 
     arm: str
-    start: tuple[float, ...]
-    target: tuple[float, ...]
-    duration: float
+    start: tuple[float, ...]  # joint position at rest [rad, m]
+    target: tuple[float, ...]  # joint target [rad, m]
+    duration: float  # of the motion [s]
     scene: str = "free"
     scene_seed: int = 0
     imported: ImportOptions = field(default_factory=ImportOptions)
-    planner: str = "lieednn-certified"
-    reason: str = ""
-    seed: int = 0
-    options: Mapping[str, Any] = field(default_factory=dict)
-    model: str = ""
-    motion: str = ""
+    planner: str = "lieednn-certified"  # a name of `planning.PLANNERS`, or ``train`` or ``learn``, the commands
+    reason: str = ""  # why this planner was chosen
+    seed: int = 0  # of its random draws
+    options: Mapping[str, Any] = field(default_factory=dict)  # its other options by name, as JSON values
+    model: str = ""  # `Arm.fingerprint` of the arm
+    motion: str = ""  # `fingerprint` with the motion that was made for the task; empty without one
+    # Of the packages with which the task was made.
     versions: Mapping[str, str] = field(default_factory=lambda: versions(optional=True))
 
     def __post_init__(self) -> None:
@@ -120,12 +104,6 @@ class RunDirectory:
         self.report = self.path / "report.json"
         self.metrics_json = self.path / "metrics.json"
         self.metrics_csv = self.path / "metrics.csv"
-
-    @property
-    def files(self) -> list[Path]:
-        """All files that a run may hold."""
-        named = [path for name, path in vars(self).items() if isinstance(path, Path) and name != "path"]
-        return named + self._plots_of(*_PLOTS)
 
     @property
     def results(self) -> list[Path]:
@@ -205,7 +183,8 @@ class RunDirectory:
             task = replace(task, motion=task.fingerprint(motion))
         given: dict[Path, Any] = {self.network: network, self.motion: motion, self.history: history, self.task: task}
         items = {path: item for path, item in given.items() if item is not None}
-        with io.atomic_paths(list(items), [self.task, *self.files]) as temporaries:
+        named = [path for name, path in vars(self).items() if isinstance(path, Path) and name != "path"]
+        with io.atomic_paths(list(items), [self.task, *named, *self._plots_of(*_PLOTS)]) as temporaries:
             for item, temporary in zip(items.values(), temporaries, strict=True):
                 item.save(temporary)
         return [self.task, *(path for path in items if path != self.task)]

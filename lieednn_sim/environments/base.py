@@ -34,8 +34,7 @@ Stepped = tuple[Observation, float, bool, bool, dict[str, Any]]
 class Commands:
     """Turns actions into commanded positions, and these into the controls of position servos, as `ArmTask` describes.
 
-    Raises:
-        InputError: the arm is not driven by position actuators on joints or fixed tendons.
+    `InputError` if the arm is not driven by position actuators on joints or fixed tendons.
     """
 
     def __init__(self, arm: Arm, substeps: int) -> None:
@@ -124,8 +123,7 @@ class ArmTask(ABC):
         rotation_tolerance: the same [rad].
 
     Attributes:
-        arm: the arm.
-        simulation: its simulation.
+        arm, simulation: the arm, and its simulation.
         substeps: number of physics steps in a control step.
         control_timestep: time between actions [s].
         steps: number of control steps in an episode.

@@ -57,9 +57,6 @@ class Environment(gymnasium.Env[Any, Floats]):
 
     Attributes:
         task: the task.
-
-    Raises:
-        InputError: an argument is malformed.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 (Gymnasium's own)
@@ -97,20 +94,12 @@ class Environment(gymnasium.Env[Any, Floats]):
         return self._shown(observation), self.task.state.info()
 
     def step(self, action: Floats) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Do one control step; terminated when the simulation failed, truncated at the time limit.
-
-        Raises:
-            InputError: the action is malformed or not finite, or the episode is over.
-        """
+        """Do one control step; terminated when the simulation failed, truncated at the time limit; see `ArmTask`."""
         observation, *others = self.task.step(action)
         return self._shown(observation), *others
 
     def render(self) -> Any:
-        """Frame ``(height, width, 3)`` at the present time with a marker at the target, or None without a mode.
-
-        Raises:
-            RenderingUnavailableError: there is no working OpenGL.
-        """
+        """Frame ``(height, width, 3)`` now with a marker at the target, or None without a mode; raises as `Camera`."""
         if self.render_mode is None:
             return None
         if self._camera is None:

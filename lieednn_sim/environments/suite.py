@@ -38,9 +38,6 @@ def load(
         task: a name of `TASKS`.
         random: seed or generator of everything random; None for a fresh generator.
         options: options of the task, see `ArmTask`, `Reach` and `Track`.
-
-    Raises:
-        InputError: an argument is malformed.
     """
     return ControlEnvironment(make_task(task, arm, **options), random=random)
 

@@ -53,9 +53,6 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
 
     Attributes:
         task: the definition of the task; its own episode is not used.
-
-    Raises:
-        InputError: an argument is malformed.
     """
 
     def __init__(
@@ -122,8 +119,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
     def step(self, actions: Floats) -> Stepped:
         """Do one control step with actions ``(B, n)``; an environment that begins an episode ignores its action.
 
-        Raises:
-            InputError: actions are malformed or not finite, or an episode is over and autoreset is disabled.
+        `InputError` if an episode is over and autoreset is disabled.
         """
         given = as_floats("actions", actions, (self.num_envs, self.task.arm.n_joints))
         task, seen = self.task, self._seen

@@ -44,7 +44,7 @@ def export(
     format: str = "csv",
     rate: float | None = None,
 ) -> list[Path]:
-    """Write rollouts or comparisons in the format of another tool.
+    """Write rollouts or comparisons in the format of another tool; returns the files written.
 
         ls.exports.export(rollout, "out", format="csv")             # out/motion.csv
 
@@ -56,9 +56,6 @@ def export(
         directory: where to write; it is created if it is missing.
         format: a name of `FORMATS`.
         rate: samples per second [Hz], which must divide the rate of the simulation; by default all samples are written.
-
-    Returns:
-        The files written.
 
     Raises:
         InputError: an argument is malformed, or a source does not suit the format.
@@ -120,7 +117,7 @@ def record(
     seed: Seed = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
-    """Record successful episodes of `environments.expert.Expert` as a data set of LeRobot, version 3.0.
+    """Record successful episodes of `environments.expert.Expert` as a LeRobot 3.0 data set; returns its files.
 
     An episode of ``LieEDNN/TelescopicReach-v0`` is kept if a motion was planned and the arm rests at its target at the
     end. It is that of ``reset(seed=seed)`` with the seed that the table of episodes holds, beside the target and, as
@@ -141,9 +138,6 @@ def record(
         planner: planner of the expert, as there.
         seed: seed of the first episode that is tried; the others follow one by one.
         progress: called with the numbers of episodes recorded and wanted.
-
-    Returns:
-        The files written.
 
     Raises:
         InputError: an argument is malformed.

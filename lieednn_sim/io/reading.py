@@ -179,11 +179,7 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
 
 
 def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read the arrays by name and the metadata, with the ``kind``, of a file of `save_arrays`.
-
-    Raises:
-        FileError: the file is missing, invalid, damaged, or of another kind or format.
-    """
+    """Read arrays by name and metadata, with the ``kind``, of a file of `save_arrays`; `FileError` for any other."""
     source = as_path("path", path)
     with opened(source) as stream:
         try:

@@ -89,13 +89,8 @@ def output_folder(directory: str | os.PathLike[str], holds: str, *, shared: bool
     replace and remove its own files, whatever they hold. What a killed process left half written there is removed. If
     nothing is in the folder when the block ends, what was created is removed again.
 
-    Args:
-        directory: the folder; it is created with its parents if it is missing.
-        holds: what it is for, such as "run", in the message to whoever would mix two things in one folder.
-        shared: allow other shared locks, for a block that replaces nothing that others read.
-
-    Raises:
-        FileError: the folder holds anything else, another process is at work there, or it cannot be written.
+    ``holds`` is what it is for, such as "run". Other shared locks are allowed for a block that replaces nothing that
+    others read. `FileError` if the folder holds anything else, cannot be written, or another process is at work there.
     """
     folder = as_path("the name of a directory", directory)
     absent = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]

@@ -52,9 +52,6 @@ def train(
     Returns:
         The outcome; where `success` is false, `reason` says why. Certified training succeeds only with a network that
         carries a valid certificate.
-
-    Raises:
-        InputError: a value has the wrong shape or range.
     """
     manifold: WeightManifold = SE3Weights()
     if group is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,28 +38,16 @@ class WeightPoint:
         return flatten_blocks(self.alpha[:, :, None, None] * self.adjoints)
 
 
-class WeightManifold(Protocol):
-    """The operations that learning needs on a group's weights."""
-
-    dimension: int
-
-    def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
-        """Project weights ``(Nd, Nd)``; ``kind`` is one of `options.PROJECTIONS`, and "scaled" ignores alpha.
-
-        ``near`` is a point from which a search may start.
-        """
-
-    def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> Network:
-        """The network with these weights."""
-
-
 class SE3Weights:
     """Adjoint blocks of SE(3)."""
 
     dimension = 6
 
     def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
-        """See `WeightManifold.project`; no projection needs ``near``."""
+        """Project weights ``(Nd, Nd)``; ``kind`` is one of `options.PROJECTIONS`, and "scaled" ignores alpha.
+
+        ``near`` is a point from which a search may start; no projection here needs it.
+        """
         blocks = block_view(weight, 6)
         if kind == "scaled":
             alpha, rotation, translation = project_to_scaled_adjoint(blocks)
@@ -74,7 +62,7 @@ class SE3Weights:
         return WeightPoint(alpha, adjoint(elements["rotation"], elements["translation"]), elements)
 
     def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> LieEDNN:
-        """See `WeightManifold.network`."""
+        """The network with these weights."""
         return LieEDNN(point.alpha, **point.elements, bias=bias, **rates)
 
 
@@ -86,7 +74,7 @@ class GroupWeights:
         self.dimension = group.dimension
 
     def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
-        """See `WeightManifold.project`; "block-wise" is the same as "exact"."""
+        """See `SE3Weights`; "block-wise" is the same as "exact"."""
         blocks = block_view(weight, self.dimension)
         start = None if near is None else near.elements["theta"]
         if kind != "scaled":
@@ -117,7 +105,7 @@ class GroupWeights:
         return WeightPoint(alpha, self.group.adjoint(elements["theta"]), elements)
 
     def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> GroupLieEDNN:
-        """See `WeightManifold.network`."""
+        """See `SE3Weights`."""
         return GroupLieEDNN(self.group, point.alpha, **point.elements, bias=bias, **rates)
 
 
@@ -127,7 +115,7 @@ class QuaternionWeights:
     dimension = 4
 
     def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
-        """See `WeightManifold.project`; "scaled" is the orthogonal projection onto the linear space of blocks."""
+        """See `SE3Weights`; "scaled" is the orthogonal projection onto the linear space of blocks."""
         # L(1), L(i), L(j), L(k) are orthogonal, with norm 2.
         quaternion = np.einsum("ijab,cab->ijc", block_view(weight, 4), _LEFT) / 4.0
         length = np.linalg.norm(quaternion, axis=-1)
@@ -139,10 +127,11 @@ class QuaternionWeights:
         return WeightPoint(alpha, np.tensordot(elements["quaternion"], _LEFT, axes=1), elements)
 
     def network(self, point: WeightPoint, bias: Floats, rates: dict[str, Any]) -> HopfieldNetwork:
-        """See `WeightManifold.network`."""
+        """See `SE3Weights`."""
         return HopfieldNetwork(point.weight, bias, **rates)
 
 
+WeightManifold = SE3Weights | GroupWeights | QuaternionWeights
 _LEFT = np.asarray(nonzero_quaternion().basis)
 
 

@@ -148,7 +148,7 @@ class RiemannianTraining(Training[RiemannianOptions]):
         """One step, or none where it is rejected."""
         options = self.options
         due = self.epoch - self._checked_at >= options.stability_interval
-        if self.arrived(before) and (not options.certified or self._certificate(before, search=due).valid):
+        if self.arrived(before) and (not options.certified or self._proved(before, search=due)):
             return before, StopReason.CONVERGED
         if self.epoch >= end:
             return before, StopReason.EPOCHS_SPENT
@@ -216,9 +216,15 @@ class RiemannianTraining(Training[RiemannianOptions]):
                 step, log_scale = step - length * neutral, log_scale - length * in_log_scale
         return self._moved(now, step, log_scale, nearby)
 
-    def _certificate(self, now: Iterate, *, search: bool = True) -> Certificate:
-        """That of the learned diagonal, or with ``search`` of the best that can be found, if that is better."""
-        weight, gamma, mu = rotational_weight(now.point), self.problem.gamma, self.problem.mu
-        learned = verify(np.exp(2.0 * now.log_scale), weight, gamma=gamma, mu=mu)
-        found = find_certificate(weight, gamma=gamma, mu=mu) if search else learned
-        return min(learned, found, key=lambda proof: proof.lambda_max + proof.rounding)
+    def _proved(self, now: Iterate, *, search: bool) -> bool:
+        """Whether the learned diagonal certifies the weights, or with ``search`` any that is found."""
+        return self._learned_certificate(now).valid or (search and self._certificate(now).valid)
+
+    def _learned_certificate(self, now: Iterate) -> Certificate:
+        weight, rates = rotational_weight(now.point), {"gamma": self.problem.gamma, "mu": self.problem.mu}
+        return verify(np.exp(2.0 * now.log_scale), weight, **rates)
+
+    def _certificate(self, now: Iterate) -> Certificate:
+        """The better one of the learned certificate and the best that can be found."""
+        certificate = find_certificate(rotational_weight(now.point), gamma=self.problem.gamma, mu=self.problem.mu)
+        return min(self._learned_certificate(now), certificate, key=lambda proof: proof.lambda_max + proof.rounding)

@@ -86,13 +86,8 @@ def sensitivity(network: LieEDNN, target: ArrayLike, *, loss: str = "squared") -
         raise InputError("the sensitivity matrix is singular: the equilibrium bifurcates here") from None
     if loss == "norm":
         weight /= error
-    return Sensitivity(
-        loss=error if loss == "norm" else 0.5 * error**2,
-        equilibrium=result.xi,
-        matrix=matrix,
-        weight=weight,
-        alpha=strength_gradient(weight, adjoint(network.rotation, network.translation)),
-    )
+    alpha = strength_gradient(weight, adjoint(network.rotation, network.translation))
+    return Sensitivity(error if loss == "norm" else 0.5 * error**2, result.xi, matrix, weight, alpha)
 
 
 def weight_gradient(multiplier: Floats, output: Floats, ratio: float) -> Floats:

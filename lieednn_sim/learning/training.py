@@ -269,17 +269,8 @@ class Training(ABC, Generic[_Options]):
             nearest = self.manifold.project(weight, last.point.alpha, "block-wise", last.point).weight
         else:
             nearest = self.manifold.project(weight, np.ones_like(last.alpha), "scaled").weight
-        stable = error < self.options.tolerance and self.solver.sensitivity(weight, equilibrium).stable()
-        return TrainingResult(
-            success=stable and self.accepts(network),
-            reason=reason,
-            network=network,
-            weight=weight,
-            error=error,
-            tolerance=self.options.tolerance,
-            structure_error=float(np.linalg.norm(weight - nearest) / max(np.linalg.norm(weight), np.finfo(float).tiny)),
-            history=self.recorder.history(),
-            epochs=self.epoch,
-            starts=starts,
-            cpu_time=0.0,
-        )
+        tolerance, size = self.options.tolerance, max(np.linalg.norm(weight), np.finfo(float).tiny)
+        stable = error < tolerance and self.solver.sensitivity(weight, equilibrium).stable()
+        outcome = stable and self.accepts(network), reason, network, weight, error, tolerance
+        lost, history = float(np.linalg.norm(weight - nearest) / size), self.recorder.history()
+        return TrainingResult(*outcome, lost, history, self.epoch, starts, cpu_time=0.0)

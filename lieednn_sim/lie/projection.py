@@ -24,9 +24,6 @@ def project_to_rotation(matrix: ArrayLike) -> Floats:
     It is U diag(1, 1, det(U V^T)) V^T (paper, Lemma "Metric Projection to SO(3)"), where U and V are those of the
     singular value decomposition. A matrix of rank below 2, or with a negative determinant and equal smallest singular
     values, has many nearest rotations; one of them is returned.
-
-    Raises:
-        InputError: wrong shape or entries that are not finite.
     """
     u, _, vt = np.linalg.svd(as_floats("matrix", matrix, (3, 3), batched=True, largest=_LARGEST))
     u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
@@ -38,10 +35,8 @@ def project_to_adjoint(matrix: ArrayLike) -> tuple[Floats, Floats]:
 
     It is the projection of the paper's appendix F. With blocks [[A, B], [C, D]]: R is the nearest rotation to (A + D)/2
     and hat(t) the skew part of C R^T. (The paper's text says "A and B", its formula and proof use A and D.) This is not
-    the Frobenius-nearest point: there R would also depend on the symmetric part of C R^T.
-
-    Returns:
-        Rotations ``(..., 3, 3)`` and translations ``(..., 3)``; `adjoint` puts them together.
+    the Frobenius-nearest point: there R would also depend on the symmetric part of C R^T. `adjoint` puts the rotations
+    ``(..., 3, 3)`` and translations ``(..., 3)`` together.
     """
     blocks = as_floats("matrix", matrix, (6, 6), batched=True, largest=_LARGEST)
     rotation = project_to_rotation(0.5 * (blocks[..., :3, :3] + blocks[..., 3:, 3:]))
@@ -49,18 +44,12 @@ def project_to_adjoint(matrix: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def project_to_adjoint_exact(matrix: ArrayLike) -> tuple[Floats, Floats]:
-    """The adjoint matrix of SE(3) that is nearest to ``(..., 6, 6)`` in the Frobenius norm.
+    """The adjoint matrix of SE(3) that is nearest to ``(..., 6, 6)`` in the Frobenius norm, as `project_to_adjoint`.
 
     With blocks [[A, B], [C, D]] the squared distance is |A - R|^2 + |B|^2 + |C R^T - hat(t)|^2 + |D - R|^2. The best
     hat(t) is the skew part of C R^T, which leaves |A - R|^2 + |D - R|^2 + |sym(C R^T)|^2 to minimise over R in SO(3).
     That function can have several local minima: damped Newton steps run from the block-wise R times each of the 24
     rotations of the cube, and the best result wins.
-
-    Returns:
-        Rotations ``(..., 3, 3)`` and translations ``(..., 3)``; `adjoint` puts them together.
-
-    Raises:
-        InputError: wrong shape or entries that are not finite.
     """
     blocks = as_floats("matrix", matrix, (6, 6), batched=True, largest=_LARGEST)
     flat = blocks.reshape(-1, 6, 6)
@@ -104,13 +93,8 @@ def project_to_scaled_adjoint(matrix: ArrayLike) -> tuple[Floats, Floats, Floats
     With blocks [[A, B], [C, D]] and M = (A + D)/2, (alpha, R) minimises |M - alpha R|: |alpha| is a third of the sum of
     the singular values of M, its sign that of det M, and R the nearest rotation to M or -M. So a block with det M < 0,
     onto which no rotation fits well, becomes a negative strength instead. alpha hat(t) is the skew part of C R^T.
-    Where M is zero, alpha is zero, R some rotation and t zero.
-
-    Returns:
-        alpha ``(...)``, rotations ``(..., 3, 3)`` and translations ``(..., 3)``.
-
-    Raises:
-        InputError: wrong shape or entries that are not finite.
+    Where M is zero, alpha is zero, R some rotation and t zero. The result is alpha ``(...)``, rotations ``(..., 3, 3)``
+    and translations ``(..., 3)``.
     """
     blocks = as_floats("matrix", matrix, (6, 6), batched=True, largest=_LARGEST)
     u, singular, vt = np.linalg.svd(0.5 * (blocks[..., :3, :3] + blocks[..., 3:, 3:]))

@@ -25,11 +25,7 @@ _GENERATORS = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(-1, -2).reshape(3
 def hat(vector: ArrayLike) -> Floats:
     """Matrix form of so(3) vectors ``(..., 3)`` or of twists ``(..., 6)``.
 
-    Returns:
-        ``(..., 3, 3)`` skew-symmetric matrices, or ``(..., 4, 4)`` matrices ``[[hat(omega), v], [0, 0]]``.
-
-    Raises:
-        InputError: the last axis is neither 3 nor 6, or an entry is not finite.
+    These are skew-symmetric matrices ``(..., 3, 3)``, or ``(..., 4, 4)`` matrices ``[[hat(omega), v], [0, 0]]``.
     """
     array = as_floats("vector", vector, (), batched=True, largest=_LARGEST)
     if array.shape[-1:] not in ((3,), (6,)):
@@ -130,14 +126,11 @@ def transforms(rotation: Floats, translation: Floats) -> RigidTransform:
 
 
 def adjoint(rotation: RigidTransform | ArrayLike, translation: ArrayLike | None = None) -> Floats:
-    """Adjoint matrices ``[[R, 0], [hat(t) R, R]]`` of SE(3) acting on twists (omega, v).
+    """Adjoint matrices ``(..., 6, 6)`` of SE(3), [[R, 0], [hat(t) R, R]] on twists: exp(Ad_T xi) = T exp(xi) T^-1.
 
     Args:
         rotation: ``(..., 3, 3)`` rotation matrices; or poses of shape ``(...)``, such as `exp` makes, alone.
         translation: ``(..., 3)`` translations [m].
-
-    Returns:
-        ``(..., 6, 6)``, with exp(Ad_T xi) = T exp(xi) T^-1.
     """
     if translation is None:
         if not isinstance(rotation, scipy.spatial.transform.RigidTransform):

@@ -95,9 +95,7 @@ class BlockNetwork(ABC):
         """The state ``(N, d)`` with the visible neurons at ``xi`` ``(N - M, d)`` and the hidden ones at rest there.
 
         If no hidden neuron has input from a visible one, the hidden ones rest at the same state for every ``xi``.
-
-        Raises:
-            InputError: the hidden neurons have no equilibrium while the visible ones are there.
+        `InputError` if they have no equilibrium while the visible ones are there.
         """
         state = self.start(xi)
         if self.n_hidden:
@@ -175,11 +173,7 @@ class BlockNetwork(ABC):
         return stability.verify(diagonal, self.certifiable_weight, gamma=self.gamma, mu=self.mu)
 
     def certify(self) -> Self:
-        """Search for a certificate, and return this network with it.
-
-        Raises:
-            NotCertifiedError: none was found; the network may be unstable.
-        """
+        """This network with a certificate; `NotCertifiedError` if none was found: the network may be unstable."""
         every = self._rows_alike
         result = stability.find_certificate(self.certifiable_weight, gamma=self.gamma, mu=self.mu, group_size=every)
         if not result.valid:
@@ -373,11 +367,7 @@ class BlockNetwork(ABC):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a network; a certificate in the file is verified again from the weights.
-
-        Raises:
-            FileError: the file cannot be read, is no network, or carries a certificate that does not hold.
-        """
+        """Read a network; `FileError` if there is none, or its certificate, verified from the weights, fails."""
         if inspect.isabstract(cls):
             raise InputError(f"a {cls.__name__} is read by its own class, such as LieEDNN.load")
         return cls.restored(*io.load_arrays(path, cls._kind), path)

@@ -255,14 +255,10 @@ def write_onnx(network: BlockNetwork, activation: str, path: str | os.PathLike[s
     if activation != "tanh":
         raise InputError(f"an ONNX graph is made of tanh, not of the activation {activation!r}")
     size, driven = network.bias.size, len(network.driven_weight)
-    constants = {
-        # Rows of zeros let every stage be a sum of vectors of one size.
-        "weight": np.vstack([network.mu * network.driven_weight, np.zeros((size - driven, size))]).T,
-        "gamma": np.array(network.gamma),
-        "half": np.array(0.5),
-        "two": np.array(2.0),
-        "six": np.array(6.0),
-    }
+    scalars = {"gamma": network.gamma, "half": 0.5, "two": 2.0, "six": 6.0}
+    # Rows of zeros let every stage be a sum of vectors of one size.
+    weight = np.vstack([network.mu * network.driven_weight, np.zeros((size - driven, size))]).T
+    constants = {"weight": weight, **{name: np.array(value) for name, value in scalars.items()}}
     if not bias_input:
         constants["bias"] = network.mu * network.bias.ravel()
     model = onnx.parser.parse_model(_MODEL.format(size=size, bias=f", double[{size}] bias" if bias_input else ""))

@@ -82,13 +82,8 @@ class RungeKuttaStepper:
 class UndrivenState:
     """The state of a network whose hidden neurons have no inputs, from visible neurons ``(N, 6)`` and its hidden start.
 
-    Attributes:
-        x: ``(6N,)`` visible state.
-        target: ``(6N,)`` visible equilibrium x_d.
-        flow: ``(6N,)`` visible part of the field, per unit of z.
-
-    Raises:
-        InputError: hidden neurons have inputs, or visible ones have some from each other.
+    Of the visible neurons ``x`` is the state, ``target`` the equilibrium x_d, and ``flow`` the field per unit of z, all
+    ``(6N,)``. `InputError` if hidden neurons have inputs, or visible ones have some from each other.
     """
 
     def __init__(self, network: LieEDNN, visible: Floats) -> None:

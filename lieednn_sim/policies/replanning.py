@@ -121,10 +121,8 @@ class ReplanningPolicy(FeedbackPolicy):
         seed: Seed = 0,
     ) -> None:
         super().__init__(arm, rate, feedback=feedback)
-        if motion is not None and motion.q.shape[1] != arm.n_joints:
-            raise InputError(
-                f"the motion has {motion.q.shape[1]} joint coordinates, arm {arm.name!r} has {arm.n_joints}"
-            )
+        if motion is not None and (n := motion.q.shape[1]) != arm.n_joints:
+            raise InputError(f"the motion has {n} joint coordinates, arm {arm.name!r} has {arm.n_joints}")
         self._encoder = CurveEncoder(arm.n_links)
         self._given, self._seed = motion, as_seed("seed", seed)
         self._options = ReplanningOptions() if options is None else options

@@ -41,8 +41,6 @@ from lieednn_sim.policies.base import Policy
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
-# Constraints with multipliers above this hold the arm back.
-_BLOCKING_MULTIPLIER = 1e-4
 # Fraction of the distance of start and target that is kept where these are closer than the margin.
 _MARGIN_FRACTION = 0.8
 
@@ -69,9 +67,9 @@ class FilterOptions(PlannerOptions):
 class ApproachBounds:
     """Upper bounds of the rates at which distances of pairs change; pairs too far apart to matter are then left out.
 
-    A degree of freedom that moves both geoms of a pair does not change their distance. A unit velocity of a slide joint
-    moves the points of a geom at a speed of 1; that of a rotation, at most at the distance of its anchor from the
-    geom's centre plus the geom's radius. The pairs are geom ids ``(P, 2)``.
+    A degree of freedom that moves both geoms of a pair, ids ``(P, 2)``, does not change their distance. A unit velocity
+    of a slide moves the points of a geom at a speed of 1; that of a rotation, at most at the distance of its anchor
+    from the geom's centre plus the geom's radius.
     """
 
     def __init__(self, arm: Arm, pairs: NDArray[np.int_]) -> None:
@@ -118,10 +116,7 @@ class ClearanceBarrier:
         self._approach = ApproachBounds(arm, self.collisions.pairs)
 
     def values(self, q: Floats, velocity: Floats, speeds: Floats) -> tuple[Floats, Floats]:
-        """Values ``(m,)`` [m] and gradients ``(m, n)`` of the pairs that matter in a step.
-
-        It begins at ``q`` with ``velocity``, and ends with joint speeds of at most ``speeds``, all ``(n,)``.
-        """
+        """Values ``(m,)`` [m] and gradients ``(m, n)`` of the pairs that matter in a step, as of `needed`."""
         near = self._near = self.collisions.distances(q, self.needed(q, velocity, speeds))
         return near.distance - self._margins[tuple(near.pairs.T)], near.jacobian
 
@@ -214,9 +209,6 @@ class SafetyFilter:
         arm: the arm, with its obstacles.
         timestep: h, the control step [s].
         options: settings of the filter.
-
-    Raises:
-        InputError: a value is malformed.
     """
 
     def __init__(self, arm: Arm, timestep: float, options: FilterOptions | None = None) -> None:
@@ -234,10 +226,7 @@ class SafetyFilter:
     def allow(self, q: ArrayLike) -> None:
         """Reduce margins where ``q`` ``(n,)`` is closer, and tighten limits, but not beyond it.
 
-        Joints that reverse within a step then keep the arm's limits.
-
-        Raises:
-            InputError: something touches there.
+        Joints that reverse within a step then keep the arm's limits. `InputError` if something touches there.
         """
         position = as_floats("q", q, (self.arm.n_joints,))
         self.clearance.allow(position)
@@ -253,11 +242,7 @@ class SafetyFilter:
         self.clearance.collisions.move(places)
 
     def step(self, q: ArrayLike, velocity: ArrayLike, wanted: ArrayLike) -> FilterStep:
-        """Velocities at the end of a step that begins at ``q`` with ``velocity``, all ``(n,)``.
-
-        Raises:
-            InputError: a value is malformed.
-        """
+        """Velocities at the end of a step that begins at ``q`` with ``velocity``, all ``(n,)``."""
         n, options = self.arm.n_joints, self.options
         # No arm has larger values; with them the quadratic program could not tell its bounds apart.
         given = {"q": q, "velocity": velocity, "wanted": wanted}
@@ -269,12 +254,12 @@ class SafetyFilter:
         upper = np.concatenate([high / scale, np.full(len(rows), 1e30)])
         lower = np.concatenate([low / scale, floors])
         scaled = np.ascontiguousarray(rows * scale)
-        sense = np.zeros(n + len(rows), dtype=np.int32)
-        solution, _, flag, info = daqp.solve(np.eye(n), -pull, scaled, upper, lower, sense)
+        hard = np.zeros(n + len(rows), dtype=np.int32)
+        solution, _, flag, info = daqp.solve(np.eye(n), -pull, scaled, upper, lower, hard)
         if flag < 1:
             # Come to rest, violating barriers, soft constraints now, as little as the bounds allow.
-            sense = np.repeat(np.array([0, 8], dtype=np.int32), [n, len(rows)])
-            solution, _, flag, _ = daqp.solve(np.eye(n), np.zeros(n), scaled, upper, lower, sense, rho_soft=1e-4)
+            soft = np.repeat(np.array([0, 8], dtype=np.int32), [n, len(rows)])
+            solution, _, flag, _ = daqp.solve(np.eye(n), np.zeros(n), scaled, upper, lower, soft, rho_soft=1e-4)
             braking = np.clip(solution * scale if flag > 0 else np.zeros(n), low, high)
             missing = floors - rows @ braking
             violated = np.argsort(-missing, kind="stable")[: max(1, np.count_nonzero(missing > 0.0))]
@@ -283,14 +268,12 @@ class SafetyFilter:
         multipliers = np.abs(info["lam"])
         below = solution * scale >= goal
         at_end = np.where(below, chosen <= low, chosen >= high) & np.where(below, *of_position)
-        pressing = [
-            (multipliers[j], f"the position limit of joint {self.arm.joint_names[j]!r}")
-            for j in np.flatnonzero(at_end & (multipliers[:n] > _BLOCKING_MULTIPLIER))
-        ]
-        held = np.flatnonzero(multipliers[n:] > _BLOCKING_MULTIPLIER)
-        pressing += [(multipliers[n + row], names(row)) for row in held]
-        blocking = tuple(name for _, name in sorted(pressing, key=lambda entry: -entry[0]))
-        return FilterStep(chosen, False, blocking)
+        # Constraints with multipliers above this hold the arm back.
+        holding = np.flatnonzero((multipliers > 1e-4) & np.append(at_end, np.ones(len(rows), bool)))
+        strongest = holding[np.argsort(-multipliers[holding], kind="stable")]
+        limit = "the position limit of joint"
+        blocking = (f"{limit} {self.arm.joint_names[k]!r}" if k < n else names(k - n) for k in strongest)
+        return FilterStep(chosen, False, tuple(blocking))
 
     def _bounds(self, q: Floats, old: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
         """Lower and upper bounds ``(n,)`` of the velocities, and which ``(2, n)`` are those of position limits.

@@ -125,7 +125,7 @@ def _largest(matrix: Floats) -> float:
 
 
 def find_certificate(weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, group_size: int = 1) -> Certificate:
-    """Search for the diagonal P that minimises lambda_max(sym(S W S^-1)), and verify it.
+    """Search for the diagonal P that minimises lambda_max(sym(S W S^-1)), and verify it; it need not be `valid`.
 
     It follows the path of analytic centres (`stability.method_of_centres`) down from the P that weighted norms suggest.
     In P the problem is quasi-convex, so a failure is strong evidence, though no proof, that there is no diagonal P with
@@ -136,9 +136,6 @@ def find_certificate(weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0, 
         gamma, mu: decay rate and scale of the interaction, positive.
         group_size: entries of P are equal within consecutive groups of this size. With 3, P has the form diag(p_i I_3)
             that a network needs whose symmetry is a common rotation of all omega_i.
-
-    Returns:
-        The best certificate found, which need not be `valid`.
 
     Raises:
         InputError: the matrix is not square, or n is not a multiple of `group_size`.

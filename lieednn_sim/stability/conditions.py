@@ -181,23 +181,17 @@ def assess(
     euclidean = verify(np.ones(len(core)), core, gamma=decay, mu=scale)
     norms = log_norms(matrix)
 
-    def condition(name: str, value: float, *, factor: float = 1.0) -> Condition:
+    def condition(name: str, value: float) -> Condition:
+        factor = 2.0 if name == "norm sum" else 1.0
         holds = value < factor * bound
         # Each value is a bound v on the interaction, and proves the rate gamma - mu max(v, 0).
         rate = decay - scale * max(value, 0.0) / factor if holds else 0.0
         return Condition(name, holds, value, factor * bound, rate, "global")
 
-    conditions = [
-        condition("1-norm", norms.one_norm),
-        condition("infinity norm", norms.infinity_norm),
-        condition("norm sum", norms.norm_sum, factor=2.0),
-        condition("log norm 1", norms.log_norm_one),
-        condition("log norm infinity", norms.log_norm_infinity),
-        condition("weighted log norm", weighted_norm(inner).value),
-        condition("log norm 2", euclidean.lambda_max + euclidean.rounding),
-        condition("contraction", contraction.value + contraction.rounding),
-        condition("diagonal Lyapunov", certificate.lambda_max + certificate.rounding),
-    ]
+    sums = norms.one_norm, norms.infinity_norm, norms.norm_sum, norms.log_norm_one, norms.log_norm_infinity
+    two_norm, diagonal = (proof.lambda_max + proof.rounding for proof in (euclidean, certificate))
+    values = *sums, weighted_norm(inner).value, two_norm, contraction.value + contraction.rounding, diagonal
+    conditions = list(map(condition, CONDITIONS, values))
     if jacobian is not None:
         slopes = as_floats("jacobian", jacobian, matrix.shape)
         # Backward error of the eigenvalues; the forward error of ill-conditioned ones is not bounded by it.

@@ -56,7 +56,7 @@ class Study(ABC, Generic[R]):
 def compute(
     study: Study[R], directory: str | os.PathLike[str], *, jobs: int = 1, console: Console | None = None
 ) -> Table[R]:
-    """Compute the rows that a directory's table lacks; finished cases are kept when it is interrupted.
+    """The table of a directory, with the rows that it lacked computed; finished cases are kept when interrupted.
 
     Args:
         study: the study.
@@ -64,9 +64,6 @@ def compute(
         jobs: number of worker processes; with 1 the cases run in this process. A script that starts workers needs
             `if __name__ == "__main__":`, as always with Python's `multiprocessing`.
         console: console for a progress bar and for errors; None for neither.
-
-    Returns:
-        The table, including rows of earlier runs.
 
     Raises:
         InputError: ``jobs`` is less than 1.

@@ -32,6 +32,9 @@ class UserFile(NamedTuple):
     fingerprint: str
 
 
+UserFiles = tuple[UserFile, ...]
+
+
 # Cleared by `resolve`, which reads the files of arms anew.
 @lru_cache(maxsize=8)
 def bare_arm(source: str) -> Arm:

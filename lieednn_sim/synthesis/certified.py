@@ -89,7 +89,8 @@ def synthesize(
     """Make a network whose only equilibrium is ``xi``, with a proof that it is globally attractive.
 
     xi is an equilibrium exactly when W phi(xi) = (gamma/mu) xi - b. The 3N rotational equations are solved for
-    (alpha, R) under the eigenvalue bound of `stability`, the 3N translational ones then almost always for t alone.
+    (alpha, R) under the eigenvalue bound of `stability`, the 3N translational ones then almost always for t alone. If
+    that fails, the outcome's `message` says whether no such network exists or none was found.
 
     Args:
         xi: ``(N, 6)`` target, twists (omega, v).
@@ -100,13 +101,6 @@ def synthesize(
         seed: seed of the random starts; the same seed gives the same network.
         max_translation: largest |t_ij| allowed.
         max_attempts: number of starts to try.
-
-    Returns:
-        The outcome. If it failed, `network` is None and `message` says whether no such network exists or none was
-        found.
-
-    Raises:
-        InputError: a value has the wrong shape or range.
     """
     target = as_floats("xi", xi, ("N", 6))
     _require_neurons(target)
@@ -128,7 +122,7 @@ def synthesize_many(
     max_translation: float = 20.0,
     max_attempts: int = 16,
 ) -> list[Synthesis]:
-    """Make a network for each of many targets, as `synthesize` makes one, in a fraction of the time.
+    """Make a network for each of many targets, as `synthesize` makes one, in a fraction of the time; in their order.
 
     The fast searches run for all targets at once, in stacked arrays; the targets left are then searched one by one. The
     k-th network is, to the last bit, the one that ``synthesize`` makes with the k-th generator spawned from ``seed``,
@@ -140,12 +134,6 @@ def synthesize_many(
         bias_magnitude: as in `synthesize`, one number or one for each target ``(B,)``.
         seed: seed from which a generator for each target's starts is spawned.
         gamma, mu, activation, max_translation, max_attempts: as in `synthesize`, for each target.
-
-    Returns:
-        B outcomes, in the order of the targets; a failure does not affect the others.
-
-    Raises:
-        InputError: a value has the wrong shape or range.
     """
     targets = as_floats("xi", xi, ("B", "N", 6))
     _require_neurons(targets)

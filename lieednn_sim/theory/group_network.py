@@ -97,9 +97,6 @@ def complex_network(
         weights: w_ij, complex ``(N, N)``.
         bias: b_i, complex ``(N,)``.
         gamma, mu, activation: as in `GroupLieEDNN`; the activation acts on the real and the imaginary part.
-
-    Raises:
-        InputError: wrong shapes, or entries that are not finite.
     """
     parts = _components("weights", weights), _components("bias", bias)
     return _network(groups.group("C^x"), *parts, gamma, mu, activation)
@@ -114,9 +111,6 @@ def quaternion_network(
         weights: w_ij as (w, x, y, z), ``(N, N, 4)``; they multiply from the left.
         bias: b_i, ``(N, 4)``.
         gamma, mu, activation: as in `GroupLieEDNN`; the activation acts on each of the four components.
-
-    Raises:
-        InputError: wrong shapes, or entries that are not finite.
     """
     return _network(groups.group("H^x"), weights, bias, gamma, mu, activation)
 

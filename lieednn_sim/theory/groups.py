@@ -29,11 +29,7 @@ _LARGEST_DIMENSION = 128  # the same for affine groups of affine groups
 
 
 def group(name: str) -> MatrixLieGroup:
-    """The group called ``name``: one of `GROUPS`, "GL(n)" with n from 1 to 8, or "affine(...)" of one of these.
-
-    Raises:
-        InputError: there is no such group; the message lists them.
-    """
+    """The group called ``name``: of `GROUPS`, "GL(n)" with n up to 8, or "affine(...)" of one; else `InputError`."""
     linear, times = name, 0
     while isinstance(linear, str) and linear.startswith("affine(") and linear.endswith(")"):
         linear, times = linear.removeprefix("affine(").removesuffix(")"), times + 1
@@ -159,10 +155,8 @@ def affine(linear: MatrixLieGroup) -> MatrixLieGroup:
     """The affine group of a real matrix group G <= GL(m, R): maps p -> A p + b with A in G, as (m+1, m+1) matrices.
 
     The basis of G comes first, then the translations: SE(3) = affine(SO(3)) has twists (omega, v). Its adjoint matrix
-    is [[L[Ad_A], 0], [K, A]]: unlike that of G, it contains A itself.
-
-    Raises:
-        InputError: G is a complex matrix group, or the affine group would have more than 128 dimensions.
+    is [[L[Ad_A], 0], [K, A]]: unlike that of G, it contains A itself. `InputError` for a complex G, or more than
+    128 dimensions.
     """
     if np.iscomplexobj(linear.basis):
         raise InputError(f"affine needs a real matrix group, got {linear.name}")

@@ -84,11 +84,7 @@ class MatrixLieGroup:
         return np.tensordot(coordinates, self.basis, axes=1)
 
     def vee(self, matrix: ArrayLike) -> Floats:
-        """Inverse of `hat` by least squares, ``(..., m, m)`` to ``(..., d)``.
-
-        Raises:
-            InputError: a matrix lies outside the algebra by more than 1e-8 of 1 + its norm.
-        """
+        """Inverse of `hat`, ``(..., m, m)`` to ``(..., d)``; `InputError` if it is off by 1e-8 of 1 + its norm."""
         array = self._matrices("matrix", matrix)
         coordinates = self._coordinates(array)
         outside = self._outside(array, coordinates)
@@ -98,11 +94,7 @@ class MatrixLieGroup:
         return coordinates
 
     def exp(self, x: ArrayLike) -> Matrices:
-        """Group elements ``(..., m, m)`` of coordinates ``(..., d)``: the matrix exponential of `hat`.
-
-        Raises:
-            InputError: the coordinates are malformed, or so large that the exponential overflows.
-        """
+        """Group elements ``(..., m, m)`` of coordinates ``(..., d)``, exponentials; `InputError` on overflow."""
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # overflow is reported by `as_finite`
             return as_finite(f"the exponential in {self.name}", expm(self.hat(x)))

@@ -105,9 +105,10 @@ def _closed(arm: ModelArm, home: Floats, samples: Floats) -> Floats:
 def _first_body(model: mujoco.MjModel, named: dict[str, Any]) -> int:
     """The first body that the arm moves."""
     if "links" in named:
-        return int(model.jnt_bodyid[joint_groups(model, named_frames(model, named["links"], named.get("base")))[0][0]])
-    bodies = [int(model.jnt_bodyid[joint]) for joint in chosen_joints(model, named["joints"])]
-    return min(bodies, key=lambda body: len(ancestry(model, body)))
+        joints, *_ = joint_groups(model, named_frames(model, named["links"], named.get("base")))
+    else:
+        joints = tuple(chosen_joints(model, named["joints"]))
+    return min(map(int, model.jnt_bodyid[[*joints]]), key=lambda body: len(ancestry(model, body)))
 
 
 def _limits(

@@ -87,11 +87,8 @@ def ignore_overlaps(spec: mujoco.MjSpec, arm: ModelArm, home: Floats, samples: F
                 chosen = {geoms for geoms in at_home if bodies(geoms) == pair}
                 ignore(pair, chosen, "they overlap at home, and no configuration near it is free")
         else:
-            moved = [
-                f"{name} from {before:.3g} to {after:.3g}"
-                for name, before, after in zip(arm.joint_names, home, free, strict=True)
-                if before != after
-            ]
+            places = zip(arm.joint_names, home, free, strict=True)
+            moved = [f"{name} from {before:.3g} to {after:.3g}" for name, before, after in places if before != after]
             notes.append(f"home moved, since {shown} collide there: {', '.join(moved)}")
             home = free
     _exclude(spec, overlaps, ignored)

@@ -61,7 +61,6 @@ class Coupling:
     source: str
 
     def __str__(self) -> str:
-        """Return one line for a report."""
         shift = f" {self.shift:+g}" if self.shift else ""
         return f"{self.follower} = {self.ratio:g} {self.leader}{shift}, by {self.source}"
 
@@ -87,7 +86,6 @@ class Servo:
     kept: bool
 
     def __str__(self) -> str:
-        """Return one line for a report."""
         low, high = self.force_range
         limits = "no force limit" if np.isinf([low, high]).all() else f"force {low:.4g} .. {high:.4g}"
         gains = f"kp {self.kp:.4g}, kv {self.kv:.4g}, {self.frequency:.3g} Hz" if self.kp else "motor"
@@ -119,7 +117,6 @@ class ImportReport:
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Return the report as lines of text."""
         lines = [f"configuration: {self.configuration}", f"base: {self.base}"]
         for i, (link, group) in enumerate(zip(self.links, self.groups, strict=True), start=1):
             lines.append(f"link {i}: {link}, moved by {', '.join(group)}")

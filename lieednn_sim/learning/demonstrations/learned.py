@@ -55,11 +55,7 @@ class LearnedMotion:
 
     @classmethod
     def load(cls, directory: str | os.PathLike[str]) -> LearnedMotion:
-        """Read the network and the report in a directory of `lieednn-sim learn`; without a spread.
-
-        Raises:
-            FileError: it holds no learned motion of an end effector.
-        """
+        """Read a directory of `lieednn-sim learn`, without a spread; `FileError` if it holds no such motion."""
         path = as_path("the directory of a learned motion", directory) / "report.json"
         if not io.is_file(path):
             raise FileError(f"{path.parent} holds no learned motion (no report.json), as 'lieednn-sim learn' writes")
@@ -97,9 +93,7 @@ class LearnedMotion:
         """As `MotionModel.reproduce`: the network runs from ``start``, see `LieEDNN.start`.
 
         After the demonstrations' duration the network continues at its mean pace, for at most 100 durations.
-
-        Raises:
-            InputError: a value is malformed, or times do not increase from 0 or go on too long.
+        `InputError` for times that do not increase from 0, or go on for longer.
         """
         start, tau = as_floats("start", start, (6,), batched=True), self._network_times(t)
         return twist_of(self._run(displacement(start).reshape(-1, 6), tau)).reshape(*start.shape[:-1], len(tau), 6)

@@ -186,9 +186,8 @@ def load_demonstrations(
     as_choice("order of quaternions", quaternion, QUATERNIONS)
     as_choice("time_unit", time_unit, TIME_UNITS)
     layout = Layout(_COUNTS, _WORDS, partial(_pose_columns, quaternion), as_positive("rate", rate), time_unit)
-    shown = tuple(
-        Demonstration.from_samples(q, t, length, quaternion, rate, of) for of, q, t in read_tables(files, layout)
-    )
+    how = length, quaternion, rate
+    shown = tuple(Demonstration.from_samples(q, t, *how, source) for source, q, t in read_tables(files, layout))
     for other in shown[1:]:
         if other.dof != shown[0].dof:
             each = f"{shown[0].source} has {shown[0].shown}, {other.source} {other.shown}"

@@ -28,7 +28,7 @@ from lieednn_sim.simulation.tracking import as_hold
 from lieednn_sim.studies.comparison.rows import BY_NAME, Case, Row
 from lieednn_sim.studies.study import Study, compute
 from lieednn_sim.studies.table import SUFFIX, Table
-from lieednn_sim.studies.user_files import ARM, SCENE, UserFile, load, resolve
+from lieednn_sim.studies.user_files import ARM, SCENE, UserFiles, load, resolve
 from lieednn_sim.validation import as_choice, as_count, as_path, as_positive
 from lieednn_sim.values import Floats, check_fields, set_fields
 
@@ -46,9 +46,6 @@ class Settings:
         hold: time simulated after it [s].
         mass_scale: true masses relative to those that the controller knows.
         time_budget: largest CPU time for planning a case [s].
-
-    Raises:
-        InputError: a value is out of range.
     """
 
     duration: float = 4.0
@@ -62,7 +59,7 @@ class Settings:
 
 
 @lru_cache(maxsize=4)
-def load_arm(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] = ()) -> Arm:
+def load_arm(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> Arm:
     """The arm in its scene; warms up what is computed once per process, so that no planning time includes it."""
     arm = load(name, scene, seed, user_files)
     with contextlib.suppress(LieEDNNError):  # reported where it is needed
@@ -71,8 +68,8 @@ def load_arm(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] 
     return arm
 
 
-def arm_and_target(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...] = ()) -> tuple[Arm, Floats]:
-    """The arm, and a random target ``(n,)`` for its scene, the same for every planner; raises as these two."""
+def arm_and_target(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> tuple[Arm, Floats]:
+    """The arm, and a random target ``(n,)`` for its scene, the same for every planner; raises if there is none."""
     result = _arm_and_target(name, scene, seed, tuple(user_files))
     if isinstance(result, LieEDNNError):
         raise result
@@ -80,9 +77,7 @@ def arm_and_target(name: str, scene: str, seed: int, user_files: tuple[UserFile,
 
 
 @lru_cache(maxsize=4)
-def _arm_and_target(
-    name: str, scene: str, seed: int, user_files: tuple[UserFile, ...]
-) -> tuple[Arm, Floats] | LieEDNNError:
+def _arm_and_target(name: str, scene: str, seed: int, user_files: UserFiles) -> tuple[Arm, Floats] | LieEDNNError:
     """`arm_and_target`, or its error, so that a failed search is not repeated for each planner."""
     # Without random obstacles the arm does not depend on the seed, and is shared.
     drawn = scene != FREE and (SCENE, scene) not in {file[:2] for file in user_files}
@@ -98,9 +93,7 @@ def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:
         return plan(arm, target, planner=case.planner, duration=settings.duration, seed=case.seed)
 
 
-def run_case(
-    case: Case, controllers: Sequence[str], settings: Settings, *, user_files: tuple[UserFile, ...] = ()
-) -> list[Row]:
+def run_case(case: Case, controllers: Sequence[str], settings: Settings, *, user_files: UserFiles = ()) -> list[Row]:
     """Plan once and track with every controller: one row each, with the reason for a failure; bugs are raised.
 
     Arms and scenes from files are found by their names in ``user_files``. The planning time is CPU time of this
@@ -120,11 +113,9 @@ def run_case(
             error.add_note(f"while planning the case {case}")
             raise
         planned = {"planning_s": cpu_time() - start, **_stability(plan.network)}
-        planned |= _measured(motion_metrics(arm, plan.motion))
-        clearance = plan.clearance
-        planned["proved_fraction"] = clearance.proved_fraction
-        if clearance.bound > 0.0:
-            planned["proved_clearance_mm"] = 1e3 * clearance.bound
+        planned |= {**_measured(motion_metrics(arm, plan.motion)), "proved_fraction": plan.clearance.proved_fraction}
+        if plan.clearance.bound > 0.0:
+            planned["proved_clearance_mm"] = 1e3 * plan.clearance.bound
         with contextlib.suppress(LieEDNNError):  # the plan has no tube
             planned["tube_mm"] = 1e3 * find_tube(arm, plan).size
         rows = []
@@ -145,12 +136,8 @@ def failed_case(case: Case, controllers: Sequence[str], settings: Settings, reas
     return [Row(controller=name, **shared) for name in controllers]
 
 
-def replay(case: Case, controller: str, settings: Settings, *, user_files: tuple[UserFile, ...] = ()) -> Rollout:
-    """Plan and simulate a case again, to render or plot it.
-
-    Raises:
-        LieEDNNError: it cannot be planned or simulated.
-    """
+def replay(case: Case, controller: str, settings: Settings, *, user_files: UserFiles = ()) -> Rollout:
+    """Plan and simulate a case again, to render or plot it; `LieEDNNError` if it cannot be planned or simulated."""
     with one_blas_thread():
         arm, target = arm_and_target(case.arm, case.scene, case.seed, user_files)
         return _simulate(arm, _plan(case, arm, target, settings), controller, settings)
@@ -166,8 +153,8 @@ def _stability(network: Any) -> dict[str, Any]:
     if network is None:
         return {"stability": "-", "stability_level": "-"}
     verdict = network.assess()
-    local = "local" if verdict.level == "local" else "none"
-    return {"stability": "global" if verdict.globally_stable else local, "stability_level": verdict.level}
+    proved = "global" if verdict.globally_stable else "local" if verdict.level == "local" else "none"
+    return {"stability": proved, "stability_level": verdict.level}
 
 
 def _measured(metrics: MotionMetrics | Evaluation) -> dict[str, Any]:
@@ -244,7 +231,7 @@ class Comparison(Study[Row]):
     controllers: Sequence[str] = ()
     seeds: int = 3
     first_seed: int = 0
-    user_files: tuple[UserFile, ...] = ()
+    user_files: UserFiles = ()
     slow_seeds: int | None = None
     common: Settings = field(default_factory=Settings)
     shard: Shard | None = None
@@ -305,10 +292,9 @@ class Comparison(Study[Row]):
         """See `Study`."""
         cases = sorted(self.cases(), key=lambda case: (case.arm, case.scene, case.seed, -PLANNERS[case.planner].cost))
         jobs = []
-        for case in cases:
-            keys = {name: (case.arm, case.scene, case.planner, name, case.seed) for name in self.controllers}
-            if missing := [name for name, key in keys.items() if key not in table.rows]:
-                jobs.append((case, missing, self.common))
+        for c in cases:
+            names = [n for n in self.controllers if (c.arm, c.scene, c.planner, n, c.seed) not in table.rows]
+            jobs += [(c, names, self.common)] if names else []
         return jobs
 
 

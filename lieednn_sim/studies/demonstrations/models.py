@@ -123,6 +123,8 @@ def compare_models(
 ) -> tuple[list[ModelRow], dict[str, MotionModel]]:
     """Compare a network shaped by all demonstrations with models that have as many parameters.
 
+    The result is a row for each model, and the models by name, the network first.
+
     Args:
         demonstrations, shaped: the demonstrations and the network.
         rivals: names of `RIVALS`; by default all.
@@ -131,9 +133,6 @@ def compare_models(
         starts, seed: number and seed of random starts, see `random_starts`.
         leave_one_out: fit each model again without each of the demonstrations, the network with as many hidden neurons.
         progress: called with the steps done and their total.
-
-    Returns:
-        A row for each model, and the models by name, the network first.
     """
     names = [shaped.name, *(RIVALS if rivals is None else rivals)]
     for name in names[1:]:

@@ -34,7 +34,7 @@ from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
 from lieednn_sim.studies.statistics import Group, grouped
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
-from lieednn_sim.studies.user_files import UserFile
+from lieednn_sim.studies.user_files import UserFiles
 from lieednn_sim.validation import as_count
 from lieednn_sim.values import Floats, check_fields, frozen
 
@@ -132,9 +132,7 @@ class Task:
         return policy
 
 
-def run_reactions(
-    arm: str, scene: str, policy: str, seed: int, *, user_files: tuple[UserFile, ...] = ()
-) -> list[Reaction]:
+def run_reactions(arm: str, scene: str, policy: str, seed: int, *, user_files: UserFiles = ()) -> list[Reaction]:
     """As `run_case`: run a policy under each disturbance, one row each, with the reason for a failure."""
     with one_blas_thread():
         try:
@@ -176,7 +174,7 @@ def failed_reactions(arm: str, scene: str, policy: str, seed: int, reason: str) 
 
 
 @lru_cache(maxsize=2)
-def _task(name: str, scene: str, seed: int, user_files: tuple[UserFile, ...]) -> Task:
+def _task(name: str, scene: str, seed: int, user_files: UserFiles) -> Task:
     arm, target = arm_and_target(name, scene, seed, user_files)
     shown = plan(arm, target, planner="lieednn-shaped", seed=seed)
     return Task(arm, scene, target, (shown.guide or shown).motion, seed)
@@ -190,12 +188,9 @@ def _row(task: Task, policy: str, disturbance: str, following: Following) -> Rea
     rollout = following.rollout
     evaluation = evaluate(rollout, clearance=False)
     use = np.mean((rollout.force / rollout.arm.force_limits) ** 2, axis=1)
+    key = task.arm.name, task.scene, policy, disturbance, task.seed
     return Reaction(
-        task.arm.name,
-        task.scene,
-        policy,
-        disturbance,
-        task.seed,
+        *key,
         reason=evaluation.shortfall,
         final_mm=evaluation.final_worst_mm,
         effort=float(use.sum() * rollout.timestep),
@@ -297,7 +292,7 @@ class Reactions(Study[Reaction]):
     scenes: Sequence[str]
     seeds: int
     policies: Sequence[str] = tuple(COMPARED)
-    user_files: tuple[UserFile, ...] = ()
+    user_files: UserFiles = ()
 
     def __post_init__(self) -> None:
         check_fields(self, as_count, "seeds")

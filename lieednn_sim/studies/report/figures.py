@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterable, Sequence
+from itertools import cycle, product
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -48,14 +49,10 @@ class Mark(NamedTuple):
 
 def marks(names: Iterable[str]) -> dict[str, Mark]:
     """A mark for each planner, which does not depend on the other names."""
-    colours, shapes = (*COLOURS, "#8C8C8C"), ("round", "diamond", "square", "triangle")
-    known = list(PLANNERS)
-    order = known + sorted(set(names) - set(known))
+    order = [*PLANNERS, *sorted(set(names) - set(PLANNERS))]
     # Each repetition of the colours has another shape.
-    return {
-        name: Mark(colours[index % len(colours)], shapes[index // len(colours) % len(shapes)])
-        for index, name in enumerate(order)
-    }
+    looks = cycle(product(("round", "diamond", "square", "triangle"), (*COLOURS, "#8C8C8C")))
+    return {name: Mark(colour, shape) for name, (shape, colour) in zip(order, looks, strict=False)}
 
 
 class Plot(NamedTuple):

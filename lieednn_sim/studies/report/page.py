@@ -48,9 +48,6 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
 
     The problems that most planners solved come first, each arm and scene once. The planner of LieEDNN with the most
     successes in the whole table is the first of every problem where it succeeded; the others take turns.
-
-    Raises:
-        InputError: ``count`` is not a whole number >= 0.
     """
     most = as_count("the number of problems", count, least=0)
     solved = [row for row in table.sorted_rows() if row.success and row.controller == controller]
