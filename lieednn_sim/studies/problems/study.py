@@ -129,7 +129,8 @@ def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float)
         result = plan(
             arm, goal, planner=planner, start=start, duration=(least, 100.0 * least), options=OPTIONS.get(planner)
         )
-    if _TIMED:
+    # The search has timed its motion.
+    if _TIMED and OPTIONS.get(planner) is not _SEARCH:
         # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
         # its new samples. Then the motion stays as it is.
         with contextlib.suppress(PlanError):
