@@ -68,14 +68,14 @@ def test_published_problems_that_are_skipped_are_not_asked_and_lost_ones_are_nam
 
 
 def test_certificates_of_motions_are_counted_and_what_is_nearer_is_found(tmp_path):
-    proof = provers.Proof("walls", "a-planner", "001", "", 1.0, 9.0, 10.0, 2.0, 4.0, 0.2, 0.5)
+    proof = provers.Proof("walls", "a-planner", "001", "", 1.0, 9.0, 10.0, 2.0, True, 4.0, 0.2, 0.5)
     rows = [proof, proof._replace(fraction=0.9, clearance=5.0, found=4.0, tube=None, planning_time=0.4)]
     rows += [proof._replace(scene=f"{k}", reason=why) for k, why in enumerate(("'a' would touch 'b'", "out of time"))]
     assert provers.broken(rows) == rows[1:2]
     lines = provers.report(rows).splitlines()
     assert cells(lines[6]) == [
-        *("walls", "`a-planner`", "2 of 4", "1 of 2", "7 / 5 / 9", "1 of 2", "2 / 2 / 2", "4 / 4 / 4"),
-        *("0.3 / 0.2 / 0.4", "0.5 / 0.5 / 0.5"),
+        *("walls", "`a-planner`", "2 of 4", "1 of 2", "2 of 2", "7 / 5 / 9", "1 of 2", "2 / 2 / 2"),
+        *("4 / 4 / 4", "0.3 / 0.2 / 0.4", "0.5 / 0.5 / 0.5"),
     ]
     assert "below what is proved in 1 motions; in the median, what is proved is 108% of it" in lines[8]
     assert lines[-2:] == ["- walls, `a-planner`, something in the way: 0", "- walls, `a-planner`, 1: out of time"]
