@@ -10,7 +10,8 @@ by default of all, and each row of their tables is compared with that row of the
 The exit status is 1 where one differs. A sample of a table whose rows are means over many more cases has a committed
 file of its own, which --update makes again. Some studies need outside data, such as ``--data PROBLEMS=vamp/resources``:
 recordings of RoboTasks and LASA (``DEMONSTRATIONS``), models of MuJoCo Menagerie and of ROS packages (``ROBOTS``, which
-may be given several times, with names and commits in ``MODELS``), VAMP's ``resources`` (``PROBLEMS``).
+may be given several times, with names and commits in ``MODELS``), VAMP's ``resources`` (``PROBLEMS``), checkouts of
+roahmlab's ``ARMOUR`` and ``SPARROWS``.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ import evaluate_demonstrations
 import evaluate_pushes
 import motion_bench_maker
 import numpy as np
+import provers
 import pytest
 import robustness
 import shaped
@@ -64,6 +65,30 @@ def test_published_problems_that_are_skipped_are_not_asked_and_lost_ones_are_nam
     ]
     assert cells(lines[7])[2:] == ["1", "0", "0 of 1", "-", "-", "-", "-"]
     assert lines[-1] == "- a robot, `rrt-connect`: box 5"
+
+
+def test_certificates_of_motions_are_counted_and_what_is_nearer_is_found(tmp_path):
+    proof = provers.Proof("walls", "a-planner", "001", "", 1.0, 9.0, 10.0, 2.0, True, 4.0, 0.2, 0.5)
+    rows = [proof, proof._replace(fraction=0.9, clearance=5.0, found=4.0, tube=None, planning_time=0.4)]
+    rows += [proof._replace(scene=f"{k}", reason=why) for k, why in enumerate(("'a' would touch 'b'", "out of time"))]
+    assert provers.broken(rows) == rows[1:2]
+    lines = provers.report(rows).splitlines()
+    assert cells(lines[6]) == [
+        *("walls", "`a-planner`", "2 of 4", "1 of 2", "2 of 2", "7 / 5 / 9", "1 of 2", "2 / 2 / 2"),
+        *("4 / 4 / 4", "0.3 / 0.2 / 0.4", "0.5 / 0.5 / 0.5"),
+    ]
+    assert "below what is proved in 1 motions; in the median, what is proved is 108% of it" in lines[8]
+    assert lines[-2:] == ["- walls, `a-planner`, something in the way: 0", "- walls, `a-planner`, 1: out of time"]
+    # A rod of 0.5 m with a joint at its end, and a box with a face 0.03 m beyond the other end.
+    rod = """<robot name="rod"><link name="base"/><link name="rod"><collision><origin xyz="0.25 0 0"/><geometry>
+      <box size="0.5 0.02 0.02"/></geometry></collision></link><joint name="j" type="revolute"><parent link="base"/>
+      <child link="rod"/><axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="9" velocity="1"/></joint></robot>"""
+    (tmp_path / "rod.urdf").write_text(rod)
+    lines = ["1,0,0,0,0,0,0", "2,3,4,5,6,7,8", ",".join(7 * ["NaN"]), "0.58,0,0,0.1,0.2,0.3,NaN"]
+    (tmp_path / "scene_001.csv").write_text("\n".join(lines))
+    posed = provers.problem(str(tmp_path / "rod.urdf"), tmp_path / "scene_001.csv")
+    assert posed.goal.tolist() == [2, 3, 4, 5, 6, 7, 8]
+    assert provers.least_distance(posed.arm, np.array([[1.5], [0.0]])) == pytest.approx(0.03, abs=1e-6)
 
 
 def test_bounds_and_rates_of_contraction_by_kind_of_network(monkeypatch):

@@ -34,6 +34,9 @@ from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
 _TOUCHING = 2.5e-3  # clearance [m] below which a steep line continues the logarithm, so that contact is left first
+# Bounds on distances that may be broken where a step begins: the solver takes up all of them, in cubic time. Of more,
+# as when whole links are inside of obstacles, the deepest count.
+_DEEPEST = 600
 
 
 class GuideOptimisation:
@@ -212,6 +215,8 @@ class GuideOptimisation:
         known = min(max(clearance, _TOUCHING), self._enough)
         most = min(1.0, self._enough / known - 1.0)
         reached = distance - known * (1.0 + most) < np.abs(slope) @ radius
+        if len(distance) > _DEEPEST:
+            reached &= (distance >= known) | (distance < np.partition(distance, _DEEPEST)[_DEEPEST])
         instant, distance, slope = instant[reached], distance[reached], slope[reached]
         x = free.T.ravel()
         value = self._weight * self.cost(free) / 2.0

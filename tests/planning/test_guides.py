@@ -13,7 +13,7 @@ from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.evaluation.metrics import motion_metrics
-from lieednn_sim.planning import PLANNERS, GuideOptions, PlanningProblem, guides, plan
+from lieednn_sim.planning import PLANNERS, GuideOptions, PlanningProblem, guide_optimisation, guides, plan
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
 from lieednn_sim.planning.guides import best_guide, shortened
 from lieednn_sim.planning.joint_space import sweeps
@@ -105,6 +105,24 @@ def test_a_optimised_motion_is_no_worse_than_its_start_and_keeps_limits_and_clea
     wider = wide.motion(poles, wide.descend(free, 12)[1])
     assert Collisions(poles.arm).least_clearance(wider.q) > 1.1 * least
     assert wide.cost(wide.descend(free, 12)[1]) > one.cost(free)
+
+
+def test_of_very_many_broken_bounds_the_deepest_count_and_all_that_hold(poles, monkeypatch):
+    one = optimisation(poles)
+    rng, n = np.random.default_rng(0), poles.arm.n_joints
+    deep, near = -rng.uniform(0.001, 0.2, 3000), rng.uniform(0.003, 0.01, 700)
+    distance = rng.permutation(np.concatenate([deep, near]))
+    given = rng.integers(0, 96, len(distance)), distance, np.full((len(distance), n), 1.0)
+    taken, solve = [], guide_optimisation.daqp.solve
+
+    def noted(hessian, pull, rows, upper, lower, sense, **settings):
+        taken.append(lower[-len(rows) :])
+        return solve(hessian, pull, rows, upper, lower, sense, **settings)
+
+    monkeypatch.setattr(guide_optimisation.daqp, "solve", noted)
+    assert np.isfinite(one._step(one.straight, given, float(deep.min()), 0.1)).all()
+    kept = np.sort(guide_optimisation._TOUCHING - taken[0])
+    np.testing.assert_allclose(kept, np.sort(np.concatenate([np.sort(deep)[: guide_optimisation._DEEPEST], near])))
 
 
 def test_the_winner_has_the_least_measure_whatever_the_order(poles, monkeypatch):

@@ -1,0 +1,209 @@
+"""Motions with continuous-time collision certificates, in the scenes that planners with reachable sets are tried in.
+
+    python scripts/provers.py ARMOUR SPARROWS [--sets armour sparrows] [--planners NAME ...] [--model FILE]
+                              [--jobs 1] [--output results/provers]
+
+The folders are checkouts of roahmlab/armour and roahmlab/sparrows, which are not part of this project;
+docs/howto/published_problems.md says how the problems are posed. Writes a Markdown table, ``provers.md``; exits with
+status 1 if anything is nearer than what is proved.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from lieednn_sim import io
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.obstacles import shapes
+from lieednn_sim.budget import cpu_time
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.evaluation import evaluate
+from lieednn_sim.planning import Plan, find_tube, plan
+from lieednn_sim.simulation import simulate
+from lieednn_sim.studies.markdown import table
+from lieednn_sim.studies.problems.motion_bench_maker import PublishedProblem
+from lieednn_sim.values import Floats
+
+SETS = {"armour": "kinova_src/saved_worlds/random", "sparrows": "kinova_scenarios"}
+MODEL = "urdfs/kinova_arm/kinova_without_gripper.urdf"
+PLANNERS = ("lieednn-shaped", "rrt-connect", "lieednn-certified", "minimum-jerk")
+# Instants of each motion at which the proof is attacked, and the distance up to which it is [m].
+INSTANTS, FAR = 100, 0.1
+METHOD = (
+    "From the published start to the published joint goal, with the planners' defaults, within the ranges and the "
+    "velocities of the robot's model and at least 2 mm from contact. Proved: with a continuous-time collision "
+    "certificate, which covers every instant of the motion and not only its samples. The clearance is the lower bound "
+    f"that it proves of all distances, of which {1e3 * FAR:g} mm count at most. The tube is the largest shift of all "
+    "links at once, at whatever instant, after which the network is proved to end at its target without contact; only "
+    "certified networks have one. A run is inside its proof if the simulated joints stay so near to the plan that the "
+    "certificate covers them. CPU times are of one core; that of planning includes the proof. Three numbers are median "
+    "/ least / largest. [How the scenes are posed, and what the planners they come from report]"
+    "(../../docs/howto/published_problems.md)."
+)
+HEADINGS = (
+    *("set", "planner", "solved", "proved at every instant", "runs inside the proof", "clearance [mm]", "with a tube"),
+    *("tube [mm]", "motion time [s]", "planning CPU [s]", "tube CPU [s]"),
+)
+
+
+class Proof(NamedTuple):
+    """What is proved of a planner's motion in a scene: times [s], and distances [mm]; or why there is none."""
+
+    set: str
+    planner: str
+    scene: str
+    reason: str = ""
+    fraction: float = 0.0
+    clearance: float = 0.0
+    found: float = 0.0
+    tube: float | None = None
+    inside: bool = False
+    motion_time: float = 0.0
+    planning_time: float = 0.0
+    tube_time: float = 0.0
+
+
+@lru_cache(maxsize=1)
+def robot(model: str) -> Arm:
+    """The Kinova Gen3, without a floor, as the planners with reachable sets have it."""
+    return Arm.from_xml(model, "gen3", floor="none")
+
+
+def problem(model: str, file: Path) -> PublishedProblem:
+    """The problem of a file: lines of start, of goal, of NaN, and of the centre and the edges of each box [rad, m]."""
+    values = np.genfromtxt(file, delimiter=",")
+    boxes = [{"shape": "box", "position": row[:3].tolist(), "size": row[3:6].tolist()} for row in values[3:]]
+    return PublishedProblem(robot(model).with_obstacles(shapes({"obstacles": boxes}, file), file.stem), *values[:2])
+
+
+def least_distance(arm: Arm, q: Floats) -> float:
+    """Least distance [m] of geoms that MuJoCo lets meet at joints ``(K, n)``, by `mj_geomDistance`, at most `FAR`."""
+    model = arm.copied_spec().compile()
+    # Contacts of all that is near, only to know which geoms these are.
+    model.geom_margin[:] = FAR
+    data, least = mujoco.MjData(model), FAR
+    for data.qpos[:] in arm.qpos(q):
+        mujoco.mj_fwdPosition(model, data)
+        for pair in {tuple(pair) for pair in data.contact.geom.tolist()}:
+            least = min(least, mujoco.mj_geomDistance(model, data, *pair, FAR, None))
+    return least
+
+
+def attacked(arm: Arm, made: Plan) -> float:
+    """Least distance [m] at random instants of a plan, of those that are proved; infinity if none are."""
+    motion, unproved = made.motion, made.clearance.unproved
+    t = np.random.default_rng(0).uniform(0.0, motion.t[-1], INSTANTS)
+    t = t[~((t[:, None] >= unproved[:, 0]) & (t[:, None] <= unproved[:, 1])).any(axis=1)]
+    return least_distance(arm, CubicHermiteSpline(motion.t, motion.q, motion.qd)(t)) if len(t) else np.inf
+
+
+def prove(case: tuple[str, str, Path, str]) -> Proof:
+    """What is proved of a case: model, set, file and planner."""
+    model, name, file, planner = case
+    key = (name, planner, file.stem.removeprefix("scene_"))
+    with one_blas_thread():
+        try:
+            arm, start, goal = problem(model, file)
+            begin = cpu_time()
+            made = plan(arm, goal, planner=planner, start=start)
+            clearance = made.clearance
+        except LieEDNNError as error:
+            return Proof(*key, str(error))
+        planned = cpu_time()
+        try:
+            tube = 1e3 * find_tube(arm, made).size
+        except LieEDNNError:
+            tube = None
+        return Proof(
+            *key,
+            fraction=clearance.proved_fraction,
+            clearance=1e3 * clearance.bound,
+            tube_time=cpu_time() - planned,
+            tube=tube,
+            found=1e3 * attacked(arm, made),
+            inside=bool(evaluate(simulate(arm, made)).proved),
+            motion_time=float(made.motion.t[-1]),
+            planning_time=planned - begin,
+        )
+
+
+def numbers(values: Sequence[float]) -> str:
+    """The median, least and largest of values."""
+    return " / ".join(f"{value:.3g}" for value in np.quantile(values, (0.5, 0.0, 1.0))) if values else "-"
+
+
+def report(rows: Sequence[Proof]) -> str:
+    """The statistics of each set and planner, the attack, and what was not solved."""
+    cells, lost = [], []
+    for key in dict.fromkeys(row[:2] for row in rows):
+        own = [row for row in rows if row[:2] == key]
+        solved = [row for row in own if not row.reason]
+        tubes = [row for row in solved if row.tube is not None]
+        sure = [sum(row.fraction == 1.0 for row in solved), sum(row.inside for row in solved)]
+        cells.append([key[0], f"`{key[1]}`", f"{len(solved)} of {len(own)}", *(f"{n} of {len(solved)}" for n in sure)])
+        cells[-1] += [numbers([row.clearance for row in solved]), f"{len(tubes)} of {len(solved)}"]
+        cells[-1] += [numbers([row.tube for row in tubes if row.tube]), numbers([row.motion_time for row in solved])]
+        cells[-1] += [numbers([row.planning_time for row in solved]), numbers([row.tube_time for row in tubes])]
+        blocked = [row.scene for row in own if " would " in row.reason and "range is" not in row.reason]
+        lost += [f"- {key[0]}, `{key[1]}`, something in the way: {', '.join(blocked)}"] if blocked else []
+        others = [row for row in own if row.reason and row.scene not in blocked]
+        lost += [f"- {key[0]}, `{key[1]}`, {row.scene}: {row.reason}" for row in others]
+    solved = [row for row in rows if not row.reason]
+    sharp = [row.clearance / row.found for row in solved if 0.0 < row.found < 999.0 * FAR] or [np.nan]
+    lines = [
+        "# Continuous-time collision certificates",
+        "",
+        METHOD,
+        *table(HEADINGS, cells),
+        "",
+        f"At {INSTANTS} random instants of each of these {len(solved)} motions, mostly between samples, MuJoCo's least "
+        f"distance was below what is proved in {len(broken(rows))} motions; in the median, what is proved is "
+        f"{np.median(sharp):.0%} of it.",
+        *("", "What was not solved:", "", *(lost or ["- nothing"])),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def broken(rows: Sequence[Proof]) -> list[Proof]:
+    """Motions in which something was found nearer than what is proved."""
+    return [row for row in rows if not row.reason and row.found < row.clearance - 1e-6]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Plan and prove in every scene, then write the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("armour", type=Path, help="checkout of roahmlab/armour")
+    parser.add_argument("sparrows", type=Path, help="checkout of roahmlab/sparrows")
+    parser.add_argument("--sets", nargs="+", default=list(SETS), choices=list(SETS))
+    parser.add_argument("--planners", nargs="+", default=PLANNERS, help=f"names (default: {' '.join(PLANNERS)})")
+    parser.add_argument("--model", type=Path, help="of a Gen3 (default: the one in the first checkout)")
+    parser.add_argument("--jobs", type=int, default=1, help="worker processes (default: %(default)s)")
+    parser.add_argument("--output", type=Path, default=Path("results/provers"))
+    given = parser.parse_args(arguments)
+    files = {name: sorted((getattr(given, name) / SETS[name]).glob("scene_*.csv")) for name in given.sets}
+    if missing := [name for name in given.sets if not files[name]]:
+        parser.error(f"{getattr(given, missing[0])} has no {SETS[missing[0]]}/scene_*.csv")
+    model = str(given.model or given.armour / MODEL)
+    each = [(name, planner) for name in given.sets for planner in given.planners]
+    with ProcessPoolExecutor(given.jobs) as pool:
+        rows = list(pool.map(prove, [(model, name, file, planner) for name, planner in each for file in files[name]]))
+    path = io.make_directory(given.output) / "provers.md"
+    with io.atomic_text(path) as stream:
+        stream.write(report(rows))
+    print(path)
+    return 1 if broken(rows) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
