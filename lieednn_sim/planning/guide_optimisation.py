@@ -27,7 +27,7 @@ from scipy.interpolate import BSpline, CubicSpline
 from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.budget import check_time
 from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion, travelled
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.motion import Motion, check_roughly
 from lieednn_sim.planning.path_constraints import check_path_constraint, excess_and_slopes, projected
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
@@ -158,10 +158,10 @@ class GuideOptimisation:
         return measure, free, clearance >= _TOUCHING and self._beyond(free) < 0.01
 
     def motion(self, problem: PlanningProblem, free: Floats) -> Motion:
-        """The checked motion, in the problem's duration.
+        """The roughly checked motion, in the problem's duration.
 
         Raises:
-            PlanError: it breaks a limit or touches something.
+            PlanError: it breaks a limit, or touches something at some samples.
         """
         t, control = problem.times(), self._control(free)
         u = t / t[-1]
@@ -172,7 +172,7 @@ class GuideOptimisation:
             # The ends are in the region up to the accuracy of inverse kinematics.
             q += np.outer(1.0 - progress, problem.start - q[0]) + np.outer(progress, problem.target - q[-1])
             qd = CubicSpline(t, q, bc_type="clamped")(t, 1) * t[-1]
-        motion = joint_motion(problem, q, qd / t[-1], progress)
+        motion = joint_motion(problem, q, qd / t[-1], progress, check_roughly)
         check_path_constraint(problem.arm, problem.path_constraint, motion)
         return motion
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from lieednn_sim.arm import Arm
@@ -15,6 +17,10 @@ from lieednn_sim.values import Floats
 # Degree of the planners' splines, with continuous derivatives up to the fourth: smooth curvature, and continuous jerk
 # where the spline is one in time.
 SPLINE_DEGREE = 5
+
+
+#: What raises `PlanError` for positions and velocities ``(K, n)`` of an arm at times ``(K,)``.
+Check = Callable[[Arm, Floats, Floats, Floats], None]
 
 
 class ClearanceTest:
@@ -114,7 +120,9 @@ def sweeps(arm: Arm) -> Floats:
     return np.asarray(moved / (2.0 * step))
 
 
-def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floats, *, checked: bool = True) -> Motion:
+def joint_motion(
+    problem: PlanningProblem, q: Floats, qd: Floats, progress: Floats, check: Check | None = check_joints
+) -> Motion:
     """The motion through given joint positions at `PlanningProblem.times`, checked against the arm's limits.
 
     The poses are those of the joints, so there is no mechanism gap.
@@ -124,7 +132,7 @@ def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floa
         q: ``(K, n)`` [rad, m], from start to target up to rounding.
         qd: ``(K, n)`` [rad/s, m/s], zero at both ends up to rounding.
         progress: ``(K,)`` from 0 to 1.
-        checked: whether limits and contact are checked.
+        check: what is checked of the arm, times, positions and velocities; by default limits and clearance.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.
@@ -133,7 +141,7 @@ def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floa
     q, qd = (as_floats(name, value, (len(t), arm.n_joints)).copy() for name, value in (("q", q), ("qd", qd)))
     # With exact ends: rounding might miss them, and exceed a limit there.
     q[0], q[-1], qd[[0, -1]] = problem.start, problem.target, 0.0
-    if checked:
-        check_joints(arm, t, q, qd)
+    if check is not None:
+        check(arm, t, q, qd)
     none, xi = np.zeros((len(q), arm.n_links)), continued(arm.encode(q))
     return Motion(t, as_floats("progress", progress, (len(q),)), xi, xi[-1], q, qd, none, none.copy())
