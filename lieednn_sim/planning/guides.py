@@ -23,7 +23,7 @@ from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
 from lieednn_sim.planning.joint_space import Workspace, travelled
-from lieednn_sim.planning.motion import Motion, check_roughly
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.path_constraints import outside, projected
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
@@ -112,7 +112,7 @@ def _straight(problem: PlanningProblem) -> Motion:
         # A small part of what is allowed; the rest is for the network that follows it.
         if outside(problem.arm, problem.path_constraint, some) > 0.01:
             raise PlanError("the straight motion leaves the region to keep")
-    return in_time(interpolation.minimum_jerk, problem, check_roughly)
+    return in_time(partial(interpolation.minimum_jerk, guiding=True), problem)
 
 
 class _Search:
@@ -122,7 +122,7 @@ class _Search:
         self.problem, self.options, self.constrained = problem, options, problem.path_constraint is not None
         workspace = Workspace(problem, options.margin)
         self.edges = EdgeTest(problem.arm, workspace, options.spacing)
-        self.ends = min(map(workspace.collisions.clearance, (problem.start, problem.target)))
+        self.ends = workspace.ends
 
     def optimisation(self, *, own: bool) -> GuideOptimisation:
         """With the arm's distances from itself, at twice the instants; without them, at a fraction of the cost."""

@@ -120,7 +120,7 @@ def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float)
     curve = smoothed(slow, corners, count, bend)
     if any(problem.arm.near_contacts_along(curve[0][::_STRIDE])):
         raise PlanError("the curve touches something")
-    return retime(problem.arm, joint_motion(slow, *curve, check=None))
+    return retime(problem.arm, joint_motion(slow, *curve, checked=False))
 
 
 def smoothed(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> tuple[Floats, Floats, Floats]:
