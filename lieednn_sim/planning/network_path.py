@@ -48,7 +48,7 @@ class NetworkPath:
             limits, combined with the rate of convergence, or that of the network's states. None if nothing moves.
         joints: joint positions as a function of w, decoded beforehand; None if they are decoded at each sample, and
             positions are tau.
-        gaps: ``(2, N)`` mechanism gap [m] and [rad] as a function of w, from where joints were decoded; or None.
+        gaps: mechanism gap ``(2, N)`` [m] and [rad] as a function of w, interpolated where joints are; else None.
     """
 
     arm: Arm
@@ -58,7 +58,7 @@ class NetworkPath:
     states: Callable[[Floats], Floats]
     speed: PchipInterpolator | None
     joints: BSpline | None = None
-    gaps: BSpline | None = None
+    gaps: PchipInterpolator | None = None
 
     @classmethod
     def integrate(
@@ -139,7 +139,7 @@ class NetworkPath:
         near = np.stack([np.interp(length, passed, joint) for joint in given.q[known].T], axis=1)
         decoded = arm.decode(visible(some), start=near)
         joints = make_interp_spline(some, decoded.q, 5)
-        gaps = make_interp_spline(some, np.stack([decoded.gap_translation, decoded.gap_rotation], axis=1), 1)
+        gaps = PchipInterpolator(some, np.stack([decoded.gap_translation, decoded.gap_rotation], axis=1))
         return cls(arm, network, given.q[0], network.bias[: network.n_visible], visible, speed, joints, gaps)
 
     def timed(self, duration: float, timestep: float, law: Law | None = None) -> Motion:

@@ -87,7 +87,8 @@ def test_every_planner_goes_from_rest_to_rest_within_the_limits_and_does_so_agai
     # The states are those that the joints follow: decoded anew they give positions and gap.
     decoded = ARM.decode(motion.xi)
     np.testing.assert_allclose(decoded.q, motion.q, atol=1e-9)
-    np.testing.assert_allclose(decoded.gap_translation, motion.gap_translation, atol=1e-9)
+    # That of a universal network is interpolated.
+    np.testing.assert_allclose(decoded.gap_translation, motion.gap_translation, atol=1e-7)
     np.testing.assert_allclose(decoded.gap_rotation, motion.gap_rotation, atol=1e-7)
     # Velocities are the derivatives, of fourth order, since the steps are coarse.
     q = motion.q
