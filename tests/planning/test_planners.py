@@ -179,7 +179,7 @@ def test_a_plan_says_what_it_was_made_of(monkeypatch):
     assert made.cpu_time == 2.5
     np.testing.assert_array_equal(made.motion.q[0], ARM.keyframe("home"))
     assert made.motion.t[-1] == 4.0
-    made = planned("lieednn-certified", task, options=CertifiedOptions(n_networks=2))
+    made = planned("lieednn-certified", task, options=CertifiedOptions(n_first=2))
     assert (made.planner, made.details.n_networks) == ("lieednn-certified", 2)
     assert 1 <= made.details.within_limits <= 2
 
