@@ -124,7 +124,7 @@ def learning_rows(targets: list[np.ndarray], epochs: dict[str, list[float]]) -> 
 def plan_rows(arm: Arm, goal: np.ndarray, motion: Motion, synthesis: float, repeats: int) -> Iterator[Row]:
     """Times of plans in that of a synthesis [s], and of simulations in that which they simulate."""
     plans = [seconds(partial(plan, arm, goal), time.perf_counter) / synthesis for _ in range(repeats)]
-    yield Row("planning with 24 candidates, in syntheses", plans)
+    yield Row("planning in free space, in syntheses", plans)
     simulated = [simulate(arm, motion).t[-1] / seconds(partial(simulate, arm, motion)) for _ in range(repeats)]
     yield Row("real time, in simulations of it", simulated)
 

@@ -265,9 +265,7 @@ class ClearanceBounds:
 
     def _rates(self, q: Floats) -> Floats:
         """Rates ``(I, nv, n)`` of MuJoCo's velocities by the coordinates'."""
-        shape = (len(q), *self._identity.shape)
-        rates = self._arm.qvel(np.broadcast_to(q[:, None], shape), np.broadcast_to(self._identity, shape))
-        return np.ascontiguousarray(np.swapaxes(rates, -1, -2))
+        return np.ascontiguousarray(np.swapaxes(self._arm.qvel(q[:, None], self._identity), -1, -2))
 
     def _rests(self, alone: Floats, levers: Floats, steps: Floats) -> tuple[Floats, Floats, Floats]:
         """The rests as a polynomial of degree two in s: constant ``(2, P)``, linear ``(2, P)``, quadratic ``(P,)``."""

@@ -49,22 +49,22 @@ class ContactSlopes(ContactFinder):
             For each contact of C, the index of its configuration ``(C,)``, its distance ``(C,)`` [m], negative in
             penetration, and the derivatives of that in the joint coordinates ``(C, n)`` [m/rad, m/m].
         """
-        model, data, n = self._model, self._data, q.shape[1]
-        counts, distances, rows = np.zeros(len(q), dtype=int), [np.zeros(0)], [np.zeros((0, model.nv))]
-        for k, qpos in enumerate(self._arm.qpos(q, strict=False)):
-            # Where loops cannot be closed, no place of a geom is known.
-            if np.isnan(qpos).any() or not self._found(qpos):
+        model, data, positions = self._model, self._data, self._arm.qpos(q, strict=False)
+        at, distances, kept, rows = list[int](), [np.zeros(0)], [np.zeros(0, dtype=bool)], list[Floats]()
+        # Where loops cannot be closed, no place of a geom is known.
+        for k in np.flatnonzero(~np.isnan(positions).any(axis=1)).tolist():
+            if not self._found(positions[k]):
                 continue
             mujoco.mj_comPos(model, data)
             mujoco.mj_makeConstraint(model, data)
-            contact, distance = data.contact, self._distances()
-            used = (contact.exclude == 0) & (distance < self._margin)
-            counts[k] = used.sum()
-            distances.append(distance[used])
-            rows.append(data.efc_J.reshape(-1, model.nv)[contact.efc_address[used]])
-        index, near = np.repeat(np.arange(len(q)), counts), np.flatnonzero(counts)
+            at.append(k)
+            distances.append(np.array(self._distances()))
+            # Those have a row of the Jacobian each, in their order.
+            kept.append(data.contact.exclude == 0)
+            rows.append(data.efc_J.reshape(-1, model.nv).copy())
         # MuJoCo's velocities for a unit rate of each joint, which depend on the position of ball joints alone.
-        shape = (len(near), n, n)
-        rates = self._arm.qvel(np.broadcast_to(q[near, None], shape), np.broadcast_to(np.eye(n), shape))
-        slopes = np.einsum("cv,cnv->cn", np.concatenate(rows), rates[np.repeat(np.arange(len(near)), counts[near])])
-        return index, np.concatenate(distances), slopes
+        rates = np.swapaxes(self._arm.qvel(q[at, None], np.eye(q.shape[1])), -1, -2)
+        slopes = np.concatenate([q[:0], *map(np.matmul, rows, rates)])
+        index, distance = np.repeat(np.array(at, dtype=int), list(map(len, rows))), np.concatenate(distances)
+        near = (distance := distance[np.concatenate(kept)]) < self._margin
+        return index[near], distance[near], slopes[near]

@@ -92,9 +92,9 @@ class Coordinates:
 
     def to_qvel(self, q: Floats, qd: Floats) -> Floats:
         """Rates ``(..., n)`` at q to ``(..., nv)``; a ball turns at J_r(w) dw/dt in the frame of its body."""
-        if q.shape != qd.shape:
-            q, qd = np.broadcast_arrays(q, qd)
         qvel = qd @ self.rates.T
+        if q.shape != qd.shape:
+            qvel = np.broadcast_to(qvel, (*np.broadcast_shapes(q.shape, qd.shape)[:-1], qvel.shape[-1])).copy()
         if len(self.balls):
             right = left_jacobian_so3(-q[..., self.balls])
             qvel[..., self.ball_rate_addresses] = (right @ qd[..., self.balls, None])[..., 0]

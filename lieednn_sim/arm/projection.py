@@ -96,10 +96,6 @@ class Retractor:
                 qd[..., solver.indices] = rate
         return Retraction(q, qd, xi, partial(self._gap, given, q))
 
-    def gap(self, xi: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Distances [m] and angles [rad] ``(..., N)`` of the poses of ``xi`` ``(..., N, 6)`` from those at ``q``."""
-        return self._gap(MovingPoses(xi, None), q)
-
     @property
     def groups(self) -> list[Group]:
         """All coordinates in the groups whose changes `spread` bounds."""

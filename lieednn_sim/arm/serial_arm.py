@@ -270,11 +270,6 @@ class SerialArm:
             begin = as_floats("start", begin, (*twist.shape[:-2], self.n_joints))
         return self.retractor(twist, rate, begin)
 
-    def gap(self, xi: ArrayLike, q: ArrayLike) -> tuple[Floats, Floats]:
-        """Mechanism gap [m] and [rad], each ``(..., N)``, of states ``(..., N, 6)`` at joint positions ``(..., n)``."""
-        twist = as_floats("xi", xi, (self.n_links, 6), batched=True) * self.twist_units
-        return self.retractor.gap(twist, as_floats("q", q, (*twist.shape[:-2], self.n_joints)))
-
     @property
     def twist_units(self) -> Floats:
         """``(6,)`` the units of the network's coordinates (omega, v) [rad, m]."""

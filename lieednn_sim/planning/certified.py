@@ -52,9 +52,7 @@ class CertifiedOptions(CandidateOptions):
 
     Attributes:
         bias: a rule of `synthesis.BIAS_RULES`.
-        n_first: number of networks to begin with if every link moves along one screw, where gaps matter little and
-            synthesis takes most of the time; the others are made only if none of these can be used. With the default
-            magnitudes, 1 and 4 then come before the usual ones.
+        n_first: number of networks to begin with; the others are made only if none of these can be used.
         attempts: number of starts of `synthesize` for a network.
         last_attempts: number of starts for a last network if no other could be certified.
         tried: largest number of networks whose exact motion is made and checked before the planner gives up.
@@ -65,6 +63,8 @@ class CertifiedOptions(CandidateOptions):
         InputError: a value is out of range.
     """
 
+    # The straightest path first; where it is blocked, others bend more.
+    bias_magnitudes: tuple[float, ...] = (4.0, *BIAS_MAGNITUDES)
     bias: str = "sign-matched"
     n_first: int = 1
     attempts: int = 3
@@ -135,13 +135,9 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
     """
     rng, total = np.random.default_rng(problem.seed), options.n_networks
     xi = problem.arm.encode(problem.target)
-    one_screw = all(joint.screw is not None for joint in problem.arm.joints.joints)
-    if one_screw and options.bias_magnitudes == BIAS_MAGNITUDES:
-        # The straightest paths first.
-        options = replace(options, bias_magnitudes=(1.0, 4.0, 0.5, 0.25, 0.125))
     magnitudes = list(options.magnitudes())
     # The numbers of networks with which a plan is tried.
-    few = min(options.n_first, total) if one_screw else total
+    few = min(options.n_first, total)
     networks, drawn = list[LieEDNN](), 0
     while drawn < total:
         end = min(drawn + _BATCH_SIZE, few if drawn < few else total)
@@ -157,8 +153,9 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
         if drawn in (few, total) and networks:
             try:
                 return _plan(problem, options, networks, drawn)
-            except PlanError:
-                if drawn == total:
+            except PlanError as error:
+                # The straightest network comes first; those that bend more are no faster.
+                if drawn == total or isinstance(error, TooFastError):
                     raise
     raise NotCertifiedError(
         f"none of {total} candidates for the target could be certified; the last one: {results[-1].message}"
@@ -201,7 +198,7 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Can
                 break
             continue
         return candidate.network, motion
-    message = f"{refusals[0]} (best of {options.n_networks} candidates)"
+    message = f"{refusals[0]} (best of {len(result)} candidates)"
     if isinstance(refusals[0], TooFastError):
         raise TooFastError(message, refusals[0].duration)
     raise PlanError(f"{message}; try more candidates, another seed, a larger bias magnitude or the solved bias")

@@ -166,7 +166,12 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
 def _test(arm: Arm, step: float, cubics: Cubics, at: Floats) -> None:
     """Raise `PlanError` where something is nearer than the arm's clearance, at times ``(I,)`` in steps."""
     at = at[np.argsort(np.arange(len(at)) % _FIRST != 0, kind="stable")]
-    for time, touching in zip(step * at, arm.near_contacts_along(cubics.around(at, at)[0]), strict=True):
+    check_contact(arm, step * at, cubics.around(at, at)[0])
+
+
+def check_contact(arm: Arm, t: Floats, q: Floats) -> None:
+    """Raise `PlanError` where something is nearer than the arm's clearance, at times ``(I,)`` [s]."""
+    for time, touching in zip(t, arm.near_contacts_along(q), strict=True):
         if touching:
             near = f"come within {1e3 * arm.clearance:g} mm of" if arm.clearance else "touch"
             raise PlanError(f"{touching[0][0]!r} would {near} {touching[0][1]!r} at t = {time:.2f} s")

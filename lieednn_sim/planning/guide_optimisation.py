@@ -96,6 +96,8 @@ class GuideOptimisation:
         unit = max(float(np.linalg.norm(target - start)), 0.1 * math.sqrt(arm.n_joints))
         self._quadratic = (jerk.T @ (jerk * share) / 720.0 + rate.T @ (rate * share / speed)) / unit**2
         self._hessian = self._quadratic[self._free, self._free]
+        # Of all joints, one after another, and of one more variable.
+        self._program = np.pad(np.kron(np.eye(arm.n_joints), self._hessian), (0, 1))
         self.straight = -np.linalg.solve(self._hessian, self._quadratic[self._free] @ self._ends)
         low, high = (arm.position_limits / arm.ranges[:, None]).T
         # A little inside the limits, if start and target are.
@@ -161,10 +163,10 @@ class GuideOptimisation:
         return measure, free, clearance >= _TOUCHING and self._beyond(free) < 0.01
 
     def motion(self, problem: PlanningProblem, free: Floats) -> Motion:
-        """The checked motion, in the problem's duration.
+        """The roughly checked motion, in the problem's duration.
 
         Raises:
-            PlanError: it breaks a limit or touches something.
+            PlanError: it breaks a limit, or touches something at some samples.
         """
         t, control = problem.times(), self._control(free)
         u = t / t[-1]
@@ -175,7 +177,7 @@ class GuideOptimisation:
             # The ends are in the region up to the accuracy of inverse kinematics.
             q += np.outer(1.0 - progress, problem.start - q[0]) + np.outer(progress, problem.target - q[-1])
             qd = CubicSpline(t, q, bc_type="clamped")(t, 1) * t[-1]
-        motion = joint_motion(problem, q, qd / t[-1], progress)
+        motion = joint_motion(problem, q, qd / t[-1], progress, guiding=True)
         check_path_constraint(problem.arm, problem.path_constraint, motion)
         return motion
 
@@ -220,10 +222,9 @@ class GuideOptimisation:
         instant, distance, slope = instant[reached], distance[reached], slope[reached]
         x = free.T.ravel()
         value = self._weight * self.cost(free) / 2.0
-        hessian = np.zeros((n * count + 1, n * count + 1))
-        hessian[:-1, :-1] = np.kron(np.eye(n), self._hessian)
+        hessian = self._program.copy()
         hessian[-1, -1] = value
-        pull = hessian[:-1, :-1] @ x + (self._quadratic[self._free] @ self._ends).T.ravel()
+        pull = (self._quadratic[self._free] @ self._control(free)).T.ravel()
         rows = np.empty((len(instant), n * count + 1))
         each = slope[:, :, None] * self._rows[instant][:, None, self._free]
         rows[:, :-1] = each.reshape(len(instant), n * count)

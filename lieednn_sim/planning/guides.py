@@ -66,34 +66,41 @@ class GuideOptions(PlannerOptions):
     search: RrtConnectOptions = _RRT
 
 
-def best_guide(problem: PlanningProblem, options: GuideOptions) -> Plan:
-    """The guide's plan, under the name of the planner whose motion it is, with ", optimised" if it was.
+def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[Plan], Plan]) -> Plan:
+    """The plan that follows the first guide that can be followed.
 
-    Minimum jerk is the guide at once if it is free of contact: no motion is shorter or smoother. Otherwise it is the
-    optimised candidate with the least measure that keeps all limits and the arm's clearance, at last RRT-Connect's
-    motion.
+    A guide's plan has the name of the planner whose motion it is, with ", optimised" if it was. Minimum jerk comes
+    first: no motion is shorter or smoother. Then come the optimised candidates, those with the least measure first, and
+    at last RRT-Connect's motion. Guides keep the limits; of contact they are free at some samples.
+
+    Args:
+        problem, options: the problem, and how guides are found.
+        follow: makes a checked plan that follows a guide, or raises `PlanError`.
 
     Raises:
         LieEDNNError: RRT-Connect is asked, but OMPL is not installed.
-        PlanError: no guide finds a motion; the message has the reason of each.
+        PlanError: no guide finds a motion that can be followed; the message has the reason of each.
     """
     begin, refusals = cpu_time(), list[str]()
     for name, solve in _motions(problem, options):
         try:
-            return Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begin)
+            return follow(Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begin))
         except PlanError as error:
             refusals.append(f"{name}: {error}")
     if problem.path_constraint is not None:
         refusals.append("no other way within it was found")
-    raise PlanError(f"no guide finds a motion; {'; '.join(refusals)}")
+    raise PlanError(f"no guide finds a motion that a network follows; {'; '.join(refusals)}")
 
 
 def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[str, Callable[[], Motion]]]:
-    """What makes and checks a guide's motion, by the name of its planner, the one to ask first at the beginning."""
+    """What makes a guide's motion, by the name of its planner, the one to ask first at the beginning."""
     yield "minimum-jerk", partial(_straight, problem)
     if options.optimised or problem.path_constraint is not None:
-        for _, name, motion in sorted(_Search(problem, options).optimised(), key=itemgetter(0)):
-            yield f"{name}, optimised", motion
+        search = _Search(problem, options)
+        for _, name, optimisation, free in sorted(search.optimised(), key=itemgetter(0)):
+            yield f"{name}, optimised", partial(in_time, optimisation.motion, problem, free)
+            # A finer optimisation from there keeps clear where the former does not.
+            yield f"{name}, optimised", partial(search.finer, free)
     if problem.path_constraint is None:
         yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search)
 
@@ -105,7 +112,7 @@ def _straight(problem: PlanningProblem) -> Motion:
         # A small part of what is allowed; the rest is for the network that follows it.
         if outside(problem.arm, problem.path_constraint, some) > 0.01:
             raise PlanError("the straight motion leaves the region to keep")
-    return in_time(interpolation.minimum_jerk, problem)
+    return in_time(partial(interpolation.minimum_jerk, guiding=True), problem)
 
 
 class _Search:
@@ -115,7 +122,7 @@ class _Search:
         self.problem, self.options, self.constrained = problem, options, problem.path_constraint is not None
         workspace = Workspace(problem, options.margin)
         self.edges = EdgeTest(problem.arm, workspace, options.spacing)
-        self.ends = min(map(workspace.collisions.clearance, (problem.start, problem.target)))
+        self.ends = workspace.ends
 
     def optimisation(self, *, own: bool) -> GuideOptimisation:
         """With the arm's distances from itself, at twice the instants; without them, at a fraction of the cost."""
@@ -129,24 +136,21 @@ class _Search:
             own=own,
         )
 
-    def optimised(self) -> Iterator[tuple[float, str, Callable[[], Motion]]]:
-        """Measure, name, and the function that makes and checks the motion of each candidate that is clear."""
+    def optimised(self) -> Iterator[tuple[float, str, GuideOptimisation, Floats]]:
+        """Measure, name, optimisation and control points of each candidate that is clear."""
         optimisation = self.optimisation(own=False)
         for name, guess in self.guesses(optimisation):
             measure, free, clear = optimisation.descend(optimisation.near_constraint(guess), self.options.steps)
             if clear:
-                yield measure, name, partial(self.motion, optimisation, free)
+                yield measure, name, optimisation, free
                 # The straight motion, which none is below, costs 2. Where a region is kept, any clear motion will do.
                 if self.constrained or optimisation.cost(free) <= 1.05 * 2.0:
                     break
 
-    def motion(self, optimisation: GuideOptimisation, free: Floats) -> Motion:
-        """The checked motion; if it is refused, that of a finer optimisation from there."""
-        try:
-            return in_time(optimisation.motion, self.problem, free)
-        except PlanError:
-            finer = self.optimisation(own=True)
-            return in_time(finer.motion, self.problem, finer.descend(free, self.options.steps)[1])
+    def finer(self, free: Floats) -> Motion:
+        """The motion of an optimisation from there at more instants, with distances of the arm from itself."""
+        optimisation = self.optimisation(own=True)
+        return in_time(optimisation.motion, self.problem, optimisation.descend(free, self.options.steps)[1])
 
     def guesses(self, optimisation: GuideOptimisation) -> Iterator[tuple[str, Floats]]:
         """The straight motion, and those near paths that are searched for, each with its planner's name."""

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.lie import continued
-from lieednn_sim.planning.motion import Motion, check_joints
+from lieednn_sim.planning.motion import Motion, check_joints, check_roughly
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, read_only
 
 # Degree of the planners' splines, with continuous derivatives up to the fourth: smooth curvature, and continuous jerk
 # where the spline is one in time.
@@ -80,11 +83,11 @@ class Workspace:
 
     def __init__(self, problem: PlanningProblem, margin: float) -> None:
         self.collisions = Collisions(problem.arm)
-        ends = (problem.start, problem.target)
-        nearest = min(self.collisions.distances(q, 2.0 * margin).distance.min(initial=np.inf) for q in ends)
+        #: Least distance of start and target from everything [m].
+        self.ends = min(map(self.collisions.clearance, (problem.start, problem.target)))
         kept_fraction = 0.8  # of the distance of start and target, where these are closer than the margin
         # The clearance that motions are checked for is kept.
-        self.clear = ClearanceTest(problem.arm, min(margin, max(kept_fraction * nearest, problem.arm.clearance)))
+        self.clear = ClearanceTest(problem.arm, min(margin, max(kept_fraction * self.ends, problem.arm.clearance)))
 
 
 def clamped_knots(count: int) -> Floats:
@@ -103,6 +106,7 @@ def travelled(points: Floats) -> Floats:
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
+@lru_cache(maxsize=8)
 def sweeps(arm: Arm) -> Floats:
     """Largest distance ``(n,)`` that a unit of each joint moves a link frame at random configurations [m/rad, m/m]."""
     low, high = arm.position_limits.T
@@ -111,10 +115,18 @@ def sweeps(arm: Arm) -> Floats:
     q = np.random.default_rng(0).uniform(low + step, high - step, (n_configurations, 1, arm.n_joints))
     ahead, behind = (np.asarray(arm.link_poses(q + side * np.diag(step)).translation) for side in (1.0, -1.0))
     moved = np.linalg.norm(ahead - behind, axis=-1).max(axis=(0, 2))
-    return np.asarray(moved / (2.0 * step))
+    return read_only(moved / (2.0 * step))
 
 
-def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floats, *, checked: bool = True) -> Motion:
+def joint_motion(
+    problem: PlanningProblem,
+    q: Floats,
+    qd: Floats,
+    progress: Floats,
+    *,
+    checked: bool = True,
+    guiding: bool = False,
+) -> Motion:
     """The motion through given joint positions at `PlanningProblem.times`, checked against the arm's limits.
 
     The poses are those of the joints, so there is no mechanism gap.
@@ -125,6 +137,8 @@ def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floa
         qd: ``(K, n)`` [rad/s, m/s], zero at both ends up to rounding.
         progress: ``(K,)`` from 0 to 1.
         checked: whether limits and contact are checked.
+        guiding: whether a network is to follow it, whose own motion counts: then contact is looked for at some samples,
+            and states between every fourth sample are interpolated, to a nanometre.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.
@@ -134,6 +148,9 @@ def joint_motion(problem: PlanningProblem, q: Floats, qd: Floats, progress: Floa
     # With exact ends: rounding might miss them, and exceed a limit there.
     q[0], q[-1], qd[[0, -1]] = problem.start, problem.target, 0.0
     if checked:
-        check_joints(arm, t, q, qd)
-    none, xi = np.zeros((len(q), arm.n_links)), continued(arm.encode(q))
+        (check_roughly if guiding else check_joints)(arm, t, q, qd)
+    known = np.append(np.arange(0, len(t) - 1, 4 if guiding else 1), len(t) - 1)
+    none, xi = np.zeros((len(q), arm.n_links)), continued(arm.encode(q[known]))
+    if guiding:
+        xi = CubicSpline(t[known], xi)(t)
     return Motion(t, as_floats("progress", progress, (len(q),)), xi, xi[-1], q, qd, none, none.copy())

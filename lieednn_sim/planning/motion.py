@@ -9,12 +9,13 @@ import numpy as np
 from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
-from lieednn_sim.planning.clearance import Cubics, check_clearance
+from lieednn_sim.planning.clearance import Cubics, check_clearance, check_contact
 from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, check_fields, frozen
 
 LIMIT_TOLERANCE = 1e-6  # by which positions may exceed a limit [rad, m]: a target on one is reached up to the residual
 _JUMP = 0.02  # by which a step between samples exceeds at most what the velocities explain [rad, m]
+_LOOKS = 33  # at the samples of a motion that is checked roughly
 _MAX_STEPS = 100_000  # 200 s at a simulation step of 2 ms; longer motions would take minutes to plan
 
 
@@ -168,7 +169,22 @@ def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Float
 
 
 def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
-    """Check limits of position, velocity, acceleration and jerk along a motion, and its clearance.
+    """Check the limits of a motion as `check_limits` does, and its clearance (`clearance.check_clearance`)."""
+    check_limits(arm, t, q, qd)
+    check_clearance(arm, t, q, qd)
+    if arm.leaves is not None:
+        _check_leaving(arm, t, q)
+
+
+def check_roughly(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
+    """As `check_joints`, with contact looked for at some samples: for what another motion follows, which is proved."""
+    check_limits(arm, t, q, qd)
+    some = np.linspace(0, len(t) - 1, _LOOKS).round().astype(int)
+    check_contact(arm, t[some], q[some])
+
+
+def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
+    """Check limits of position, velocity, acceleration and jerk along a motion.
 
     Positions and velocities at all instants, by the extrema of the cubics between samples; accelerations as the mean
     over each step. Where a law of time switches within a step, the cubic's own passes that by up to a third.
@@ -216,9 +232,6 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     if too_fast:
         enough, reason = max(too_fast)
         raise TooFastError(f"{reason}; a duration of at least {enough:.2f} s keeps it", float(enough))
-    check_clearance(arm, t, q, qd)
-    if arm.leaves is not None:
-        _check_leaving(arm, t, q)
 
 
 def _check_positions(arm: Arm, t: Floats, q: Floats) -> None:

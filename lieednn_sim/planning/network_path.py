@@ -48,6 +48,7 @@ class NetworkPath:
             limits, combined with the rate of convergence, or that of the network's states. None if nothing moves.
         joints: joint positions as a function of w, decoded beforehand; None if they are decoded at each sample, and
             positions are tau.
+        gaps: mechanism gap ``(2, N)`` [m] and [rad] as a function of w, interpolated where joints are; else None.
     """
 
     arm: Arm
@@ -57,6 +58,7 @@ class NetworkPath:
     states: Callable[[Floats], Floats]
     speed: PchipInterpolator | None
     joints: BSpline | None = None
+    gaps: PchipInterpolator | None = None
 
     @classmethod
     def integrate(
@@ -130,12 +132,15 @@ class NetworkPath:
         w = visible.x
         speed = PchipInterpolator(w, np.linalg.norm(visible(w, 1) * units, axis=(-2, -1)))
         # Decoded at every third instant, and at all where they become denser; the spline is good to a micrometre.
-        some = w[(np.arange(len(w)) % 3 == 0) | (w > 0.95)]
-        # Both paths have about the same length.
-        passed, length = np.append(0.0, np.cumsum(step_lengths(given.xi, units))), speed.antiderivative()(some)
-        near = np.stack([np.interp(length, passed, joint) for joint in given.q.T], axis=1)
-        joints = make_interp_spline(some, arm.decode(visible(some), start=near).q, 5)
-        return cls(arm, network, given.q[0], network.bias[: network.n_visible], visible, speed, joints)
+        some = w[(np.arange(len(w)) % 3 == 0) | ((w > 0.95) & (w < 0.9999)) | (w == w[-1])]
+        # Both paths have about the same length; guesses are taken from some samples of the motion's.
+        known = np.append(np.arange(0, len(given.t) - 1, 4), len(given.t) - 1)
+        passed, length = np.append(0.0, np.cumsum(step_lengths(given.xi[known], units))), speed.antiderivative()(some)
+        near = np.stack([np.interp(length, passed, joint) for joint in given.q[known].T], axis=1)
+        decoded = arm.decode(visible(some), start=near)
+        joints = make_interp_spline(some, decoded.q, 5)
+        gaps = PchipInterpolator(some, np.stack([decoded.gap_translation, decoded.gap_rotation], axis=1))
+        return cls(arm, network, given.q[0], network.bias[: network.n_visible], visible, speed, joints, gaps)
 
     def timed(self, duration: float, timestep: float, law: Law | None = None) -> Motion:
         """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`.
@@ -159,13 +164,13 @@ class NetworkPath:
             position = _invert(length, speed, speed.x, total * progress)
             rate = total * progress_rate / (t[-1] * np.maximum(speed(position), 1e-300))
         states = self.states(position)
-        if self.joints is None:
+        if self.joints is None or self.gaps is None:
             tau, xi = position, self.network.visible(states)
             decoded = self.arm.decode(xi, self.network.visible(self.network.vector_field(states)), self.start)
             q, along, gaps = decoded.q, decoded.qd, (decoded.gap_translation, decoded.gap_rotation)
         else:
             tau, xi, q, along = -np.log1p(-position), states, self.joints(position), self.joints(position, 1)
-            gaps = self.arm.gap(xi, q)
+            gaps = tuple(np.moveaxis(self.gaps(position), 1, 0))
         qd = along * rate[:, None]
         qd[[0, -1]] = 0.0
         return Motion(t, tau, xi, self.target, q, qd, *gaps)

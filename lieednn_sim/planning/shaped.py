@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -18,7 +19,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.guides import GuideOptions, best_guide
+from lieednn_sim.planning.guides import GuideOptions, followed
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
@@ -41,8 +42,7 @@ class ShapedOptions(NetworkOptions):
         rate: rho of the network's clock (`ShapingOptions`). With 1 the motion is encoded in the arm's universal network
             (`synthesis.CurveEncoder`), which is as fast as the arm; one that is too long or too sharply bent for that
             has a network of its own. With less a network is shaped that returns to its path after a push.
-        guides: largest number of guides' motions to try until a network follows one, each from the next seed;
-            minimum jerk is tried once.
+        guides: largest number of seeds whose guides are tried until a network follows one, from that of the problem on.
         neurons: for a network of its own, numbers of hidden neurons to try in turn until it comes within a fifth of the
             deviation.
         guide: how the guide's motion is found.
@@ -79,13 +79,12 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
         PlanError: no guide finds a motion, or no network follows it closely enough.
     """
     for attempt in range(options.guides):
-        guide = best_guide(replace(problem, seed=problem.seed + attempt), options.guide)
+        guided = replace(problem, seed=problem.seed + attempt)
         try:
-            return followed_guide(problem, options, guide)
-        except PlanError as error:
-            # Minimum jerk does not depend on the seed.
-            if attempt + 1 == options.guides or guide.planner == "minimum-jerk":
-                raise PlanError(f"no network follows the motion of {guide.planner}: {error}") from None
+            return followed(guided, options.guide, partial(followed_guide, problem, options))
+        except PlanError:
+            if attempt + 1 == options.guides:
+                raise
     raise AssertionError("options.guides is at least one")
 
 
@@ -108,7 +107,7 @@ def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan
         path = NetworkPath.integrate(arm, network, problem.start, units)
     motion = in_time(timed_motion, asked, path, law_of(given, units))
     check_path_constraint(arm, problem.path_constraint, motion)
-    some = motion.q[:: max(1, len(motion.q) // 400)]
+    some = motion.q[:: max(1, len(motion.q) // 200)]
     deviation = _deviation(arm.tip(some), arm.tip(given.q[::_STRIDE]))
     if deviation > options.deviation:
         raise PlanError(

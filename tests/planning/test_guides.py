@@ -15,7 +15,7 @@ from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.evaluation.metrics import motion_metrics
 from lieednn_sim.planning import PLANNERS, GuideOptions, PlanningProblem, guide_optimisation, guides, plan
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
-from lieednn_sim.planning.guides import best_guide, shortened
+from lieednn_sim.planning.guides import followed, shortened
 from lieednn_sim.planning.joint_space import sweeps
 from lieednn_sim.planning.motion import check_motion
 
@@ -42,6 +42,11 @@ def no_ompl(monkeypatch):
 
     for module in ("sampling", "search_space"):
         monkeypatch.setattr(f"lieednn_sim.planning.baselines.{module}.optional_module", missing)
+
+
+def best_guide(problem, options):
+    """The guide that comes first."""
+    return followed(problem, options, lambda guide: guide)
 
 
 def optimisation(problem, **options):
@@ -132,7 +137,7 @@ def test_the_winner_has_the_least_measure_whatever_the_order(poles, monkeypatch)
     assert all(clear for _, _, clear in found)
     better, worse = (one.motion(poles, free) for _, free, _ in sorted(found, key=lambda each: each[0]))
     assert motion_metrics(poles.arm, better).jerk_joints < motion_metrics(poles.arm, worse).jerk_joints
-    given = [(measure, "given", lambda free=free: one.motion(poles, free)) for measure, free, _ in found]
+    given = [(measure, "given", one, free) for measure, free, _ in found]
     for order in (given, given[::-1]):
         monkeypatch.setattr(guides._Search, "optimised", lambda _, order=order: iter(order))
         np.testing.assert_array_equal(best_guide(poles, GuideOptions()).motion.q, better.q)
@@ -151,7 +156,7 @@ def test_a_guide_is_the_same_for_a_seed_and_needs_no_optional_library(poles, no_
 @needs_ompl
 def test_without_a_guide_there_is_no_motion(poles, monkeypatch):
     monkeypatch.setattr("lieednn_sim.planning.baselines.sampling.connecting_path", lambda *_: None)
-    with pytest.raises(PlanError, match=r"no guide finds a motion; minimum-jerk: .*; rrt-connect: "):
+    with pytest.raises(PlanError, match=r"no guide finds a motion that .* follows; minimum-jerk: .*; rrt-connect: "):
         best_guide(poles, GuideOptions(collision_checks=1))
 
 

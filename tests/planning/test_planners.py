@@ -87,7 +87,8 @@ def test_every_planner_goes_from_rest_to_rest_within_the_limits_and_does_so_agai
     # The states are those that the joints follow: decoded anew they give positions and gap.
     decoded = ARM.decode(motion.xi)
     np.testing.assert_allclose(decoded.q, motion.q, atol=1e-9)
-    np.testing.assert_allclose(decoded.gap_translation, motion.gap_translation, atol=1e-9)
+    # That of a universal network is interpolated.
+    np.testing.assert_allclose(decoded.gap_translation, motion.gap_translation, atol=1e-7)
     np.testing.assert_allclose(decoded.gap_rotation, motion.gap_rotation, atol=1e-7)
     # Velocities are the derivatives, of fourth order, since the steps are coarse.
     q = motion.q
@@ -178,7 +179,7 @@ def test_a_plan_says_what_it_was_made_of(monkeypatch):
     assert made.cpu_time == 2.5
     np.testing.assert_array_equal(made.motion.q[0], ARM.keyframe("home"))
     assert made.motion.t[-1] == 4.0
-    made = planned("lieednn-certified", task, options=CertifiedOptions(n_networks=2))
+    made = planned("lieednn-certified", task, options=CertifiedOptions(n_first=2))
     assert (made.planner, made.details.n_networks) == ("lieednn-certified", 2)
     assert 1 <= made.details.within_limits <= 2
 

@@ -115,13 +115,13 @@ def test_who_stays_where_it_is_has_a_network_without_hidden_neurons():
 
 
 def test_what_is_too_far_off_is_refused():
-    with pytest.raises(PlanError, match=r"the motion of minimum-jerk: the end effector would be .* mm off its path"):
+    with pytest.raises(PlanError, match=r"follows; minimum-jerk: the end effector would be .* mm off its path"):
         planned(FREE, draw_target(FREE, 0), deviation=1e-9)
 
 
 @needs_ompl
 def test_where_no_network_follows_another_path_is_asked_for(monkeypatch):
-    """The first path is refused; minimum jerk's motion would be the same again, and is asked for once."""
+    """Where the first path is refused, the next guide's is taken, at last that of another seed."""
     arm = FREE.with_scene("poles", 0)
     guides_taken = []
 
@@ -136,8 +136,21 @@ def test_where_no_network_follows_another_path_is_asked_for(monkeypatch):
     first, second = (guide.motion for guide in guides_taken)
     assert made.guide is guides_taken[1]
     assert first.q.shape != second.q.shape or not np.array_equal(first.q, second.q)
-    for guides, target_arm in ((1, arm), (2, FREE)):
-        guides_taken.clear()
-        with pytest.raises(PlanError, match="not this one"):
-            planned(target_arm, draw_target(target_arm, 0), guides=guides, guide=UNPOLISHED)
-        assert len(guides_taken) == 1
+    guides_taken.clear()
+    with pytest.raises(PlanError, match="not this one"):
+        planned(arm, draw_target(arm, 0), guides=1, guide=UNPOLISHED)
+    assert len(guides_taken) == 1
+    guides_taken.clear()
+    planned(FREE, draw_target(FREE, 0), guides=1, guide=UNPOLISHED)
+    assert [guide.planner for guide in guides_taken] == ["minimum-jerk", "rrt-connect"]
+
+
+def test_the_motion_is_proved_whatever_was_seen_of_its_guide(monkeypatch):
+    """Guides are looked at for contact at some samples; one that touches something is refused without that, too."""
+    arm = FREE.with_scene("poles", 0)
+    target = draw_target(arm, 0)
+    usual = planned(arm, target)
+    monkeypatch.setattr("lieednn_sim.planning.motion.check_contact", lambda *_: None)
+    made = planned(arm, target)
+    assert made.proved
+    np.testing.assert_array_equal(made.motion.q, usual.motion.q)

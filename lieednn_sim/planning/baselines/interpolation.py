@@ -32,18 +32,19 @@ class DmpOptions(PlannerOptions):
     least_fraction: float = 0.01
 
 
-def minimum_jerk(problem: PlanningProblem) -> Motion:
+def minimum_jerk(problem: PlanningProblem, *, guiding: bool = False) -> Motion:
     """A straight line in joint space, q(t) = q_0 + sigma(t/T) (q_1 - q_0), sigma = 10 s^3 - 15 s^4 + 6 s^5.
 
     The time law is Flash and Hogan's, J. Neuroscience 5(7), 1985. The poses are those of the joints, so there is no
-    mechanism gap.
+    mechanism gap. For ``guiding`` see `joint_motion`.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.
     """
     _, sigma, rate = _schedule(problem)
     change = problem.target - problem.start
-    return joint_motion(problem, problem.start + sigma[:, None] * change, rate[:, None] * change, sigma)
+    q, qd = problem.start + sigma[:, None] * change, rate[:, None] * change
+    return joint_motion(problem, q, qd, sigma, guiding=guiding)
 
 
 def se3_geodesic(problem: PlanningProblem) -> Motion:
