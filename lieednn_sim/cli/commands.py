@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lieednn_sim import io
+from lieednn_sim.budget import reporting
 from lieednn_sim.cli.arguments import Look, Planning, Simulating, check_look, still_look
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
@@ -133,7 +134,7 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
                 f"the push on {push.body!r} at {push.start:g} s would begin when the run is over, at {end:g} s"
             )
     try:
-        with progress("simulate") as report:
+        with progress("simulate") as bar, reporting(bar):
             rollout = simulate_motion(
                 arm,
                 motion,
@@ -142,7 +143,6 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
                 hold=simulating.hold,
                 reference_rate=simulating.reference_rate,
                 disturbances=changes,
-                progress=report,
             )
     except SimulationError as error:
         if error.rollout is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.frames import BodyFrames, find_frame
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import transforms
+from lieednn_sim.planning.clearance import Clearance, clearance_over_time, proved_clearance
+from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.validation import as_floats, as_positive, as_times
@@ -147,6 +150,42 @@ class Rollout:
         """``(K, n)`` how far the coordinates are from their reference [rad, m]."""
         return np.asarray(self.q - self.q_ref)
 
+    @cached_property
+    def clearance(self) -> Clearance | None:
+        """What is proved of its distances from contact at every instant: its plan's proof, widened by tracking errors.
+
+        None without a plan, and where something else was moved than the arm and what it carries, since the plan has it
+        in another place.
+        """
+        if self.motion is None or self.disturbances.obstacles or moved_besides(self.arm, self.q, self.qpos):
+            return None
+        return proved_clearance(self.arm, *self._tracked(self.motion))
+
+    def clearance_over_time(self, cutoff: float = 0.2) -> tuple[Floats, Floats]:
+        """Intervals ``(I, 2)`` [s] and proved lower bounds ``(I,)`` of its distances from contact in them [m].
+
+        They are at most the cutoff [m], and not positive where nothing is proved. No intervals without `clearance`.
+        """
+        if self.motion is None or self.clearance is None:
+            return np.zeros((0, 2)), np.zeros(0)
+        return clearance_over_time(self.arm, *self._tracked(self.motion), as_positive("cutoff", cutoff))
+
+    def _tracked(self, motion: Motion) -> tuple[Floats, Floats, Floats, Floats]:
+        """Times, joints and rates that were planned, and how far the joints are from these."""
+        planned = np.minimum(np.arange(len(self.t)), len(motion.t) - 1)
+        q = motion.q[planned]
+        return self.t, q, motion.qd[planned], np.abs(self.q - q)
+
+    @cached_property
+    def outside(self) -> str:
+        """When and by which joint it left the proof of its plan's clearance; empty without one, and if it did not."""
+        if self.motion is None or self.clearance is None or self.clearance.proved:
+            return ""
+        monitor = ClearanceMonitor(self.arm, self.motion.t, self.motion.q, self.motion.qd)
+        if not monitor.clearance.proved:
+            return ""
+        return next(filter(None, map(monitor.left, range(len(self.t)), self.q)), "")
+
     def step_at(self, time: float) -> str:
         """Name of the step of a sequence that was being done at a time [s]; empty for a single motion."""
         return next((name for begin, name in reversed(self.steps) if begin <= time + 1e-9), "")
@@ -222,3 +261,9 @@ class Rollout:
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FileError(f"{path} is not a valid rollout: {error}") from None
+
+
+def moved_besides(arm: Arm, q: Floats, qpos: Floats) -> bool:
+    """Whether anything is elsewhere in positions ``(..., nq)`` than the arm's joints ``(..., n)`` have it."""
+    most = 1e-3  # such as a finger that its servo holds [m, rad]
+    return not bool((np.abs(qpos - arm.qpos(q, strict=False)) < most).all())
