@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import reporting
@@ -192,8 +191,7 @@ class Engine:
         self.motion: Motion | None = None  # that the policy follows or imitates
         self.progress: Progress | None = None  # of a policy with a network
         self._name, self.target = "", self._first
-        self.policy = self._stopping(self._start, np.zeros_like(self._start))
-        self.policy.reset(self._start)
+        self.policy = MotionTracker.stopping(self._arm, self._start, np.zeros_like(self._start), self._rate)
 
     def restart(self) -> None:
         """As `begin`, with the arm back at the start."""
@@ -215,7 +213,7 @@ class Engine:
         """Let the reference stop at the limits of acceleration; returns where it comes to rest ``(n,)``."""
         if not self.policy.qd.any():
             return self.policy.q
-        stopping = self._stopping(self.policy.q, self.policy.qd)
+        stopping = MotionTracker.stopping(self._arm, self.policy.q, self.policy.qd, self._rate)
         self._go_on_with(stopping)
         return stopping.end
 
@@ -253,14 +251,6 @@ class Engine:
         policy.qd = qd
         self.policy = self._loop.policy = policy
         self.progress, self.motion, self._name = None, None, ""
-
-    def _stopping(self, q: Floats, qd: Floats) -> MotionTracker:
-        """A policy that stops a moving reference, and stays there."""
-        needed = max(float((np.abs(qd) / self._arm.acceleration_limits).max()), 2.0 / self._rate)
-        low, high = self._arm.position_limits.T
-        end = np.clip(self._arm.within_angles(q + 0.5 * needed * qd), low, high)
-        rows = CubicHermiteSpline([0.0, needed], [q, end], [qd, np.zeros_like(qd)])
-        return MotionTracker(self._arm, rows, self._rate)
 
     def _apply_forces(self) -> None:
         data, model = self._loop.simulation.data, self._loop.simulation.model

@@ -17,7 +17,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.frames import BodyFrames, find_frame
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import transforms
-from lieednn_sim.planning.clearance import Clearance, clearance_over_time, proved_clearance
+from lieednn_sim.planning.clearance import Clearance, proved_clearance
 from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.disturbances import Disturbances
@@ -151,30 +151,22 @@ class Rollout:
         return np.asarray(self.q - self.q_ref)
 
     @cached_property
-    def clearance(self) -> Clearance | None:
-        """What is proved of its distances from contact at every instant: its plan's proof, widened by tracking errors.
+    def tracked(self) -> tuple[Floats, Floats, Floats, Floats] | None:
+        """Times, planned joints and rates, and how far the joints were from these: what proofs of the run begin with.
 
         None without a plan, and where something else was moved than the arm and what it carries, since the plan has it
         in another place.
         """
         if self.motion is None or self.disturbances.obstacles or moved_besides(self.arm, self.q, self.qpos):
             return None
-        return proved_clearance(self.arm, *self._tracked(self.motion))
+        planned = np.minimum(np.arange(len(self.t)), len(self.motion.t) - 1)
+        q = self.motion.q[planned]
+        return self.t, q, self.motion.qd[planned], np.abs(self.q - q)
 
-    def clearance_over_time(self, cutoff: float = 0.2) -> tuple[Floats, Floats]:
-        """Intervals ``(I, 2)`` [s] and proved lower bounds ``(I,)`` of its distances from contact in them [m].
-
-        They are at most the cutoff [m], and not positive where nothing is proved. No intervals without `clearance`.
-        """
-        if self.motion is None or self.clearance is None:
-            return np.zeros((0, 2)), np.zeros(0)
-        return clearance_over_time(self.arm, *self._tracked(self.motion), as_positive("cutoff", cutoff))
-
-    def _tracked(self, motion: Motion) -> tuple[Floats, Floats, Floats, Floats]:
-        """Times, joints and rates that were planned, and how far the joints are from these."""
-        planned = np.minimum(np.arange(len(self.t)), len(motion.t) - 1)
-        q = motion.q[planned]
-        return self.t, q, motion.qd[planned], np.abs(self.q - q)
+    @cached_property
+    def clearance(self) -> Clearance | None:
+        """What is proved of its distances from contact at every instant: its plan's proof, less tracking errors."""
+        return None if self.tracked is None else proved_clearance(self.arm, *self.tracked)
 
     @cached_property
     def outside(self) -> str:
@@ -182,9 +174,8 @@ class Rollout:
         if self.motion is None or self.clearance is None or self.clearance.proved:
             return ""
         monitor = ClearanceMonitor(self.arm, self.motion.t, self.motion.q, self.motion.qd)
-        if not monitor.clearance.proved:
-            return ""
-        return next(filter(None, map(monitor.left, range(len(self.t)), self.q)), "")
+        lefts = map(monitor.left, range(len(self.t)), self.q) if monitor.clearance.proved else ()
+        return next(filter(None, lefts), "")
 
     def step_at(self, time: float) -> str:
         """Name of the step of a sequence that was being done at a time [s]; empty for a single motion."""
