@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from lieednn_sim import io
@@ -18,7 +17,6 @@ from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.rendering import opengl
 from lieednn_sim.rendering.video import render_video
-from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation import simulate as simulate_motion
 from lieednn_sim.validation import as_path
 
@@ -159,13 +157,7 @@ def _evaluate(run: RunDirectory) -> None:
     rollout = run.load_rollout(*run.load_task())
     evaluation = evaluate_rollout(rollout)
     console.print(evaluation)
-    drawn: dict[Path, Callable[[Rollout, Path], None]] = {
-        run.plot("network"): plots.plot_network,
-        run.plot("tracking"): plots.plot_tracking,
-        run.plot("joints"): plots.plot_joints,
-    }
-    if rollout.channels:
-        drawn[run.plot("channels")] = plots.plot_channels
+    drawn = {run.plot(name): draw for name, draw in plots.plots_of(rollout).items()}
     outputs = [run.metrics_json, run.metrics_csv, *drawn]
     with io.atomic_paths(outputs) as (metrics_json, metrics_csv, *pictures):
         evaluation.save_json(metrics_json)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,14 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike
 
 from lieednn_sim import io
+from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
 from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.learning import History
+from lieednn_sim.planning.clearance import FAR, clearance_over_time
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice
@@ -39,9 +41,9 @@ _MOST_ROWS, _LONGEST_NAME = 12, 14
 
 
 def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """Plot a run in PNG files: tracking error, joints, and network and channels if it has them.
+    """Plot a run in PNG files: tracking error, joints, and network, clearance and channels if it has them.
 
-    The files are ``tracking.png``, ``joints.png``, ``network.png`` and ``channels.png``.
+    The files are ``tracking.png``, ``joints.png``, ``network.png``, ``clearance.png`` and ``channels.png``.
 
     Args:
         rollout: the simulated run.
@@ -53,14 +55,49 @@ def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...
     Raises:
         FileError: the directory cannot be written.
     """
-    folder, drawn = io.make_directory(directory), {"tracking": plot_tracking, "joints": plot_joints}
+    folder = io.make_directory(directory)
+    for name, draw in plots_of(rollout).items():
+        draw(rollout, folder / f"{name}.png")
+    return tuple(folder / f"{name}.png" for name in plots_of(rollout))
+
+
+def plots_of(rollout: Rollout) -> dict[str, Callable[[Rollout, Path], None]]:
+    """The plots that a run has, by name."""
+    drawn: dict[str, Callable[[Rollout, Path], None]] = {"tracking": plot_tracking, "joints": plot_joints}
     if rollout.motion is not None:
         drawn["network"] = plot_network
+    if rollout.clearance is not None:
+        drawn["clearance"] = plot_clearance
     if rollout.channels:
         drawn["channels"] = plot_channels
-    for name, draw in drawn.items():
-        draw(rollout, folder / f"{name}.png")
-    return tuple(folder / f"{name}.png" for name in drawn)
+    return drawn
+
+
+def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+    """Plot the distance from contact up to 0.1 m, as MuJoCo measures it at samples, and what is proved of it between.
+
+    Bounds are those of intervals, for the errors of the joints on the way; where there is none, nothing is proved.
+    """
+    if rollout.tracked is None:
+        raise InputError("the rollout followed no plan whose clearance could be proved, so there is none to plot")
+    span, bound = clearance_over_time(rollout.arm, *rollout.tracked, FAR)
+    collisions, some = Collisions(rollout.arm), slice(None, None, 5)
+    distance = [1e3 * min(collisions.least_clearance_at(qpos[None]), FAR) for qpos in rollout.qpos[some]]
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(10.0, 3.4), layout="constrained")
+        axis = _subplots(figure, rollout.t, 1, 1)[0, 0]
+        edges, low, high = np.append(span[:, 0], span[-1:, 1]), min(1.05 * min(distance), 0.0), 1e3 * FAR
+        axis.stairs(1e3 * np.maximum(bound, 0.0), edges, fill=True, color=COLOURS[2], alpha=0.4, label="proved")
+        if not (bound > 0.0).all():
+            bands = np.where(bound > 0.0, np.nan, high)
+            axis.stairs(bands, edges, baseline=low, fill=True, color=COLOURS[1], alpha=0.4, label="not proved")
+        axis.plot(rollout.t[some], distance, color=COLOURS[0], label="measured at samples")
+        axis.set_ylim(low, high)
+        _label(axis, "[mm]", f"distance from contact, up to {high:g} mm")
+        axis.set_xlabel("time [s]")
+        _mark_events(axis, rollout)
+        _legend(figure, _lines(axis) | _events(rollout))
+        figure_layout.save_figure(figure, path)
 
 
 def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:

@@ -214,8 +214,11 @@ def clearance_over_time(
     begin, end = edges[:-1], edges[1:]
     found: list[tuple[float, float, float]] = []
     while len(begin) and not isinstance(bounds, str):
-        least, _ = least_of(bounds, *cubics.around(begin, end)[:3], cutoff)
+        at, way, rest, left = cubics.around(begin, end)
+        least, _ = least_of(bounds, at, way, rest, cutoff)
         done = (least > 0.0) | (end - begin <= 1.0)
+        # What may touch in the middle is not divided.
+        done[~done] = least_of(bounds, at[~done], 0.0 * way[~done], left[~done], NEAR)[0] <= 0.0
         found += zip(begin[done].tolist(), end[done].tolist(), least[done].tolist(), strict=True)
         begin, end = _divided(begin, end, ~done)
     table = np.array(sorted(found)).reshape(-1, 3)

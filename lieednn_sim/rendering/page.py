@@ -92,7 +92,11 @@ def render_page(
     recording = record([rollout], camera=camera, progress=progress)
     place, rest = scene_setup.place(rollout.arm), f", then {rollout.hold:.2f} s at rest" if rollout.hold > 0.005 else ""
     texts = [f"<b>{escape(place)}</b>"]
-    texts += [escape(word) for word in (title, rollout.controller, f"{rollout.motion_end:.2f} s{rest}") if word]
+    proof, clearance = "", rollout.clearance
+    if clearance is not None:
+        share = f"clearance proved for {100.0 * clearance.proved_fraction:.3g} % of the time"
+        proof = clearance.at(0.0) if clearance.proved else share
+    texts += [escape(word) for word in (title, rollout.controller, f"{rollout.motion_end:.2f} s{rest}", proof) if word]
     for (red, green, blue, _), word in KEY:
         colour = f"rgb({255 * red:.0f} {255 * green:.0f} {255 * blue:.0f})"
         texts.append(f'<i style="background:{colour}"></i>{word} path')

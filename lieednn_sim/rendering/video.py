@@ -163,8 +163,9 @@ def render_video(
 ) -> int:
     """Render a video of a rollout, with planned link frames and the end effector's path drawn over the arm.
 
-    Frame k shows the time k / fps. A caption in a corner has the time, the names of arm, scene and controller, and a
-    colour legend. The model of a view is shown as it is, with all that moves; the caption names a sequence's step.
+    Frame k shows the time k / fps. A caption in a corner has the time, the names of arm, scene and controller, what is
+    proved of the clearance then, and a colour legend. The model of a view is shown as it is, with all that moves; the
+    caption names a sequence's step.
 
     Args:
         rollout: the rollout, whose target the marker shows.
