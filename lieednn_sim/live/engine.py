@@ -26,7 +26,7 @@ from lieednn_sim.stability.robustness import Decay
 from lieednn_sim.values import Floats, frozen
 
 # Network time for which a path is foreseen, and the number of its points.
-_HORIZON, _POINTS = 12.0, 60
+_HORIZON, _POINTS = 12.0, 120
 
 
 def _unfiltered(policy: Policy) -> Policy:
@@ -135,20 +135,21 @@ def make_for(
 
 def foreseen(
     arm: Arm, policy: Policy, motion: Motion | None, progress: Progress | None, q: Floats, target: Floats
-) -> Floats | None:
-    """Positions of the end effector ``(P, 3)`` on a policy's way to its target, where that is known; else None.
+) -> tuple[Floats, Floats, Floats] | None:
+    """Samples t, q and qd of a policy's way to its target, as of a motion, where that is known; else None.
 
-    Of a network it is its own orbit from the present state, which limits and a slow arm only slow down.
+    Of a network it is its own orbit from the present state, which limits and a slow arm only slow down, in points that
+    are one unit of t apart.
     """
     if motion is not None and isinstance(_unfiltered(policy), MotionTracker):
-        rows = np.linspace(0, len(motion.q) - 1, _POINTS).astype(int)
-        return arm.tip(motion.q[rows])
+        return motion.t, motion.q, motion.qd
     if progress is None:
         return None
     network = progress.policy.network.retarget(arm.encode(target))
     run = network.trajectory(progress.xi, _HORIZON, until=progress.goal, distance=1e-3, rtol=1e-4, atol=1e-4)
     decoded = arm.decode(network.visible(run(np.linspace(0.0, run.t[-1], _POINTS))), start=q).q
-    return arm.tip(np.vstack([decoded, target]))
+    points = np.vstack([decoded, target])
+    return np.arange(len(points), dtype=float), points, np.gradient(points, axis=0)
 
 
 class Tick(NamedTuple):
