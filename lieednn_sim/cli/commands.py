@@ -174,7 +174,7 @@ def _render(run: RunDirectory, path: Path, look: Look) -> None:
     if path.suffix != ".html":
         backend = opengl.require()
         console.print(f"rendering with {backend.name}: {backend.detail}")
-    with progress("render") as report, io.atomic_path(path) as temporary:
+    with progress("render") as bar, reporting(bar), io.atomic_path(path) as temporary:
         if path.suffix == ".png":
             from lieednn_sim.rendering.still import render_still
 
@@ -182,7 +182,7 @@ def _render(run: RunDirectory, path: Path, look: Look) -> None:
         elif path.suffix == ".html":
             from lieednn_sim.rendering.page import render_page
 
-            render_page(rollout, temporary, camera=look.get("camera"), title=task.planner, progress=report)
+            render_page(rollout, temporary, camera=look.get("camera"), title=task.planner)
         else:
-            render_video(rollout, temporary, **look, title=task.planner, progress=report)
+            render_video(rollout, temporary, **look, title=task.planner)
     wrote(path)

@@ -23,7 +23,7 @@ from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLAT
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
 from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.learning import History
-from lieednn_sim.planning.clearance import FAR, clearance_over_time
+from lieednn_sim.planning.clearance import FAR, Cubics, bounds_of, least_of
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice
@@ -74,23 +74,26 @@ def plots_of(rollout: Rollout) -> dict[str, Callable[[Rollout, Path], None]]:
 
 
 def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
-    """Plot the distance from contact up to 0.1 m, as MuJoCo measures it at samples, and what is proved of it between.
+    """Plot the distance from contact, as MuJoCo measures it at samples, and what is proved of it in intervals.
 
-    Bounds are those of intervals, for the errors of the joints on the way; where there is none, nothing is proved.
+    Distances are shown up to 0.1 m. Bounds are widened by the errors of the joints, as in `Rollout.clearance`.
     """
-    if rollout.tracked is None:
+    if rollout.tracked is None or rollout.clearance is None:
         raise InputError("the rollout followed no plan whose clearance could be proved, so there is none to plot")
-    span, bound = clearance_over_time(rollout.arm, *rollout.tracked, FAR)
-    collisions, some = Collisions(rollout.arm), slice(None, None, 5)
+    some, bounds = np.arange(0, len(rollout.t), 5), bounds_of(rollout.arm)
+    collisions, least = Collisions(rollout.arm), np.zeros(len(some) - 1)
     distance = [1e3 * min(collisions.least_clearance_at(qpos[None]), FAR) for qpos in rollout.qpos[some]]
+    if not isinstance(bounds, str):
+        t, *tracked = rollout.tracked
+        least = least_of(bounds, *Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:])[:3], FAR)[0]
+    low, high = min(1.05 * min(distance), 0.0), 1e3 * FAR
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.0, 3.4), layout="constrained")
         axis = _subplots(figure, rollout.t, 1, 1)[0, 0]
-        edges, low, high = np.append(span[:, 0], span[-1:, 1]), min(1.05 * min(distance), 0.0), 1e3 * FAR
-        axis.stairs(1e3 * np.maximum(bound, 0.0), edges, fill=True, color=COLOURS[2], alpha=0.4, label="proved")
-        if not (bound > 0.0).all():
-            bands = np.where(bound > 0.0, np.nan, high)
-            axis.stairs(bands, edges, baseline=low, fill=True, color=COLOURS[1], alpha=0.4, label="not proved")
+        proved = {"fill": True, "color": COLOURS[2], "alpha": 0.4, "label": "proved"}
+        axis.stairs(1e3 * np.maximum(least, 0.0), rollout.t[some], **proved)
+        for stretch in rollout.clearance.unproved:
+            axis.axvspan(*stretch, color=COLOURS[1], alpha=0.4, lw=0.0, label="not proved")
         axis.plot(rollout.t[some], distance, color=COLOURS[0], label="measured at samples")
         axis.set_ylim(low, high)
         _label(axis, "[mm]", f"distance from contact, up to {high:g} mm")

@@ -103,9 +103,9 @@ def status(snapshot: Snapshot) -> str:
     elif session.achieved <= 0.95 * session.speed:
         pace = f'<b style="color:{_BAD}">{pace}: this machine is too slow for {session.speed:g} times</b>'
     if (way := session.way) is not None:
-        word, colour = (way.clearance.at(0.0), _GOOD) if way.clearance.proved else ("clearance not proved", _BAD)
-        where = "inside" if way.holds(tick.q) else "outside"
-        rows += [("way ahead", f'<b style="color:{colour}">{word}</b><br>the arm is {where}')]
+        where = "inside" if way.holds(tick.q) else f'<b style="color:{_BAD}">outside</b>'
+        colour = _GOOD if way.clearance.proved else _BAD
+        rows += [("way ahead", f'<b style="color:{colour}">{way.clearance.at()}</b><br>the arm is {where}')]
     rows += [("clearance", clearance), ("tracking error", _millimetres(snapshot.tracking)), ("time", pace)]
     table = "".join(f"<tr>{_NAME}{name}</td>{_VALUE}{value}</td></tr>" for name, value in rows)
     line = f'<div style="color:{colour};min-height:2.7em;font-size:.88em;padding-bottom:.3em">{escape(said)}</div>'

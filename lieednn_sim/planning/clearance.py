@@ -59,9 +59,9 @@ class Clearance:
         """Whether no contact at any instant is proved."""
         return not len(self.unproved)
 
-    def at(self, time: float) -> str:
-        """What is proved at a time [s], in a few words."""
-        if any(begin <= time <= end for begin, end in self.unproved):
+    def at(self, time: float | None = None) -> str:
+        """What is proved at a time [s], or at all times, in a few words."""
+        if any(time is None or begin <= time <= end for begin, end in self.unproved):
             return "clearance not proved"
         return f"at least {1e3 * self.bound:.3g} mm clear, proved"
 
@@ -200,29 +200,6 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
     # An instant of contact is no stretch.
     bound = bound if proved > 1e-9 else -np.inf
     return Clearance(bound, time, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved)
-
-
-def clearance_over_time(
-    arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | None, cutoff: float
-) -> tuple[Floats, Floats]:
-    """Intervals ``(I, 2)`` [s] of a motion, and the proved lower bounds ``(I,)`` of its distances in each [m].
-
-    They are at most the cutoff, and not positive where nothing is proved. Arguments are those of `proved_clearance`.
-    """
-    bounds, step, cubics = bounds_of(arm), float(t[1] - t[0]), Cubics(float(t[1] - t[0]), q, qd, off)
-    edges = np.unique(np.linspace(0, len(t) - 1, _MOST + 1).round())
-    begin, end = edges[:-1], edges[1:]
-    found: list[tuple[float, float, float]] = []
-    while len(begin) and not isinstance(bounds, str):
-        at, way, rest, left = cubics.around(begin, end)
-        least, _ = least_of(bounds, at, way, rest, cutoff)
-        done = (least > 0.0) | (end - begin <= 1.0)
-        # What may touch in the middle is not divided.
-        done[~done] = least_of(bounds, at[~done], 0.0 * way[~done], left[~done], NEAR)[0] <= 0.0
-        found += zip(begin[done].tolist(), end[done].tolist(), least[done].tolist(), strict=True)
-        begin, end = _divided(begin, end, ~done)
-    table = np.array(sorted(found)).reshape(-1, 3)
-    return step * table[:, :2], table[:, 2]
 
 
 def least_of(bounds: ClearanceBounds, at: Floats, way: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:

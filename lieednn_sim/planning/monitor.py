@@ -68,13 +68,17 @@ class ClearanceMonitor:
         left = np.maximum(np.abs(off - along[:, None] * self._way) - self._rest, 0.0)
         return bool((np.linalg.norm(left, axis=1) < self.allowed).any())
 
-    def left(self, at: float, q: Floats) -> str:
+    def left(self, at: float, q: Floats, qpos: Floats | None = None) -> str:
         """Why a run is outside between the instant of the last call and this one; empty while it is inside.
 
         Args:
             at: time since the motion began, in its steps; no earlier than in the last call.
             q: ``(n,)`` measured joints [rad, m].
+            qpos: ``(nq,)`` where everything in the model is, if that is known.
         """
+        leaves = f"the run leaves the proof of its plan's clearance at t = {self._step * at:.3f} s:"
+        if qpos is not None and moved_besides(self._arm, q, qpos):
+            return f"{leaves} more has moved than the arm"
         end = min(at, self._last)
         error = np.abs(q - self._planned(end))
         begin, before = self._before or (end, error)
@@ -98,7 +102,12 @@ class ClearanceMonitor:
         if pairs[0, 0] >= 0:
             near = ", and {!r} may touch {!r}".format(*bounds.names(pairs[0]))
         return (
-            f"the run leaves the proof of its plan's clearance at t = {self._step * at:.3f} s: joint "
-            f"{self._arm.joint_names[joint]!r} is {error[joint]:.3g} {self._arm.unit(joint)} off{near}; all "
-            f"errors up to {allowed:.3g} are proved there (Euclidean norm, [rad, m])"
+            f"{leaves} joint {self._arm.joint_names[joint]!r} is {error[joint]:.3g} {self._arm.unit(joint)} off{near}; "
+            f"all errors up to {allowed:.3g} are proved there (Euclidean norm, [rad, m])"
         )
+
+
+def moved_besides(arm: Arm, q: Floats, qpos: Floats) -> bool:
+    """Whether anything is elsewhere in positions ``(..., nq)`` than the arm's joints ``(..., n)`` have it."""
+    most = 1e-3  # such as a finger that its servo holds [m, rad]
+    return not bool((np.abs(qpos - arm.qpos(q, strict=False)) < most).all())

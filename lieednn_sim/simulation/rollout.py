@@ -18,7 +18,7 @@ from lieednn_sim.arm.frames import BodyFrames, find_frame
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import transforms
 from lieednn_sim.planning.clearance import Clearance, proved_clearance
-from lieednn_sim.planning.monitor import ClearanceMonitor
+from lieednn_sim.planning.monitor import ClearanceMonitor, moved_besides
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.validation import as_floats, as_positive, as_times
@@ -252,9 +252,3 @@ class Rollout:
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FileError(f"{path} is not a valid rollout: {error}") from None
-
-
-def moved_besides(arm: Arm, q: Floats, qpos: Floats) -> bool:
-    """Whether anything is elsewhere in positions ``(..., nq)`` than the arm's joints ``(..., n)`` have it."""
-    most = 1e-3  # such as a finger that its servo holds [m, rad]
-    return not bool((np.abs(qpos - arm.qpos(q, strict=False)) < most).all())

@@ -26,7 +26,7 @@ from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.log import ChannelSource, Log
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference
-from lieednn_sim.simulation.rollout import Rollout, moved_besides
+from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
@@ -146,14 +146,18 @@ def simulate(
     driver, simulation = make_controlled(arm, name, reference, changes)
     simulation.reset(reference.q[0])
     drive = _drive(driver, simulation, None if sequence else total)
-    watch = _watch(simulation, motion) if stop_outside else None
+    monitor = None
+    if stop_outside:
+        if not isinstance(motion, Motion) or changes.obstacles:
+            raise InputError("stop_outside needs a single motion, in a scene at rest: else no clearance is proved")
+        monitor = ClearanceMonitor.of(arm, motion)
     record, play = Log(simulation, driver, *log), None if sequence is None else _Play(sequence, simulation, rest)
     shown, seen, rows = time.monotonic(), list[int](), range(total) if play is None else play.rows()
     try:
         with QuietWarnings():
             for k in rows:
                 drive(k)
-                left = "" if watch is None else watch(k)
+                left = "" if monitor is None else monitor.left(k, simulation.q, simulation.data.qpos)
                 record.step()
                 seen.append(k)
                 if left:
@@ -172,23 +176,6 @@ def simulate(
     if play is not None:
         end, meta["steps"] = play.end, tuple(play.begun)
     return record.rollout(reference.q[seen], reference.qd[seen], motion_end=end, **meta)
-
-
-def _watch(simulation: Simulation, motion: Motion | PlanSequence) -> Callable[[int], str]:
-    """A function that says of a step why the run is outside of its motion's proof, or nothing."""
-    arm = simulation.arm
-    if isinstance(motion, PlanSequence) or simulation.disturbances.obstacles:
-        what = "a sequence" if isinstance(motion, PlanSequence) else "a run among obstacles that move"
-        raise InputError(f"stop_outside needs a single motion and a scene at rest: no clearance of {what} is proved")
-    monitor = ClearanceMonitor.of(arm, motion)
-
-    def left(k: int) -> str:
-        q = simulation.q
-        if moved_besides(arm, q, simulation.data.qpos):
-            return f"at t = {simulation.time:.3f} s more than the arm has moved, of which the plan proves nothing"
-        return monitor.left(k, q)
-
-    return left
 
 
 def _reference_of(arm: Arm, sequence: PlanSequence, rate: float | None) -> Reference:

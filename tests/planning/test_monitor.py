@@ -93,7 +93,7 @@ def test_what_is_no_proof_is_not_watched(planned):
     arm, made = planned
     other = next(arm.model.body(k).name for k in range(arm.model.nbody) if "obstacle" in arm.model.body(k).name)
     there = MovingObstacle(other, [0.0, 1.0], [[2.0, 2.0, 0.5], [2.0, 2.1, 0.5]])
-    with pytest.raises(InputError, match="stop_outside needs a single motion and a scene at rest"):
+    with pytest.raises(InputError, match="stop_outside needs a single motion, in a scene at rest"):
         simulate(arm, made, disturbances=Disturbances(obstacles=(there,)), stop_outside=True)
     through = Arm.load("telescopic_pr", scene="window", seed=2)
     if arm.name == through.name:
