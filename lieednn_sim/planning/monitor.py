@@ -3,8 +3,8 @@
 Before the run it is found, for intervals of the motion, by how much the joints may be off without any contact. An
 instant within that costs a comparison. Beyond it the bound is evaluated once more, for the errors as they are.
 
-What is said is of measured joints. Between two instants they are taken to be no further off than at both; how the run
-was disturbed does not matter.
+What is said is of measured joints, however they were disturbed. Between two instants their errors are taken to be no
+larger than the larger ones of both.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from lieednn_sim.planning.clearance import FAR, NEAR, Cubics, bounds_of, least_o
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.values import Floats
 
-# Intervals of a motion, and how many of them are looked at together.
-_INTERVALS, _AT_ONCE = 128, 32
+_INTERVALS = 128
 
 
 class ClearanceMonitor:
@@ -48,10 +47,10 @@ class ClearanceMonitor:
         self._middle, self._way, self._rest, _ = self._cubics.around(self.edges[:-1], self.edges[1:])
         self.allowed = np.zeros(len(self._rest))
         if not isinstance(bounds, str):
-            rests, one = np.stack([self._rest, self._rest], axis=1), np.ones((len(self._rest), 1))
-            for k in range(0, len(one), _AT_ONCE):
-                part = slice(k, k + _AT_ONCE)
-                self.allowed[part] = bounds(self._middle[part], self._way[part], rests[part], one[part], FAR)[0]
+            given = self._middle, self._way, np.stack([self._rest] * 2, axis=1), np.ones((len(self._rest), 1))
+            # In parts, for the memory.
+            parts = zip(*(np.array_split(values, 4) for values in given), strict=True)
+            self.allowed = np.concatenate([bounds(*part, most=FAR)[0] for part in parts])
 
     @classmethod
     def of(cls, arm: Arm, motion: Motion) -> ClearanceMonitor:

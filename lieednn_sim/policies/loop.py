@@ -95,7 +95,11 @@ def control_loop(
     first = read()
     if first is None:
         raise InputError("read must return measured joints the first time: the policy begins there")
-    monitor = _monitor(policy) if stop_outside else None
+    monitor = None
+    if stop_outside:
+        if not isinstance(policy, MotionTracker) or policy.motion is None:
+            raise InputError(f"stop_outside needs a policy that plays a plan, 'tracker', got {type(policy).__name__}")
+        monitor = ClearanceMonitor.of(policy.arm, policy.motion)
     # After three steps nothing is done for the first time.
     for _ in range(3):
         policy.reset(first)
@@ -130,13 +134,6 @@ def control_loop(
         if collects:
             gc.enable()
     return LoopReport(np.array(lateness), np.array(step_time), policy.message, stopped)
-
-
-def _monitor(policy: Policy) -> ClearanceMonitor:
-    """What tells that a loop is outside of its plan's proof, or `InputError`."""
-    if not isinstance(policy, MotionTracker) or policy.motion is None:
-        raise InputError(f'stop_outside needs a policy that plays a plan, "tracker", got {type(policy).__name__}')
-    return ClearanceMonitor.of(policy.arm, policy.motion)
 
 
 def _held(target: Floats) -> Callable[[float], Floats]:

@@ -63,13 +63,7 @@ def player(recording: str, *, title: str = "Motion", style: str = "", header: st
     return page.replace('<div id="root">', f'{header}<div id="root">', 1)
 
 
-def render_page(
-    rollout: Rollout,
-    path: str | os.PathLike[str],
-    *,
-    camera: str | None = None,
-    title: str = "",
-) -> None:
+def render_page(rollout: Rollout, path: str | os.PathLike[str], *, camera: str | None = None, title: str = "") -> None:
     """Write a page that plays a rollout in 3D, with a timeline and a camera that the mouse moves.
 
     It shows the arm in its scene, the target, the planned path and the path travelled so far, and a caption. It opens
@@ -118,12 +112,7 @@ class Recording(NamedTuple):
     ratio: float
 
 
-def record(
-    rollouts: Sequence[Rollout],
-    labels: Sequence[str] = (),
-    *,
-    camera: str | None = None,
-) -> Recording:
+def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: str | None = None) -> Recording:
     """Record rollouts of one arm on one clock.
 
     A single one is seen from the camera of its film; several stand in a row, seen from the same direction. Each has its

@@ -173,5 +173,5 @@ def test_it_stops_where_the_robot_leaves_the_proof_of_its_plan(monkeypatch):
 
 def test_only_a_plan_can_be_left(gantry):
     policy = make_policy("linear-attractor", gantry, GOAL, rate=500.0)
-    with pytest.raises(InputError, match='needs a policy that plays a plan, "tracker", got NetworkPolicy'):
+    with pytest.raises(InputError, match="needs a policy that plays a plan, 'tracker', got NetworkPolicy"):
         control_loop(policy, lambda: GOAL, lambda q, qd: None, GOAL, 0.01, stop_outside=True)
