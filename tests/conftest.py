@@ -254,7 +254,7 @@ def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     from lieednn_sim.evaluation import plots
 
-    for what in ("network", "tracking", "joints", "channels", "training"):
+    for what in ("network", "tracking", "joints", "clearance", "channels", "training"):
         monkeypatch.setattr(plots, f"plot_{what}", lambda *given, **_: Path(given[-1]).write_bytes(b"a picture"))
 
 

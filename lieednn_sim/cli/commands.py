@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 from lieednn_sim import io
+from lieednn_sim.budget import reporting
 from lieednn_sim.cli.arguments import Look, Planning, Simulating, still_look
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
@@ -131,7 +132,7 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
             at = f"the push on {push.body!r} at {push.start:g} s"
             raise InputError(f"{at} would begin when the run is over, at {end:g} s")
     try:
-        with progress("simulate") as report:
+        with progress("simulate") as bar, reporting(bar):
             rollout = simulate_motion(
                 arm,
                 motion,
@@ -140,7 +141,6 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
                 hold=simulating.hold,
                 reference_rate=simulating.reference_rate,
                 disturbances=changes,
-                progress=report,
             )
     except SimulationError as error:
         if error.rollout is None:
@@ -157,8 +157,7 @@ def _evaluate(run: RunDirectory) -> None:
     rollout = run.load_rollout(*run.load_task())
     evaluation = evaluate_rollout(rollout)
     console.print(evaluation)
-    names = ["network", "tracking", "joints"] + ["channels"] * bool(rollout.channels)
-    drawn = {run.plot(name): getattr(plots, f"plot_{name}") for name in names}
+    drawn = {run.plot(name): draw for name, draw in plots.plots_of(rollout).items()}
     outputs = [run.metrics_json, run.metrics_csv, *drawn]
     with io.atomic_paths(outputs) as (metrics_json, metrics_csv, *pictures):
         evaluation.save_json(metrics_json)
@@ -175,7 +174,7 @@ def _render(run: RunDirectory, path: Path, look: Look) -> None:
     if path.suffix != ".html":
         backend = opengl.require()
         console.print(f"rendering with {backend.name}: {backend.detail}")
-    with progress("render") as report, io.atomic_path(path) as temporary:
+    with progress("render") as bar, reporting(bar), io.atomic_path(path) as temporary:
         if path.suffix == ".png":
             from lieednn_sim.rendering.still import render_still
 
@@ -183,7 +182,7 @@ def _render(run: RunDirectory, path: Path, look: Look) -> None:
         elif path.suffix == ".html":
             from lieednn_sim.rendering.page import render_page
 
-            render_page(rollout, temporary, camera=look.get("camera"), title=task.planner, progress=report)
+            render_page(rollout, temporary, camera=look.get("camera"), title=task.planner)
         else:
-            render_video(rollout, temporary, **look, title=task.planner, progress=report)
+            render_video(rollout, temporary, **look, title=task.planner)
     wrote(path)

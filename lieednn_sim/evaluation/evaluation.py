@@ -118,7 +118,7 @@ class Evaluation:
         joints: peak velocity and forces of each joint.
         displacement_m: distance between the end effector's first and last position.
         clearance_mm: least clearance along the motion; None where nothing can collide or it was not computed.
-        proof: what is proved of the run's distances from contact, see `metrics.proof_of_run`.
+        proof: what is proved of the run's distances from contact (`Rollout.clearance`), and `Rollout.outside`.
         proved: whether it is proved that nothing touched at any instant: the run stayed inside its plan's proof.
         contacts: largest number of simultaneous contacts.
         peak_contact_force_n: largest normal force of a contact.

@@ -22,7 +22,6 @@ from lieednn_sim.evaluation.evaluation import (
     MotionMetrics,
     Recovery,
 )
-from lieednn_sim.planning.clearance import Clearance, proved_clearance
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, rms_jerk
 from lieednn_sim.simulation import Following, Rollout
 from lieednn_sim.validation import as_floats, as_positive
@@ -45,7 +44,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
     arrival = pose_errors(simulated, arm.link_poses(rollout.target))
     tip = rollout.link_position[:, -1]
     least = least_clearance(rollout) if clearance else np.inf
-    proof = proof_of_run(rollout) if clearance else None
+    proof = rollout.clearance if clearance else None
     weld_force, weld_torque = (rollout.channels.get(f"weld_{load}", np.zeros(1)) for load in ("force", "torque"))
     speeds, forces, held = (np.abs(x).max(axis=0) for x in (rollout.qd, rollout.force, rollout.constraint_force))
     frames = tuple(frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names))
@@ -69,7 +68,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         path_m=float(np.linalg.norm(np.diff(tip, axis=0), axis=1).sum()),
         displacement_m=float(np.linalg.norm(tip[-1] - tip[0])),
         clearance_mm=1e3 * least if np.isfinite(least) else None,
-        proof="" if proof is None else str(proof),
+        proof="" if proof is None else "; ".join(filter(None, (str(proof), rollout.outside))),
         proved=proof is not None and proof.proved and not rollout.contacts.any(),
         contacts=int(rollout.contacts.max()),
         peak_contact_force_n=float(rollout.contact_force.max()),
@@ -79,22 +78,6 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         causes=() if all(frame.arrived for frame in frames) else error_causes(rollout),
         **violations(rollout),
     )
-
-
-def proof_of_run(rollout: Rollout) -> Clearance | None:
-    """What is proved of a run's distances from contact, from its plan and its joints' tracking errors.
-
-    It is the plan's proof, widened by these errors, for every instant. None without a plan, and where something else
-    was moved than the arm and what it carries, since the plan has it in another place.
-    """
-    motion, most = rollout.motion, 1e-3  # that others move [m, rad], such as a finger that its servo holds
-    if motion is None or rollout.disturbances.obstacles:
-        return None
-    if not (np.abs(rollout.qpos - rollout.arm.qpos(rollout.q, strict=False)) < most).all():
-        return None
-    planned = np.minimum(np.arange(len(rollout.t)), len(motion.t) - 1)
-    q, qd = motion.q[planned], motion.qd[planned]
-    return proved_clearance(rollout.arm, rollout.t, q, qd, np.abs(rollout.q - q))
 
 
 def _recoveries(rollout: Rollout, tracking: tuple[Floats, Floats]) -> tuple[Recovery, ...]:

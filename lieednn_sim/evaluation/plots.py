@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,14 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike
 
 from lieednn_sim import io
+from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
 from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.learning import History
+from lieednn_sim.planning.clearance import FAR, Cubics, bounds_of, least_of
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice
@@ -39,9 +41,9 @@ _MOST_ROWS, _LONGEST_NAME = 12, 14
 
 
 def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """Plot a run in PNG files: tracking error, joints, and network and channels if it has them.
+    """Plot a run in PNG files: tracking error, joints, and network, clearance and channels if it has them.
 
-    The files are ``tracking.png``, ``joints.png``, ``network.png`` and ``channels.png``.
+    The files are ``tracking.png``, ``joints.png``, ``network.png``, ``clearance.png`` and ``channels.png``.
 
     Args:
         rollout: the simulated run.
@@ -53,14 +55,52 @@ def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...
     Raises:
         FileError: the directory cannot be written.
     """
-    folder, drawn = io.make_directory(directory), {"tracking": plot_tracking, "joints": plot_joints}
+    folder = io.make_directory(directory)
+    for name, draw in plots_of(rollout).items():
+        draw(rollout, folder / f"{name}.png")
+    return tuple(folder / f"{name}.png" for name in plots_of(rollout))
+
+
+def plots_of(rollout: Rollout) -> dict[str, Callable[[Rollout, Path], None]]:
+    """The plots that a run has, by name."""
+    drawn: dict[str, Callable[[Rollout, Path], None]] = {"tracking": plot_tracking, "joints": plot_joints}
     if rollout.motion is not None:
         drawn["network"] = plot_network
+    if rollout.clearance is not None:
+        drawn["clearance"] = plot_clearance
     if rollout.channels:
         drawn["channels"] = plot_channels
-    for name, draw in drawn.items():
-        draw(rollout, folder / f"{name}.png")
-    return tuple(folder / f"{name}.png" for name in drawn)
+    return drawn
+
+
+def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+    """Plot the distance from contact, as MuJoCo measures it at samples, and what is proved of it in intervals.
+
+    Distances are shown up to 0.1 m. Bounds are widened by the errors of the joints, as in `Rollout.clearance`.
+    """
+    if rollout.tracked is None or rollout.clearance is None:
+        raise InputError("the rollout followed no plan whose clearance could be proved, so there is none to plot")
+    some, bounds = np.arange(0, len(rollout.t), 5), bounds_of(rollout.arm)
+    collisions, least = Collisions(rollout.arm), np.zeros(len(some) - 1)
+    distance = [1e3 * min(collisions.least_clearance_at(qpos[None]), FAR) for qpos in rollout.qpos[some]]
+    if not isinstance(bounds, str):
+        t, *tracked = rollout.tracked
+        least = least_of(bounds, *Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:])[:3], FAR)[0]
+    low, high = min(1.05 * min(distance), 0.0), 1e3 * FAR
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(10.0, 3.4), layout="constrained")
+        axis = _subplots(figure, rollout.t, 1, 1)[0, 0]
+        proved = {"fill": True, "color": COLOURS[2], "alpha": 0.4, "label": "proved"}
+        axis.stairs(1e3 * np.maximum(least, 0.0), rollout.t[some], **proved)
+        for stretch in rollout.clearance.unproved:
+            axis.axvspan(*stretch, color=COLOURS[1], alpha=0.4, lw=0.0, label="not proved")
+        axis.plot(rollout.t[some], distance, color=COLOURS[0], label="measured at samples")
+        axis.set_ylim(low, high)
+        _label(axis, "[mm]", f"distance from contact, up to {high:g} mm")
+        axis.set_xlabel("time [s]")
+        _mark_events(axis, rollout)
+        _legend(figure, _lines(axis) | _events(rollout))
+        figure_layout.save_figure(figure, path)
 
 
 def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:

@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import reporting
@@ -27,7 +26,7 @@ from lieednn_sim.stability.robustness import Decay
 from lieednn_sim.values import Floats, frozen
 
 # Network time for which a path is foreseen, and the number of its points.
-_HORIZON, _POINTS = 12.0, 60
+_HORIZON, _POINTS = 12.0, 120
 
 
 def _unfiltered(policy: Policy) -> Policy:
@@ -136,20 +135,21 @@ def make_for(
 
 def foreseen(
     arm: Arm, policy: Policy, motion: Motion | None, progress: Progress | None, q: Floats, target: Floats
-) -> Floats | None:
-    """Positions of the end effector ``(P, 3)`` on a policy's way to its target, where that is known; else None.
+) -> tuple[Floats, Floats, Floats] | None:
+    """Samples t, q and qd of a policy's way to its target, as of a motion, where that is known; else None.
 
-    Of a network it is its own orbit from the present state, which limits and a slow arm only slow down.
+    Of a network it is its own orbit from the present state, which limits and a slow arm only slow down, in points that
+    are one unit of t apart.
     """
     if motion is not None and isinstance(_unfiltered(policy), MotionTracker):
-        rows = np.linspace(0, len(motion.q) - 1, _POINTS).astype(int)
-        return arm.tip(motion.q[rows])
+        return motion.t, motion.q, motion.qd
     if progress is None:
         return None
     network = progress.policy.network.retarget(arm.encode(target))
     run = network.trajectory(progress.xi, _HORIZON, until=progress.goal, distance=1e-3, rtol=1e-4, atol=1e-4)
     decoded = arm.decode(network.visible(run(np.linspace(0.0, run.t[-1], _POINTS))), start=q).q
-    return arm.tip(np.vstack([decoded, target]))
+    points = np.vstack([decoded, target])
+    return np.arange(len(points), dtype=float), points, np.gradient(points, axis=0)
 
 
 class Tick(NamedTuple):
@@ -192,8 +192,7 @@ class Engine:
         self.motion: Motion | None = None  # that the policy follows or imitates
         self.progress: Progress | None = None  # of a policy with a network
         self._name, self.target = "", self._first
-        self.policy = self._stopping(self._start, np.zeros_like(self._start))
-        self.policy.reset(self._start)
+        self.policy = MotionTracker.stopping(self._arm, self._start, np.zeros_like(self._start), self._rate)
 
     def restart(self) -> None:
         """As `begin`, with the arm back at the start."""
@@ -215,7 +214,7 @@ class Engine:
         """Let the reference stop at the limits of acceleration; returns where it comes to rest ``(n,)``."""
         if not self.policy.qd.any():
             return self.policy.q
-        stopping = self._stopping(self.policy.q, self.policy.qd)
+        stopping = MotionTracker.stopping(self._arm, self.policy.q, self.policy.qd, self._rate)
         self._go_on_with(stopping)
         return stopping.end
 
@@ -253,14 +252,6 @@ class Engine:
         policy.qd = qd
         self.policy = self._loop.policy = policy
         self.progress, self.motion, self._name = None, None, ""
-
-    def _stopping(self, q: Floats, qd: Floats) -> MotionTracker:
-        """A policy that stops a moving reference, and stays there."""
-        needed = max(float((np.abs(qd) / self._arm.acceleration_limits).max()), 2.0 / self._rate)
-        low, high = self._arm.position_limits.T
-        end = np.clip(self._arm.within_angles(q + 0.5 * needed * qd), low, high)
-        rows = CubicHermiteSpline([0.0, needed], [q, end], [qd, np.zeros_like(qd)])
-        return MotionTracker(self._arm, rows, self._rate)
 
     def _apply_forces(self) -> None:
         data, model = self._loop.simulation.data, self._loop.simulation.model

@@ -25,6 +25,7 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, SimulationError
 from lieednn_sim.live.engine import Engine, Made, foreseen, make_for
 from lieednn_sim.live.settings import Settings
+from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.planning.motion import usual_rate
 from lieednn_sim.policies import Policy
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
@@ -35,8 +36,8 @@ from lieednn_sim.values import Floats
 
 # Slowest and fastest speed of the simulation, relative to real time.
 SPEEDS = (0.1, 4.0)
-# Control periods over which the loop measures how fast it runs, and its wait while paused [s].
-_MEASURED, _PAUSED_WAIT = 50, 0.02
+# Control periods over which the loop measures how fast it runs, its wait while paused [s], and points of a drawn path.
+_MEASURED, _PAUSED_WAIT, _DRAWN = 50, 0.02, 60
 
 
 class Superseded(Exception):
@@ -131,6 +132,7 @@ class Session:
         tick: state after the last control period.
         aimed: the latest target that was asked for.
         path: ``(P, 3)`` positions of the end effector on the way to the target, or None if they are not known.
+        way: what is proved of the clearance on that way, or None if it is not known yet.
         wanted: the latest settings that were asked for.
         failure: the last error, in words; empty after a request that succeeded.
         paused: whether `run` waits.
@@ -160,6 +162,7 @@ class Session:
         self._closed = threading.Event()
         self.paused, self.speed, self.achieved, self.failure = False, 1.0, 1.0, ""
         self.path: Floats | None = None
+        self.way: ClearanceMonitor | None = None
         self._engine = Engine(arm, self.wanted, self.start, first, self._rate)
         # The settings that the policy serves, None if another one is wanted; and one that waits for the arm to stop.
         self._served: Settings | None = None
@@ -339,7 +342,7 @@ class Session:
 
     def _reset(self) -> None:
         self._engine.restart()
-        self._served = self._waiting = self.path = None
+        self._served = self._waiting = self.path = self.way = None
         self.aimed, self.failure, self.paused = self._pose_of(self._engine.target), "", False
         self._remake()
 
@@ -399,12 +402,18 @@ class Session:
         self._foresee()
 
     def _foresee(self) -> None:
-        """Let the worker find the way ahead, to be drawn."""
-        engine = self._engine
+        """Let the worker find the way ahead, to be drawn, and prove its clearance."""
+        engine, self.way = self._engine, None
         now = engine.policy, engine.motion, engine.progress, engine.policy.q, engine.target
 
         def work() -> None:
-            self.path = foreseen(self.arm, *now)
+            ahead, monitor = foreseen(self.arm, *now), None
+            self.path = None
+            if ahead is not None:
+                self.path = self.arm.tip(ahead[1][np.linspace(0, len(ahead[1]) - 1, _DRAWN).astype(int)])
+                monitor = ClearanceMonitor(self.arm, *ahead)
+            self._foreseer.check()
+            self.way = monitor
 
         self._foreseer.submit(work)
 

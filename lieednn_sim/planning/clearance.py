@@ -30,7 +30,7 @@ _FIRST, _MOST = 16, 256
 _SHORTEST = 1.0 / 4096.0
 # Distance beyond which nothing is measured, and one up to which all is [m]; and how near the proved clearance comes to
 # the least that was measured.
-_FAR, _NEAR, _SHARP = 0.1, 1e-4, 0.95
+FAR, NEAR, _SHARP = 0.1, 1e-4, 0.95
 
 
 @frozen
@@ -58,6 +58,12 @@ class Clearance:
     def proved(self) -> bool:
         """Whether no contact at any instant is proved."""
         return not len(self.unproved)
+
+    def at(self, time: float | None = None) -> str:
+        """What is proved at a time [s], or at all times, in a few words."""
+        if any(time is None or begin <= time <= end for begin, end in self.unproved):
+            return "clearance not proved"
+        return f"at least {1e3 * self.bound:.3g} mm clear, proved"
 
     def __str__(self) -> str:
         by = f", {self.pair[0]!r} from {self.pair[1]!r} at {self.t:.2f} s" if self.pair else ""
@@ -143,7 +149,7 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     Raises:
         PlanError: something is nearer; the message names it, and the time.
     """
-    bounds, step = _bounds(arm), float(t[1] - t[0])
+    bounds, step = bounds_of(arm), float(t[1] - t[0])
     cubics = Cubics(step, q, qd)
     begin, end = _edges(len(t) - 1)
     tested = 0
@@ -156,7 +162,7 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
             _test(arm, step, cubics, np.unique(np.concatenate(every)))
             return
         tested += len(begin)
-        least, _ = _least(bounds, *cubics.around(begin, end)[:3], arm.clearance)
+        least, _ = least_of(bounds, *cubics.around(begin, end)[:3], arm.clearance)
         begin, end, least = (values[least < arm.clearance] for values in (begin, end, least))
         middle, whole = 0.5 * (begin + end), end - begin > 1.0
         _test(arm, step, cubics, np.concatenate([np.floor(middle[whole]), begin[~whole], end[~whole]]))
@@ -184,21 +190,21 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
         arm, t, q, qd: as of `check_clearance`.
         off: ``(K, n)`` how far joints may be from the motion at its samples, such as a run's tracking errors [rad, m].
     """
-    bounds, step = _bounds(arm), float(t[1] - t[0])
+    bounds, step = bounds_of(arm), float(t[1] - t[0])
     if isinstance(bounds, str):
         return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0, bounds)
     cubics = Cubics(step, q, qd, off)
     begin, end = _edges(len(t) - 1)
-    nearest, bound, time, pair = _FAR, _FAR, 0.0, (-1, -1)
+    nearest, bound, time, pair = FAR, FAR, 0.0, (-1, -1)
     unproved: list[tuple[float, float]] = []
     measured, coarse = 0, 0.1 if off is None else len(t) / 32.0
     while len(begin):
         check_time()
         measured += len(begin)
         at, way, rest, left = cubics.around(begin, end)
-        least, pairs = _least(bounds, at, way, rest, nearest)
-        there, _ = _least(bounds, at, 0.0 * way, left, nearest)
-        nearest = max(float(there[there > 0.0].min(initial=nearest)), _NEAR)
+        least, pairs = least_of(bounds, at, way, rest, nearest)
+        there, _ = least_of(bounds, at, 0.0 * way, left, nearest)
+        nearest = max(float(there[there > 0.0].min(initial=nearest)), NEAR)
         done = (least > 0.0) & ((least >= _SHARP * nearest) | (end - begin <= 1.0))
         if measured > _MOST + len(t) // 4:
             done |= least > 0.0
@@ -218,7 +224,7 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
     return Clearance(bound, time, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved)
 
 
-def _least(bounds: ClearanceBounds, at: Floats, way: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
+def least_of(bounds: ClearanceBounds, at: Floats, way: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
     """As `ClearanceBounds.least`; -1 where loops cannot be closed."""
     try:
         return bounds.least(at, way, rest, cutoff)
@@ -253,7 +259,7 @@ def _joined(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 @lru_cache(maxsize=8)
-def _bounds(arm: Arm) -> ClearanceBounds | str:
+def bounds_of(arm: Arm) -> ClearanceBounds | str:
     """What bounds an arm's distances, or why nothing does."""
     n = arm.n_joints
     try:

@@ -32,6 +32,7 @@ class MotionTracker(Policy):
 
     Attributes:
         end: ``(n,)`` where the motion ends.
+        motion: the motion; None if a spline was given.
 
     Raises:
         InputError: the motion is of another arm; `reset` raises it if the motion begins elsewhere.
@@ -39,6 +40,7 @@ class MotionTracker(Policy):
 
     def __init__(self, arm: Arm, motion: Motion | CubicHermiteSpline, rate: float = 100.0) -> None:
         super().__init__(arm, rate)
+        self.motion = motion if isinstance(motion, Motion) else None
         spline = CubicHermiteSpline(motion.t, motion.q, motion.qd) if isinstance(motion, Motion) else motion
         end, joints = float(spline.x[-1]), spline.c.shape[2:]
         if joints != (arm.n_joints,):
@@ -47,6 +49,17 @@ class MotionTracker(Policy):
         # At the beginning of each period.
         self.end = spline(end)
         self._rows = spline(times), np.where((times < end)[:, None], spline(times, 1), 0.0)
+
+    @classmethod
+    def stopping(cls, arm: Arm, q: Floats, qd: Floats, rate: float) -> MotionTracker:
+        """A policy that brakes a reference with rates ``(n,)`` at the limits of acceleration, straight, and stays."""
+        needed = max(float((np.abs(qd) / arm.acceleration_limits).max()), 2.0 / rate)
+        low, high = arm.position_limits.T
+        end = np.clip(arm.within_angles(q + 0.5 * needed * qd), low, high)
+        policy = cls(arm, CubicHermiteSpline([0.0, needed], [q, end], [qd, np.zeros_like(qd)]), rate)
+        policy.reset(q)
+        policy.qd = qd
+        return policy
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""

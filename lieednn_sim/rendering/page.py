@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from html import escape
 from itertools import product
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 
 from lieednn_sim import io
 from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.budget import report
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import optional_module
 from lieednn_sim.rendering import scene_setup, viser_scene
@@ -62,14 +63,7 @@ def player(recording: str, *, title: str = "Motion", style: str = "", header: st
     return page.replace('<div id="root">', f'{header}<div id="root">', 1)
 
 
-def render_page(
-    rollout: Rollout,
-    path: str | os.PathLike[str],
-    *,
-    camera: str | None = None,
-    title: str = "",
-    progress: Callable[[int, int], None] | None = None,
-) -> None:
+def render_page(rollout: Rollout, path: str | os.PathLike[str], *, camera: str | None = None, title: str = "") -> None:
     """Write a page that plays a rollout in 3D, with a timeline and a camera that the mouse moves.
 
     It shows the arm in its scene, the target, the planned path and the path travelled so far, and a caption. It opens
@@ -80,7 +74,6 @@ def render_page(
         path: ``.html`` file.
         camera: the view it begins with, as for `render_video`.
         title: the planner's name, for the caption.
-        progress: called with (done, total) after every recorded instant.
 
     Raises:
         InputError: the name does not end in .html, or there is no such camera.
@@ -89,10 +82,11 @@ def render_page(
     if as_path("path", path).suffix != ".html":
         raise InputError(f"a page's name must end in .html, got {Path(path).name!r}")
     check_camera(rollout.arm, camera)
-    recording = record([rollout], camera=camera, progress=progress)
+    recording = record([rollout], camera=camera)
     place, rest = scene_setup.place(rollout.arm), f", then {rollout.hold:.2f} s at rest" if rollout.hold > 0.005 else ""
     texts = [f"<b>{escape(place)}</b>"]
-    texts += [escape(word) for word in (title, rollout.controller, f"{rollout.motion_end:.2f} s{rest}") if word]
+    proof = "" if rollout.clearance is None else rollout.clearance.at()
+    texts += [escape(word) for word in (title, rollout.controller, f"{rollout.motion_end:.2f} s{rest}", proof) if word]
     for (red, green, blue, _), word in KEY:
         colour = f"rgb({255 * red:.0f} {255 * green:.0f} {255 * blue:.0f})"
         texts.append(f'<i style="background:{colour}"></i>{word} path')
@@ -118,18 +112,12 @@ class Recording(NamedTuple):
     ratio: float
 
 
-def record(
-    rollouts: Sequence[Rollout],
-    labels: Sequence[str] = (),
-    *,
-    camera: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Recording:
+def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: str | None = None) -> Recording:
     """Record rollouts of one arm on one clock.
 
     A single one is seen from the camera of its film; several stand in a row, seen from the same direction. Each has its
     target, the planned path, the path that the end effector has travelled so far, and a label above it, if there are
-    some. Camera and progress are as for `render_page`.
+    some. The camera is as for `render_page`.
 
     Raises:
         InputError: the rollouts are of several arms or scenes, or the labels are not as many.
@@ -175,8 +163,7 @@ def record(
             for copy in copies:
                 copy.show(done / _RATE)
             recording.insert_sleep(1.0 / _RATE)
-            if progress is not None:
-                progress(done + 1, total)
+            report(done + 1, total)
         return Recording(recording.serialize(), ratio)
 
 

@@ -70,8 +70,9 @@ def place(arm: Arm) -> str:
 
 
 def caption(run: Rollout, time: float) -> list[str]:
-    """What a run is of, and the step of a sequence at a time [s], or the controller."""
-    return [place(run.arm), run.step_at(time) or run.controller]
+    """What a run is of, the step of a sequence at a time [s] or the controller, and what is proved of its clearance."""
+    proof = [] if run.clearance is None else [run.clearance.at(time)]
+    return [place(run.arm), run.step_at(time) or run.controller, *proof]
 
 
 def cameras(arm: Arm) -> list[str]:

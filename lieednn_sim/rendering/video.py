@@ -21,6 +21,7 @@ from PIL import Image as Picture
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import report
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.io import atomic_path
 from lieednn_sim.rendering import opengl, scene_setup
@@ -159,12 +160,12 @@ def render_video(
     fps: int = 30,
     preset: str = "nice",
     title: str = "",
-    progress: Callable[[int, int], None] | None = None,
 ) -> int:
     """Render a video of a rollout, with planned link frames and the end effector's path drawn over the arm.
 
-    Frame k shows the time k / fps. A caption in a corner has the time, the names of arm, scene and controller, and a
-    colour legend. The model of a view is shown as it is, with all that moves; the caption names a sequence's step.
+    Frame k shows the time k / fps. A caption in a corner has the time, the names of arm, scene and controller, what is
+    proved of the clearance then, and a colour legend. The model of a view is shown as it is, with all that moves; the
+    caption names a sequence's step.
 
     Args:
         rollout: the rollout, whose target the marker shows.
@@ -174,7 +175,6 @@ def render_video(
         fps: frames per second of simulated time.
         preset: a name of `PRESETS`: ``draft``, which is faster, or ``nice``.
         title: first line of the caption, such as the planner's name.
-        progress: called with (done, total) after every frame.
 
     Returns:
         The number of frames.
@@ -205,8 +205,7 @@ def render_video(
                 written = encoder.submit(write, picture, rollout.t[k])
                 if done == total:
                     written.result()
-                if progress is not None:
-                    progress(done, total)
+                report(done, total)
         _check_complete(temporary, total)
     return total
 

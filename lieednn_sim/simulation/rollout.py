@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.frames import BodyFrames, find_frame
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.lie import transforms
+from lieednn_sim.planning.clearance import Clearance, proved_clearance
+from lieednn_sim.planning.monitor import ClearanceMonitor, moved_besides
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.validation import as_floats, as_positive, as_times
@@ -146,6 +149,33 @@ class Rollout:
     def tracking_error(self) -> Floats:
         """``(K, n)`` how far the coordinates are from their reference [rad, m]."""
         return np.asarray(self.q - self.q_ref)
+
+    @cached_property
+    def tracked(self) -> tuple[Floats, Floats, Floats, Floats] | None:
+        """Times, planned joints and rates, and how far the joints were from these: what proofs of the run begin with.
+
+        None without a plan, and where something else was moved than the arm and what it carries, since the plan has it
+        in another place.
+        """
+        if self.motion is None or self.disturbances.obstacles or moved_besides(self.arm, self.q, self.qpos):
+            return None
+        planned = np.minimum(np.arange(len(self.t)), len(self.motion.t) - 1)
+        q = self.motion.q[planned]
+        return self.t, q, self.motion.qd[planned], np.abs(self.q - q)
+
+    @cached_property
+    def clearance(self) -> Clearance | None:
+        """What is proved of its distances from contact at every instant: its plan's proof, less tracking errors."""
+        return None if self.tracked is None else proved_clearance(self.arm, *self.tracked)
+
+    @cached_property
+    def outside(self) -> str:
+        """When and by which joint it left the proof of its plan's clearance; empty without one, and if it did not."""
+        if self.motion is None or self.clearance is None or self.clearance.proved:
+            return ""
+        monitor = ClearanceMonitor(self.arm, self.motion.t, self.motion.q, self.motion.qd)
+        lefts = map(monitor.left, range(len(self.t)), self.q) if monitor.clearance.proved else ()
+        return next(filter(None, lefts), "")
 
     def step_at(self, time: float) -> str:
         """Name of the step of a sequence that was being done at a time [s]; empty for a single motion."""

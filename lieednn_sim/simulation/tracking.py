@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import report
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.planning import Move, Plan, PlanSequence
+from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.planning.motion import Motion, steps_of_rate
 from lieednn_sim.planning.steps import Gripping
 from lieednn_sim.simulation.actuators import has_servos
@@ -96,7 +98,7 @@ def simulate(
     reference_rate: float | None = None,
     disturbances: Disturbances | None = None,
     log: Sequence[ChannelSource] = (),
-    progress: Callable[[int, int], None] | None = None,
+    stop_outside: bool = False,
 ) -> Rollout:
     """Simulate an arm whose controller tracks a motion and then holds its end.
 
@@ -115,12 +117,14 @@ def simulate(
             the simulation's rate. By default it sees every step.
         disturbances: disturbances unknown to the controller.
         log: further quantities to log, each a `Channel`; the rollout has them in ``channels``.
-        progress: called with (done, total) steps, about every tenth of a second.
+        stop_outside: whether the run ends, by `SimulationError`, at the first instant at which its joints are too far
+            from the motion for the proof of its clearance.
 
     Raises:
-        InputError: the motion does not fit the model, or two channels have one name.
-        SimulationError: a warning of MuJoCo or a state that is not finite, or an event of a sequence does not come in
-            time; it has the run up to there.
+        InputError: the motion does not fit the model, or two channels have one name; or the run is to stop outside of
+            a proof, but there is none: of the motion, of sequences, or with obstacles that move.
+        SimulationError: a warning of MuJoCo or a state that is not finite, an event of a sequence does not come in
+            time, or the run is to stop; it has the run up to there.
     """
     sequence = motion if isinstance(motion, PlanSequence) else None
     if target is None and isinstance(motion, Plan):
@@ -142,17 +146,25 @@ def simulate(
     driver, simulation = make_controlled(arm, name, reference, changes)
     simulation.reset(reference.q[0])
     drive = _drive(driver, simulation, None if sequence else total)
+    monitor = None
+    if stop_outside:
+        if not isinstance(motion, Motion) or changes.obstacles:
+            raise InputError("stop_outside needs a single motion, in a scene at rest: else no clearance is proved")
+        monitor = ClearanceMonitor.of(arm, motion)
     record, play = Log(simulation, driver, *log), None if sequence is None else _Play(sequence, simulation, rest)
     shown, seen, rows = time.monotonic(), list[int](), range(total) if play is None else play.rows()
     try:
         with QuietWarnings():
             for k in rows:
                 drive(k)
+                left = "" if monitor is None else monitor.left(k, simulation.q, simulation.data.qpos)
                 record.step()
                 seen.append(k)
-                if progress is not None and (time.monotonic() - shown > 0.1 or len(seen) == total):
+                if left:
+                    raise SimulationError(left)
+                if time.monotonic() - shown > 0.1 or len(seen) == total:
                     shown = time.monotonic()
-                    progress(min(len(seen), total), total)
+                    report(min(len(seen), total), total)
     except SimulationError as error:
         if len(record) > 1:
             ended = {"motion_end": len(record) * arm.timestep, **({} if play is None else {"steps": tuple(play.begun)})}

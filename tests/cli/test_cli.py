@@ -48,7 +48,7 @@ def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     assert tip["tracking_rms_mm"] < 1.0
     assert tip["tracking_rms_deg"] < 0.1
     expected = {"task.json", "network.npz", "motion.npz", "rollout.npz", "metrics.json", "metrics.csv"}
-    expected |= {"network.png", "tracking.png", "joints.png", "motion.html"}
+    expected |= {"network.png", "tracking.png", "joints.png", "clearance.png", "motion.html"}
     assert (directory / "motion.html").stat().st_size < 1.5e6
     assert {path.name for path in directory.iterdir()} == {*expected, "lieednn_sim.json"}
     printed = capsys.readouterr().out

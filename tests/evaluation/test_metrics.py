@@ -13,7 +13,6 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import evaluate, evaluate_following
-from lieednn_sim.evaluation.metrics import proof_of_run
 from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Disturbances, Following, MovingObstacle, Push, simulate
@@ -294,7 +293,7 @@ def test_a_run_is_inside_its_proof_or_it_is_said_when_it_is_not(controller, dist
     arm = Arm.load("telescopic_pr", "shelf", 1)
     planned = plan(arm, draw_target(arm, 1))
     rollout = simulate(arm, planned, controller=controller, disturbances=disturbances)
-    result, collisions = proof_of_run(rollout), Collisions(arm)
+    result, collisions = rollout.clearance, Collisions(arm)
     # Between samples MuJoCo's steps are straight.
     times = np.sort(np.random.default_rng(0).uniform(0.0, rollout.t[-1], 300))
     q = np.stack([np.interp(times, rollout.t, joint) for joint in rollout.q.T], axis=1)
@@ -305,7 +304,7 @@ def test_a_run_is_inside_its_proof_or_it_is_said_when_it_is_not(controller, dist
     evaluation = evaluate(rollout)
     assert evaluation.proved == result.proved
     assert f"distances from contact: {result}" in str(evaluation)
-    assert proof_of_run(dataclasses.replace(rollout, motion=None)) is None
+    assert dataclasses.replace(rollout, motion=None).clearance is None
 
 
 def test_what_moves_besides_the_arm_is_in_no_proof():
@@ -315,5 +314,5 @@ def test_what_moves_besides_the_arm_is_in_no_proof():
     name = next(arm.model.body(k).name for k in range(arm.model.nbody) if "pole" in arm.model.body(k).name)
     there = MovingObstacle(name, [0.0, 1.0], [[2.0, 2.0, 0.5], [2.0, 2.1, 0.5]])
     moved = simulate(arm, planned, disturbances=Disturbances(obstacles=(there,)))
-    assert proof_of_run(moved) is None
+    assert moved.clearance is None
     assert not evaluate(moved).proved

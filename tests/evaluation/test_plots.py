@@ -10,6 +10,7 @@ from rollouts import make_rollout
 
 import lieednn_sim as ls
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation import figure_layout, plots
 from lieednn_sim.evaluation.figure_layout import fix_layout
@@ -48,7 +49,7 @@ def test_a_run_is_plotted_by_one_call(tmp_path, monkeypatch):
     arm = Arm.load("telescopic_pr")
     planned = ls.plan(arm, "extended", planner="linear-attractor", duration=2.0)
     written = ls.plot(ls.simulate(arm, planned, hold=0.0), tmp_path / "new")
-    assert {path.name for path in written} == {"tracking.png", "joints.png", "network.png"}
+    assert {path.name for path in written} == {"tracking.png", "joints.png", "network.png", "clearance.png"}
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written)
     # To draw takes longer than all else.
     monkeypatch.setattr(figure_layout, "save_figure", lambda figure, path: path.touch())
@@ -57,6 +58,34 @@ def test_a_run_is_plotted_by_one_call(tmp_path, monkeypatch):
     assert {path.name for path in written} == {"tracking.png", "joints.png", "channels.png"}
     with pytest.raises(InputError, match="rollout must be a Rollout"):
         ls.plot(planned, tmp_path)
+
+
+def test_no_bound_is_plotted_above_a_measured_distance(drawn):
+    """A push leads the arm into the window's frame for a while."""
+    arm = Arm.load("telescopic_pr", scene="window", seed=1)
+    planned = ls.plan(arm, ls.draw_target(arm, seed=1))
+    push = Push(arm.link_names[-1], (300.0, 300.0, 0.0), 1.5, 0.3)
+    for disturbances in (Disturbances(pushes=(push,)), Disturbances()):
+        run = ls.simulate(arm, planned, disturbances=disturbances)
+        plots.plot_clearance(run, "clearance.png")
+        axis = drawn[-1].axes[0]
+        words = [text.get_text() for text in drawn[-1].legends[0].texts]
+        assert (words[:2] == ["proved", "not proved"]) == bool(push in disturbances.pushes)
+        bound, edges, _ = axis.patches[0].get_data()
+        t, measured = axis.lines[0].get_data()
+        assert edges[0] == 0.0
+        assert edges[-1] == run.t[-1]
+        assert measured[145] == pytest.approx(1e3 * Collisions(arm).clearance(run.q[725]))
+        for time, distance in zip(t, measured, strict=True):
+            # On an edge both intervals hold.
+            here = bound[(edges[:-1] <= time + 1e-9) & (time - 1e-9 <= edges[1:])]
+            assert (here <= max(distance, 0.0) + 1e-6).all()
+        proved = bound > 0.0
+        assert np.diff(edges)[~proved].sum() == pytest.approx(np.diff(run.clearance.unproved).sum(), abs=0.05)
+        # And not far below.
+        assert np.mean(np.interp(0.5 * (edges[1:] + edges[:-1]), t, measured)[proved] - bound[proved]) < 3.0
+    with pytest.raises(InputError, match="followed no plan whose clearance could be proved"):
+        plots.plot_clearance(make_rollout(arm), "clearance.png")
 
 
 def test_the_network_s_plot_names_links_and_shows_radians_and_metres(arm, drawn):

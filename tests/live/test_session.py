@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError
 from lieednn_sim.live.session import Session, Worker
 from lieednn_sim.live.settings import Settings
@@ -74,6 +76,31 @@ def test_a_dragged_target_is_reached_within_a_millimetre_under_a_bound_that_hold
     assert progress.bound < 0.05 * seen[0]
     # The path that is drawn ahead begins at the reference and ends at the target.
     np.testing.assert_allclose(session.path[-1], goal, atol=1e-6)
+
+
+@pytest.mark.parametrize("policy", ["lieednn-shaped", "tracker"])
+def test_the_way_ahead_is_proved_to_be_clear_until_the_arm_is_pushed_off_it(begin, policy):
+    arm = Arm.load("telescopic_pr", scene="window", seed=1)
+    session = begin(arm, settings=Settings(policy=policy))
+    observer, collisions = Observer(session), Collisions(arm)
+    session.aim_at(draw_target(arm, 3))
+    session.settle()
+    proved, measured = session.way.clearance, []
+    assert proved.proved
+    for _ in range(40):
+        session.advance(10)
+        assert session.way.holds(session.tick.q)
+        measured.append(collisions.clearance(session.tick.q))
+    assert 0.03 < proved.bound < 0.05
+    assert proved.bound <= min(measured) + 5e-4, "the arm follows to half of a millimetre"
+    words = f"{proved.at()}</b><br>the arm is "
+    assert f"{words}inside" in status(observer.look())
+    session.push(arm.link_names[-1], [300.0, 300.0, 0.0], 0.3)
+    session.advance(20)
+    assert f"{words}<b" in status(observer.look())
+    session.reset()
+    session.advance()
+    assert "way ahead" not in status(observer.look())
 
 
 def test_a_target_out_of_reach_is_refused_with_the_joint_or_the_contact(begin):

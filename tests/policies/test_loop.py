@@ -9,7 +9,11 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError
+from lieednn_sim.planning import plan
+from lieednn_sim.planning.clearance import proved_clearance
 from lieednn_sim.policies import control_loop, make_policy
 from lieednn_sim.policies import loop as module
 
@@ -126,3 +130,48 @@ def test_a_measurement_may_be_missing_but_not_the_first(gantry):
         control_loop(policy, lambda: GOAL, lambda q, qd: None, GOAL, 0.0)
     with pytest.raises(InputError, match="duration must be at most 10000000 control periods"):
         control_loop(policy, lambda: GOAL, lambda q, qd: None, GOAL, 1e9)
+
+
+def test_it_stops_where_the_robot_leaves_the_proof_of_its_plan(monkeypatch):
+    """From 1.5 s on something turns the first joint away by a milliradian a period; references are kept exactly."""
+    monkeypatch.setattr(module.time, "sleep", lambda _: None)
+    arm = Arm.load("telescopic_pr", scene="window", seed=1)
+    made = plan(arm, draw_target(arm, seed=1))
+    policy = make_policy("tracker", arm, made, rate=100.0)
+    references, measured, aside = [made.motion.q[0]], [], 0.0
+
+    def read():
+        slipped = max(len(references) - 151, 0) * aside
+        measured.append(references[-1] + slipped * np.eye(arm.n_joints)[0])
+        return measured[-1]
+
+    def run(**stop):
+        del references[1:], measured[:]
+        return control_loop(policy, read, lambda q, qd: references.append(q), made.target, 3.0, **stop)
+
+    assert run(stop_outside=True).stopped == ""
+    assert len(references) == 301
+    aside = 1e-3
+    assert run().stopped == ""
+    report = run(stop_outside=True)
+    # Within three periods of 5 samples each, the proof of the measured errors themselves ends in the last one.
+    last = next(k for k in range(300) if f"at t = {0.01 * k:.3f} s: joint 'turn' is" in report.stopped)
+    q, qd, off = made.motion.q, made.motion.qd, np.zeros_like(made.motion.q)
+    for period, proved in ((last - 2, True), (last - 1, True), (last, False)):
+        off[:, 0], span = aside * (period - 150), slice(5 * period - 5, 5 * period + 1)
+        assert proved_clearance(arm, made.t[:6], q[span], qd[span], off[span]).proved == proved
+    # The reference brakes at once, within the limits of acceleration, from where it is, and the loop ends at rest.
+    sent = np.array(references)
+    np.testing.assert_array_equal(sent[: last + 1], q[: 5 * last + 1 : 5])
+    assert last + 2 < len(sent) < last + 60
+    change = np.diff(np.diff(sent[last - 1 :], axis=0), axis=0) * 100.0**2
+    assert (np.abs(change) <= 1.05 * arm.acceleration_limits).all()
+    assert len(report.lateness) == len(sent) - 1
+    assert report.message == "has ended"
+    assert str(report).endswith(f"; stopped: {report.stopped}")
+
+
+def test_only_a_plan_can_be_left(gantry):
+    policy = make_policy("linear-attractor", gantry, GOAL, rate=500.0)
+    with pytest.raises(InputError, match="needs a policy that plays a plan, 'tracker', got NetworkPolicy"):
+        control_loop(policy, lambda: GOAL, lambda q, qd: None, GOAL, 0.01, stop_outside=True)

@@ -11,6 +11,7 @@ import pytest
 from rollouts import make_rollout
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.planning.clearance import Clearance
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.rendering import video
@@ -93,15 +94,21 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
     assert samples == [0, 25, 50, 75, 100]
     np.testing.assert_array_equal(targets, [rollout.target])
     np.testing.assert_array_equal(shown, rollout.qpos[::25])
-    names = ["a planner", gantry.name, "position-servo"]
+    names = ["a planner", gantry.name, "position-servo", "at least 100 mm clear, proved"]
     assert captions == [[*names, f"{0.25 * k:.2f} s of 1.00 s"] for k in range(5)]
     ((followed, _),) = overlays
     made = Overlay.of(followed, 1.0)
     planned, traced = made.planned_frames, made.traced_tip
     np.testing.assert_array_equal(planned, gantry.link_poses(rollout.q_ref).as_matrix())
     np.testing.assert_array_equal(traced, rollout.link_position[:, 1])
-    video.render_video(replace(rollout, arm=replace(gantry, scene="poles")), tmp_path / "v.mp4", fps=4)
-    assert captions[5] == ["gantry, poles", "position-servo", "0.00 s of 1.00 s"]
+    # For a while it is outside of its proof; and without a plan there is none.
+    vars(rollout)["clearance"] = Clearance(0.00874, 0.1, ("a", "b"), np.array([[0.2, 0.3], [0.74, 0.9]]), 0.74)
+    video.render_video(rollout, tmp_path / "v.mp4", fps=4)
+    assert [lines[2] for lines in captions[5:]] == [
+        "at least 8.74 mm clear, proved" if k in (0, 2, 4) else "clearance not proved" for k in range(5)
+    ]
+    video.render_video(replace(rollout, arm=replace(gantry, scene="poles"), motion=None), tmp_path / "v.mp4", fps=4)
+    assert captions[10] == ["gantry, poles", "position-servo", "0.00 s of 1.00 s"]
     # Every third of a second is shown to the nearest step.
     for fps, steps, expected in ((25, 22, [0, 4, 8, 12, 16, 20]), (30, 12, [0, 3, 7, 10])):
         samples.clear()

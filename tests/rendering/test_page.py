@@ -15,7 +15,8 @@ from rollouts import make_rollout
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, LieEDNNError
-from lieednn_sim.rendering import scene_setup, viser_scene
+from lieednn_sim.planning.clearance import Clearance
+from lieednn_sim.rendering import page, scene_setup, viser_scene
 from lieednn_sim.rendering.page import _Copy, record, render_page
 from lieednn_sim.rendering.viser_scene import Viewpoint
 
@@ -108,6 +109,23 @@ def test_the_planned_path_is_left_out_only_where_it_has_been_travelled(rollout):
         copy.show(0.1)
         ends = rollout.link_position[[rollout.t.searchsorted(0.1), -1], -1]
         np.testing.assert_allclose([copy._planned.points[0, 0], copy._planned.points[-1, -1]], ends, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("clearance", "words"),
+    [
+        (Clearance(0.00874, 0.1, ("a", "b"), np.empty((0, 2))), "at least 8.74 mm clear, proved"),
+        (Clearance(0.00874, 0.1, (), np.array([[0.2, 0.3]]), 0.9), "clearance not proved"),
+        (None, ""),
+    ],
+)
+def test_the_caption_says_what_is_proved(rollout, tmp_path, monkeypatch, clearance, words):
+    monkeypatch.setitem(vars(rollout), "clearance", clearance)
+    monkeypatch.setattr(page, "record", lambda *_, **__: page.Recording(b"", 1.0))
+    render_page(rollout, tmp_path / "motion.html")
+    header = (tmp_path / "motion.html").read_text().split("<header>")[1].split("</header>")[0]
+    assert f"<span>{words}</span>" in header or not words
+    assert ("proved" in header) == bool(words)
 
 
 @pytest.fixture(scope="module")

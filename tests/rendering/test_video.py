@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import reporting
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.rendering import video
@@ -32,14 +33,8 @@ def rollout(arm):
 @pytest.mark.rendering
 def test_the_video_has_the_frames_rate_and_size_and_the_arm_moves(arm, rollout, tmp_path):
     path, seen = tmp_path / "video.mp4", []
-    count = video.render_video(
-        rollout,
-        path,
-        size=(320, 180),
-        fps=4,
-        preset="draft",
-        progress=lambda done, total: seen.append((done, total)),
-    )
+    with reporting(lambda *done: seen.append(done)):
+        count = video.render_video(rollout, path, size=(320, 180), fps=4, preset="draft")
     assert count == 11
     assert seen[-1] == (11, 11)
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]

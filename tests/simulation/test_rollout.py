@@ -9,6 +9,7 @@ import pytest
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import reporting
 from lieednn_sim.errors import FileError, InputError, SimulationError
 from lieednn_sim.planning import CertifiedOptions, plan
 from lieednn_sim.policies import make_policy
@@ -62,7 +63,8 @@ def test_progress_tells_the_steps_done_and_the_last_one(small_arms, travel, monk
     monkeypatch.setattr(tracking.time, "monotonic", lambda: next(seconds))
     arm, told = small_arms["hanging"], []
     motion = travel(arm, np.zeros(6), np.full(6, 0.1), 0.02)
-    simulate(arm, motion, controller="mocap", hold=0.008, progress=lambda *values: told.append(values))
+    with reporting(lambda *values: told.append(values)):
+        simulate(arm, motion, controller="mocap", hold=0.008)
     assert told == [(3, 15), (6, 15), (9, 15), (12, 15), (15, 15)]
 
 

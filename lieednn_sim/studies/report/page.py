@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jinja2
@@ -73,9 +73,7 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
     return chosen
 
 
-def view(
-    table: Table[Row], cases: Sequence[Case], controller: str, *, progress: Callable[[int, int], None] | None = None
-) -> View:
+def view(table: Table[Row], cases: Sequence[Case], controller: str) -> View:
     """Plan and simulate cases of one problem again, and record them side by side.
 
     Raises:
@@ -88,7 +86,7 @@ def view(
         raise InputError("a view is of one problem that the table has, by one planner or more")
     settings = settings_of(table)
     rollouts = [replay(case, controller, settings, user_files=table.user_files) for case in cases]
-    return View(result, record(rollouts, [case.planner for case in cases], progress=progress))
+    return View(result, record(rollouts, [case.planner for case in cases]))
 
 
 def write_page(

@@ -1,0 +1,112 @@
+"""Whether a run is inside the proof of its plan's clearance, told while it goes on.
+
+Before the run it is found, for intervals of the motion, by how much the joints may be off without any contact. An
+instant within that costs a comparison. Beyond it the bound is evaluated once more, for the errors as they are.
+
+What is said is of measured joints, however they were disturbed. Between two instants their errors are taken to be no
+larger than the larger ones of both.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning.clearance import FAR, NEAR, Cubics, bounds_of, least_of, proved_clearance
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.values import Floats
+
+_INTERVALS = 128
+
+
+class ClearanceMonitor:
+    """The errors of the joints for which a motion's clearance stays proved.
+
+    Args:
+        arm: the arm, in its scene.
+        t: ``(K,)`` evenly spaced times [s].
+        q: ``(K, n)`` joint positions [rad, m].
+        qd: ``(K, n)`` their rates [rad/s, m/s].
+
+    Attributes:
+        clearance: what is proved of the motion itself.
+        edges: ``(I + 1,)`` between the intervals, in steps of the motion.
+        allowed: ``(I,)`` largest Euclidean norm of the joints' errors in each interval [rad, m]; 0 if there is none.
+    """
+
+    def __init__(self, arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
+        self.clearance = proved_clearance(arm, t, q, qd)
+        self._arm, self._step, self._last, bounds = arm, float(t[1] - t[0]), len(t) - 1, bounds_of(arm)
+        self._planned = CubicHermiteSpline(np.arange(len(t)), q, self._step * qd)
+        self._off, self._bounds = np.zeros_like(q), bounds
+        self._cubics = Cubics(self._step, q, qd, self._off)
+        self._before: tuple[float, Floats] | None = None
+        self.edges = np.unique(np.linspace(0, self._last, _INTERVALS + 1).round())
+        self._middle, self._way, self._rest, _ = self._cubics.around(self.edges[:-1], self.edges[1:])
+        self.allowed = np.zeros(len(self._rest))
+        if not isinstance(bounds, str):
+            given = self._middle, self._way, np.stack([self._rest] * 2, axis=1), np.ones((len(self._rest), 1))
+            # In parts, for the memory.
+            parts = zip(*(np.array_split(values, 4) for values in given), strict=True)
+            self.allowed = np.concatenate([bounds(*part, most=FAR)[0] for part in parts])
+
+    @classmethod
+    def of(cls, arm: Arm, motion: Motion) -> ClearanceMonitor:
+        """The monitor of a run along a motion; `InputError` where the motion itself is not proved."""
+        monitor = cls(arm, motion.t, motion.q, motion.qd)
+        if not monitor.clearance.proved:
+            raise InputError(f"no run can be stopped outside of a proof that does not exist: {monitor.clearance}")
+        return monitor
+
+    def holds(self, q: Floats) -> bool:
+        """Whether joints ``(n,)`` are as near to the motion as is proved to be clear, at whatever instant of it."""
+        off, length = q - self._middle, np.square(self._way).sum(axis=1)
+        along = np.clip((off * self._way).sum(axis=1) / np.maximum(length, 1e-300), -1.0, 1.0)
+        left = np.maximum(np.abs(off - along[:, None] * self._way) - self._rest, 0.0)
+        return bool((np.linalg.norm(left, axis=1) < self.allowed).any())
+
+    def left(self, at: float, q: Floats, qpos: Floats | None = None) -> str:
+        """Why a run is outside between the instant of the last call and this one; empty while it is inside.
+
+        Args:
+            at: time since the motion began, in its steps; no earlier than in the last call.
+            q: ``(n,)`` measured joints [rad, m].
+            qpos: ``(nq,)`` where everything in the model is, if that is known.
+        """
+        leaves = f"the run leaves the proof of its plan's clearance at t = {self._step * at:.3f} s:"
+        if qpos is not None and moved_besides(self._arm, q, qpos):
+            return f"{leaves} more has moved than the arm"
+        end = min(at, self._last)
+        error = np.abs(q - self._planned(end))
+        begin, before = self._before or (end, error)
+        self._before, widest = (end, error), np.maximum(before, error)
+        first, last = np.clip(self.edges.searchsorted([begin, end], "right") - 1, 0, len(self.allowed) - 1)
+        allowed = float(self.allowed[first : last + 1].min())
+        if np.linalg.norm(widest) < allowed:
+            return ""
+        bounds = self._bounds
+        assert not isinstance(bounds, str)
+        begin = min(begin, self._last - 1.0)
+        self._off[int(begin) : int(np.ceil(end)) + 1] = widest
+        middle, way, rest, _ = self._cubics.around([begin], [end])
+        least, pairs = least_of(bounds, middle, way, rest, NEAR)
+        if least[0] > 0.0:
+            return ""
+        # The joint without whose error the bound would be largest.
+        n = len(q)
+        without, _ = least_of(bounds, middle.repeat(n, 0), way.repeat(n, 0), rest - np.diag(widest), FAR)
+        joint, near = int(without.argmax()), ""
+        if pairs[0, 0] >= 0:
+            near = ", and {!r} may touch {!r}".format(*bounds.names(pairs[0]))
+        return (
+            f"{leaves} joint {self._arm.joint_names[joint]!r} is {error[joint]:.3g} {self._arm.unit(joint)} off{near}; "
+            f"all errors up to {allowed:.3g} are proved there (Euclidean norm, [rad, m])"
+        )
+
+
+def moved_besides(arm: Arm, q: Floats, qpos: Floats) -> bool:
+    """Whether anything is elsewhere in positions ``(..., nq)`` than the arm's joints ``(..., n)`` have it."""
+    most = 1e-3  # such as a finger that its servo holds [m, rad]
+    return not bool((np.abs(qpos - arm.qpos(q, strict=False)) < most).all())

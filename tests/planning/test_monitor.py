@@ -1,0 +1,101 @@
+"""Whether a run is inside its plan's proof, told while it goes on: against MuJoCo, and the run's own proof."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.errors import InputError, SimulationError
+from lieednn_sim.evaluation import evaluate
+from lieednn_sim.planning import plan
+from lieednn_sim.planning.clearance import proved_clearance
+from lieednn_sim.planning.monitor import ClearanceMonitor
+from lieednn_sim.simulation import Disturbances, MovingObstacle, Push, simulate
+
+
+@pytest.fixture(scope="module", params=["telescopic_pr window 1", "telescopic_rrp poles 2"])
+def planned(request):
+    name, scene, seed = request.param.split()
+    arm = Arm.load(name, scene=scene, seed=int(seed))
+    return arm, plan(arm, draw_target(arm, seed=int(seed)))
+
+
+def pushed(arm, force):
+    return Disturbances(pushes=(Push(arm.link_names[-1], (force, force, 0.0), 1.5, 0.3),))
+
+
+def test_a_run_stops_at_the_first_instant_at_which_nothing_is_proved(planned):
+    arm, made = planned
+    whole = simulate(arm, made, disturbances=pushed(arm, 300.0))
+    with pytest.raises(SimulationError, match="the run leaves the proof of its plan's clearance at t = ") as stopped:
+        simulate(arm, made, disturbances=pushed(arm, 300.0), stop_outside=True)
+    run, message = stopped.value.rollout, str(stopped.value)
+    last = len(run.t) - 1
+    np.testing.assert_array_equal(run.q, whole.q[: last + 1])
+    assert f"at t = {run.t[-1]:.3f} s: joint" in message
+    assert 1.5 < run.t[-1] < 1.6
+    # The run's own proof knows the errors of all instants.
+    q, qd = made.motion.q[: last + 1], made.motion.qd[: last + 1]
+    off = np.abs(run.q - q)
+    steps = [slice(k, k + 2) for k in range(last)]
+    steps = [slice(0, last - 80), *steps[last - 80 :]]
+    proofs = [proved_clearance(arm, run.t[: len(q[k])], q[k], qd[k], off[k]).proved for k in steps]
+    assert proofs == [True] * 80 + [False]
+    # Of the whole run, the same instant and joint are told, and it is in a stretch that is not proved.
+    assert whole.outside == message
+    assert evaluate(whole).proof == f"{whole.clearance}; {message}"
+    assert whole.clearance.unproved[0, 0] <= run.t[-1] <= whole.clearance.unproved[0, 1]
+    # Without the error of the joint that is named, the arm would be as clear as without any other one's.
+    collisions = Collisions(arm)
+    clearer = [collisions.clearance(np.where(one, q[-1], run.q[-1])) for one in np.eye(arm.n_joints)]
+    joint = arm.joint_names.index(re.findall("joint '([^']+)'", message)[0])
+    assert clearer[joint] == pytest.approx(max(clearer), abs=1e-5)
+    assert f"joint {arm.joint_names[joint]!r} is {off[-1, joint]:.3g} {arm.unit(joint)} off, and '" in message
+
+
+@pytest.mark.parametrize("disturbances", [Disturbances(), Disturbances(mass_scale=1.5)])
+def test_a_run_inside_does_not_stop(planned, disturbances):
+    arm, made = planned
+    whole = simulate(arm, made, disturbances=disturbances)
+    np.testing.assert_array_equal(simulate(arm, made, disturbances=disturbances, stop_outside=True).q, whole.q)
+    assert whole.outside == ""
+    assert evaluate(whole).proved
+
+
+def test_no_error_that_is_allowed_touches(planned):
+    """Errors as large as allowed, at random instants, in random directions and in that of the nearest geoms."""
+    arm, made = planned
+    motion, rng = made.motion, np.random.default_rng(0)
+    monitor, collisions = ClearanceMonitor.of(arm, motion), Collisions(arm)
+    spline, least = CubicHermiteSpline(motion.t, motion.q, motion.qd), np.inf
+    assert monitor.allowed.max() > 0.01
+    for at in rng.uniform(0.0, len(motion.t) - 1.0, 150):
+        q = spline(motion.timestep * at)
+        allowed = monitor.allowed[min(np.searchsorted(monitor.edges, at, "right") - 1, len(monitor.allowed) - 1)]
+        near = collisions.distances(q, 0.3)
+        for way in [rng.normal(size=arm.n_joints), *-near.jacobian[:3]]:
+            beside = q + 0.999 * allowed * way / max(np.linalg.norm(way), 1e-9)
+            least = min(least, collisions.clearance(beside))
+            assert least > 0.0
+            assert allowed == 0.0 or monitor.holds(beside)
+    # As near as that it is sharp.
+    assert least < 0.6 * made.clearance.bound
+    assert not monitor.holds(motion.q[0] + 1.0)
+
+
+def test_what_is_no_proof_is_not_watched(planned):
+    arm, made = planned
+    other = next(arm.model.body(k).name for k in range(arm.model.nbody) if "obstacle" in arm.model.body(k).name)
+    there = MovingObstacle(other, [0.0, 1.0], [[2.0, 2.0, 0.5], [2.0, 2.1, 0.5]])
+    with pytest.raises(InputError, match="stop_outside needs a single motion, in a scene at rest"):
+        simulate(arm, made, disturbances=Disturbances(obstacles=(there,)), stop_outside=True)
+    through = Arm.load("telescopic_pr", scene="window", seed=2)
+    if arm.name == through.name:
+        with pytest.raises(InputError, match="a proof that does not exist: not proved from"):
+            simulate(through, made, stop_outside=True)
