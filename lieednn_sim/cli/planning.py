@@ -24,6 +24,7 @@ from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner, plan_l
 from lieednn_sim.planning import plan as plan_motion
 from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.shaped import ShapedDetails
+from lieednn_sim.planning.statics import force_use
 from lieednn_sim.registry import PLANNERS
 
 
@@ -70,6 +71,7 @@ def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) -
         "time_budget": None if planning.time_budget == math.inf else planning.time_budget,
         "fastest": planning.fastest,
         "path_constraint": planning.path_constraint,
+        "payload": planning.payload,
         "option": {} if options is None else asdict(options),
     }
     about, lasts = {"planner": planner, "reason": reason, "options": shown}, planning.asked_duration
@@ -118,6 +120,7 @@ def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> None:
             seed=planning.seed,
         )
     made = {"learned": str(Path(planning.learned or "").resolve()), "turning": planning.turning}
+    made["payload"] = planning.payload
     about = {"planner": result.planner, "reason": "learned", "options": {**made, "fastest": planning.fastest}}
     q, lasts = result.motion.q, float(result.motion.t[-1])
     _save(run, arm, planning.task(arm, q[0], result.target, lasts, planning.seed, **about), result)
@@ -140,6 +143,9 @@ def print_plan(result: Plan) -> None:
     rows.add_row("duration", f"{motion.t[-1]:.2f} s")
     if result.leaves:
         rows.add_row("leaves at the start", result.leaves)
+    if result.arm is not None and result.arm.payload > 0.0:
+        use = force_use(result.arm, motion.t, motion.q, motion.qd)
+        rows.add_row("payload", f"{result.arm.payload:g} kg, with forces up to {use:.0%} of their limits")
     rows.add_row("mechanism gap", f"{rounded(millimetres)} mm and {rounded(degrees)} degrees at most, 0 at the target")
     if isinstance(details, CertifiedDetails):
         rows.add_row("networks", f"{details.n_networks} networks drawn, {details.within_limits} keep the joint limits")

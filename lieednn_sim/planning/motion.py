@@ -10,6 +10,7 @@ from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.planning.clearance import check_clearance
+from lieednn_sim.planning.statics import check_forces
 from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, check_fields, frozen
 
@@ -168,7 +169,7 @@ def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Float
 
 
 def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
-    """Check limits of position, velocity, acceleration and jerk at every sample of a motion, and its clearance.
+    """Check limits of position, velocity, acceleration, jerk and force at the samples of a motion, and its clearance.
 
     A motion that jumps from one sample to the next is refused: where two configurations are equally near to the
     network's state, the nearest one changes abruptly, and joints cannot follow.
@@ -180,7 +181,8 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
         qd: ``(K, n)`` their rates [rad/s, m/s].
 
     Raises:
-        TooFastError: only velocity, acceleration or jerk is too high; it has the duration that keeps the limits.
+        TooFastError: only velocity, acceleration, jerk or force is too high; it has the duration that keeps the limits.
+        TooWeakError: actuators cannot hold the arm somewhere on the way.
         PlanError: another check fails; the message names the joint or bodies, the value and the bound.
     """
     timestep = t[1] - t[0]
@@ -209,6 +211,8 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
                 f"t = {t[k]:.2f} s, its limit is {limits[joint]:.3g} {unit}"
             )
             too_fast.append((t[-1] * ratio[k, joint] ** power, reason))
+    if (short := check_forces(arm, t, q, qd)) is not None:
+        too_fast.append(short)
     if too_fast:
         enough, reason = max(too_fast)
         raise TooFastError(f"{reason}; a duration of at least {enough:.2f} s keeps it", float(enough))
