@@ -268,38 +268,31 @@ class Arm(ModelArm):
         return replace(self.recompiled(spec), scene=self.scene, scene_seed=self.scene_seed)
 
     def with_payload(self, payload: float) -> Arm:
-        """This arm with a mass at the frame of its end effector that plans and controllers know.
+        """This arm with a further mass [kg] at the frame of its end effector, of which plans and controllers know.
 
         It is a ball of steel, which touches nothing, and whose weight MuJoCo does not compensate. Limits of rates stay
-        those of the arm alone; that no actuator's force passes its limit is checked along motions
-        (`planning.statics.check_forces`).
-
-        Args:
-            payload: [kg].
+        those of the arm alone; forces are checked along each motion (`planning.statics.check_forces`).
 
         Raises:
-            InputError: the mass is negative, the arm has another payload already, or MuJoCo compensates the weight of
-                the end effector's body in a view of a compiled model, at its centre of mass.
+            InputError: the mass is negative; or, in a view of a compiled model, MuJoCo compensates the weight of the
+                end effector's body, at its centre of mass.
         """
         mass = as_nonnegative("payload", payload)
-        if mass == self.payload:
+        whole = self.payload + mass
+        if mass == 0.0:
             return self
-        if self.payload > 0.0:
-            raise InputError(f"arm {self.name!r} has a payload of {self.payload:g} kg already; take the arm without it")
         if self.spec is None:
             model = copy.deepcopy(self.model)
             load_body(model, self, mass)
-            return replace(self, model=model, payload=mass)
+            return replace(self, model=model, payload=whole)
         spec = self.copied_spec()
-        add_payload(spec, self, mass, "payload")
-        for servo, gain, bias in zip(
-            spec.actuators, self.model.actuator_gainprm, self.model.actuator_biasprm, strict=True
-        ):
+        add_payload(spec, self, mass, f"payload up to {whole:g} kg")
+        for k, servo in enumerate(spec.actuators):
             # The compiler would derive a servo's damping from the inertia with the payload.
-            servo.gainprm, servo.biasprm = gain, bias
+            servo.gainprm, servo.biasprm = self.model.actuator_gainprm[k], self.model.actuator_biasprm[k]
         recipe = self.recipe and (*self.recipe, ("with_payload", (mass,), ImportOptions()))
         kept: dict[str, Any] = {name: getattr(self, name) for name in ("scene", "scene_seed", *LIMITS)}
-        return replace(self.recompiled(spec), payload=mass, recipe=recipe, **kept)
+        return replace(self.recompiled(spec), payload=whole, recipe=recipe, **kept)
 
     def copied_spec(self) -> mujoco.MjSpec:
         """A copy of the spec, to be changed; `InputError` for a view, which has none."""

@@ -142,7 +142,7 @@ def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
 def resting_load(model: mujoco.MjModel, configurations: Floats, *, limited: bool = False) -> Floats:
     """Generalised forces ``(S, nv)`` that actuators need to hold the model at rest, as of `required_forces`."""
     rest = np.zeros((len(configurations), model.nv))
-    return required_forces(model, configurations, rest, rest, limited=limited)[0]
+    return required_forces(model, configurations, rest, rest, limited=limited)
 
 
 def required_forces(
@@ -153,8 +153,10 @@ def required_forces(
     *,
     limited: bool = False,
     grasp: Grasp | None = None,
-) -> tuple[Floats, Floats]:
-    """Generalised forces that actuators need for a motion: M qacc + bias - passive, without contacts and dry friction.
+) -> Floats:
+    """Forces ``(S, nv)`` that actuators need for a motion, M qacc + bias - passive, without contacts and dry friction.
+
+    Gravity compensation and springs are left out, which act of their own.
 
     Args:
         model: the compiled model, which is not changed.
@@ -163,20 +165,16 @@ def required_forces(
         qacc: its accelerations ``(S, nv)``.
         limited: whether forces that ``actuatorfrcrange`` limits are meant: it limits compensation by actuators as well.
         grasp: a free body whose forces the body that carries it exerts.
-
-    Returns:
-        The forces ``(S, nv)``, after gravity compensation and springs; and the part of them ``(S, nv)`` against
-        dampers, which is linear in the velocities.
     """
     # One for all configurations: making it takes a hundred times as long as using it.
     data = mujoco.MjData(model)
     by_actuator = compensating_dofs(model)
     if limited:
         by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0
-    compensated, forces = bool(by_actuator.any()), np.empty((2, len(qpos), model.nv))
+    forces, compensated = np.empty((len(qpos), model.nv)), bool(by_actuator.any())
     inertial, (linear, angular) = np.zeros(model.nv), np.zeros((2, 3, model.nv))
-    bias, passive, damper, compensation = data.qfrc_bias, data.qfrc_passive, data.qfrc_damper, data.qfrc_gravcomp
-    for force, against, data.qpos[:], data.qvel[:], acceleration in zip(*forces, qpos, qvel, qacc, strict=True):
+    bias, passive, compensation = data.qfrc_bias, data.qfrc_passive, data.qfrc_gravcomp
+    for force, data.qpos[:], data.qvel[:], acceleration in zip(forces, qpos, qvel, qacc, strict=True):
         # The parts of mj_inverse before the constraints, for which it would look for contacts.
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -186,16 +184,14 @@ def required_forces(
         mujoco.mj_mulM(model, data, inertial, acceleration)
         np.subtract(bias, passive, force)
         force += inertial
-        np.negative(damper, against)
         if compensated:
             force -= by_actuator * compensation
         if grasp is not None:
             body, free = grasp.bodies[0], grasp.qvel
             mujoco.mj_jac(model, data, linear, angular, data.xpos[body], grasp.carrier)
-            turn = data.xmat[body].reshape(3, 3)
-            for row in (force, against):
-                row += row[free : free + 3] @ linear + turn @ row[free + 3 : free + 6] @ angular
-    return forces[0], forces[1]
+            torque = data.xmat[body].reshape(3, 3) @ force[free + 3 : free + 6]
+            force += force[free : free + 3] @ linear + torque @ angular
+    return forces
 
 
 def servo_gains(model: mujoco.MjModel, rates: Floats) -> tuple[Floats, Floats]:

@@ -147,7 +147,6 @@ class Planning(Goal):
             recordings began or from --start, in their duration, and to their goal or to another one.
         turning: with --learned: whether the end effector turns as was recorded.
         time_budget: largest CPU time for planning [s]; inf for no limit.
-        payload: mass at the end effector that the plan and its simulation know [kg].
     """
 
     planner: str | None = None
@@ -157,11 +156,6 @@ class Planning(Goal):
     learned: Directory | None = None
     turning: bool = True
     time_budget: float = DEFAULT_TIME_BUDGET
-    payload: float = 0.0
-
-    def load(self) -> Arm:
-        """The arm with its payload; raises as `Arm.load`."""
-        return super().load().with_payload(self.payload)
 
     def constraint_region(self, arm: Arm, start: Floats, goal: _Goal) -> TaskSpaceRegion | None:
         """The region to keep between a start and a goal of `start_and_goal`."""

@@ -117,7 +117,7 @@ def plan(
     options: PlannerOptions | None = None,
     fastest: bool = False,
     path_constraint: TaskSpaceRegion | None = None,
-    payload: float | None = None,
+    payload: float = 0.0,
 ) -> Plan:
     """Plan a motion from rest to rest within the arm's limits and free of contact.
 
@@ -146,8 +146,8 @@ def plan(
         path_constraint: region in which the end effector stays on the way, such as a line or an orientation; start and
             target must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only
             some planners can keep one.
-        payload: mass at the end effector [kg], which the plan's arm has (`Arm.with_payload`); by default the arm's own.
-            With and without one, motions that would need more force than the actuators have take longer.
+        payload: mass at the end effector [kg], as of `Arm.with_payload`, with which the plan's arm is returned. Motions
+            that need more force than the actuators have take longer, with or without one.
 
     Raises:
         InputError: a value is malformed, the planner is unknown, the options are those of another one, or start or
@@ -168,7 +168,7 @@ def plan(
     if fastest:
         optional_module("toppra")  # before the work
     begin, number = cpu_time(), as_seed("seed", seed)
-    arm = arm if payload is None else arm.with_payload(payload)
+    arm = arm.with_payload(payload)
     q = arm.check_start(start)
     free, leaves = arm.leaving(q)
     # The rest of a bad problem is refused before goals are searched for.

@@ -27,20 +27,12 @@ class _Forces(NamedTuple):
     """Forces at S samples, along the coordinates or, where they act through closed loops, of the actuators.
 
     Attributes:
-        needed: ``(S, m)`` what a motion needs [N m, N].
-        damping: ``(S, m)`` the part of it against dampers.
-        low, high: ``(m,)`` bounds.
+        needed: ``(S, m)`` what is needed [N m, N].
+        bounds: ``(S, m)`` what there is, in its direction.
     """
 
     needed: Floats
-    damping: Floats
-    low: Floats
-    high: Floats
-
-    @property
-    def bounds(self) -> Floats:
-        """The bound ``(S, m)`` of each needed force, in its direction."""
-        return np.where(self.needed > 0.0, self.high, -self.low)
+    bounds: Floats
 
     @property
     def use(self) -> Floats:
@@ -50,7 +42,7 @@ class _Forces(NamedTuple):
 
 def force_use(arm: Arm, t: Floats, q: Floats, qd: Floats) -> float:
     """Largest force that a motion needs of the actuators, in units of its limit; arguments are as of `check_forces`."""
-    return float(_along(arm, t, q, qd, np.arange(len(t) - 1))[1].use.max())
+    return float(_along(arm, t, q, qd, np.arange(len(t) - 1)).use.max())
 
 
 def check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
@@ -60,7 +52,10 @@ def check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
     """
     if not _limited(arm):
         return
-    _require_held(arm, _at_rest(arm, arm.qpos(q), np.zeros_like(q)), where)
+    use = (forces := _needed(arm, q, np.zeros_like(q))).use
+    k, j = map(int, np.unravel_index(use.argmax(), use.shape))
+    if use[k, j] > 1.0:
+        raise TooWeakError(_overload(arm, forces, k, j, f"cannot be held at {where[k]}"))
 
 
 def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str] | None:
@@ -84,37 +79,30 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     Raises:
         TooWeakError: f0 alone is beyond a limit.
     """
-    if not _limited(arm):
-        return None
     last = len(t) - 1
-    looks = np.linspace(0, last, _LOOKS).round().astype(int)
-    rows = np.union1d(np.minimum(looks, last - 1), np.abs(np.diff(qd, axis=0)).argmax(axis=0))
-    qpos, forces = _along(arm, t, q, qd, rows, looks)
-    _require_held(arm, forces, [f"t = {time:.2f} s" for time in t[looks]])
-    if forces.use.max() <= _NEAR:
+    looks, fastest = np.linspace(0, last, _LOOKS).round().astype(int), np.abs(np.diff(qd, axis=0)).argmax(axis=0)
+    if not _limited(arm) or _along(arm, t, q, qd, np.append(looks[:-1], fastest)).use.max() <= _NEAR:
         return None
-    rows = np.arange(last)
-    qpos, forces = _along(arm, t, q, qd, rows)
-    k, j = np.nonzero(forces.use > 1.0 + _TOLERANCE)
-    if not len(k):
+    check_held(arm, q[looks], [f"t = {time:.2f} s" for time in t[looks]])
+    forces = _along(arm, t, q, qd, np.arange(last))
+    rows, j = np.nonzero(forces.use > 1.0 + _TOLERANCE)
+    if not len(rows):
         return None
-    at_rest = _at_rest(arm, qpos[k], qd[rows[k]])
-    # Of each force that is beyond a bound, in the direction of that.
-    needed, f1, f0 = forces.needed[k, j], forces.damping[k, j], at_rest.needed[np.arange(len(k)), j]
-    towards, bound = np.sign(needed), forces.bounds[k, j]
-    f0, f1 = towards * f0, towards * f1
-    f2, spare = np.abs(needed) - f0 - f1, bound - f0
-    worst = int(spare.argmin())
-    if spare[worst] <= 0.0:
-        raise TooWeakError(_too_weak(arm, at_rest, worst, int(j[worst]), f"t = {t[rows[k[worst]]]:.2f} s"))
+    needed, k, at_rest = forces.needed[rows, j], np.arange(len(rows)), _needed(arm, q[rows], qd[rows])
+    # Backwards in time, dry friction and dampers push the other way.
+    twice = needed - _along(arm, -t, q, -qd, rows).needed[k, j]
+    dry = at_rest.needed - _needed(arm, q[rows], -qd[rows]).needed
+    # In the direction of the bound that is passed.
+    f0, f1 = np.sign(needed) * (at_rest.needed[k, j], 0.5 * (twice - dry[k, j]))
+    f2, spare = np.abs(needed) - f0 - f1, forces.bounds[rows, j] - f0
+    if spare.min() <= 0.0:
+        worst = int(spare.argmin())
+        where = f"cannot be held at t = {t[rows[worst]]:.2f} s"
+        raise TooWeakError(_overload(arm, at_rest, worst, int(j[worst]), where))
     stretch = (f1 + np.sqrt(np.maximum(f1**2 + 4.0 * spare * f2, 0.0))) / (2.0 * spare)
     worst = int(stretch.argmax())
-    what, unit = _bounded_by(arm, int(j[worst]))
-    reason = (
-        f"{what} would need {abs(needed[worst]):.4g} {unit} at t = {t[rows[k[worst]]]:.2f} s, its force limit is "
-        f"{bound[worst]:.4g} {unit}"
-    )
-    return float(t[-1] * stretch[worst]), reason
+    where = f"would be overloaded at t = {t[rows[worst]]:.2f} s"
+    return float(t[-1] * stretch[worst]), _overload(arm, forces, int(rows[worst]), int(j[worst]), where)
 
 
 def _limited(arm: Arm) -> bool:
@@ -122,65 +110,34 @@ def _limited(arm: Arm) -> bool:
     return bool(np.isfinite(arm.force_limits if arm.dependents is None else actuator_ranges(arm.model)).any())
 
 
-def _at_rest(arm: Arm, qpos: Floats, qd: Floats) -> _Forces:
-    """Forces at rest, with dry friction against rates ``(S, n)``."""
-    rest = np.zeros((len(qpos), arm.model.nv))
-    return _bounded(arm, qpos, qd, *required_forces(arm.model, qpos, rest, rest, limited=True, grasp=arm.grasp))
+def _along(arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_]) -> _Forces:
+    """Forces of a motion at some samples, each with the acceleration to the next one."""
+    qvel, after = arm.qvel(q[rows], qd[rows]), arm.qvel(q[rows + 1], qd[rows + 1])
+    return _needed(arm, q[rows], qd[rows], qvel, (after - qvel) / (t[1] - t[0]))
 
 
-def _along(
-    arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_], looks: NDArray[np.int_] | None = None
-) -> tuple[Floats, _Forces]:
-    """Positions ``(S, nq)`` and forces at rest at some samples, and then those of a motion at others.
-
-    The acceleration is that to the next sample.
-    """
-    resting = np.arange(0) if looks is None else looks
-    both = np.union1d(rows, rows + 1)
-    qvel, at = arm.qvel(q[both], qd[both]), np.searchsorted(both, rows)
-    qpos, still = arm.qpos(q[np.append(resting, rows)]), ((len(resting), 0), (0, 0))
-    rates, qacc = np.pad(qvel[at], still), np.pad((qvel[at + 1] - qvel[at]) / (t[1] - t[0]), still)
-    forces = required_forces(arm.model, qpos, rates, qacc, limited=True, grasp=arm.grasp)
-    return qpos, _bounded(arm, qpos, np.pad(qd[rows], still), *forces)
-
-
-def _bounded(arm: Arm, qpos: Floats, qd: Floats, needed: Floats, damping: Floats) -> _Forces:
-    """What generalised forces ``(S, nv)``, and dry friction against rates ``(S, n)``, need of what is bounded."""
-    model, basis = arm.model, tangent_basis(arm.space)
+def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> _Forces:
+    """Forces at configurations q ``(S, n)``, with dry friction against rates qd; at rest but for that by default."""
+    model, basis, qpos = arm.model, tangent_basis(arm.space), arm.qpos(q)
+    qvel, qacc = (np.broadcast_to(rates, (len(q), model.nv)) for rates in (qvel, qacc))
     if arm.dependents is not None:
         basis = arm.dependents.basis(qpos) @ basis[arm.dependents.dofs]
-    needed, damping = np.vecmat(needed, basis), np.vecmat(damping, basis)
+    needed = np.vecmat(required_forces(model, qpos, qvel, qacc, limited=True, grasp=arm.grasp), basis)
     friction = dry_friction(model, basis)
-    moving = np.abs(qd) > _RESTING
-    needed = needed + np.where(moving, np.sign(qd) * friction, -np.clip(needed, -friction, friction))
-    if arm.dependents is None:
-        return _Forces(needed, damping, -arm.force_limits, arm.force_limits)
-    # Actuators act through the loops: forces of least norm.
-    exert = np.linalg.pinv(np.swapaxes(actuator_moments(model) @ basis, -1, -2))
-    return _Forces(np.matvec(exert, needed), np.matvec(exert, damping), *actuator_ranges(model).T)
-
-
-def _bounded_by(arm: Arm, j: int) -> tuple[str, str]:
-    """What has a bound, and the unit of that."""
+    needed += np.where(np.abs(qd) > _RESTING, np.sign(qd) * friction, -np.clip(needed, -friction, friction))
+    low, high = -arm.force_limits, arm.force_limits
     if arm.dependents is not None:
-        return f"actuator {arm.model.actuator(j).name!r}", "N or N m"
-    return f"joint {arm.joint_names[j]!r}", "N" if arm.unit(j) == "m" else "N m"
+        # Actuators act through the loops: forces of least norm.
+        exert = np.linalg.pinv(np.swapaxes(actuator_moments(model) @ basis, -1, -2))
+        needed, (low, high) = np.matvec(exert, needed), actuator_ranges(model).T
+    return _Forces(needed, np.where(needed > 0.0, high, -low))
 
 
-def _require_held(arm: Arm, forces: _Forces, where: Sequence[str]) -> None:
-    """Raise `TooWeakError` if one of the first forces, those at rest, is beyond its bound."""
-    use = forces.use[: len(where)]
-    k, j = map(int, np.unravel_index(use.argmax(), use.shape))
-    if use[k, j] > 1.0:
-        raise TooWeakError(_too_weak(arm, forces, k, j, where[k]))
-
-
-def _too_weak(arm: Arm, forces: _Forces, k: int, j: int, where: str) -> str:
-    """The message that a force at rest is beyond its bound."""
-    what, unit = _bounded_by(arm, j)
-    how = "cannot be held" if arm.dependents is None else "cannot hold the arm"
+def _overload(arm: Arm, forces: _Forces, k: int, j: int, where: str) -> str:
+    """The message that a force is beyond its bound."""
+    what, unit = f"joint {arm.joint_names[j]!r}", "N" if arm.unit(j) == "m" else "N m"
+    if arm.dependents is not None:
+        what, unit = f"actuator {arm.model.actuator(j).name!r}", "N or N m"
     carried = f" with a payload of {arm.payload:g} kg" if arm.payload > 0.0 else ""
-    return (
-        f"{what} {how} at {where}{carried}: its load is {abs(forces.needed[k, j]):.4g} {unit}, its force limit "
-        f"{forces.bounds[k, j]:.4g} {unit}"
-    )
+    load, limit = abs(forces.needed[k, j]), forces.bounds[k, j]
+    return f"{what} {where}{carried}: its load is {load:.4g} {unit}, its force limit {limit:.4g} {unit}"

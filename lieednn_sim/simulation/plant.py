@@ -10,11 +10,9 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.payload import add_payload, load_body
+from lieednn_sim.arm.payload import load_body
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.simulation.disturbances import Disturbances
-
-_PAYLOAD = "unknown_payload"
 
 
 def make_plant(
@@ -33,16 +31,13 @@ def make_plant(
     """
     changes = Disturbances() if disturbances is None else disturbances
     view = arm.spec is None
-    if add_bodies is None and (view or changes.payload == 0.0):
-        plant = copy.deepcopy(arm.model)
+    loaded = arm if view else arm.with_payload(changes.payload)
+    if add_bodies is None:
+        plant = copy.deepcopy(loaded.model)
     else:
-        spec: Any = arm.copied_spec()
-        if add_bodies is not None:
-            add_bodies(spec)
-        if changes.payload > 0.0:
-            add_payload(spec, arm, changes.payload, _PAYLOAD)
+        spec = loaded.copied_spec()
+        add_bodies(spec)
         plant = spec.compile()
-        # The compiler derives servo damping from the inertia, which would include the payload.
         plant.actuator_gainprm[:], plant.actuator_biasprm[:] = arm.model.actuator_gainprm, arm.model.actuator_biasprm
     if changes.mass_scale != 1.0:
         own = np.flatnonzero(moved_together(arm.model, arm.dofs))
