@@ -198,8 +198,8 @@ class Arm(ModelArm):
         """
         self._require_view()
         moved = replace(Arm.of(self.model, data, clearance=self.clearance, **self.named), spec=self.spec)
-        loaded = self.payload > 0.0
-        changed = {name: np.asarray((getattr(self, name) != self.made[name]) | loaded) for name in LIMITS}
+        kept = self.payload > 0.0
+        changed = {name: np.asarray((getattr(self, name) != self.made[name]) | kept) for name in LIMITS}
         limits = {name: np.where(changed[name], getattr(self, name), getattr(moved, name)) for name in LIMITS}
         return replace(moved, name=self.name, payload=self.payload, **limits)
 

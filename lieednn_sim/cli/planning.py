@@ -24,7 +24,6 @@ from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner, plan_l
 from lieednn_sim.planning import plan as plan_motion
 from lieednn_sim.planning.certified import CertifiedDetails
 from lieednn_sim.planning.shaped import ShapedDetails
-from lieednn_sim.planning.statics import force_use
 from lieednn_sim.registry import PLANNERS
 
 
@@ -144,8 +143,7 @@ def print_plan(result: Plan) -> None:
     if result.leaves:
         rows.add_row("leaves at the start", result.leaves)
     if result.arm is not None and result.arm.payload > 0.0:
-        use = force_use(result.arm, motion.t, motion.q, motion.qd)
-        rows.add_row("payload", f"{result.arm.payload:g} kg, with forces up to {use:.0%} of their limits")
+        rows.add_row("payload", f"{result.arm.payload:g} kg")
     rows.add_row("mechanism gap", f"{rounded(millimetres)} mm and {rounded(degrees)} degrees at most, 0 at the target")
     if isinstance(details, CertifiedDetails):
         rows.add_row("networks", f"{details.n_networks} networks drawn, {details.within_limits} keep the joint limits")

@@ -81,7 +81,7 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     """
     last = len(t) - 1
     looks, fastest = np.linspace(0, last, _LOOKS).round().astype(int), np.abs(np.diff(qd, axis=0)).argmax(axis=0)
-    if not _limited(arm) or _along(arm, t, q, qd, np.append(looks[:-1], fastest)).use.max() <= _NEAR:
+    if not _limited(arm) or _along(arm, t, q, qd, np.append(np.minimum(looks, last - 1), fastest)).use.max() <= _NEAR:
         return None
     check_held(arm, q[looks], [f"t = {time:.2f} s" for time in t[looks]])
     forces = _along(arm, t, q, qd, np.arange(last))

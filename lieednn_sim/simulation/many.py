@@ -102,10 +102,7 @@ def simulate_many(
     """
     if disturbances is not None and disturbances.obstacles:
         raise InputError("obstacles move in single rollouts alone, those of simulate and follow")
-    loaded = [as_loaded(arm, motion) for motion in motions]
-    if len({each.payload for each in loaded}) > 1:
-        raise InputError("the plans are for several payloads; simulate those for each by themselves")
-    arm = loaded[0] if loaded else arm
+    arm = as_loaded(arm, *motions)
     if not (chosen := [as_motion(arm, motion) for motion in motions]):
         raise InputError("motions must hold at least one motion or plan")
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)

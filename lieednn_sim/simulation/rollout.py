@@ -198,8 +198,8 @@ class Rollout:
             FileError: it is no such file, or it was made with another arm, scene or motion.
         """
         arrays, meta = io.load_arrays(path, "rollout")
-        if arm.payload == 0.0:
-            arm = arm.with_payload(meta.get("payload", 0.0))
+        if arm.payload == 0.0 and isinstance(mass := meta.get("payload"), float):
+            arm = arm.with_payload(max(mass, 0.0))
         if meta.get("model") != arm.fingerprint:
             raise FileError(
                 f"{path} is of arm {meta.get('arm')!r} in scene {meta.get('scene')!r} (fingerprint "

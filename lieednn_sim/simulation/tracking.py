@@ -52,10 +52,12 @@ def as_hold(value: float) -> float:
     return hold
 
 
-def as_loaded(arm: Arm, motion: Plan | Motion | PlanSequence) -> Arm:
-    """The arm with the payload that a motion was planned for, unless it has one of its own."""
-    planned = None if isinstance(motion, Motion) else motion.arm
-    return arm if planned is None or arm.payload > 0.0 else arm.with_payload(planned.payload)
+def as_loaded(arm: Arm, *motions: Plan | Motion | PlanSequence) -> Arm:
+    """The arm with the payload of plans, unless it has one of its own; `InputError` if they have several."""
+    payloads = {each.arm.payload for each in motions if not isinstance(each, Motion) and each.arm is not None}
+    if len(payloads) > 1:
+        raise InputError("the plans are for several payloads; simulate those for each by themselves")
+    return arm.with_payload(sum(payloads)) if arm.payload == 0.0 else arm
 
 
 def as_motion(arm: Arm, motion: Plan | Motion) -> Motion:

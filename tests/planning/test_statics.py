@@ -1,5 +1,6 @@
 """Forces that motions need, with numbers by hand: a lift of 2 kg, and a boom of a metre behind it."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.cli import main
 from lieednn_sim.errors import InputError, TooFastError
-from lieednn_sim.planning.motion import check_motion
+from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.statics import force_use
 
 G = 9.81
@@ -124,13 +125,17 @@ def test_controllers_know_the_payload_of_a_plan_and_the_run_says_so(controller, 
     many = ls.simulate_many(arm, [planned], controller="inverse-dynamics")
     assert np.abs(many.q[0, -1] - planned.target).max() < 1e-4
     with pytest.raises(InputError, match="several payloads"):
-        ls.simulate_many(arm, [planned, planned.motion])
+        ls.simulate_many(arm, [planned, replace(planned, arm=arm)])
 
 
 def test_a_payload_stays_in_a_run_directory(tmp_path, capsys):
-    assert (
-        main(["plan", "--payload", "6", "--planner", "minimum-jerk", "--output", str(tmp_path), "--duration", "2"]) == 0
-    )
-    assert "6 kg, with forces up to" in capsys.readouterr().out
+    words = ["--planner", "minimum-jerk", "--duration", "2", "--output", str(tmp_path)]
+    assert main(["plan", "--payload", "6", *words]) == 0
+    assert "6 kg" in capsys.readouterr().out
     assert main(["simulate", str(tmp_path), "--hold", "0.1"]) == 0
     assert main(["evaluate", str(tmp_path)]) == 0
+    told = json.loads((tmp_path / "metrics.json").read_text())
+    motion, arm = Motion.load(tmp_path / "motion.npz"), ls.Arm.load("telescopic_pr")
+    alone, loaded = (force_use(each, motion.t, motion.q, motion.qd) for each in (arm, arm.with_payload(6.0)))
+    assert told["planned_force_fraction"] == pytest.approx(loaded)
+    assert loaded > alone + 0.1
