@@ -137,7 +137,7 @@ def _overload(arm: Arm, forces: _Forces, k: int, j: int, where: str) -> str:
     """The message that a force is beyond its bound."""
     what, unit = f"joint {arm.joint_names[j]!r}", "N" if arm.unit(j) == "m" else "N m"
     if arm.dependents is not None:
-        what, unit = f"actuator {arm.model.actuator(j).name!r}", "N or N m"
+        what, unit, where = f"actuator {arm.model.actuator(j).name!r}", "N or N m", where.replace("be held", "hold")
     carried = f" with a payload of {arm.payload:g} kg" if arm.payload > 0.0 else ""
     load, limit = abs(forces.needed[k, j]), forces.bounds[k, j]
     return f"{what} {where}{carried}: its load is {load:.4g} {unit}, its force limit {limit:.4g} {unit}"
