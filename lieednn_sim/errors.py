@@ -30,7 +30,7 @@ class PlanError(NoSolutionError):
 
 
 class TooFastError(PlanError):
-    """A planned motion breaks a velocity, acceleration or jerk limit that it would keep if it took longer.
+    """A planned motion breaks a limit of velocity, acceleration, jerk or force that it would keep if it took longer.
 
     Attributes:
         duration: a duration that is long enough [s].

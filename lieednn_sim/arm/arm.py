@@ -26,11 +26,12 @@ from lieednn_sim.arm.model_arm import LIMITS, ModelArm
 from lieednn_sim.arm.models import chosen, find_model, has_frames, label_of
 from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.parsing import read_arm, read_chain
+from lieednn_sim.arm.payload import add_payload, load_body
 from lieednn_sim.arm.scenes import add_obstacles
 from lieednn_sim.arm.surroundings import check_data, home_data, name_of, state_of
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import SCENES
-from lieednn_sim.validation import Seed, as_choice, as_floats, as_path, as_seed, quoted
+from lieednn_sim.validation import Seed, as_choice, as_floats, as_nonnegative, as_path, as_seed, quoted
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,9 +198,10 @@ class Arm(ModelArm):
         """
         self._require_view()
         moved = replace(Arm.of(self.model, data, clearance=self.clearance, **self.named), spec=self.spec)
-        changed = {name: np.asarray(getattr(self, name) != self.made[name]) for name in LIMITS}
+        kept = self.payload > 0.0
+        changed = {name: np.asarray((getattr(self, name) != self.made[name]) | kept) for name in LIMITS}
         limits = {name: np.where(changed[name], getattr(self, name), getattr(moved, name)) for name in LIMITS}
-        return replace(moved, name=self.name, **limits)
+        return replace(moved, name=self.name, payload=self.payload, **limits)
 
     def with_scene(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
         """This arm with the obstacles of a scene; itself for the scene ``"free"``.
@@ -265,6 +267,33 @@ class Arm(ModelArm):
                 geom.size = geom.size + as_floats("grown", grown, ()) * (geom.size > 0.0)
         return replace(self.recompiled(spec), scene=self.scene, scene_seed=self.scene_seed)
 
+    def with_payload(self, payload: float) -> Arm:
+        """This arm with a further mass [kg] at the frame of its end effector, of which plans and controllers know.
+
+        It is a ball of steel, which touches nothing, and whose weight MuJoCo does not compensate. Limits of rates stay
+        those of the arm alone; forces are checked along each motion (`planning.statics.check_forces`).
+
+        Raises:
+            InputError: the mass is negative; or, in a view of a compiled model, MuJoCo compensates the weight of the
+                end effector's body, at its centre of mass.
+        """
+        mass = as_nonnegative("payload", payload)
+        whole = self.payload + mass
+        if mass == 0.0:
+            return self
+        if self.spec is None:
+            model = copy.deepcopy(self.model)
+            load_body(model, self, mass)
+            return replace(self, model=model, payload=whole)
+        spec = self.copied_spec()
+        add_payload(spec, self, mass, f"payload up to {whole:g} kg")
+        for k, servo in enumerate(spec.actuators):
+            # The compiler would derive a servo's damping from the inertia with the payload.
+            servo.gainprm, servo.biasprm = self.model.actuator_gainprm[k], self.model.actuator_biasprm[k]
+        recipe = self.recipe and (*self.recipe, ("with_payload", (mass,), ImportOptions()))
+        kept: dict[str, Any] = {name: getattr(self, name) for name in ("scene", "scene_seed", *LIMITS)}
+        return replace(self.recompiled(spec), payload=whole, recipe=recipe, **kept)
+
     def copied_spec(self) -> mujoco.MjSpec:
         """A copy of the spec, to be changed; `InputError` for a view, which has none."""
         if self.spec is None:
@@ -276,12 +305,15 @@ class Arm(ModelArm):
 
     def recompiled(self, spec: mujoco.MjSpec) -> Arm:
         """This arm in a changed copy of its spec, which has the same joints; raises as `from_xml`."""
+        # Limits of acceleration are those without the payload.
+        loaded = ("acceleration_limits",) if self.payload > 0.0 else ()
+        kept = {name: getattr(self, name) for name in ("clearance", "start_tolerance", "payload", *loaded)}
         if self.qpos_home is None:
-            return replace(Arm.from_spec(spec, self.source, self.name), clearance=self.clearance)
+            return replace(Arm.from_spec(spec, self.source, self.name), **kept)
         model = compile_spec(spec)
         data = kinematics_at(model, self.qpos_home)
-        kept = ("name", "source", "import_report", "clearance", "start_tolerance")
-        return Arm.viewing(model, data, self.named, spec=spec, **{name: getattr(self, name) for name in kept})
+        more = {name: getattr(self, name) for name in ("name", "source", "import_report")}
+        return replace(Arm.viewing(model, data, self.named, spec=spec, **more), **kept)
 
     def __repr__(self) -> str:
         return f"<Arm {self.name}: {self.n_links} links, {self.n_joints} joints, scene {self.scene}>"

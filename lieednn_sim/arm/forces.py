@@ -13,6 +13,7 @@ from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
     from lieednn_sim.arm.coordinates import Coordinates
+    from lieednn_sim.arm.grasp import Grasp
 
 # Kinds of transmission by which an actuator drives a joint.
 ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -140,28 +141,58 @@ def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
 
 
 def resting_load(model: mujoco.MjModel, configurations: Floats, *, limited: bool = False) -> Floats:
-    """Generalised forces that actuators need to hold the model at rest, after gravity compensation and springs.
+    """Generalised forces ``(S, nv)`` that actuators need to hold the model at rest, as of `required_forces`."""
+    rest = np.zeros((len(configurations), model.nv))
+    return required_forces(model, configurations, rest, rest, limited=limited)
+
+
+def required_forces(
+    model: mujoco.MjModel,
+    qpos: Floats,
+    qvel: Floats,
+    qacc: Floats,
+    *,
+    limited: bool = False,
+    grasp: Grasp | None = None,
+) -> Floats:
+    """Forces ``(S, nv)`` that actuators need for a motion, M qacc + bias - passive, without contacts and dry friction.
+
+    Gravity compensation and springs are left out, which act of their own.
 
     Args:
         model: the compiled model, which is not changed.
-        configurations: MuJoCo's positions ``(S, nq)``.
+        qpos: MuJoCo's positions ``(S, nq)``.
+        qvel: its velocities ``(S, nv)``.
+        qacc: its accelerations ``(S, nv)``.
         limited: whether forces that ``actuatorfrcrange`` limits are meant: it limits compensation by actuators as well.
-
-    Returns:
-        ``(S, nv)``.
+        grasp: a free body whose forces the body that carries it exerts.
     """
     # One for all configurations: making it takes a hundred times as long as using it.
     data = mujoco.MjData(model)
     by_actuator = compensating_dofs(model)
     if limited:
         by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0
-    loads = np.empty((len(configurations), model.nv))
-    for load, data.qpos[:] in zip(loads, configurations, strict=True):
-        # The part of mj_forward before the constraints are solved.
-        mujoco.mj_fwdPosition(model, data)
+    forces, compensated = np.empty((len(qpos), model.nv)), bool(by_actuator.any())
+    inertial, (linear, angular) = np.zeros(model.nv), np.zeros((2, 3, model.nv))
+    bias, passive, compensation = data.qfrc_bias, data.qfrc_passive, data.qfrc_gravcomp
+    for force, data.qpos[:], data.qvel[:], acceleration in zip(forces, qpos, qvel, qacc, strict=True):
+        # The parts of mj_inverse before the constraints, for which it would look for contacts.
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        mujoco.mj_makeM(model, data)
         mujoco.mj_fwdVelocity(model, data)
-        load[:] = data.qfrc_bias - data.qfrc_passive - np.where(by_actuator, data.qfrc_gravcomp, 0.0)
-    return loads
+        mujoco.mj_mulM(model, data, inertial, acceleration)
+        np.subtract(bias, passive, force)
+        force += inertial
+        if compensated:
+            force -= by_actuator * compensation
+        if grasp is not None:
+            body, free = grasp.bodies[0], grasp.qvel
+            mujoco.mj_jac(model, data, linear, angular, data.xpos[body], grasp.carrier)
+            torque = data.xmat[body].reshape(3, 3) @ force[free + 3 : free + 6]
+            force += force[free : free + 3] @ linear + torque @ angular
+    return forces
 
 
 def servo_gains(model: mujoco.MjModel, rates: Floats) -> tuple[Floats, Floats]:

@@ -53,6 +53,7 @@ class ModelArm(SerialArm):
         notes: which ranges were made or narrowed, and why.
         collision_model: another `geometry`, for what moves it.
         grasp: what it carries (`Arm.holding`).
+        payload: mass at the end effector's frame [kg], part of `model` (`Arm.with_payload`).
         dependents: of a view, the joints that it moves by closed loops or curves, if any.
         stops: of a view, ranges of these and of tendons, if any; configurations beyond them are not allowed.
     """
@@ -68,6 +69,7 @@ class ModelArm(SerialArm):
     notes: tuple[str, ...] = ()
     collision_model: mujoco.MjModel | None = None
     grasp: Grasp | None = None
+    payload: float = 0.0
     dependents: Dependents | None = None
     stops: Stops | None = None
 

@@ -27,23 +27,24 @@ from lieednn_sim.planning.shaped import ShapedDetails
 from lieednn_sim.registry import PLANNERS
 
 
-def plan(*, planning: Planning, output: Directory = "results/run") -> None:
+def plan(*, planning: Planning, payload: float = 0.0, output: Directory = "results/run") -> None:
     """Plan a motion to a target with any planner, in a run directory, with a certified network if it makes one.
 
     Continue with 'simulate', 'evaluate' and 'render'.
 
     Args:
         planning: the motion.
+        payload: mass at the end effector that the plan and its simulations know [kg].
         output: directory for the files of the run.
     """
     run = RunDirectory(output)
     with run.at_work():
-        plan_run(run, planning)
+        plan_run(run, planning, payload=payload)
 
 
-def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) -> None:
+def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = (), payload: float = 0.0) -> None:
     """Plan, and write what is made; ``usual`` are options of ``lieednn-certified`` if no others are given."""
-    arm = planning.load()
+    arm = planning.load().with_payload(payload)
     if planning.learned is not None:
         _plan_learned(run, arm, planning)
         return
@@ -70,6 +71,7 @@ def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = ()) -
         "time_budget": None if planning.time_budget == math.inf else planning.time_budget,
         "fastest": planning.fastest,
         "path_constraint": planning.path_constraint,
+        "payload": payload,
         "option": {} if options is None else asdict(options),
     }
     about, lasts = {"planner": planner, "reason": reason, "options": shown}, planning.asked_duration
@@ -117,7 +119,7 @@ def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> None:
             fastest=planning.fastest,
             seed=planning.seed,
         )
-    made = {"learned": str(Path(planning.learned or "").resolve()), "turning": planning.turning}
+    made = {"learned": str(Path(planning.learned or "").resolve()), "turning": planning.turning, "payload": arm.payload}
     about = {"planner": result.planner, "reason": "learned", "options": {**made, "fastest": planning.fastest}}
     q, lasts = result.motion.q, float(result.motion.t[-1])
     _save(run, arm, planning.task(arm, q[0], result.target, lasts, planning.seed, **about), result)
@@ -140,6 +142,8 @@ def print_plan(result: Plan) -> None:
     rows.add_row("duration", f"{motion.t[-1]:.2f} s")
     if result.leaves:
         rows.add_row("leaves at the start", result.leaves)
+    if result.arm is not None and result.arm.payload > 0.0:
+        rows.add_row("payload", f"{result.arm.payload:g} kg")
     rows.add_row("mechanism gap", f"{rounded(millimetres)} mm and {rounded(degrees)} degrees at most, 0 at the target")
     if isinstance(details, CertifiedDetails):
         rows.add_row("networks", f"{details.n_networks} networks drawn, {details.within_limits} keep the joint limits")

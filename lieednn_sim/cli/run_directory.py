@@ -68,8 +68,9 @@ class Task:
         return io.fingerprint(vars(motion), {**asdict(self), "motion": ""})
 
     def load_arm(self) -> Arm:
-        """The arm among its obstacles; raises as `Arm.load`."""
-        return Arm.load(self.arm, self.scene, self.scene_seed, **self.imported)
+        """The arm among its obstacles, with its payload; raises as `Arm.load`."""
+        arm = Arm.load(self.arm, self.scene, self.scene_seed, **self.imported)
+        return arm.with_payload(self.options.get("payload", 0.0))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, atomically."""

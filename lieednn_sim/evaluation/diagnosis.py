@@ -68,7 +68,8 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     served = (kp > 0.0) & ((rollout.controller in _SERVO_CONTROLLERS) | linearised)
     stiffness, held = np.where(served, kp, mass * NATURAL_FREQUENCY**2), _held(rollout)
     friction = dry_friction(model, basis) * (plain or linearised)
-    sag = load * (plain and arm.qpos_home is None)  # in other models than the package's the load is fed forward
+    # In other models than the package's, and with a payload, the load is fed forward.
+    sag = load * (plain and arm.qpos_home is None and arm.payload == 0.0)
     compensates = f"the controller {'inverse-dynamics' if (kp > 0.0).all() else 'computed-torque'}"
     slow = np.abs(rollout.qd[-1]) > _LEAST_EXPLAINED * pace * np.abs(error)
     # A slow servo leaves more than this part of an error at the end of the hold.

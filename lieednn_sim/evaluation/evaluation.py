@@ -125,6 +125,8 @@ class Evaluation:
         peak_weld_force_n: largest force between a link and its mocap body; zero without mocap bodies.
         peak_weld_torque_n_m: largest torque between them.
         recoveries: the effect of each push.
+        planned_force_fraction: largest force that the plan needs of an actuator, in units of its limit, by inverse
+            dynamics; None without a plan. That of the run is ``force_fraction``.
         causes: if the arm does not end at its target, the reasons that its model gives, see `diagnosis.error_causes`.
     """
 
@@ -153,6 +155,7 @@ class Evaluation:
     velocity_excess: float
     acceleration_violations: int
     acceleration_excess: float
+    planned_force_fraction: float | None = None
     causes: tuple[str, ...] = ()
     proof: str = ""
     proved: bool = False
@@ -285,6 +288,8 @@ def _notes(evaluation: Evaluation) -> list[str]:
         extremes.append(f"welds up to {rounded(force)} N and {rounded(torque)} N m")
     if evaluation.scene != "free" and evaluation.clearance_mm is not None:
         extremes.append(f"least clearance {rounded(evaluation.clearance_mm)} mm")
+    if (planned := evaluation.planned_force_fraction or 0.0) > 0.5:  # what is far from its limit need not be told
+        extremes.append(f"forces up to {planned:.0%} of a limit as planned, {evaluation.force_fraction:.0%} exerted")
     if extremes:
         notes.append("; ".join(extremes))
     if evaluation.proof:

@@ -23,6 +23,7 @@ from lieednn_sim.evaluation.evaluation import (
     Recovery,
 )
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, rms_jerk
+from lieednn_sim.planning.statics import force_use
 from lieednn_sim.simulation import Following, Rollout
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
@@ -75,6 +76,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         peak_weld_force_n=float(weld_force.max()),
         peak_weld_torque_n_m=float(weld_torque.max()),
         recoveries=_recoveries(rollout, tracking),
+        planned_force_fraction=None if motion is None else force_use(arm, motion.t, motion.q, motion.qd),
         causes=() if all(frame.arrived for frame in frames) else error_causes(rollout),
         **violations(rollout),
     )

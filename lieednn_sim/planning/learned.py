@@ -25,7 +25,7 @@ from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.path_constraints import KEPT_ANGLE, KEPT_DISTANCE, projected
 from lieednn_sim.planning.problem import Duration, Plan, PlanningProblem, durations, in_time
 from lieednn_sim.planning.shaped import ShapedOptions, followed_guide
-from lieednn_sim.planning.statics import check_held, check_held_along
+from lieednn_sim.planning.statics import check_held
 from lieednn_sim.planning.time_laws import recorded_law, retime
 from lieednn_sim.validation import Seed, as_floats, as_seed
 from lieednn_sim.values import Floats
@@ -88,7 +88,6 @@ def plan_learned(
                 guide = Plan(_timed(problem, path, learned.t), target=path[-1], planner=LEARNED)
                 result = followed_guide(problem, ShapedOptions(), guide)
                 motion = retime(free, result.motion) if fastest else result.motion
-                check_held_along(arm, motion)
             except LieEDNNError as error:
                 refusal = refusal or error
                 continue

@@ -10,6 +10,7 @@ from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.planning.clearance import Cubics, check_clearance, check_contact
+from lieednn_sim.planning.statics import check_forces
 from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, check_fields, frozen
 
@@ -169,15 +170,20 @@ def rates_and_limits(arm: Arm, qd: Floats, timestep: float) -> tuple[tuple[Float
 
 
 def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
-    """Check the limits of a motion as `check_limits` does, and its clearance (`clearance.check_clearance`)."""
+    """Check the limits of a motion as `check_limits` does, its forces (`statics.check_forces`), and its clearance.
+
+    Raises what these do, and `clearance.check_clearance`; `TooFastError` also where only forces are beyond a limit.
+    """
     check_limits(arm, t, q, qd)
+    if (short := check_forces(arm, t, q, qd)) is not None:
+        raise _too_fast(*short)
     check_clearance(arm, t, q, qd)
     if arm.leaves is not None:
         _check_leaving(arm, t, q)
 
 
 def check_roughly(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
-    """As `check_joints`, with contact looked for at some samples: for what another motion follows, which is proved."""
+    """As `check_limits`, and contact at some samples: for what another motion follows, which is checked wholly."""
     check_limits(arm, t, q, qd)
     some = np.linspace(0, len(t) - 1, _LOOKS).round().astype(int)
     check_contact(arm, t[some], q[some])
@@ -230,8 +236,11 @@ def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
             )
             too_fast.append((t[-1] * ratio[k, joint] ** power, reason))
     if too_fast:
-        enough, reason = max(too_fast)
-        raise TooFastError(f"{reason}; a duration of at least {enough:.2f} s keeps it", float(enough))
+        raise _too_fast(*max(too_fast))
+
+
+def _too_fast(enough: float, reason: str) -> TooFastError:
+    return TooFastError(f"{reason}; a duration of at least {enough:.2f} s keeps it", float(enough))
 
 
 def _check_positions(arm: Arm, t: Floats, q: Floats) -> None:

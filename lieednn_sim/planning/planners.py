@@ -20,7 +20,7 @@ from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Duration, Plan, PlanningProblem, durations, in_time
-from lieednn_sim.planning.statics import TooWeakError, check_held, check_held_along
+from lieednn_sim.planning.statics import TooWeakError, check_held
 from lieednn_sim.planning.time_laws import retime
 from lieednn_sim.registry import PLANNERS, PlannerEntry, optional_module
 from lieednn_sim.validation import Seed, as_seed
@@ -117,6 +117,7 @@ def plan(
     options: PlannerOptions | None = None,
     fastest: bool = False,
     path_constraint: TaskSpaceRegion | None = None,
+    payload: float = 0.0,
 ) -> Plan:
     """Plan a motion from rest to rest within the arm's limits and free of contact.
 
@@ -145,6 +146,8 @@ def plan(
         path_constraint: region in which the end effector stays on the way, such as a line or an orientation; start and
             target must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only
             some planners can keep one.
+        payload: mass at the end effector [kg], as of `Arm.with_payload`, with which the plan's arm is returned. Motions
+            that need more force than the actuators have take longer, with or without one.
 
     Raises:
         InputError: a value is malformed, the planner is unknown, the options are those of another one, or start or
@@ -165,6 +168,7 @@ def plan(
     if fastest:
         optional_module("toppra")  # before the work
     begin, number = cpu_time(), as_seed("seed", seed)
+    arm = arm.with_payload(payload)
     q = arm.check_start(start)
     free, leaves = arm.leaving(q)
     # The rest of a bad problem is refused before goals are searched for.
@@ -180,7 +184,6 @@ def plan(
                 result = _solved(entry, replace(first, target=goal), *given)
                 motion = retime(free, result.motion) if fastest else result.motion
                 check_path_constraint(arm, path_constraint, motion)
-                check_held_along(arm, motion)
             except (PlanError, NotCertifiedError, TooWeakError) as error:
                 refusal = error
             else:

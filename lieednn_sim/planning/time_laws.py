@@ -147,9 +147,9 @@ def retime(arm: Arm, motion: Motion) -> Motion:
         result = path.motion(law, math.ceil(duration / arm.timestep))
         try:
             check_motion(arm, result)
-        except TooFastError:
-            # Rates sampled at the model's time step may exceed those of the law slightly.
-            duration *= 1.002
+        except TooFastError as error:
+            # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in the law.
+            duration = max(1.002 * duration, error.duration)
             continue
         return result
     raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")

@@ -23,6 +23,7 @@ from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.simulation.tracking import (
     as_hold,
+    as_loaded,
     as_motion,
     as_reference,
     at_rest_after,
@@ -101,6 +102,7 @@ def simulate_many(
     """
     if disturbances is not None and disturbances.obstacles:
         raise InputError("obstacles move in single rollouts alone, those of simulate and follow")
+    arm = as_loaded(arm, *motions)
     if not (chosen := [as_motion(arm, motion) for motion in motions]):
         raise InputError("motions must hold at least one motion or plan")
     total = max(len(motion.t) for motion in chosen) + round(as_hold(hold) / arm.timestep)

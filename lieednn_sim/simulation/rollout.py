@@ -205,6 +205,7 @@ class Rollout:
             "controller": self.controller,
             "reference_rate": self.reference_rate,
             "disturbances": self.disturbances.to_json(),
+            "payload": self.arm.payload,
             "channel_units": dict(self.channel_units),
             "steps": [list(step) for step in self.steps],
             "mujoco": mujoco.__version__,
@@ -220,12 +221,15 @@ class Rollout:
         Args:
             path: path of the file.
             arm: the simulated arm, in the same scene; a view of the same joints, with mocap bodies in the same places.
+                Its payload may be left out.
             motion: the plan that was followed, which the file does not hold.
 
         Raises:
             FileError: it is no such file, or it was made with another arm, scene or motion.
         """
         arrays, meta = io.load_arrays(path, "rollout")
+        if arm.payload == 0.0 and isinstance(mass := meta.get("payload"), float):
+            arm = arm.with_payload(max(mass, 0.0))
         if meta.get("model") != arm.fingerprint:
             raise FileError(
                 f"{path} is of arm {meta.get('arm')!r} in scene {meta.get('scene')!r} (fingerprint "

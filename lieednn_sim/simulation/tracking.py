@@ -54,6 +54,14 @@ def as_hold(value: float) -> float:
     return hold
 
 
+def as_loaded(arm: Arm, *motions: Plan | Motion | PlanSequence) -> Arm:
+    """The arm with the payload of plans, unless it has one of its own; `InputError` if they have several."""
+    payloads = {each.arm.payload for each in motions if not isinstance(each, Motion) and each.arm is not None}
+    if len(payloads) > 1:
+        raise InputError("the plans are for several payloads; simulate those for each by themselves")
+    return arm.with_payload(sum(payloads)) if arm.payload == 0.0 else arm
+
+
 def as_motion(arm: Arm, motion: Plan | Motion) -> Motion:
     """Return a motion, or that of a plan, when the arm can follow it, or raise `InputError`."""
     motion = motion.motion if isinstance(motion, Plan) else motion
@@ -81,9 +89,9 @@ def default_controller(arm: Arm) -> str:
     """Name of the controller that `simulate` takes by default.
 
     It is ``position-servo`` for arms that are made for it, whose weight is compensated; ``inverse-dynamics`` for those
-    of other files that servos drive; and else ``feedback-linearisation``.
+    with a payload, and for those of other files that servos drive; and else ``feedback-linearisation``.
     """
-    if arm.qpos_home is None:
+    if arm.qpos_home is None and arm.payload == 0.0:
         return "position-servo"
     return "inverse-dynamics" if arm.state is None and has_servos(arm) else "feedback-linearisation"
 
@@ -107,7 +115,7 @@ def simulate(
     their controls of that state, and what is not the arm's moves as physics has it.
 
     Args:
-        arm: the arm; its model is not changed.
+        arm: the arm; its model is not changed. With the payload of a plan, if it has none: the controller knows it.
         motion: a plan, or a motion sampled at the model's time step; or, for a view, a sequence, whose steps of
             controls end by time or by their events, which may come sooner or later than planned.
         target: ``(n,)`` joint position to reach; by default the plan's, or the motion's end.
@@ -126,7 +134,7 @@ def simulate(
         SimulationError: a warning of MuJoCo or a state that is not finite, an event of a sequence does not come in
             time, or the run is to stop; it has the run up to there.
     """
-    sequence = motion if isinstance(motion, PlanSequence) else None
+    arm, sequence = as_loaded(arm, motion), motion if isinstance(motion, PlanSequence) else None
     if target is None and isinstance(motion, Plan):
         target = motion.target
     rate = None if reference_rate is None else as_positive("reference_rate", reference_rate)

@@ -25,7 +25,7 @@ from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.plant import make_plant
-from lieednn_sim.simulation.tracking import as_motion
+from lieednn_sim.simulation.tracking import as_loaded, as_motion
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
@@ -64,7 +64,7 @@ def tracking_bound(
     low, high = as_floats("mass_scale", mass_scale, (2,)).tolist()
     if not 0.0 < low <= high:
         raise InputError(f"mass_scale must be two positive numbers, the smaller first, got {low:g} and {high:g}")
-    rate, followed = as_positive("frequency", frequency), as_motion(arm, motion)
+    arm, rate, followed = as_loaded(arm, motion), as_positive("frequency", frequency), as_motion(arm, motion)
     if arm.dependents is not None or len(arm.space.balls):
         raise InputError(f"arm {arm.name!r} has ball joints or moves closed loops, for which there is no bound")
     bare = arm.without_visuals

@@ -34,7 +34,9 @@ def moved(controller="position-servo", disturbances=None, imported=False, **chan
     values = {"drive": "", "lift": "", "force": "", "compensation": 1, "kp": 2000, "kv": 90, "control": "", **changes}
     spec = mujoco.MjSpec.from_string(HOIST.format(**values))
     arm = Arm.from_spec(spec, floor="none") if imported else Arm.from_spec(spec, Path("hoist.xml"), "hoist")
-    planned = plan(arm, np.array([0.5, 0.4]), planner="minimum-jerk", duration=1.0)
+    # Planned as if nothing limited the forces.
+    strong = replace(arm, force_limits=np.full(2, np.inf))
+    planned = plan(strong, np.array([0.5, 0.4]), planner="minimum-jerk", duration=1.0)
     return evaluate(simulate(arm, planned, controller=controller, disturbances=disturbances))
 
 

@@ -33,6 +33,7 @@ def straight(gantry, **limits):
     """A motion of 1.6 m along z in 4 s, at limits of 4 m/s and 40 m/s^2, and the arm with other limits."""
     target = gantry.keyframe("home") + np.array([0.0, 0.0, 1.6, 0.0])
     motion = plan(gantry, target, planner="minimum-jerk").motion
+    limits["force"] = [np.inf] * 4
     return dataclasses.replace(gantry, **{f"{name}_limits": np.array(v) for name, v in limits.items()}), motion
 
 

@@ -130,7 +130,8 @@ class PositionServo(FeedforwardServo):
     A position actuator exerts kp (ctrl - q) - kv qd, so without the second term it would lag a moving reference by
     kv / kp seconds. The joint damping of the model is compensated in the same way. The velocity is that of the next
     step, since the integrator implicitfast damps with the velocity at the end of the step. In a model that is not made
-    for this package, the load at rest at q_ref, of gravity and springs, is fed forward as well, or the arm would sag.
+    for this package, and with a payload, the load at rest at q_ref, of gravity and springs, is fed forward as well, or
+    the arm would sag.
 
     Raises:
         InputError: the arm is not driven by position actuators on joints or fixed tendons.
@@ -139,7 +140,7 @@ class PositionServo(FeedforwardServo):
     def __init__(self, arm: Arm, reference: Reference) -> None:
         super().__init__(arm, reference)
         self._damping = arm.model.dof_damping.copy()
-        self._loaded = None if arm.qpos_home is None else arm.model
+        self._loaded = None if arm.qpos_home is None and arm.payload == 0.0 else arm.model
 
     def controls(self, steps: range) -> Floats:
         """See `FeedforwardServo`."""

@@ -1,0 +1,141 @@
+"""Forces that motions need, with numbers by hand: a lift of 2 kg, and a boom of a metre behind it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lieednn_sim as ls
+from lieednn_sim._mujoco import mujoco
+from lieednn_sim.cli import main
+from lieednn_sim.errors import InputError, TooFastError
+from lieednn_sim.planning.motion import Motion, check_motion
+from lieednn_sim.planning.statics import force_use
+
+G = 9.81
+STEEL = 0.4 * (3.0 / (4.0 * np.pi * 7850.0)) ** (2.0 / 3.0)  # moment of inertia of a ball of a kilogram [kg m^2]
+LIFT = """
+<mujoco><option timestep=".002" integrator="implicitfast"/>
+  <custom><numeric name="acceleration_limit" data="1000 1000"/></custom>
+  <worldbody><site name="base_frame"/>
+    <body name="cart"><site name="link1_frame"/>
+      <joint name="lift" type="slide" axis="0 0 1" range="-1 1" damping="{damping}" frictionloss="{friction}"/>
+      <inertial pos="0 0 0" mass="1.5" diaginertia=".1 .1 .1"/>
+      <body name="boom"><joint name="swing" axis="0 -1 0" range="-170 170"/>
+        <inertial pos=".2 0 0" mass=".5" diaginertia=".01 .01 .01"/><site name="link2_frame" pos="1 0 0"/></body></body>
+    {can}
+  </worldbody>
+  <actuator><position joint="lift" kp="9000" kv="600" forcerange="-100 100"/>
+    <position joint="swing" kp="2000" kv="200" forcerange="-{torque} {torque}"/></actuator>
+  <keyframe><key name="home" qpos="0 0{pose}"/></keyframe></mujoco>"""
+CAN = '<body name="can" pos="1 0 0"><freejoint/><inertial pos="0 0 0" mass="3" diaginertia="{0} {0} {0}"/></body>'
+
+
+def hoist(**changes):
+    values = {"damping": 0.0, "friction": 0.0, "torque": 90.0, "can": "", "pose": "", **changes}
+    return ls.Arm.from_spec(mujoco.MjSpec.from_string(LIFT.format(**values)), Path("hoist.xml"), "hoist")
+
+
+def moved(arm, target, duration, **options):
+    return ls.plan(arm, target, planner="minimum-jerk", duration=(duration, duration), **options)
+
+
+@pytest.mark.parametrize("payload", [0.0, 3.0])
+def test_the_force_of_a_swing_is_that_of_its_masses_by_hand(payload):
+    arm = hoist(torque=1000.0).with_payload(payload)
+    motion = moved(arm, [0.0, 1.5], 1.0).motion
+    q, qd = motion.q[:-1, 1], motion.qd[:-1, 1]
+    qdd = np.diff(motion.qd[:, 1]) / motion.timestep
+    inertia, moment = 0.01 + 0.5 * 0.2**2 + payload + STEEL * payload ** (5.0 / 3.0), 0.5 * 0.2 + payload
+    swing = inertia * qdd + moment * G * np.cos(q)
+    lift = (2.0 + payload) * G + moment * (qdd * np.cos(q) - qd**2 * np.sin(q))
+    wanted = max(np.abs(swing).max() / 1000.0, np.abs(lift).max() / 100.0)
+    assert force_use(arm, motion.t, motion.q, motion.qd) == pytest.approx(wanted, rel=1e-9)
+
+
+@pytest.mark.parametrize(("damping", "friction"), [(0.0, 0.0), (20.0, 0.0), (20.0, 6.0)])
+def test_a_motion_is_stretched_to_where_the_force_is_at_its_limit(damping, friction):
+    """Upwards F = m (g + a / s^2) + friction + damping v / s: at 4.9 of 5 kg 9.81 N, of 100 N, the rest accelerates."""
+    arm = hoist(damping=damping, friction=friction).with_payload(3.0)
+    fast = moved(replace(arm, force_limits=np.full(2, np.inf)), [0.8, 0.0], 0.25).motion
+    with pytest.raises(
+        TooFastError,
+        match=r"joint 'lift' would be overloaded at t = 0\.\d+ s with a payload of 3 kg"
+        r": its load is [\d.]+ N, its force limit 100 N; a duration of at least",
+    ) as caught:
+        check_motion(arm, fast)
+    # The peaks of the minimum-jerk law in units of d / T^2 and d / T, wherever their sum with damping is largest.
+    s = np.linspace(0.0, 1.0, 20001)
+    v, a = 30.0 * s**2 * (1.0 - s) ** 2, 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+    spare = 100.0 - 5.0 * G - friction
+    f1, f2 = damping * 0.8 * v, 5.0 * 0.8 * a
+    needed = ((f1 + np.sqrt(np.maximum(f1**2 + 4.0 * spare * f2, 0.0))) / (2.0 * spare)).max()
+    assert caught.value.duration == pytest.approx(needed, rel=5e-3)
+    slow = ls.plan(arm, [0.8, 0.0], planner="minimum-jerk", duration=(0.25, 2.0)).motion
+    assert needed <= slow.t[-1] <= 1.05 * needed
+    assert 0.9 < force_use(arm, slow.t, slow.q, slow.qd) <= 1.0 + 1e-6
+
+
+def test_a_mass_that_cannot_be_held_is_refused_with_its_load():
+    arm = hoist(torque=1000.0)
+    ls.plan(arm, [0.5, 0.0], planner="minimum-jerk", payload=8.0)
+    # 2 + 8.3 kg weigh 101.04 N.
+    with pytest.raises(
+        InputError, match=r"'lift' cannot be held at the start with a payload of 8\.3 kg: its load is 101 N"
+    ):
+        ls.plan(arm, [0.5, 0.0], planner="minimum-jerk", payload=8.3)
+    with pytest.raises(
+        InputError, match=r"joint 'swing' cannot be held at t = \d\.\d+ s with a payload of 3 kg: .* 26"
+    ):
+        ls.plan(hoist(torque=26.0), [0.0, -1.2], start=[0.0, 1.2], planner="minimum-jerk", payload=3.0)
+    with pytest.raises(InputError, match="payload must not be negative"):
+        arm.with_payload(-1.0)
+
+
+def test_what_is_held_weighs_as_a_payload_of_its_mass():
+    can = CAN.format(STEEL * 3.0 ** (5.0 / 3.0))
+    values = {"damping": 0.0, "friction": 0.0, "torque": 90.0, "can": can, "pose": " 1 0 0 1 0 0 0"}
+    model = mujoco.MjModel.from_xml_string(LIFT.format(**values))
+    arm = ls.Arm.of(model, mujoco.MjData(model), ["lift", "swing"], tip="link2_frame")
+    motion = moved(arm, [0.2, 1.0], 1.0).motion
+    uses = [force_use(each, motion.t, motion.q, motion.qd) for each in (arm, arm.with_payload(3.0), arm.holding("can"))]
+    assert uses[1] == pytest.approx(uses[2], rel=1e-3)
+    assert uses[1] > uses[0] + 0.2
+
+
+@pytest.mark.parametrize("controller", [None, "position-servo", "computed-torque", "feedback-linearisation"])
+def test_controllers_know_the_payload_of_a_plan_and_the_run_says_so(controller, tmp_path):
+    arm = hoist()
+    planned = ls.plan(arm, [0.6, 0.9], planner="minimum-jerk", duration=1.0, payload=4.0)
+    run = ls.simulate(arm, planned, controller=controller)
+    assert run.arm.payload == planned.arm.payload == 4.0
+    assert controller or run.controller == "inverse-dynamics"
+    result = ls.evaluate(run)
+    assert result.final_worst_mm < 0.1
+    assert result.planned_force_fraction == pytest.approx(force_use(run.arm, run.motion.t, run.motion.q, run.motion.qd))
+    assert f"forces up to {result.planned_force_fraction:.0%} of a limit as planned, " in str(result)
+    assert 0.9 < result.force_fraction <= 1.0
+    run.save(tmp_path / "run.npz")
+    loaded = ls.Rollout.load(tmp_path / "run.npz", arm, planned.motion)
+    assert (loaded.arm.payload, loaded.arm.fingerprint) == (4.0, run.arm.fingerprint)
+    np.testing.assert_array_equal(loaded.force, run.force)
+    assert ls.simulate(arm.with_payload(1.0), planned, hold=0.0).arm.payload == 1.0  # its own
+    many = ls.simulate_many(arm, [planned], controller="inverse-dynamics")
+    assert np.abs(many.q[0, -1] - planned.target).max() < 1e-4
+    with pytest.raises(InputError, match="several payloads"):
+        ls.simulate_many(arm, [planned, replace(planned, arm=arm)])
+
+
+def test_a_payload_stays_in_a_run_directory(tmp_path, capsys):
+    words = ["--planner", "minimum-jerk", "--duration", "2", "--output", str(tmp_path)]
+    assert main(["plan", "--payload", "6", *words]) == 0
+    assert "6 kg" in capsys.readouterr().out
+    assert main(["simulate", str(tmp_path), "--hold", "0.1"]) == 0
+    assert main(["evaluate", str(tmp_path)]) == 0
+    told = json.loads((tmp_path / "metrics.json").read_text())
+    motion, arm = Motion.load(tmp_path / "motion.npz"), ls.Arm.load("telescopic_pr")
+    alone, loaded = (force_use(each, motion.t, motion.q, motion.qd) for each in (arm, arm.with_payload(6.0)))
+    assert told["planned_force_fraction"] == pytest.approx(loaded)
+    assert loaded > alone + 0.1
