@@ -12,6 +12,7 @@ moves counts with its whole reach. Nothing is proved of parts that closed loops 
 
 from __future__ import annotations
 
+import threading
 from functools import lru_cache
 
 import numpy as np
@@ -258,9 +259,13 @@ def _joined(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return result
 
 
-@lru_cache(maxsize=8)
 def bounds_of(arm: Arm) -> ClearanceBounds | str:
-    """What bounds an arm's distances, or why nothing does."""
+    """What bounds an arm's distances, or why nothing does; one for each thread, since it holds data of MuJoCo's."""
+    return _bounds_in(arm, threading.get_ident())
+
+
+@lru_cache(maxsize=8)
+def _bounds_in(arm: Arm, _: int) -> ClearanceBounds | str:
     n = arm.n_joints
     try:
         return ClearanceBounds(arm.without_visuals, [(np.arange(n), np.ones(n))])

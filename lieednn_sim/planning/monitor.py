@@ -50,7 +50,7 @@ class ClearanceMonitor:
             given = self._middle, self._way, np.stack([self._rest] * 2, axis=1), np.ones((len(self._rest), 1))
             # In parts, for the memory.
             parts = zip(*(np.array_split(values, 4) for values in given), strict=True)
-            self.allowed = np.concatenate([bounds(*part, FAR)[0] for part in parts])
+            self.allowed = np.concatenate([bounds(q, way, rest, unit, FAR)[0] for q, way, rest, unit in parts])
 
     @classmethod
     def of(cls, arm: Arm, motion: Motion) -> ClearanceMonitor:
