@@ -75,8 +75,9 @@ class Coordinates:
         """``(..., n)`` to ``(..., nq)``."""
         qpos = q @ self.coupling.T + self.offset
         if len(self.balls):
+            # Reordered here, since SciPy's `scalar_first` takes as long as the rest.
             turns = scipy.spatial.transform.Rotation.from_rotvec(q[..., self.balls])
-            qpos[..., self.ball_addresses] = turns.as_quat(scalar_first=True)
+            qpos[..., self.ball_addresses[:, [1, 2, 3, 0]]] = turns.as_quat()
         return qpos
 
     def from_qpos(self, qpos: Floats) -> Floats:
@@ -86,8 +87,8 @@ class Coordinates:
             return scalars
         q = np.empty((*qpos.shape[:-1], len(self)))
         q[..., self.scalars] = scalars
-        quaternions = qpos[..., self.ball_addresses]
-        q[..., self.balls] = scipy.spatial.transform.Rotation.from_quat(quaternions, scalar_first=True).as_rotvec()
+        quaternions = qpos[..., self.ball_addresses[:, [1, 2, 3, 0]]]
+        q[..., self.balls] = scipy.spatial.transform.Rotation.from_quat(quaternions).as_rotvec()
         return q
 
     def to_qvel(self, q: Floats, qd: Floats) -> Floats:

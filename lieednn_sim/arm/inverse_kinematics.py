@@ -23,10 +23,8 @@ if TYPE_CHECKING:
 
 # Error at which the pose counts as reached [m, rad].
 _TOLERANCE = 1e-6
-# Attempts, unless one comes near a solution and several are wanted.
-_ATTEMPTS = 8
-# Steps of an attempt. An error beyond this length [m, rad] counts as one of it, as if the goal were drawn nearer.
-_STEPS, _FAR = 60, 3.0
+# Attempts if none of them comes near a solution, and otherwise; steps of each.
+_ATTEMPTS, _MOST, _STEPS = 8, 32, 60
 
 
 def solve_ik(
@@ -54,7 +52,7 @@ def solve_ik(
         NoSolutionError: no such joint position was found; the message says how close the search came.
     """
     search = _Search(arm, _Point(position, rotation), None, arm.check_start(start))
-    return next(search.solutions(seed, _ATTEMPTS, several=False, progress=progress))
+    return next(search.solutions(seed, several=False, progress=progress))
 
 
 def ik_candidates(
@@ -86,7 +84,7 @@ def ik_candidates(
     pace = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
     goal = pose if isinstance(pose, TaskSpaceRegion) else _Point(pose.translation, pose.rotation)
     result: list[Floats] = []
-    for q in _Search(arm, goal, path_constraint, rest).solutions(seed, 32, several=True):
+    for q in _Search(arm, goal, path_constraint, rest).solutions(seed, several=True):
         # Others differ by more than a thousandth of a joint's range.
         if all(np.abs((q - other) / arm.ranges).max() > 1e-3 for other in result):
             result.append(q)
@@ -96,35 +94,24 @@ def ik_candidates(
 
 
 class _Point:
-    """A position of the end effector, with an orientation or without: its error.
-
-    Attributes:
-        size: number of the error's entries; the derivatives of these are the end effector's Jacobian, [v; omega]. That
-            of a rotation vector differs from it by terms that vanish at the goal, and has the same product with it.
-    """
+    """A position of the end effector, with an orientation or without."""
 
     def __init__(self, position: ArrayLike, rotation: Rotation | None) -> None:
         self._place = as_floats("position", position, (3,))
         # No arm reaches further, and squares stay far from overflow.
         if np.abs(self._place).max() > 1e6:
             raise InputError(f"position must be within 1e+06 m of the origin, got {np.abs(self._place).max():g} m")
-        self._rotation, self.size = rotation, 3 if rotation is None else 6
-        self._quaternion = None if rotation is None else rotation.as_quat(scalar_first=True)
+        self._rotation = rotation
+        self._quaternion = None if rotation is None else as_floats("rotation", rotation.as_quat(), (4,))[[3, 0, 1, 2]]
 
     def error(self, place: Floats, turn: Floats) -> Floats:
-        """Zero at the goal: the offset from it [m] and, with an orientation, the rotation vector from it, world [rad].
-
-        Args:
-            place: position ``(3,)`` of the end effector.
-            turn: its rotation ``(3, 3)``.
-        """
-        away = place - self._place
+        """Offset of a position ``(3,)`` [m], then rotation vector from the orientation, if any, to ``(3, 3)`` [rad]."""
         if self._quaternion is None:
-            return away
+            return place - self._place
         quaternion, turned = np.empty(4), np.empty(3)
         mujoco.mju_mat2Quat(quaternion, turn.ravel())
         mujoco.mju_subQuat(turned, self._quaternion, quaternion)
-        return np.concatenate([away, -turn @ turned])
+        return np.concatenate([place - self._place, -turn @ turned])
 
     def __str__(self) -> str:
         place = ", ".join(f"{x:g}" for x in self._place)
@@ -153,9 +140,11 @@ class _Search:
         # Solutions are sought a little inside of a region, so that they are in it.
         self._regions = [r.within(2.0 * _TOLERANCE) for r in (goal, path_constraint) if isinstance(r, TaskSpaceRegion)]
         self._data, self._tip, self._basis = arm.moving_data, arm.frames[-1:], tangent_basis(arm.space)
+        self._zero = np.zeros(arm.model.nq)
+        self._zero[arm.space.ball_addresses[:, 0]] = 1.0
 
     def solutions(
-        self, seed: Seed, attempts: int, *, several: bool, progress: Callable[[int, int], None] | None = None
+        self, seed: Seed, *, several: bool, progress: Callable[[int, int], None] | None = None
     ) -> Iterator[Floats]:
         """Solutions near the start or, where several are wanted, near one random position each after the first one.
 
@@ -163,9 +152,9 @@ class _Search:
         """
         rng, (low, high) = as_generator("seed", seed), self._arm.position_limits.T
         best, closest, refused, solved = np.inf, self._start, "", False
-        for attempt in range(attempts):
+        for attempt in range(_MOST):
             if progress is not None:
-                progress(attempt, attempts)
+                progress(attempt, _MOST)
             q = self._start if attempt == 0 else rng.uniform(low, high)
             q, distance = self._descend(q, q if several else self._start)
             if distance < _TOLERANCE:
@@ -182,30 +171,26 @@ class _Search:
         if not solved:
             raise NoSolutionError(self._failure(closest, refused))
 
-    def _error(self) -> Floats:
-        """Zero at solutions, ``(E,)``, at the positions in the data, to which the end effector is moved."""
-        mujoco.mj_kinematics(self._arm.model, self._data)
-        place, turn = self._pose
-        parts = [self._goal.error(place, turn)] if isinstance(self._goal, _Point) else []
-        return np.concatenate([*parts, *(region.excess(transforms(turn, place)) for region in self._regions)])
+    def _evaluate(self) -> tuple[Floats, Floats]:
+        """The error ``(E,)`` at the positions in the data, zero at solutions, and its slopes ``(E, n)``.
 
-    def _slopes(self) -> Floats:
-        """Derivatives ``(E, n)`` of the error where the end effector is; ball joints turn about the body's axes."""
-        arm, data, jacobian = self._arm, self._data, np.empty((2, 3, self._arm.model.nv))
-        mujoco.mj_comPos(arm.model, data)
-        self._tip.jacobian(arm.model, data, 0, jacobian)
-        slopes = jacobian.reshape(6, -1) @ self._basis
-        parts = [slopes[: self._goal.size]] if isinstance(self._goal, _Point) else []
+        Those of ball joints are along the axes of their bodies; that of a rotation vector is the angular Jacobian, up
+        to terms that vanish at the goal, and do not change the gradient of its square.
+        """
+        model, data, jacobian = self._arm.model, self._data, np.empty((2, 3, self._arm.model.nv))
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        (place,), (turn,) = self._tip.poses(data.xpos, data.xmat)
+        self._tip.jacobian(model, data, 0, jacobian)
+        slopes, parts = jacobian.reshape(6, -1) @ self._basis, list[tuple[Floats, Floats]]()
+        if isinstance(self._goal, _Point):
+            error = self._goal.error(place, turn)
+            parts.append((error, slopes[: len(error)]))
         if self._regions:
-            (place, turn), twist = self._pose, np.roll(slopes, 3, axis=0)
-            parts += [region.excess_slopes(transforms(turn, place)) @ twist for region in self._regions]
-        return np.vstack(parts)
-
-    @property
-    def _pose(self) -> tuple[Floats, Floats]:
-        """Position ``(3,)`` and rotation ``(3, 3)`` of the end effector."""
-        (place,), (turn,) = self._tip.poses(self._data.xpos, self._data.xmat)
-        return place, turn
+            pose, twist = transforms(turn, place), np.roll(slopes, 3, axis=0)
+            parts += [(region.excess(pose), region.excess_slopes(pose) @ twist) for region in self._regions]
+        errors, derivatives = zip(*parts, strict=True)
+        return np.concatenate(errors), np.concatenate(derivatives)
 
     def _descend(self, q: Floats, near: Floats) -> tuple[Floats, float]:
         """The joint coordinates of least error next to ``q``, drawn near others on the way; and their largest error.
@@ -214,40 +199,52 @@ class _Search:
         program. The damping is the squared error (Sugihara, IEEE Trans. Robotics 27(5), 2011), so that convergence is
         quadratic at solutions.
         """
-        arm, (low, high), spread = self._arm, self._arm.position_limits.T, self._arm.ranges
-        none, kinds, diagonal = np.zeros((0, len(q))), np.zeros(len(q), dtype=np.int32), np.diag_indices(len(q))
-        q, distance, data = np.clip(q, low, high), np.inf, self._data
+        arm, data, balls, spread = self._arm, self._data, self._arm.space.balls, self._arm.ranges
+        # The coordinates, then the angles of ball joints, which have the limits of their first coordinates.
+        which = np.append(np.arange(len(q)), balls[:, 0])
+        (low, high), widths = arm.position_limits[which].T, spread[which]
+        rows, rates = np.zeros((len(balls), len(q))), np.empty(arm.model.nv)
+        q, distance = arm.within_angles(q), np.inf
         # Of the chain alone: other joints do not move the end effector.
         data.qpos[:] = arm.space.to_qpos(q)
         for _ in range(_STEPS):
-            error = self._error()
+            error, slopes = self._evaluate()
             distance, square = float(np.abs(error).max()), float(error @ error)
             if distance < _TOLERANCE:
                 break
-            if square > _FAR**2:
-                error, square = error * (_FAR / np.sqrt(square)), _FAR**2
-            slopes = self._slopes() * spread
-            hessian, gradient, damping = slopes.T @ slopes, slopes.T @ error, square + 1e-9
-            hessian[diagonal] += damping
+            slopes = slopes * spread
+            # At most that at 3 m or rad, so that steps to what is far away are long.
+            hessian, gradient, damping = slopes.T @ slopes, slopes.T @ error, min(square, 9.0) + 1e-9
+            hessian[np.diag_indices(len(q))] += damping
             # Of the many solutions of a redundant arm, one that is near: until it is close, part of the damping is from
             # there. Without that, the last steps lead to the next solution.
             if square > 1e-4:
                 gradient += 0.3 * damping * (q - near) / spread
-            step, *_ = daqp.solve(hessian, gradient, none, (high - q) / spread, (low - q) / spread, kinds)
+            bounded = q
+            if len(balls):
+                # An angle changes by the step along its axis.
+                angles = np.linalg.norm(q[balls], axis=1, keepdims=True)
+                rows[np.arange(len(balls))[:, None], balls] = q[balls] / np.maximum(angles, 1e-9)
+                bounded = np.append(q, angles)
+            step, *_ = daqp.solve(hessian, gradient, rows, (high - bounded) / widths, (low - bounded) / widths)
             left = error + slopes @ step
             # No solution lies ahead where a step leaves nearly all of the error.
             if square - left @ left < 1e-3 * square:
                 break
             mujoco.mj_integratePos(arm.model, data.qpos, self._basis @ (spread * step), 1.0)
-            moved = arm.space.from_qpos(data.qpos)
-            q = np.clip(moved, low, high)
+            # The coordinates, at a tenth of the cost of `from_qpos` where there are ball joints.
+            mujoco.mj_differentiatePos(arm.model, rates, 1.0, self._zero, data.qpos)
+            moved = rates[arm.space.own_rate_addresses]
+            q = np.clip(moved, *arm.position_limits.T)
+            if len(balls):
+                q = arm.within_angles(q)
             if (q != moved).any():
                 data.qpos[:] = arm.space.to_qpos(q)
         return q, distance
 
     def _refusal(self, q: Floats) -> str:
         """Why the arm cannot be at a solution ``(n,)``; empty if it can."""
-        # The box that bounds a ball joint's rotation vector has corners beyond its largest angle.
+        # Of what follows the joints; they themselves are within their limits.
         excess = self._arm.limit_excess(q)
         if excess.max() > 0.0:
             return f"; at the solutions found {self._arm.describe_excess(q, int(excess.argmax()))}"

@@ -136,7 +136,8 @@ class SerialArm:
         high, inside, balls = self.position_limits[:, 1], q.copy(), self.space.balls
         if len(balls):
             angle = np.linalg.norm(q[..., balls], axis=-1, keepdims=True)
-            inside[..., balls] *= np.minimum(1.0, high[balls] / np.maximum(angle, 1e-300))
+            # To a little less, so that rounding does not lead beyond it.
+            inside[..., balls] *= np.where(angle > high[balls], (1.0 - 1e-15) * high[balls] / (angle + 1e-300), 1.0)
         return inside
 
     def check_position(self, q: ArrayLike | str, what: str = "q") -> Floats:

@@ -178,7 +178,7 @@ def test_reach_names_the_joints_that_end_at_their_limits_and_can_be_ended(gantry
 
     with pytest.raises(TimeoutError):
         solve_ik(gantry, [5.0, 0.0, 0.0], progress=end)
-    assert asked == [(0, 8), (1, 8), (2, 8)]
+    assert asked == [(0, 32), (1, 32), (2, 32)]
 
 
 @pytest.mark.parametrize(("keys", "rest"), [("", 0.25), ('<key name="a" qpos="0 0.5"/>', 0.25), ("{home}", 0.75)])
