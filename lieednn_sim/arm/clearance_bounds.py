@@ -34,9 +34,6 @@ from lieednn_sim.values import Floats
 _TOUCHING = 1e-6
 # Configurations whose pairs of geoms are in memory at once.
 _AT_ONCE = 32
-# Where joints may bring more pairs than this together, by up to more than a distance [m], none is measured: a bound
-# would not suffice for all of them.
-_CROWDED, _WIDE = 200, 0.1
 
 
 class ClearanceBounds:
@@ -100,8 +97,7 @@ class ClearanceBounds:
         steps = self._displacements(np.stack([np.abs(path) + rest[:, 0], rest[:, 1], each]))
         if len(self._balls):
             steps[2][:, self._ball_joints] = each[:, self._balls[:, 0]]
-        widest = steps[0] + most * steps[2]
-        at, pairs, free, gap, slope, square, _ = self._rows(q, path, rest, spread, steps, widest, 0.0, np.inf)
+        at, pairs, free, gap, slope, square = self._rows(q, path, rest, spread, steps, steps[0] + most * steps[2], 0.0)
         corners = _largest(free, slope, square[:, None]).min(axis=-1)
         found = np.maximum(corners, _largest(gap, slope.max(axis=-1, initial=0.0), square))
         whole, _ = _least(found.min(axis=0), at, pairs, len(q), most)
@@ -111,8 +107,7 @@ class ClearanceBounds:
     def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
         """Lower bounds ``(I,)`` of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
 
-        They are no larger than the cutoff, and not below -1, as where too much may come near for a bound to be worth
-        its cost. The geoms ``(I, 2)`` are those of the bound, or -1.
+        They are no larger than the cutoff, and not below -1. The geoms ``(I, 2)`` are those of the bound, or -1.
 
         Args:
             q: ``(I, n)`` configurations.
@@ -126,29 +121,19 @@ class ClearanceBounds:
             return np.concatenate(bounds), np.concatenate(limiting)
         steps = self._displacements(np.stack([np.abs(path) + rest, 0.0 * rest, 0.0 * rest]))
         rests, still = np.stack([rest, 0.0 * rest], axis=1), np.zeros((len(q), len(self._members)))
-        at, pairs, free, gap, _, _, crowded = self._rows(q, path, rests, still, steps, steps[0], cutoff, _CROWDED)
+        at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)
         found = np.maximum(np.maximum(free[0].min(axis=-1, initial=cutoff), gap[0]), -1.0)
-        bound, nearest = _least(found, at, pairs, len(q), cutoff)
-        return np.where(crowded, -1.0, bound), nearest
+        return _least(found, at, pairs, len(q), cutoff)
 
     def _rows(
-        self,
-        q: Floats,
-        path: Floats,
-        rest: Floats,
-        spread: Floats,
-        steps: Floats,
-        widest: Floats,
-        cutoff: float,
-        most: float,
-    ) -> tuple[NDArray[np.int_], Pairs, Floats, Floats, Floats, Floats, NDArray[np.bool_]]:
+        self, q: Floats, path: Floats, rest: Floats, spread: Floats, steps: Floats, widest: Floats, cutoff: float
+    ) -> tuple[NDArray[np.int_], Pairs, Floats, Floats, Floats, Floats]:
         """Pairs of geoms that displacements ``widest`` ``(I, J)`` of the joints could bring nearer than a cutoff.
 
         Returns:
             Which configuration each is at, ``(P,)``; its geoms; what is left by corners, ``(2, P, V)``, and in all,
             ``(2, P)``, with the path and without it, less what deviations of scale s take: ``(P, V)`` times s and
-            ``(P,)`` times its square. At last at which configurations ``(I,)`` there are more pairs than ``most``,
-            which are then left out.
+            ``(P,)`` times its square.
         """
         qpos = self._arm.qpos(q)
         place = _Places(self._arm.model, self._data, qpos)
@@ -156,12 +141,8 @@ class ClearanceBounds:
         reach = np.where(self._turns, levers, 1.0) * self._moves
         table = (reach * widest[:, None]) @ ~self._moves.T
         moved = table[:, self._first, self._second] + table[:, self._second, self._first]
-        at, index, gaps, points, crowded = self._collisions.separations_near(
-            qpos,
-            place.geoms,
-            place.turns,
-            moved + (cutoff + self._margin),
-            np.where(moved.max(axis=1, initial=0.0) > _WIDE, most, np.inf),
+        at, index, gaps, points = self._collisions.separations_near(
+            qpos, place.geoms, place.turns, moved + (cutoff + self._margin)
         )
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
         margin = self._margin + self._collisions.offsets(pairs)
@@ -187,7 +168,7 @@ class ClearanceBounds:
         hollow = (self._arm.model.geom_type[pairs] == int(mujoco.mjtGeom.mjGEOM_HFIELD)).any(axis=1)
         free[:, hollow], gap[0, hollow] = -np.inf, (gaps - margin)[hollow] - moved[at, index][hollow]
         gap[1, hollow] = gap[0, hollow]
-        return at, pairs, free, gap, slope, square, crowded
+        return at, pairs, free, gap, slope, square
 
     def names(self, pair: tuple[int, int]) -> tuple[str, str]:
         """Names of two geoms."""

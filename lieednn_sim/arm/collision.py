@@ -135,15 +135,15 @@ class Collisions:
             raise InputError(f"cutoff must be positive, got {limits.min():g}")
         data = self._data
         turns = data.geom_xmat.reshape(1, -1, 3, 3)
-        _, index, distance, points, _ = self.separations_near(
+        _, index, distance, points = self.separations_near(
             data.qpos[None].copy(), data.geom_xpos[None], turns, limits[None]
         )
         order = np.argsort(distance - self._offset[index], kind="stable")
         return distance[order], points[order], self.pairs[index[order]]
 
     def separations_near(
-        self, qpos: Floats, places: Floats, turns: Floats, cutoff: Floats, most: Floats | float = np.inf
-    ) -> tuple[NDArray[np.int_], NDArray[np.int_], Floats, Floats, NDArray[np.bool_]]:
+        self, qpos: Floats, places: Floats, turns: Floats, cutoff: Floats
+    ) -> tuple[NDArray[np.int_], NDArray[np.int_], Floats, Floats]:
         """As `separations`, at positions ``(I, nq)`` at once, unsorted.
 
         Args:
@@ -151,11 +151,9 @@ class Collisions:
             places: ``(I, ngeom, 3)`` of all geoms there.
             turns: ``(I, ngeom, 3, 3)`` their rotations.
             cutoff: ``(I, P)`` [m].
-            most: at positions with more pairs than this, or ``(I,)``, that may be as near, none is measured.
 
         Returns:
-            Which of the positions each is at, ``(C,)``, which pair it is, distances, and witness points; and at which
-            positions ``(I,)`` there are too many.
+            Which of the positions each is at, ``(C,)``, which pair it is, distances, and witness points.
         """
         model, count = self.arm.geometry, len(as_floats("qpos", qpos, ("I", self.arm.model.nq)))
         as_floats("cutoff", cutoff, (count, len(self.pairs)), largest=np.inf)
@@ -174,20 +172,18 @@ class Collisions:
         beyond = np.abs(np.vecmat(between, turns[at, one])) - half - np.matvec(np.abs(cosines), halves)
         back = np.abs(np.vecmat(between, turns[at, other])) - halves - np.vecmat(half, np.abs(cosines))
         near = np.maximum(beyond.max(axis=1), back.max(axis=1)) < wanted[at, index]
-        crowded = np.bincount(at[near], minlength=count) > most
-        near &= ~crowded[at]
         at, index = at[near], index[near]
         # Of the geoms themselves, without their offsets.
         limits, last = cutoff[at, index] + self._offset[index], -1
         distance, segments = np.empty(len(at)), np.empty((len(at), 6))
         rows = zip(at.tolist(), self.pairs[index].tolist(), limits.tolist(), segments, strict=True)
-        for row, (k, (one, other), most, segment) in enumerate(rows):
+        for row, (k, (first, second), limit, segment) in enumerate(rows):
             if k != last:
                 self._move_to(qpos[k])
                 last = k
-            distance[row] = mujoco.mj_geomDistance(model, self._data, one, other, most, segment)
+            distance[row] = mujoco.mj_geomDistance(model, self._data, first, second, limit, segment)
         kept = distance < limits
-        return at[kept], index[kept], distance[kept], segments[kept].reshape(-1, 2, 3), crowded
+        return at[kept], index[kept], distance[kept], segments[kept].reshape(-1, 2, 3)
 
     def clearance(self, q: ArrayLike) -> float:
         """The smallest signed distance at ``q`` ``(n,)`` [m]; negative in penetration, infinite without pairs."""

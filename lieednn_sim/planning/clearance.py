@@ -12,6 +12,7 @@ moves counts with its whole reach. Nothing is proved of parts that closed loops 
 
 from __future__ import annotations
 
+import math
 import threading
 from functools import lru_cache
 
@@ -25,8 +26,9 @@ from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, NoSolutionError, PlanError
 from lieednn_sim.values import Floats, frozen
 
-# Intervals to begin with; and how many bounds are worth while, besides one for every fourth sample.
-_FIRST, _MOST = 16, 256
+# Intervals to begin with, and the way in one of them, which is rarely proved if it is longer [rad, m]; and how many
+# bounds are worth while, besides one for every fourth sample.
+_FIRST, _WAY, _MOST = 16, 0.2, 256
 # Intervals shorter than this fraction of a step are not divided.
 _SHORTEST = 1.0 / 4096.0
 # Distance beyond which nothing is measured, and one up to which all is [m]; and how near the proved clearance comes to
@@ -152,7 +154,7 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     """
     bounds, step = bounds_of(arm), float(t[1] - t[0])
     cubics = Cubics(step, q, qd)
-    begin, end = _edges(len(t) - 1)
+    begin, end = _edges(q)
     tested = 0
     # Most motions that touch something do so here, and a test costs a fiftieth of a bound.
     _test(arm, step, cubics, begin)
@@ -195,7 +197,7 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
     if isinstance(bounds, str):
         return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0, bounds)
     cubics = Cubics(step, q, qd, off)
-    begin, end = _edges(len(t) - 1)
+    begin, end = _edges(q)
     nearest, bound, time, pair = FAR, FAR, 0.0, (-1, -1)
     unproved: list[tuple[float, float]] = []
     measured, coarse = 0, 0.1 if off is None else len(t) / 32.0
@@ -233,9 +235,10 @@ def least_of(bounds: ClearanceBounds, at: Floats, way: Floats, rest: Floats, cut
         return np.full(len(at), -1.0), np.full((len(at), 2), -1)
 
 
-def _edges(last: int) -> tuple[Floats, Floats]:
-    """Begin and end of the first intervals of ``last`` steps."""
-    edges = np.unique(np.linspace(0, last, _FIRST + 1).round())
+def _edges(q: Floats) -> tuple[Floats, Floats]:
+    """Begin and end of the first intervals of a motion ``(K, n)``, in steps."""
+    way = float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
+    edges = np.unique(np.linspace(0, len(q) - 1, max(_FIRST, math.ceil(way / _WAY)) + 1).round())
     return edges[:-1], edges[1:]
 
 

@@ -37,9 +37,10 @@ _EASING_WIDTH = 0.1
 # Half width of the average over recorded times, as a fraction of their duration.
 _RECORDED_WIDTH = 0.05
 _PIECES = 1000  # of the path, of equal length
-_GRID = 300  # pieces with one acceleration of the law on each
+_GRID = 400  # pieces with one acceleration of the law on each
 _STRETCHED = 1.01  # times TOPP-RA's duration, in which no averages are looked for
 _ROUNDING = 1e-8  # what rounding moves a joint by whose goal is where it starts [rad, m]
+_RESERVE = 1.1  # times the least duration, of a guide
 _INSTANTS = 2000  # at which laws are sampled
 
 
@@ -121,12 +122,14 @@ def _through(s: Floats, fraction: Floats, slope: Floats) -> Law:
     return lambda x: (np.clip(law(x), 0.0, 1.0), np.maximum(rate(x), 0.0))
 
 
-def retime(arm: Arm, motion: Motion) -> Motion:
+def retime(arm: Arm, motion: Motion, *, guiding: bool = False) -> Motion:
     """Make a motion along the path of another one, as fast as velocity, acceleration and jerk limits allow.
 
     Args:
         arm: the motion's arm, in its scene.
         motion: a motion from rest to rest, at any pace.
+        guiding: whether the result only guides another motion. Then it is not checked, and takes a tenth longer, so
+            that one a little off its path keeps the limits, too.
 
     Returns:
         The motion; its duration is the least one found, rounded up to a time step, or a few thousandths more. A motion
@@ -143,6 +146,8 @@ def retime(arm: Arm, motion: Motion) -> Motion:
     law = path.fastest()
     duration = max(float(law.x[-1]), 2.0 * arm.timestep)
     count_steps(duration, arm.timestep)
+    if guiding:
+        return path.motion(law, math.ceil(_RESERVE * duration / arm.timestep))
     for _ in range(20):
         result = path.motion(law, math.ceil(duration / arm.timestep))
         try:

@@ -28,7 +28,7 @@ from lieednn_sim.values import Floats
 
 # A curve to be followed at the limits is first tested for contact at this many places, and then sampled as a motion of
 # this many steps, before its time law is computed.
-_PLACES, _STEPS = 768, 2000
+_PLACES, _STEPS = 512, 2000
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ class SmoothingOptions(PlannerOptions):
         fastest: follow the smoothest curve that is free of contact as fast as the arm's limits allow, whatever the
             duration (`retime`). Otherwise the whole motion gets the time that its sharpest corner needs, and
             `plan(fastest=True)` only speeds up the curve chosen that way.
+        guiding: whether the motion only guides another one, which is checked and timed in the end: then what
+            ``fastest`` finds is not.
     """
 
     control_points: tuple[int, ...] = field(
@@ -48,6 +50,7 @@ class SmoothingOptions(PlannerOptions):
     )
     bend: float = 8.0
     fastest: bool = False
+    guiding: bool = False
 
 
 def motion_along(
@@ -71,7 +74,7 @@ def motion_along(
             continue
         try:
             if options.fastest and count is not None and moves:
-                return _fastest(problem, corners, count, options.bend)
+                return _fastest(problem, corners, count, options)
             curve = stopping(problem, corners) if count is None else smoothed(problem, corners, count, options.bend)
             motion = joint_motion(problem, *curve)
             if options.fastest:
@@ -121,7 +124,7 @@ def motion_along_first(
     return in_time(motion, problem)
 
 
-def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> Motion:
+def _fastest(problem: PlanningProblem, corners: Floats, count: int, options: SmoothingOptions) -> Motion:
     """The motion along a smooth curve at the arm's limits, whatever the problem's duration."""
     arm, places = problem.arm, np.arange(_PLACES + 1)
     # Every sixteenth first, so that most contacts are found early.
@@ -130,7 +133,8 @@ def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float)
     if any(arm.near_contacts_along(joint_scale(arm) * curve(places / _PLACES))):
         raise PlanError("the curve touches something")
     slow = replace(problem, duration=_STEPS * arm.timestep)
-    return retime(arm, joint_motion(slow, *smoothed(slow, corners, count, bend), checked=False))
+    motion = joint_motion(slow, *smoothed(slow, corners, count, options.bend), checked=False)
+    return retime(arm, motion, guiding=options.guiding)
 
 
 def smoothed(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> tuple[Floats, Floats, Floats]:

@@ -51,8 +51,13 @@ _SEARCH = RrtConnectOptions(
 OPTIONS: Mapping[str, PlannerOptions] = {
     "rrt-connect": _SEARCH,
     # Its guide is minimum jerk, or else the same search, for a fair comparison with it. Contacts of a network that
-    # deviates a little are found by the check of its motion.
-    "lieednn-shaped": ShapedOptions(guide=GuideOptions(optimised=False, search=_SEARCH), guides=100, deviation=1e-2),
+    # deviates a little are found by the check of its motion. Fewer neurons would rarely do for paths this long.
+    "lieednn-shaped": ShapedOptions(
+        guide=GuideOptions(optimised=False, search=replace(_SEARCH, guiding=True)),
+        guides=100,
+        deviation=1e-2,
+        neurons=(64,),
+    ),
 }
 
 
