@@ -140,30 +140,23 @@ def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
     return np.where(known[:, None], np.stack([low, high], axis=1), [-np.inf, np.inf])
 
 
-def resting_load(model: mujoco.MjModel, configurations: Floats, *, limited: bool = False) -> Floats:
-    """Generalised forces ``(S, nv)`` that actuators need to hold the model at rest, as of `required_forces`."""
-    rest = np.zeros((len(configurations), model.nv))
-    return required_forces(model, configurations, rest, rest, limited=limited)
-
-
 def required_forces(
     model: mujoco.MjModel,
     qpos: Floats,
-    qvel: Floats,
-    qacc: Floats,
+    qvel: Floats | float = 0.0,
+    qacc: Floats | float = 0.0,
     *,
     limited: bool = False,
     grasp: Grasp | None = None,
 ) -> Floats:
-    """Forces ``(S, nv)`` that actuators need for a motion, M qacc + bias - passive, without contacts and dry friction.
+    """Generalised forces ``(S, nv)`` that actuators need for a motion, after gravity compensation and springs.
 
-    Gravity compensation and springs are left out, which act of their own.
+    They are those of inverse dynamics, M qacc + bias - passive, without contacts and dry friction.
 
     Args:
         model: the compiled model, which is not changed.
         qpos: MuJoCo's positions ``(S, nq)``.
-        qvel: its velocities ``(S, nv)``.
-        qacc: its accelerations ``(S, nv)``.
+        qvel, qacc: its velocities and accelerations ``(S, nv)``; by default at rest.
         limited: whether forces that ``actuatorfrcrange`` limits are meant: it limits compensation by actuators as well.
         grasp: a free body whose forces the body that carries it exerts.
     """
@@ -173,6 +166,7 @@ def required_forces(
     if limited:
         by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0
     forces, compensated = np.empty((len(qpos), model.nv)), bool(by_actuator.any())
+    qvel, qacc = (np.broadcast_to(rates, forces.shape) for rates in (qvel, qacc))
     inertial, (linear, angular) = np.zeros(model.nv), np.zeros((2, 3, model.nv))
     bias, passive, compensation = data.qfrc_bias, data.qfrc_passive, data.qfrc_gravcomp
     for force, data.qpos[:], data.qvel[:], acceleration in zip(forces, qpos, qvel, qacc, strict=True):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.forces import resting_load
+from lieednn_sim.arm.forces import required_forces
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import Floats
@@ -66,7 +66,7 @@ def spare_acceleration(model: mujoco.MjModel, configurations: Floats, rates: Flo
     the configurations; arguments are as in `largest_inertia`.
     """
     inertia = largest_inertia(model, configurations, rates)
-    load = np.abs(np.vecmat(resting_load(model, configurations, limited=True), rates)).max(axis=0)
+    load = np.abs(np.vecmat(required_forces(model, configurations, limited=True), rates)).max(axis=0)
     # A limit of zero would allow no motion; where an actuator cannot hold its load, plans and runs say so.
     known = (force > load) & (inertia > 0.0)
     return np.where(known, _ACCELERATING_FRACTION * (force - load) / np.where(known, inertia, 1.0), np.inf)

@@ -14,7 +14,7 @@ from lieednn_sim.arm.forces import (
     constant_moments,
     control_ranges,
     dry_friction,
-    resting_load,
+    required_forces,
     servo_gains,
     tangent_basis,
 )
@@ -61,7 +61,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
     """For each coordinate, the causes of its error ``(n,)`` by the model, and their remedies."""
     arm, model, basis = rollout.arm, rollout.arm.model, tangent_basis(rollout.arm.space)
     kp, _ = servo_gains(model, basis)
-    load = np.abs(resting_load(model, rollout.qpos[-1:])[0] @ basis)
+    load = np.abs(required_forces(model, rollout.qpos[-1:])[0] @ basis)
     (pace, mass), limits = _pace(rollout), arm.force_limits
     # The feedback of feedback-linearisation is that of servos, where there are any.
     plain, linearised = (rollout.controller == name for name in ("position-servo", "feedback-linearisation"))

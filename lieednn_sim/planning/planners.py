@@ -20,7 +20,7 @@ from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Duration, Plan, PlanningProblem, durations, in_time
-from lieednn_sim.planning.statics import TooWeakError, check_held
+from lieednn_sim.planning.statics import check_held
 from lieednn_sim.planning.time_laws import retime
 from lieednn_sim.registry import PLANNERS, PlannerEntry, optional_module
 from lieednn_sim.validation import Seed, as_seed
@@ -184,7 +184,7 @@ def plan(
                 result = _solved(entry, replace(first, target=goal), *given)
                 motion = retime(free, result.motion) if fastest else result.motion
                 check_path_constraint(arm, path_constraint, motion)
-            except (PlanError, NotCertifiedError, TooWeakError) as error:
+            except (PlanError, NotCertifiedError) as error:
                 refusal = error
             else:
                 spent = cpu_time() - begin

@@ -12,7 +12,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.arm.dependents import tied_joints
 from lieednn_sim.arm.equalities import joint_range
-from lieednn_sim.arm.forces import actuator_moments, affine_actuators, disabled_actuators, resting_load
+from lieednn_sim.arm.forces import actuator_moments, affine_actuators, disabled_actuators, required_forces
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_floats, quoted
 from lieednn_sim.values import Floats
@@ -96,7 +96,7 @@ def give_controls(
     At home these are the controls of the keyframe that it was taken from, if it has some, else those that hold the
     robot there against its load; other keyframes take what they lack from that.
     """
-    (load,) = resting_load(model, qpos[None])
+    (load,) = required_forces(model, qpos[None])
     moments = actuator_moments(model)
     driven = np.abs(moments).max(axis=0, initial=0.0) > 0.0
     forces = np.linalg.lstsq(moments[:, driven].T, load[driven], rcond=None)[0] if driven.any() else 0.0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, colliding_geoms
-from lieednn_sim.arm.forces import disabled_actuators, dry_friction, resting_load
+from lieednn_sim.arm.forces import disabled_actuators, dry_friction, required_forces
 from lieednn_sim.arm.importer.report import Servo
 from lieednn_sim.arm.kinematics import least_singular_value
 from lieednn_sim.arm.step_stability import step_remedy
@@ -84,7 +84,7 @@ def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
     if unstable := step_remedy(arm.model, arm.qpos(q[0])):
         yield unstable
     basis = arm.unit_rates()
-    loads = resting_load(arm.model, arm.qpos(q, strict=False), limited=True) @ basis
+    loads = required_forces(arm.model, arm.qpos(q, strict=False), limited=True) @ basis
     for servo, friction, load in zip(servos, dry_friction(arm.model, basis), loads.T, strict=True):
         if servo.kp and servo.frequency < _SLOW:
             slow = f"its servo is slow, {servo.frequency:.2g} Hz, and follows motions badly"

@@ -16,7 +16,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.forces import resting_load, tangent_basis
+from lieednn_sim.arm.forces import required_forces, tangent_basis
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.disturbances import Noise
@@ -150,7 +150,7 @@ class PositionServo(FeedforwardServo):
         forces = self._damping * velocity
         if self._loaded is not None:
             firsts, run = runs(qpos)
-            forces += resting_load(self._loaded, qpos[firsts])[run]
+            forces += required_forces(self._loaded, qpos[firsts])[run]
         return self._actuators.servo_controls(qpos, velocity, forces)
 
 
