@@ -85,8 +85,8 @@ class ClearanceMonitor:
         allowed = float(self.allowed[first : last + 1].min())
         if np.linalg.norm(widest) < allowed:
             return ""
-        bounds = self._bounds
-        assert not isinstance(bounds, str)
+        if isinstance(bounds := self._bounds, str):
+            return f"{leaves} {bounds}"
         begin = min(begin, self._last - 1.0)
         self._off[int(begin) : int(np.ceil(end)) + 1] = widest
         middle, way, rest, _ = self._cubics.around([begin], [end])
