@@ -102,10 +102,10 @@ def status(snapshot: Snapshot) -> str:
         pace = f"{tick.time:.1f} s, paused"
     elif session.achieved <= 0.95 * session.speed:
         pace = f'<b style="color:{_BAD}">{pace}: this machine is too slow for {session.speed:g} times</b>'
-    if (way := session.way) is not None:
+    if (way := session.way) is not None and not way.clearance.reason:
         where = "inside" if way.holds(tick.q) else f'<b style="color:{_BAD}">outside</b>'
-        colour = _GOOD if way.clearance.proved else _BAD
-        rows += [("way ahead", f'<b style="color:{colour}">{way.clearance.at()}</b><br>the arm is {where}')]
+        proved = f'<b style="color:{_GOOD if way.clearance.proved else _BAD}">{way.clearance.at()}</b>'
+        rows += [("way ahead", f"{proved}<br>the arm is {where}")]
     rows += [("clearance", clearance), ("tracking error", _millimetres(snapshot.tracking)), ("time", pace)]
     table = "".join(f"<tr>{_NAME}{name}</td>{_VALUE}{value}</td></tr>" for name, value in rows)
     line = f'<div style="color:{colour};min-height:2.7em;font-size:.88em;padding-bottom:.3em">{escape(said)}</div>'

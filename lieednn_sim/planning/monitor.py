@@ -47,10 +47,9 @@ class ClearanceMonitor:
         self._middle, self._way, self._rest, _ = self._cubics.around(self.edges[:-1], self.edges[1:])
         self.allowed = np.zeros(len(self._rest))
         if not isinstance(bounds, str):
-            given = self._middle, self._way, np.stack([self._rest] * 2, axis=1), np.ones((len(self._rest), 1))
-            # In parts, for the memory.
-            parts = zip(*(np.array_split(values, 4) for values in given), strict=True)
-            self.allowed = np.concatenate([bounds(q, way, rest, unit, FAR)[0] for q, way, rest, unit in parts])
+            for part in np.array_split(np.arange(len(self._rest)), 4):  # in parts, for the memory
+                rests, one = np.stack([self._rest[part]] * 2, axis=1), np.ones((len(part), 1))
+                self.allowed[part] = bounds(self._middle[part], self._way[part], rests, one, FAR)[0]
 
     @classmethod
     def of(cls, arm: Arm, motion: Motion) -> ClearanceMonitor:
@@ -86,8 +85,8 @@ class ClearanceMonitor:
         allowed = float(self.allowed[first : last + 1].min())
         if np.linalg.norm(widest) < allowed:
             return ""
-        bounds = self._bounds
-        assert not isinstance(bounds, str)
+        if isinstance(bounds := self._bounds, str):
+            return f"{leaves} {bounds}"
         begin = min(begin, self._last - 1.0)
         self._off[int(begin) : int(np.ceil(end)) + 1] = widest
         middle, way, rest, _ = self._cubics.around([begin], [end])

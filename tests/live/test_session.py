@@ -95,6 +95,7 @@ def test_the_way_ahead_is_proved_to_be_clear_until_the_arm_is_pushed_off_it(begi
     assert proved.bound <= min(measured) + 5e-4, "the arm follows to half of a millimetre"
     words = f"{proved.at()}</b><br>the arm is "
     assert f"{words}inside" in status(observer.look())
+    assert "color:inherit;min-height" in status(observer.look())
     session.push(arm.link_names[-1], [300.0, 300.0, 0.0], 0.3)
     session.advance(20)
     assert f"{words}<b" in status(observer.look())

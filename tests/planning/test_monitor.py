@@ -95,7 +95,13 @@ def test_what_is_no_proof_is_not_watched(planned):
     there = MovingObstacle(other, [0.0, 1.0], [[2.0, 2.0, 0.5], [2.0, 2.1, 0.5]])
     with pytest.raises(InputError, match="stop_outside needs a single motion, in a scene at rest"):
         simulate(arm, made, disturbances=Disturbances(obstacles=(there,)), stop_outside=True)
-    through = Arm.load("telescopic_pr", scene="window", seed=2)
-    if arm.name == through.name:
-        with pytest.raises(InputError, match="a proof that does not exist: not proved from"):
-            simulate(through, made, stop_outside=True)
+    elsewhere = Arm.load(arm.name, scene=arm.scene, seed=4)
+    with pytest.raises(InputError, match="a proof that does not exist: not proved from"):
+        simulate(elsewhere, made, stop_outside=True)
+
+
+def test_what_moves_besides_the_arm_is_outside(planned):
+    arm, made = planned
+    monitor, q = ClearanceMonitor.of(arm, made.motion), made.motion.q[0]
+    assert monitor.left(0, q, arm.qpos(q) + 5e-4) == ""
+    assert monitor.left(0, q, arm.qpos(q) + 2e-3).endswith("at t = 0.000 s: more has moved than the arm")
