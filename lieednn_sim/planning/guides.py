@@ -9,7 +9,7 @@ fails, on no optional library.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from operator import itemgetter
 
@@ -66,7 +66,7 @@ class GuideOptions(PlannerOptions):
     search: RrtConnectOptions = _RRT
 
 
-def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[Plan], Plan]) -> Plan:
+def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[Plan], Plan], seeds: int = 1) -> Plan:
     """The plan that follows the first guide that can be followed.
 
     A guide's plan has the name of the planner whose motion it is, with ", optimised" if it was. Minimum jerk comes
@@ -76,17 +76,25 @@ def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[
     Args:
         problem, options: the problem, and how guides are found.
         follow: makes a checked plan that follows a guide, or raises `PlanError`.
+        seeds: largest number of seeds with which guides are looked for, while there are some that cannot be followed.
 
     Raises:
         LieEDNNError: RRT-Connect is asked, but OMPL is not installed.
         PlanError: no guide finds a motion that can be followed; the message has the reason of each.
     """
-    begin, refusals = cpu_time(), list[str]()
-    for name, solve in _motions(problem, options):
-        try:
-            return follow(Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begin))
-        except PlanError as error:
-            refusals.append(f"{name}: {error}")
+    begin = cpu_time()
+    for attempt in range(seeds):
+        refusals, others = list[str](), False
+        for name, solve in _motions(replace(problem, seed=problem.seed + attempt), options):
+            try:
+                guide = Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begin)
+                # Minimum jerk is the same for all seeds.
+                others |= name != "minimum-jerk"
+                return follow(guide)
+            except PlanError as error:
+                refusals.append(f"{name}: {error}")
+        if not others:
+            break
     if problem.path_constraint is not None:
         refusals.append("no other way within it was found")
     raise PlanError(f"no guide finds a motion that a network follows; {'; '.join(refusals)}")

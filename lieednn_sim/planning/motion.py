@@ -15,7 +15,7 @@ from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, check_fields, frozen
 
 LIMIT_TOLERANCE = 1e-6  # by which positions may exceed a limit [rad, m]: a target on one is reached up to the residual
-_JUMP = 0.02  # by which a step between samples exceeds at most what the velocities explain [rad, m]
+JUMP = 0.02  # by which a step between samples exceeds at most what the velocities explain [rad, m]
 _LOOKS = 33  # at the samples of a motion that is checked roughly
 _MAX_STEPS = 100_000  # 200 s at a simulation step of 2 ms; longer motions would take minutes to plan
 
@@ -212,7 +212,7 @@ def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     _check_positions(arm, t, q)
     # Steps much longer than twice what the velocities at their ends explain are jumps, which no duration mends.
     step, speed = np.abs(np.diff(q, axis=0)), np.maximum(np.abs(qd[1:]), np.abs(qd[:-1]))
-    unexplained = step - 2.0 * timestep * speed - np.minimum(_JUMP, timestep * arm.velocity_limits)
+    unexplained = step - 2.0 * timestep * speed - np.minimum(JUMP, timestep * arm.velocity_limits)
     k, joint = map(int, np.unravel_index(unexplained.argmax(), unexplained.shape))
     if unexplained[k, joint] > 0.0:
         raise PlanError(

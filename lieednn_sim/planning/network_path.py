@@ -19,10 +19,11 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, PchipInterpolator, make_interp_spline
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.projection import Retraction
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
 from lieednn_sim.planning.joint_space import joint_scale
-from lieednn_sim.planning.motion import Motion, check_motion, count_steps
+from lieednn_sim.planning.motion import JUMP, Motion, check_motion, count_steps
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law, step_lengths
 from lieednn_sim.synthesis import CurveEncoder
@@ -36,7 +37,7 @@ class NetworkPath:
     """The path of an arm that follows a network; `timed` makes motions along it.
 
     Positions on it are the network's own time tau, or w = 1 - e^-tau, in which that of a universal network is smooth to
-    its end.
+    its end. The joints are decoded at some of them; a spline through these is good to a micrometre.
 
     Attributes:
         arm: decodes states to joint positions.
@@ -46,9 +47,10 @@ class NetworkPath:
         states: from positions ``(K,)`` to the states of all neurons there, or of the visible ones if there are joints.
         speed: the speed along the path as a function of position, up to its end: that of the joints in units of their
             limits, combined with the rate of convergence, or that of the network's states. None if nothing moves.
-        joints: joint positions as a function of w, decoded beforehand; None if they are decoded at each sample, and
-            positions are tau.
-        gaps: mechanism gap ``(2, N)`` [m] and [rad] as a function of w, interpolated where joints are; else None.
+        joints: joint coordinates ``(n,)`` as a function of position.
+        slopes: their derivatives.
+        gaps: mechanism gap ``(2, N)`` [m] and [rad] as a function of position.
+        universal: whether positions are w.
     """
 
     arm: Arm
@@ -57,8 +59,10 @@ class NetworkPath:
     target: Floats
     states: Callable[[Floats], Floats]
     speed: PchipInterpolator | None
-    joints: BSpline | None = None
-    gaps: PchipInterpolator | None = None
+    joints: BSpline
+    slopes: BSpline
+    gaps: PchipInterpolator
+    universal: bool = False
 
     @classmethod
     def integrate(
@@ -77,7 +81,9 @@ class NetworkPath:
             raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
         target = equilibrium.xi
         if np.abs(origin - target).max() <= RESIDUAL:
-            return cls(arm, network, begin, network.visible(target), lambda at: np.stack([origin] * len(at)), None)
+            still, none = make_interp_spline([0, 1], [begin, begin], 1), np.zeros((2, 2, arm.n_links))
+            rest = None, still, still.derivative(), PchipInterpolator([0, 1], none)
+            return cls(arm, network, begin, network.visible(target), lambda at: np.stack([origin] * len(at)), *rest)
         # The pace is gamma's far from the equilibrium, and the slowest eigenvalue's close to it.
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
         longest = 100.0 / network.gamma + 40.0 / pace
@@ -101,19 +107,24 @@ class NetworkPath:
         grid = np.append(between, trajectory.t[-1])
         states = trajectory(grid)
         field = network.visible(network.vector_field(states))
+        decoded = arm.decode(network.visible(states), field, begin)
+        # Where a link's joints are exactly singular, nothing bounds their rates. A step much longer than twice what the
+        # rates at its ends explain leads to another of two configurations that are equally near.
+        fastest = np.maximum(np.abs(decoded.qd[1:]), np.abs(decoded.qd[:-1]))
+        unexplained = np.abs(np.diff(decoded.q, axis=0)) - 2.0 * np.diff(grid)[:, None] * fastest
+        if not (fastest < 1e100).all() or unexplained.max() > JUMP:
+            raise PlanError("the joint positions nearest to the network's path jump; use another network")
         if units is None:
             weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
-            qd = arm.decode(network.visible(states), field, begin).qd
-            # Where a link's joints are exactly singular, nothing bounds them.
-            if not (np.abs(qd) < 1e100).all():
-                raise PlanError("the joint positions nearest to the network's path jump; use another network")
-            rates = np.linalg.norm(qd / weights, axis=-1)
+            rates = np.linalg.norm(decoded.qd / weights, axis=-1)
             rates = np.hypot(rates, pace * np.linalg.norm(network.visible(states - target), axis=(-2, -1)))
         else:
             rates = np.linalg.norm(field * units, axis=(-2, -1))
         # Shape-preserving, so that the speed stays positive between its samples.
         speed = PchipInterpolator(grid, rates)
-        return cls(arm, network, begin, network.visible(target), trajectory, speed)
+        joints, slopes = (make_interp_spline(grid, values, 5) for values in (decoded.q, decoded.qd))
+        moving = joints, slopes, _gaps(grid, decoded)
+        return cls(arm, network, begin, network.visible(target), trajectory, speed, *moving)
 
     @classmethod
     def encoded(cls, arm: Arm, network: LieEDNN, given: Motion, units: Floats) -> NetworkPath:
@@ -131,7 +142,7 @@ class NetworkPath:
         visible = CurveEncoder(network.n_visible, network.activation).path(network, given.xi[0])
         w = visible.x
         speed = PchipInterpolator(w, np.linalg.norm(visible(w, 1) * units, axis=(-2, -1)))
-        # Decoded at every third instant, and at all where they become denser; the spline is good to a micrometre.
+        # Decoded at every third instant, and at all where they become denser.
         some = w[(np.arange(len(w)) % 3 == 0) | ((w > 0.95) & (w < 0.9999)) | (w == w[-1])]
         # Both paths have about the same length; guesses are taken from some samples of the motion's.
         known = np.append(np.arange(0, len(given.t) - 1, 4), len(given.t) - 1)
@@ -139,8 +150,8 @@ class NetworkPath:
         near = np.stack([np.interp(length, passed, joint) for joint in given.q[known].T], axis=1)
         decoded = arm.decode(visible(some), start=near)
         joints = make_interp_spline(some, decoded.q, 5)
-        gaps = PchipInterpolator(some, np.stack([decoded.gap_translation, decoded.gap_rotation], axis=1))
-        return cls(arm, network, given.q[0], network.bias[: network.n_visible], visible, speed, joints, gaps)
+        moving = joints, joints.derivative(), _gaps(some, decoded)
+        return cls(arm, network, given.q[0], network.bias[: network.n_visible], visible, speed, *moving, universal=True)
 
     def timed(self, duration: float, timestep: float, law: Law | None = None) -> Motion:
         """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`.
@@ -164,16 +175,10 @@ class NetworkPath:
             position = _invert(length, speed, speed.x, total * progress)
             rate = total * progress_rate / (t[-1] * np.maximum(speed(position), 1e-300))
         states = self.states(position)
-        if self.joints is None or self.gaps is None:
-            tau, xi = position, self.network.visible(states)
-            decoded = self.arm.decode(xi, self.network.visible(self.network.vector_field(states)), self.start)
-            q, along, gaps = decoded.q, decoded.qd, (decoded.gap_translation, decoded.gap_rotation)
-        else:
-            tau, xi, q, along = -np.log1p(-position), states, self.joints(position), self.joints(position, 1)
-            gaps = tuple(np.moveaxis(self.gaps(position), 1, 0))
-        qd = along * rate[:, None]
+        tau, xi = (-np.log1p(-position), states) if self.universal else (position, self.network.visible(states))
+        q, qd = self.joints(position), self.slopes(position) * rate[:, None]
         qd[[0, -1]] = 0.0
-        return Motion(t, tau, xi, self.target, q, qd, *gaps)
+        return Motion(t, tau, xi, self.target, q, qd, *np.moveaxis(self.gaps(position), 1, 0))
 
 
 def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> None:
@@ -222,6 +227,11 @@ def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Moti
             "take a target on this side of the configurations at which a link's pose does not tell its joints apart"
         )
     return motion
+
+
+def _gaps(at: Floats, decoded: Retraction) -> PchipInterpolator:
+    """Mechanism gaps as of `NetworkPath`, through those at positions ``(K,)``."""
+    return PchipInterpolator(at, np.stack([decoded.gap_translation, decoded.gap_rotation], axis=1))
 
 
 def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, wanted: Floats) -> Floats:

@@ -78,14 +78,7 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
         LieEDNNError: OMPL is needed but not installed.
         PlanError: no guide finds a motion, or no network follows it closely enough.
     """
-    for attempt in range(options.guides):
-        guided = replace(problem, seed=problem.seed + attempt)
-        try:
-            return followed(guided, options.guide, partial(followed_guide, problem, options))
-        except PlanError:
-            if attempt + 1 == options.guides:
-                raise
-    raise AssertionError("options.guides is at least one")
+    return followed(problem, options.guide, partial(followed_guide, problem, options), options.guides)
 
 
 def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan) -> Plan:

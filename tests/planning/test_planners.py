@@ -87,9 +87,9 @@ def test_every_planner_goes_from_rest_to_rest_within_the_limits_and_does_so_agai
     # The states are those that the joints follow: decoded anew they give positions and gap.
     decoded = ARM.decode(motion.xi)
     np.testing.assert_allclose(decoded.q, motion.q, atol=1e-9)
-    # That of a universal network is interpolated.
-    np.testing.assert_allclose(decoded.gap_translation, motion.gap_translation, atol=1e-7)
-    np.testing.assert_allclose(decoded.gap_rotation, motion.gap_rotation, atol=1e-7)
+    # It is interpolated.
+    np.testing.assert_allclose(decoded.gap_translation, motion.gap_translation, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(decoded.gap_rotation, motion.gap_rotation, rtol=1e-3, atol=1e-6)
     # Velocities are the derivatives, of fourth order, since the steps are coarse.
     q = motion.q
     numeric = (8.0 * (q[3:-1] - q[1:-3]) - (q[4:] - q[:-4])) / (12.0 * step)
