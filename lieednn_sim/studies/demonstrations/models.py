@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.budget import cpu_time
+from lieednn_sim.budget import cpu_time, report
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstrations
@@ -128,7 +128,6 @@ def compare_models(
     starts: int = 1000,
     leave_one_out: bool = True,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[list[ModelRow], dict[str, MotionModel]]:
     """Compare a shaped network with models that have as many parameters.
 
@@ -141,7 +140,6 @@ def compare_models(
         starts: number of random starts, see `random_starts`.
         leave_one_out: fit each model again without each of the demonstrations, the network with as many hidden neurons.
         seed: seed of the starts.
-        progress: called with the steps done and their total.
 
     Returns:
         A row for each model, and the models by name, the network first.
@@ -161,8 +159,7 @@ def compare_models(
             seconds = shaped.cpu_time if name == shaped.name else cpu_time() - start
             without = []
             for k in folds:
-                if progress:
-                    progress(number * (len(folds) + 1) + k, len(names) * (len(folds) + 1))
+                report(number * (len(folds) + 1) + k, len(names) * (len(folds) + 1))
                 without.append(_errors(_fit(shaped, name, shown.without(k)), shown, shown.twists[k]))
             row = ModelRow(
                 model=name,
