@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 
 from lieednn_sim import io
-from lieednn_sim.budget import reporting
 from lieednn_sim.cli.arguments import Look, Planning, Simulating, still_look
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
@@ -132,7 +131,7 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
             at = f"the push on {push.body!r} at {push.start:g} s"
             raise InputError(f"{at} would begin when the run is over, at {end:g} s")
     try:
-        with progress("simulate") as bar, reporting(bar):
+        with progress("simulate"):
             rollout = simulate_motion(
                 arm,
                 motion,
@@ -174,7 +173,7 @@ def _render(run: RunDirectory, path: Path, look: Look) -> None:
     if path.suffix != ".html":
         backend = opengl.require()
         console.print(f"rendering with {backend.name}: {backend.detail}")
-    with progress("render") as bar, reporting(bar), io.atomic_path(path) as temporary:
+    with progress("render"), io.atomic_path(path) as temporary:
         if path.suffix == ".png":
             from lieednn_sim.rendering.still import render_still
 

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 from lieednn_sim import io
 from lieednn_sim.arm.obstacles import describe, load_obstacles
-from lieednn_sim.budget import reporting
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, progress, to_stderr, wrote
 from lieednn_sim.cli.kinds import CommandLine, Directory, File
@@ -124,7 +123,7 @@ def _views(table: Table[Row], problems: Sequence[Sequence[Case]], controller: st
     views: list[View] = []
     for cases in problems:
         try:
-            with progress(f"view {len(views) + 1}") as bar, reporting(bar):
+            with progress(f"view {len(views) + 1}"):
                 views.append(view(table, cases, controller))
         except LieEDNNError as error:
             console.print(f"no view of {cases[0].arm}, {cases[0].scene}: {error}")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from lieednn_sim.budget import reporting
 from lieednn_sim.errors import NotCertifiedError
 from lieednn_sim.network import ComponentwiseNetwork
 
@@ -29,17 +30,18 @@ def to_stderr() -> Console:
 
 
 @contextlib.contextmanager
-def progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar on stderr, if that is a terminal; yields a function of the steps done and their total.
+def progress(what: str) -> Iterator[None]:
+    """Show a progress bar on stderr, if that is a terminal, of what the block reports (`budget.report`).
 
-    Until it is called, only the time is shown.
+    Until then, only the time is shown.
     """
     description = TextColumn("{task.description:<10}", markup=False)
     columns = (description, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     stderr = to_stderr()
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
         shown = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(shown, completed=done, total=total)
+        with reporting(lambda done, total: bar.update(shown, completed=done, total=total)):
+            yield
 
 
 def print_stability(network: ComponentwiseNetwork, xi: ArrayLike) -> None:

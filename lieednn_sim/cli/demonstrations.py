@@ -135,8 +135,8 @@ def _learn_poses(files: Sequence[str], reading: Reading, fitting: Fitting, run: 
     outputs = [run.network, run.report, run.plot("paths"), run.plot("field")]
     with io.output_folder(run.path, "demonstrations"):
         shaped = ShapedMotion.fit(demonstrations, fitting.deviation, options, family=fitting.family)
-        with progress("learn") as bar:
-            rows, models = compare_models(demonstrations, shaped, rivals=rivals, aligned=aligned, **how, progress=bar)
+        with progress("learn"):
+            rows, models = compare_models(demonstrations, shaped, rivals=rivals, aligned=aligned, **how)
         with io.atomic_paths(outputs) as (network, report, paths, field):
             shaped.network.save(network)
             goal = demonstrations.goal
@@ -187,8 +187,8 @@ def _learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run
     with run.at_work():
         learned = JointMotion.fit(shown, fitting.deviation, options, family=fitting.family)
         motion, refusal = learned.planned(shown.mean[0])
-        with progress("learn") as bar:
-            study, paths = study_joints(shown, learned, **how, progress=bar)
+        with progress("learn"):
+            study, paths = study_joints(shown, learned, **how)
         duration = float(motion.t[-1])
         asked = {"files": list(files), **asdict(fitting)}
         about = {"planner": "learn", "reason": "demonstrated", "options": asked}

@@ -41,8 +41,8 @@ def export(
     if episodes is not None:
         if format != "lerobot" or runs:
             raise InputError("--episodes are recorded in the format lerobot, and of no runs")
-        with progress("record") as report:
-            written = record(output, episodes, **recorded, progress=report)
+        with progress("record"):
+            written = record(output, episodes, **recorded)
         wrote(*written)
         return
     if recorded:

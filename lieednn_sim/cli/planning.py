@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
-from lieednn_sim.budget import reporting, time_limit
+from lieednn_sim.budget import time_limit
 from lieednn_sim.cli.arguments import RANDOM, Planning, joint_position, read_options
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
@@ -77,7 +77,7 @@ def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = (), p
     about, lasts = {"planner": planner, "reason": reason, "options": shown}, planning.asked_duration
     task = planning.task(arm, start, start, lasts, planning.seed, **about)
     own = planner == "lieednn-certified" and not planning.fastest
-    with progress("plan") as report, reporting(report), time_limit(planning.time_budget):
+    with progress("plan"), time_limit(planning.time_budget):
         result = plan_motion(
             arm,
             goal,
@@ -108,7 +108,7 @@ def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> None:
         else:
             goal = arm.link_poses(goal)[-1]
     start = None if planning.start is None else joint_position(arm, planning.start, "start")
-    with progress("plan") as report, reporting(report), time_limit(planning.time_budget):
+    with progress("plan"), time_limit(planning.time_budget):
         result = plan_learned(
             arm,
             learned,

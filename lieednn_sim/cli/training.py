@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from lieednn_sim import io
-from lieednn_sim.budget import reporting
 from lieednn_sim.cli.arguments import Goal
 from lieednn_sim.cli.arms import print_import_report
 from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
@@ -83,7 +82,7 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
     print_import_report(arm)
     saved: LieEDNN | None = None
     for seed in range(task.seed, task.seed + count):
-        with progress("train") as bar, reporting(bar):
+        with progress("train"):
             result = learner(seed=seed)
         # Learning does not need a proof; the network is saved and reported with one where it is found.
         network = result.network.try_certify() if result.success and isinstance(result.network, LieEDNN) else None

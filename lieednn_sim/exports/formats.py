@@ -6,7 +6,7 @@ import importlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim import io
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import report
 from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.tasks import make_task
@@ -115,7 +116,6 @@ def record(
     scene_seed: int = 0,
     planner: str | None = None,
     seed: Seed = 0,
-    progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
     """Record successful episodes of `environments.expert.Expert` as a LeRobot 3.0 data set; returns its files.
 
@@ -137,7 +137,6 @@ def record(
         scene_seed: seed of the obstacles' positions.
         planner: planner of the expert, as there.
         seed: seed of the first episode that is tried; the others follow one by one.
-        progress: called with the numbers of episodes recorded and wanted.
 
     Raises:
         InputError: an argument is malformed.
@@ -156,8 +155,7 @@ def record(
         for attempt in range(_ATTEMPTS * count):
             if (episode := _episode(task, expert, first + attempt)) is not None:
                 result.append(episode)
-                if progress is not None:
-                    progress(len(result), count)
+                report(len(result), count)
                 if len(result) == count:
                     break
         else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ import numpy as np
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.budget import report
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.evaluation.paths import PathErrors, path_errors
@@ -56,26 +56,22 @@ def study_joints(
     starts: int = 20,
     leave_one_out: bool = True,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[JointStudy, list[Floats]]:
     """Measure a network shaped by demonstrations, also from random configurations free of contact (`draw_target`).
 
-    Those left out are compared with networks that are shaped without them, with as many hidden neurons. ``progress`` is
-    called with the steps done and their total. Returns the study, and the joints' paths ``(K, n)`` from the starts that
-    arrive.
+    Those left out are compared with networks that are shaped without them, with as many hidden neurons. Returns
+    the study, and the joints' paths ``(K, n)`` from the starts that arrive.
     """
     arm, n = demonstrations.arm, len(demonstrations)
     folds = n if leave_one_out and n > 1 else 0
     without, paths = list[JointErrors](), list[Floats]()
     with one_blas_thread():
         for k in range(folds):
-            if progress:
-                progress(k, folds + 1)
+            report(k, folds + 1)
             options, family = learned.shaping.options, learned.response is not None
             model = JointMotion.fit(demonstrations.without(k), options=options, family=family)
             without.append(_errors(motion_to(model, demonstrations, demonstrations.q[k, -1]), demonstrations.q[k]))
-        if progress:
-            progress(folds, folds + 1)
+        report(folds, folds + 1)
         for k in range(starts):
             try:
                 motion = learned.run(draw_target(arm, seed + k))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.budget import cpu_time
+from lieednn_sim.budget import cpu_time, report
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstrations
@@ -119,7 +119,6 @@ def compare_models(
     starts: int = 1000,
     leave_one_out: bool = True,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[list[ModelRow], dict[str, MotionModel]]:
     """Compare a network shaped by all demonstrations with models that have as many parameters.
 
@@ -132,7 +131,6 @@ def compare_models(
             same seen from either.
         starts, seed: number and seed of random starts, see `random_starts`.
         leave_one_out: fit each model again without each of the demonstrations, the network with as many hidden neurons.
-        progress: called with the steps done and their total.
     """
     names = [shaped.name, *(RIVALS if rivals is None else rivals)]
     for name in names[1:]:
@@ -149,8 +147,7 @@ def compare_models(
             seconds = shaped.cpu_time if name == shaped.name else cpu_time() - start
             without = []
             for k in folds:
-                if progress:
-                    progress(number * (len(folds) + 1) + k, len(names) * (len(folds) + 1))
+                report(number * (len(folds) + 1) + k, len(names) * (len(folds) + 1))
                 without.append(_errors(_fit(shaped, name, shown.without(k)), shown, shown.twists[k]))
             mean = _errors(model, shown, shown.mean)
             training = mean_of([_errors(model, shown, twist) for twist in shown.twists])
