@@ -73,12 +73,6 @@ def check_numbers(model: mujoco.MjModel) -> None:
             raise InputError(f"the {what} of {kind} {name!r} of the model is {values[bad[0]]}; write numbers")
 
 
-def check_limited(model: mujoco.MjModel, arm: str, joint: int) -> None:
-    """Raise `InputError` for a joint without limits."""
-    if not model.jnt_limited[joint]:
-        raise InputError(f"{joint_label(model, arm, joint)} has no position limits; give it a range")
-
-
 def check_turn(model: mujoco.MjModel, arm: str, joint: int, span: Floats) -> None:
     """Raise `InputError` for a joint whose range ``span`` ``(2,)`` is too wide to be encoded by a logarithm."""
     label, kind = joint_label(model, arm, joint), joint_kind(model, joint)

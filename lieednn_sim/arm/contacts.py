@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
@@ -173,12 +174,7 @@ def without_clearance(model: mujoco.MjModel) -> str:
 
 def moved_by(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
     """Which degrees of freedom ``(nv,)`` move a body."""
-    moved = np.zeros(model.nv, dtype=bool)
-    while body > 0:
-        first = model.body_dofadr[body]
-        moved[first : first + model.body_dofnum[body]] = True
-        body = int(model.body_parentid[body])
-    return moved
+    return np.isin(model.dof_bodyid, ancestry(model, body))
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:

@@ -27,17 +27,14 @@ class Couplings:
     added: dict[int, int] = field(default_factory=dict)
     sums: dict[int, Sum] = field(default_factory=dict)
 
-    def leader(self, joint: int) -> int:
-        """The independent joint that ``joint`` follows, or itself."""
-        return self.lines[joint][0] if joint in self.lines else joint
-
-    def ratio(self, joint: int) -> float:
-        """Displacement of ``joint`` per displacement of its leader."""
-        return self.lines[joint][1] if joint in self.lines else 1.0
+    def line(self, joint: int) -> Line:
+        """The independent joint that ``joint`` follows, or itself, with ratio and shift."""
+        return self.lines.get(joint, (joint, 1.0, 0.0))
 
     def ratios(self, joint: int) -> dict[int, float]:
         """Displacements of ``joint`` per displacement of each independent joint that moves it."""
-        return self.sums[joint][0] if joint in self.sums else {self.leader(joint): self.ratio(joint)}
+        leader, ratio, _ = self.line(joint)
+        return self.sums[joint][0] if joint in self.sums else {leader: ratio}
 
 
 def along_tendons(model: mujoco.MjModel, joints: Sequence[int], couplings: Couplings) -> Couplings:
@@ -79,8 +76,8 @@ def _along_tendon(model: mujoco.MjModel, joints: Sequence[int], couplings: Coupl
     pulls: dict[int, float] = {}  # coefficients of the independent joints that the tendon moves
     for joint, coefficient in coefficients(model, tendon).items():
         if joint in joints and coefficient:
-            leader = couplings.leader(joint)
-            pulls[leader] = pulls.get(leader, 0.0) + coefficient * couplings.ratio(joint)
+            leader, ratio, _ = couplings.line(joint)
+            pulls[leader] = pulls.get(leader, 0.0) + coefficient * ratio
     heads = [joint for joint in joints if pulls.get(joint)]
     if len(heads) < 2 or driven_directly(model).intersection(heads):
         return couplings

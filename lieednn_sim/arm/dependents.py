@@ -20,7 +20,6 @@ from lieednn_sim.arm.equalities import (
     joint_range,
     loop_closures,
     names,
-    position_addresses,
 )
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
@@ -52,16 +51,11 @@ class Dependents:
     Attributes:
         independent: their ids, in the model's order.
         dofs: ``(m,)`` addresses in qvel of the independent rates, three for a ball.
-        joints: ids of the dependent joints, in the model's order, free ones and those that equalities fix included.
-        moved: those of them that the independent joints move.
+        moved: ids of the dependent joints that these move, free ones included, in the model's order.
         lines: of those that follow an independent joint in a straight line, that joint, ratio and shift; of joints in
             loops, those that do so at random configurations, such as the bars of a scissor or a parallelogram.
         sums: of joints in loops, those that follow several of them so, such as a wrist that bars keep level.
         has_loops: whether there are closed loops, which may not be closed everywhere.
-        linear: whether all dependent joints are affine functions of the independent ones.
-        coupling: ``(nq, m)``, if linear: qpos = coupling q + offset, but for the quaternions of balls (rows of 0).
-        offset: ``(nq,)``, if linear; the position in the state of the joints that are not the arm's.
-        rates: ``(nv, m)``, if linear: the same for velocities, with the identity for balls, too.
 
     Raises:
         InputError: a joint is not independent, or the dependent ones are not determined.
@@ -76,14 +70,14 @@ class Dependents:
         active = np.flatnonzero(data.eq_active * _equalities_enabled(model))
         self._followers, roots, remaining = _in_closed_form(model, [int(e) for e in active], self.independent)
         equalities, looped = _loops_of(model, remaining, roots)
-        self.joints = tuple(sorted({follower.joint for follower in self._followers} | looped))
-        self.moved = tuple(joint for joint in self.joints if joint in looped or roots[joint] is not None)
+        led = {follower.joint for follower in self._followers if roots[follower.joint] is not None}
+        self.moved = tuple(sorted(led | looped))
         self.lines, self.sums = _lines(self._followers, self.independent), dict[int, Sum]()
         self._loops: ClosedLoops | None = None
         # The last rows that were asked for, and their solution: limits and contacts are tested one after another.
         self._last = np.zeros((0, model.nq)), np.zeros((0, model.nq))
-        qpos = np.array(data.qpos)
         if equalities:
+            qpos = np.array(data.qpos)
             moving = {roots[joint] for e in equalities for joint in involved_joints(model, e) & roots.keys()} - {None}
             drivers = dof_addresses(model, [joint for joint in moving if joint is not None])
             self._loops = ClosedLoops(model, data, equalities, sorted(looped), drivers, self._follow)
@@ -91,9 +85,6 @@ class Dependents:
             self._loops.check_independent(self._closed_form_basis(qpos[None])[0], model.dof_jntid[self.dofs])
             self._find_lines(qpos, sorted(looped))
         self.has_loops = self._loops is not None
-        self.linear = not equalities and all(len(follower.coefficients) <= 2 for follower in self._followers)
-        affine: Sequence[Floats | None] = self._affine(qpos) if self.linear else (None, None, None)
-        self.coupling, self.offset, self.rates = affine
 
     def to_qpos(self, qpos: Floats, *, strict: bool = True) -> Floats:
         """Rows ``(..., nq)`` with the independent joints set to rows with the dependent joints solved; others stay.
@@ -130,8 +121,6 @@ class Dependents:
             NoSolutionError: a row is at a dead centre of a loop.
         """
         rows = self._checked(qpos)
-        if self.rates is not None:
-            return np.broadcast_to(self.rates, (*rows.shape[:-1], *self.rates.shape)).copy()
         result = self._closed_form_basis(rows)
         if self._loops is not None:
             flat = result.reshape(-1, *result.shape[-2:])
@@ -205,15 +194,6 @@ class Dependents:
                 rates = result[..., model.jnt_dofadr[follower.leader], :]
                 result[..., model.jnt_dofadr[follower.joint], :] = slope[..., None] * rates
         return result
-
-    def _affine(self, state: Floats) -> tuple[Floats, Floats, Floats]:
-        model, rates = self._model, self._closed_form_basis(state)
-        offset, coupling = state.copy(), np.zeros((model.nq, len(self.dofs)))
-        offset[position_addresses(model, self.independent)] = 0.0
-        self._follow(offset)
-        scalars = [j for j in range(model.njnt) if len(dof_addresses(model, [j])) == 1]
-        coupling[model.jnt_qposadr[scalars]] = rates[model.jnt_dofadr[scalars]]
-        return coupling, offset, rates
 
 
 def independent_joints(model: mujoco.MjModel, chosen: Sequence[int]) -> list[int]:

@@ -14,7 +14,7 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms
 from lieednn_sim.arm.frames import BodyFrames
 from lieednn_sim.errors import InputError
-from lieednn_sim.validation import quoted
+from lieednn_sim.validation import as_choice, quoted
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -75,7 +75,8 @@ def find_grasp(
     if root == body:
         raise InputError(f"{quoted(holding)} carries the end effector, and cannot be held by it")
     bodies = np.flatnonzero(model.body_rootid == body)
-    allowed = [_body(model, name) for name in touching]
+    known = [model.body(k).name for k in range(model.nbody)]
+    allowed = [known.index(as_choice("body", name, filter(None, known))) for name in touching]
     data = kinematics_at(model, qpos)
     mine, solid = np.isin(model.geom_bodyid, bodies), colliding_geoms(model)
     # What moves with the arm's base may not be stood on: neither the arm itself nor its hand is below the body.
@@ -98,11 +99,3 @@ def find_grasp(
     )
     addresses = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     return Grasp((body, *bodies[bodies != body].tolist()), carrier, pose, *addresses, offsets)
-
-
-def _body(model: mujoco.MjModel, name: str) -> int:
-    result = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
-    if result < 0:
-        known = ", ".join(filter(None, (model.body(k).name for k in range(model.nbody))))
-        raise InputError(f"no body {quoted(name)} to touch; bodies are: {known}")
-    return result

@@ -58,13 +58,13 @@ def joint_ranges(
     spans = {joint: _span(model, joint, notes, around, alone=len(group) == 1) for group in groups for joint in group}
     for joint, (low, high) in (within or {}).items():
         spans[joint] = np.array([max(spans[joint][0], low), min(spans[joint][1], high)])
-    for lead in dict.fromkeys(couplings.leader(joint) for joint in joints):
-        members = [joint for joint in joints if couplings.leader(joint) == lead]
+    for lead in dict.fromkeys(couplings.line(joint)[0] for joint in joints):
+        members = [joint for joint in joints if couplings.line(joint)[0] == lead]
         if members == [lead] and (within is None or lead not in within) and np.isfinite(spans[lead]).all():
             continue
         low, high = -np.inf, np.inf
         for joint in members:
-            _, ratio, shift = couplings.lines.get(joint, (lead, 1.0, 0.0))
+            _, ratio, shift = couplings.line(joint)
             bounds = np.sort((spans[joint] - shift) / ratio)
             low, high = max(low, bounds[0]), min(high, bounds[1])
         name = model.joint(lead).name

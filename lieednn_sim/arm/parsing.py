@@ -12,17 +12,14 @@ import scipy
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.chain import joint_groups
 from lieednn_sim.arm.checks import (
-    JOINT_KINDS,
-    ancestry,
     check_independent,
     check_integrator,
-    check_limited,
     check_numbers,
     check_turn,
     joint_kind,
     joint_label,
-    joints_of,
 )
 from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
 from lieednn_sim.arm.dependents import Dependents, independent_joints
@@ -86,8 +83,8 @@ def read_arm(
     chain = read_chain(model, arm) if chain is None else chain
     group = [joint for group in chain.groups for joint in group]
     if ranges is None:
-        for joint in group:
-            check_limited(model, arm, joint)
+        if bare := [joint for joint in group if not model.jnt_limited[joint]]:
+            raise InputError(f"{joint_label(model, arm, bare[0])} has no position limits; give it a range")
         ranges = {joint: joint_range(model, joint) for joint in group}
     lines = _leaders(model, arm, group) if lines is None else lines
     rest, said = home_data(model).qpos if rest is None else rest, list(notes)
@@ -97,6 +94,7 @@ def read_arm(
     if unknown := [model.actuator(int(a)).name for a in np.flatnonzero(moving & ~drivable(model))]:
         said.append(f"no controller can drive {', '.join(unknown)}: they need {DRIVABLE}")
     joints, base, mounts, tips = read_joints(model, arm, chain, space, ranges)
+    weakest, strongest = force_ranges(model, tangent_basis(space)).T
     unlimited = np.full(len(space), np.inf)
     return {
         "space": space,
@@ -109,7 +107,7 @@ def read_arm(
         "velocity_limits": read_numeric(model, arm, "velocity_limit", unlimited, viewed),
         "acceleration_limits": read_numeric(model, arm, "acceleration_limit", unlimited, viewed),
         "jerk_limits": read_numeric(model, arm, "jerk_limit", unlimited, viewed),
-        "force_limits": read_force_limits(model, space),
+        "force_limits": np.minimum(-weakest, strongest),  # what can be exerted in both directions
         "length_scale": float(read_numeric(model, arm, "length_scale", np.ones(1), viewed)[0]),
         "frames": BodyFrames.of(chain.frames[1:]),
     }
@@ -117,19 +115,12 @@ def read_arm(
 
 def read_chain(model: mujoco.MjModel, arm: str) -> Chain:
     """Follow the sites base_frame, link1_frame, link2_frame, ...; `InputError` when they do not form a chain."""
-    sites = [_site(model, arm, "base_frame")]
-    while (site := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"link{len(sites)}_frame")) >= 0:
-        sites.append(site)
-    if len(sites) == 1:
-        raise InputError(f"arm {arm!r} has no sites link1_frame, link2_frame, ... at its link frames")
-    groups = []
-    for i, (parent, child) in enumerate(itertools.pairwise(sites), start=1):
-        group = _joints_between(model, model.site_bodyid[parent], model.site_bodyid[child], arm, i)
-        for joint in group:
-            if int(model.jnt_type[joint]) not in JOINT_KINDS:
-                raise InputError(f"{joint_label(model, arm, joint)} is free; an arm has hinge, slide and ball joints")
-        groups.append(tuple(group))
-    return Chain(tuple(site_frame(model, site) for site in sites), tuple(groups))
+    names = ["base_frame", *(f"link{i}_frame" for i in range(1, model.nsite + 1))]
+    sites = (mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in names)
+    frames = tuple(site_frame(model, site) for site in itertools.takewhile(lambda site: site >= 0, sites))
+    if len(frames) < 2:
+        raise InputError(f"arm {arm!r} has no sites base_frame, link1_frame, link2_frame, ... at its link frames")
+    return Chain(frames, joint_groups(model, frames))
 
 
 def read_coordinates(
@@ -231,12 +222,6 @@ def read_position_limits(
     return limits
 
 
-def read_force_limits(model: mujoco.MjModel, coordinates: Coordinates) -> Floats:
-    """The force ``(n,)`` that actuators can exert on each coordinate in both directions; infinite without a limit."""
-    low, high = force_ranges(model, tangent_basis(coordinates)).T
-    return np.minimum(-low, high)
-
-
 def _leaders(model: mujoco.MjModel, arm: str, joints: list[int]) -> dict[int, Line]:
     """For each joint of a chain that follows another one its leader and the line qpos = ratio * qpos_leader + shift."""
     independent = independent_joints(model, joints)
@@ -264,24 +249,6 @@ def _factors(
     ratios, axis = coordinates.coupling[model.jnt_qposadr[joint]], inverse.rotation.apply(data.xaxis[joint])
     for index in np.flatnonzero(ratios):
         yield Factor(joint_kind(model, joint), axis[:, None], anchor, np.array([index]), float(ratios[index]))
-
-
-def _joints_between(model: mujoco.MjModel, ancestor: int, body: int, arm: str, link: int) -> list[int]:
-    """Joints that move ``body`` relative to ``ancestor``, from the base outwards."""
-    path = ancestry(model, body)
-    if ancestor not in path:
-        raise InputError(f"link {link} of arm {arm!r} does not descend from link {link - 1}")
-    group = [joint for part in path[path.index(ancestor) + 1 :] for joint in joints_of(model, part)]
-    if not group:
-        raise InputError(f"link {link} of arm {arm!r} is moved by no joint; name frames with joints between them")
-    return group
-
-
-def _site(model: mujoco.MjModel, arm: str, site: str) -> int:
-    result = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
-    if result < 0:
-        raise InputError(f"arm {arm!r} has no site {site!r}")
-    return result
 
 
 def _orientation(data: mujoco.MjData, body: int) -> Rotation:

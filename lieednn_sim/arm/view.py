@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.chain import chain_base, chosen_joints, common_path, joint_groups, named_frames, tip_frame
@@ -17,13 +16,14 @@ from lieednn_sim.arm.contacts import without_clearance
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.coupled_joints import Couplings, along_tendons
 from lieednn_sim.arm.dependents import Dependents, independent_joints
-from lieednn_sim.arm.equalities import names
+from lieednn_sim.arm.equalities import dof_addresses, names
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame
 from lieednn_sim.arm.joint_ranges import drop_endless_ranges, joint_ranges
 from lieednn_sim.arm.limits import check_rates, spare_acceleration
 from lieednn_sim.arm.parsing import Chain, read_arm
 from lieednn_sim.arm.stops import Stops
+from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import log
 from lieednn_sim.validation import as_choice, quoted
@@ -180,23 +180,16 @@ def _check_links(model: mujoco.MjModel, groups: Sequence[Sequence[int]], couplin
 
 def _welded(model: mujoco.MjModel, data: mujoco.MjData, dependents: Dependents, end: int) -> tuple[str | None, int]:
     """The name of a free body that an active weld fixes to the end effector's link, and the weld's id."""
-    moving = np.isin(np.arange(model.njnt), [*dependents.independent, *dependents.moved])
+    group = moved_together(model, dof_addresses(model, [*dependents.independent, *dependents.moved]))
     for weld in np.flatnonzero((model.eq_type == int(mujoco.mjtEq.mjEQ_WELD)) & (data.eq_active != 0)).tolist():
         pair = [int(model.eq_obj1id[weld]), int(model.eq_obj2id[weld])]
         if model.eq_objtype[weld] == int(mujoco.mjtObj.mjOBJ_SITE):
             pair = [int(model.site_bodyid[site]) for site in pair]
         for body, hand in (pair, pair[::-1]):
             free = model.jnt_type[joints_of(model, body)] == int(mujoco.mjtJoint.mjJNT_FREE)
-            if free.any() and model.body(body).name and _mover(model, moving, hand) == _mover(model, moving, end):
+            if free.any() and model.body(body).name and group[hand] == group[end]:
                 return model.body(body).name, weld
     return None, -1
-
-
-def _mover(model: mujoco.MjModel, moving: NDArray[np.bool_], body: int) -> int:
-    """The nearest body, outwards from the world to one, that some joints move against its parent."""
-    while body and not moving[joints_of(model, body)].any():
-        body = int(model.body_parentid[body])
-    return body
 
 
 def _samples(fields: Mapping[str, Any], count: int) -> Floats:

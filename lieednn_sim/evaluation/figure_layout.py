@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 from typing import Any
 
 import matplotlib
@@ -38,6 +40,15 @@ def fix_layout(figure: Figure, dpi: float) -> None:
     # Nor may the user's own settings supply an engine.
     with matplotlib.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
+
+
+@contextlib.contextmanager
+def drawn(path: str | os.PathLike[str], width: float, height: float) -> Iterator[Figure]:
+    """A figure of the package's style, its sides in inches, which is drawn in the block and saved after it."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        yield figure
+        save_figure(figure, path)
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:

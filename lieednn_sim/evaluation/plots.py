@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike
 from lieednn_sim import io
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation import figure_layout
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
-from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
+from lieednn_sim.evaluation.figure_layout import COLOURS, drawn
 from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.learning import History
 from lieednn_sim.planning.clearance import FAR, Cubics, bounds_of, least_of
@@ -87,8 +86,7 @@ def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         t, *tracked = rollout.tracked
         least = least_of(bounds, *Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:])[:3], FAR)[0]
     low, high = min(1.05 * min(distance), 0.0), 1e3 * FAR
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10.0, 3.4), layout="constrained")
+    with drawn(path, 10.0, 3.4) as figure:
         axis = _subplots(figure, rollout.t, 1, 1)[0, 0]
         proved = {"fill": True, "color": COLOURS[2], "alpha": 0.4, "label": "proved"}
         axis.stairs(1e3 * np.maximum(least, 0.0), rollout.t[some], **proved)
@@ -100,7 +98,6 @@ def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         axis.set_xlabel("time [s]")
         _mark_events(axis, rollout)
         _legend(figure, _lines(axis) | _events(rollout))
-        figure_layout.save_figure(figure, path)
 
 
 def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
@@ -113,8 +110,7 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     blocks = -(-n // _MOST_ROWS)
     rows = -(-n // blocks)
     columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10.0 * blocks, 1.2 + 1.7 * rows), layout="constrained")
+    with drawn(path, 10.0 * blocks, 1.2 + 1.7 * rows) as figure:
         axes = _subplots(figure, motion.t, rows, 2 * blocks, sharey="col")
         for i in range(rows * blocks):
             pair = axes[i % rows, 2 * (i // rows) : 2 * (i // rows) + 2]
@@ -135,7 +131,6 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
             low, high = axis.get_ylim()
             axis.set_ylim(min(low, 0.5 * (low + high) - 1e-3), max(high, 0.5 * (low + high) + 1e-3))
         _legend(figure, _lines(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)})
-        figure_layout.save_figure(figure, path)
 
 
 def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
@@ -151,8 +146,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         ("translation", "[mm]", 1e3 * tracking[0], 1e3 * to_go[0], 1e3 * SETTLED_TRANSLATION),
         ("rotation", "[deg]", np.rad2deg(tracking[1]), np.rad2deg(to_go[1]), np.rad2deg(SETTLED_ROTATION)),
     )
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10.0, 6.0), layout="constrained")
+    with drawn(path, 10.0, 6.0) as figure:
         axes = _subplots(figure, rollout.t, 2, 2)
         for (upper, lower), (what, unit, errors, distance, settled) in zip(axes.T, columns, strict=True):
             for name, error in zip(arm.link_names, errors.T, strict=True):
@@ -170,7 +164,6 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         for axis in axes.ravel():
             _mark_events(axis, rollout)
         _legend(figure, _lines(axes[0, 0]) | _events(rollout))
-        figure_layout.save_figure(figure, path)
 
 
 def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequence[str] | None = None) -> None:
@@ -185,8 +178,7 @@ def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequenc
         for index in np.ndindex(values.shape[1:]):
             of_unit[name + (f"[{', '.join(map(str, index))}]" if index else "")] = values[:, *index]
     legend = 0.25 + 0.18 * -(-max(map(len, lines.values())) // _LABELS_IN_ROW)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10.0, 0.8 + (1.8 + legend) * len(lines)), layout="constrained")
+    with drawn(path, 10.0, 0.8 + (1.8 + legend) * len(lines)) as figure:
         axes = _subplots(figure, rollout.t, len(lines), 1)[:, 0]
         for axis, (unit, of_unit) in zip(axes, lines.items(), strict=True):
             for label, values in of_unit.items():
@@ -195,7 +187,6 @@ def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequenc
             axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=_LABELS_IN_ROW, fontsize=8)
             _mark_events(axis, rollout)
         axes[-1].set_xlabel("time [s]")
-        figure_layout.save_figure(figure, path)
 
 
 def _subplots(figure: Figure, t: Floats, rows: int, columns: int, *, sharey: Any = False) -> Any:
@@ -247,8 +238,7 @@ def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     arm = rollout.arm
     blocks = -(-arm.n_joints // _MOST_ROWS)
     rows = -(-arm.n_joints // blocks)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(14.0 * blocks, 1.3 + 1.25 * rows), layout="constrained")
+    with drawn(path, 14.0 * blocks, 1.3 + 1.25 * rows) as figure:
         axes = _subplots(figure, rollout.t, rows, 4 * blocks)
         for block in range(blocks):
             joints = range(block * rows, min((block + 1) * rows, arm.n_joints))
@@ -259,7 +249,6 @@ def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
             "limits": Line2D([], [], color=COLOURS[1], lw=0.8),
         }
         _legend(figure, entries | _events(rollout))
-        figure_layout.save_figure(figure, path)
 
 
 def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
@@ -319,8 +308,7 @@ def plot_training(history: History, target: ArrayLike, tolerance: float, path: s
     """Error, accuracy and learning rate by epoch, and the equilibrium's distance to the target by coordinate."""
     goal = np.asarray(target)
     error = np.abs(history.equilibrium - goal)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10, 6.4), layout="constrained")
+    with drawn(path, 10, 6.4) as figure:
         axes = figure.subplots(2, 2, sharex=True)
         distance, accuracy, rate, equilibrium = axes.ravel()
         distance.semilogy(history.epoch, history.error, lw=1.2, label="$\\Vert\\xi^*-\\xi_d\\Vert_2$ (loss E)")
@@ -350,7 +338,6 @@ def plot_training(history: History, target: ArrayLike, tolerance: float, path: s
         equilibrium.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.16))
         for axis in (rate, equilibrium):
             axis.set_xlabel("epoch")
-        figure_layout.save_figure(figure, path)
 
 
 typecheck_public(globals())

@@ -164,7 +164,6 @@ class Tick(NamedTuple):
     policy: str  # name of the policy in use; empty while the arm only stops
     message: str  # what the policy does, in words
     progress: Progress | None  # what is proved about the way to the target; None for a policy without a network
-    decision: float  # CPU time of the policy's step [s]
 
 
 class Engine:
@@ -234,17 +233,17 @@ class Engine:
     def advance(self) -> Tick:
         """Do a control period; after a `SimulationError`, `restart` begins again."""
         self._apply_forces()
-        spent = self._loop.advance(self.target)
+        self._loop.advance(self.target)
         self._periods += 1
         if self.progress is not None:
             self.progress = self.progress.after()
-        return self.look(spent)
+        return self.look()
 
-    def look(self, spent: float = 0.0) -> Tick:
-        """The present state, after a step of the policy that took some CPU time [s]."""
+    def look(self) -> Tick:
+        """The present state."""
         policy, time = self.policy, self._periods * self.policy.period
         loop = self._loop.simulation.q, policy.q, self.target
-        return Tick(time, *loop, *self._force, self._name, policy.message, self.progress, spent)
+        return Tick(time, *loop, *self._force, self._name, policy.message, self.progress)
 
     def _go_on_with(self, policy: Policy) -> None:
         q, qd = self.policy.q, self.policy.qd

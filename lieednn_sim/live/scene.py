@@ -106,12 +106,12 @@ class ArmScene:
         tip = np.asarray(snapshot.frames[-1].translation)
         if not self.trace or np.linalg.norm(tip - self.trace[-1]) > _SPACING:
             self.trace.append(tip)
-            self._travelled.points = _segments(self.trace)
+            self._travelled.points = viser_scene.segments(np.array(self.trace))
         if path is not self._path:
             self._path = path
             self._planned.visible = path is not None
             if path is not None:
-                self._planned.points = _segments(path)
+                self._planned.points = viser_scene.segments(path)
         pushed = bool(tick.force.any())
         if pushed != self._arrow.visible:
             self._arrow.visible = pushed
@@ -119,9 +119,3 @@ class ArmScene:
             # 3 mm for a newton, and 0.8 m at most.
             length = min(3e-3, 0.8 / float(np.linalg.norm(tick.force))) * self._scale
             self._arrow.points = np.array([[tick.pushed, tick.pushed + length * tick.force]], dtype=np.float32)
-
-
-def _segments(points: Any) -> Floats:
-    """Segments of a path, at least one."""
-    path = np.array(points)
-    return viser_scene.segments(path if len(path) > 1 else np.repeat(path, 2, axis=0))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, TaskSpaceRegion
+from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.forces import actuator_moments
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.options import PlannerOptions
@@ -141,10 +142,6 @@ class Gripping:
 
     def _carried(self, name: str) -> NDArray[np.bool_]:
         """Which bodies ``(nbody,)`` a body is or carries."""
-        model = self._model
-        carried = np.zeros(model.nbody, dtype=bool)
-        known = [model.body(k).name for k in range(model.nbody)]
-        carried[known.index(as_choice("body", name, filter(None, known)))] = True
-        for body in range(1, model.nbody):
-            carried[body] |= carried[model.body_parentid[body]]
-        return carried
+        known = [self._model.body(k).name for k in range(self._model.nbody)]
+        body = known.index(as_choice("body", name, filter(None, known)))
+        return np.array([body in ancestry(self._model, part) for part in range(len(known))])

@@ -22,7 +22,7 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats
 
 # Coefficients of the corrections for unit e, v and a in s, the lowest power first.
 _FADING = np.array(
@@ -30,15 +30,6 @@ _FADING = np.array(
 )
 # Fraction of the limits of velocity and acceleration that a base may take; together with the corrections.
 BASE_FRACTION, FRACTION = 0.5, 0.8
-
-
-@frozen
-class JointState:
-    """Joint coordinates, rates and accelerations of an instant, each ``(n,)``."""
-
-    q: Floats
-    qd: Floats
-    qdd: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,25 +72,22 @@ class Transition:
         return results[0], results[1], results[2]
 
 
-def transition(
-    arm: Arm, now: JointState, base: PPoly, clear: Callable[[Floats], str | None] | None = None
-) -> Transition:
+def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str | None] | None = None) -> Transition:
     """The fastest tried transition from a state onto a base motion that keeps the arm's limits and clearance.
 
     Positions, velocities and accelerations are checked at samples, the latter two against `FRACTION` of their limits.
 
     Args:
-        arm, now: the arm, and its state at the beginning.
+        arm: the arm.
+        now: ``(3, n)`` joint coordinates, rates and accelerations at the beginning.
         base: motion from rest to rest, such as `straight` or `along` make.
         clear: says what is in the way at configurations ``(K, n)``, or None; by default nothing is checked.
 
     Raises:
         PlanError: no transition tried keeps the limits and the clearance.
     """
-    start = np.stack([base(0.0), base(0.0, nu=1), base(0.0, nu=2)])
-    differences = np.stack([now.q, now.qd, now.qdd]) - start
     # The base's own acceleration may be left out: it begins at rest, and a spline's is no exact one.
-    differences[2] = now.qdd
+    differences = now - np.stack([base(0.0), base(0.0, nu=1), np.zeros_like(now[2])])
     refusal = "no transition keeps the limits of the joints"
     # Durations of the fade over the transition's.
     shares = (1.0, 0.5, 0.25, 0.12, 0.06) if (np.abs(differences) > 1e-12).any() else (1.0,)

@@ -19,10 +19,9 @@ from types import MappingProxyType
 import numpy as np
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError
 from lieednn_sim.policies.base import Policy
-from lieednn_sim.validation import as_floats, as_positive
-from lieednn_sim.values import Floats, check_fields, set_fields
+from lieednn_sim.validation import as_nonnegative, as_positive
+from lieednn_sim.values import Floats, check_fields
 
 
 @dataclass(frozen=True)
@@ -43,10 +42,7 @@ class Feedback:
     patience: float = 0.002
 
     def __post_init__(self) -> None:
-        rate = float(as_floats("rate", self.rate, ()))
-        if not 0.0 <= rate <= 1e3:
-            raise InputError(f"rate must be from 0 to 1000 per second, got {rate:g}")
-        set_fields(self, rate=rate)
+        check_fields(self, as_nonnegative, "rate", largest=1e3)
         check_fields(self, as_positive, "tolerance", "patience")
 
     def response(self, behind: float) -> tuple[float, float]:

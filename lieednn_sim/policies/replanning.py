@@ -40,7 +40,7 @@ from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.timed_path import TimedPath
-from lieednn_sim.planning.transition import JointState, along, straight, transition
+from lieednn_sim.planning.transition import along, straight, transition
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.surroundings import Surroundings, search_path
@@ -132,7 +132,7 @@ class ReplanningPolicy(FeedbackPolicy):
         super().begin(q)
         self._retraction = LocalRetraction(self.arm, q)
         self.drawn, self._waiting, self._pace_rate = q, 1.0, 0.0
-        rest = JointState(q, np.zeros_like(q), np.zeros_like(q))
+        rest = np.stack([q, np.zeros_like(q), np.zeros_like(q)])
         stay = transition(self.arm, rest, straight(self.arm, q, q, _SOONEST))
         self.changes = -1
         self._follow(TimedPath(self.arm, self._encoder, stay, self.arm.encode(q)))
@@ -211,7 +211,7 @@ class ReplanningPolicy(FeedbackPolicy):
         _, _, bend = self.course.transition(np.array([self.time]))
         most = 0.5 * self.arm.acceleration_limits
         qdd = ratio**2 * bend[0] + self._pace_rate / pace**2 * self._velocity
-        now = JointState(self.drawn, ratio * self._velocity, np.clip(qdd, -most, most))
+        now = np.stack([self.drawn, ratio * self._velocity, np.clip(qdd, -most, most)])
         result = transition(self.arm, now, base, clear)
         try:
             course = TimedPath(self.arm, self._encoder, result, self.state)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms, fixed_body, moving_geoms
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, rrt_connect
@@ -80,10 +81,7 @@ class Surroundings:
         model = copy.deepcopy(self._model)
         colliding, parts = colliding_geoms(model), moving_geoms(model)
         bodies = {fixed_body(model, name) for name in names}
-        along = np.zeros(model.nbody, dtype=bool)
-        # Parents come before their children.
-        for body, parent in enumerate(model.body_parentid):
-            along[body] = body in bodies or along[parent]
+        along = np.array([not bodies.isdisjoint(ancestry(model, part)) for part in range(model.nbody)])
         self._moved = moved = along[model.geom_bodyid]
         model.geom_contype[:], model.geom_conaffinity[:] = colliding & moved, colliding & parts
         return model

@@ -9,6 +9,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.importer.loading import unused
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
@@ -42,12 +43,8 @@ def occupied(run: Rollout) -> Floats:
     if arm.state is None:
         ends = [arm.base.translation, arm.link_poses(run.target).translation[-1]]
         return np.vstack([*ends, run.link_position.reshape(-1, 3)])
-    data, shown = mujoco.MjData(model), np.zeros(model.ngeom, dtype=bool)
-    body = int(arm.frames.bodies[-1])
-    while body > 0:
-        shown |= model.geom_bodyid == body
-        body = int(model.body_parentid[body])
-    results = []
+    data, results = mujoco.MjData(model), []
+    shown = np.isin(model.geom_bodyid, ancestry(model, int(arm.frames.bodies[-1]))[1:])
     for data.qpos[:] in run.qpos[np.linspace(0, len(run.t) - 1, 25, dtype=int)]:
         mujoco.mj_kinematics(model, data)
         results.append(_corners(model, data))

@@ -157,8 +157,9 @@ def add_floor(scene: Any, shapes: Shapes) -> None:
 
 
 def segments(points: Floats) -> Floats:
-    """The segments ``(K - 1, 2, 3)`` of a path ``(K, 3)``, as viser takes them."""
-    return np.stack([points[:-1], points[1:]], axis=1)
+    """The segments ``(K - 1, 2, 3)`` of a path ``(K, 3)``, as viser takes them: at least one."""
+    ends = points if len(points) > 1 else np.repeat(points, 2, axis=0)
+    return np.stack([ends[:-1], ends[1:]], axis=1)
 
 
 def add_path(scene: Any, name: str, points: Floats, rgba: tuple[float, ...], radius: float) -> Any:

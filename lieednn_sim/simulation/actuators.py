@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import SCALAR
-from lieednn_sim.arm.forces import (
-    DRIVABLE,
-    actuator_moments,
-    actuator_ranges,
-    control_ranges,
-    drivable,
-)
+from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, actuator_ranges, control_ranges, drivable
 from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.disturbances import Noise
 from lieednn_sim.values import Floats
@@ -103,25 +97,18 @@ class Actuators:
             mujoco.mj_differentiatePos(self._model, x[index], 1.0, self._zero, qpos[index])
         return np.matvec(self.moment, x)
 
-    def velocities(self, qvel: Floats) -> Floats:
-        """Velocities ``(..., nu)`` of lengths at generalised velocities ``(..., nv)``."""
-        return np.matvec(self.moment, qvel)
-
-    def forces(self, generalised: Floats) -> Floats:
-        """Actuator forces ``(..., nu)`` with the effect of generalised forces ``(..., nv)`` on the arm's joints."""
-        return np.matvec(self.allocation, generalised)
-
     def servo_controls(self, qpos: Floats, qvel: Floats, generalised: Floats | None = None) -> Floats:
         """Controls ``(..., nu)`` for which servos exert given forces at given states: (f - b0 - b1 l - b2 v) / g.
 
         At other states they add b1 and b2 times the differences, their feedback.
         """
-        return self.affine_controls(qpos, qvel, 0.0 if generalised is None else self.forces(generalised))
+        forces = 0.0 if generalised is None else np.matvec(self.allocation, generalised)
+        return self.affine_controls(qpos, qvel, forces)
 
     def affine_controls(self, qpos: Floats, qvel: Floats, forces: Floats | float) -> Floats:
         """Controls ``(..., nu)`` for which the actuators exert given forces ``(..., nu)`` at given states."""
         constant, stiffness, damping = self.bias
-        drive = forces - (constant + stiffness * self.lengths(qpos) + damping * self.velocities(qvel))
+        drive = forces - (constant + stiffness * self.lengths(qpos) + damping * np.matvec(self.moment, qvel))
         return drive / self.gain + self._idle
 
     def measurement_error(self, noise: Noise) -> Floats:
@@ -131,7 +118,7 @@ class Actuators:
         position actuator that is ctrl - e_l - (kv / kp) e_v. The servos of a ball joint measure its rotation vector,
         and e_l is an error of that.
         """
-        length, velocity = self.velocities(noise.position), self.velocities(noise.velocity)
+        length, velocity = (np.matvec(self.moment, error) for error in (noise.position, noise.velocity))
         return (self.bias[1] * length + self.bias[2] * velocity) / self.gain
 
     def direct_controls(self, generalised: Floats, out: Floats | None = None) -> Floats:

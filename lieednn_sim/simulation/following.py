@@ -199,18 +199,17 @@ class ClosedLoop:
         """Let the controller set the controls of the next simulation step."""
         self.driver.act(self.simulation.data, self.simulation.steps - self._forgotten, self.simulation.noise)
 
-    def advance(self, target: Floats) -> float:
-        """Do one control period towards a target ``(n,)``; returns the CPU time of the policy's step [s].
+    def advance(self, target: Floats) -> None:
+        """Do one control period towards a target ``(n,)``.
 
         Raises:
             SimulationError: as `Simulation.advance`.
         """
         with QuietWarnings():
-            spent = self.decide(target)
+            self.decide(target)
             for _ in range(self.period):
                 self.act()
                 self.simulation.advance_once()
-        return spent
 
 
 class _Channels:

@@ -28,7 +28,7 @@ from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_nonnegative, as_positive
 from lieednn_sim.values import Floats
 
 
@@ -47,11 +47,8 @@ def make_controlled(
 
 def as_hold(value: float) -> float:
     """Return the time after a motion [s] when it can be simulated, or raise `InputError`."""
-    hold = float(as_floats("hold", value, ()))
     # A longer one is an error of units, and would take gigabytes.
-    if not 0.0 <= hold <= 1000.0:
-        raise InputError(f"hold must be between 0 and 1000 s, got {hold:g}")
-    return hold
+    return as_nonnegative("hold", value, 1000.0)
 
 
 def as_loaded(arm: Arm, *motions: Plan | Motion | PlanSequence) -> Arm:

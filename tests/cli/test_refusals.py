@@ -42,7 +42,7 @@ REFUSED = {
     "demo --duration 1000": "duration must be between 2 and 100000 time steps of 0.002 s, got 1000 s",
     "demo --seed 1.5": "argument --seed: must be a whole number, such as 12, got '1.5'",
     "demo --position 1e308,0,0": "position must not exceed 1e+100 in size, got 1e+308",
-    "demo --hold -1": "hold must be between 0 and 1000 s, got -1",
+    "demo --hold -1": "hold must not be negative, got -1",
     "demo --push 'link 1,1,2,3'": "argument --push: must look like BODY,FX,FY,FZ,START,DURATION",
     "demo --push moon,1,2,3,1,1": "no body 'moon' to push; links are: link 1",
     "demo --reference-rate 7": "reference_rate must divide the simulation's 500 Hz",

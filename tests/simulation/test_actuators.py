@@ -34,8 +34,8 @@ def test_lengths_velocities_and_forces_are_mujoco_s(small_arms, seed, name):
     mujoco.mj_forward(arm.model, data)
     moving = actuators.driving
     np.testing.assert_allclose(actuators.lengths(data.qpos)[moving], data.actuator_length[moving], atol=1e-12)
-    np.testing.assert_allclose(actuators.velocities(data.qvel)[moving], data.actuator_velocity[moving], atol=1e-12)
-    np.testing.assert_allclose(data.actuator_force[moving], actuators.forces(wanted)[moving], atol=1e-9)
+    np.testing.assert_allclose((actuators.moment @ data.qvel)[moving], data.actuator_velocity[moving], atol=1e-12)
+    np.testing.assert_allclose(data.actuator_force[moving], (actuators.allocation @ wanted)[moving], atol=1e-9)
     # What the arm's joints can do is done by those forces; internal ones between coupled stages do not matter.
     driven = np.where(actuators.driving, data.actuator_force, 0.0)
     basis, moment = tangent_basis(arm.space), np.zeros((arm.model.nu, arm.model.nv))

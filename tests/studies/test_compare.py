@@ -205,7 +205,7 @@ def test_failures_that_differ_in_names_and_numbers_are_counted_together():
         (lambda: Comparison(first_seed=-1), "first_seed"),
         (lambda: Comparison(seeds=3, slow_seeds=4), "slow_seeds must be at most seeds, 3, got 4"),
         (lambda: Settings(mass_scale=0.0), "mass_scale must be positive"),
-        (lambda: Settings(hold=-1.0), "hold must be between 0 and"),
+        (lambda: Settings(hold=-1.0), "hold must not be negative"),
     ],
 )
 def test_bad_input_is_named(make, message):

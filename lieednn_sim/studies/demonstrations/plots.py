@@ -7,12 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
-from lieednn_sim.evaluation import figure_layout
-from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE
+from lieednn_sim.evaluation.figure_layout import COLOURS, drawn
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import MotionModel
@@ -60,10 +57,8 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
         t = np.linspace(0.0, first.durations * demonstrations.duration, len(path_of_band))
         band = first.covariance(start, t)
     views = ((0, 1),) if demonstrations.dof == 2 else ((0, 1), (0, 2), (1, 2))
-    with matplotlib.rc_context(STYLE):
-        turns = demonstrations.dof == 6
-        size = (6.4, 5.6) if len(views) == 1 else (12.5, 7.6 if turns else 4.4)
-        figure = Figure(figsize=size, layout="constrained")
+    turns = demonstrations.dof == 6
+    with drawn(path, *((6.4, 5.6) if len(views) == 1 else (12.5, 7.6 if turns else 4.4))) as figure:
         axes = figure.subplots(2 if turns else 1, len(views), squeeze=False)
         for axis, (h, v) in zip(axes[0], views, strict=True):
             labelled = axis is axes[0, 0]
@@ -83,7 +78,6 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
                 axis.fill_between(fraction, turn - width, turn + width, **_BAND)
             axis.set(xlabel="fraction of the path", ylabel=f"turn about {'xyz'[c]} [deg]")
         figure.legend(loc="outside upper center", ncols=3 if len(views) == 1 else 4)
-        figure_layout.save_figure(figure, path)
 
 
 def plot_joint_paths(
@@ -106,8 +100,7 @@ def plot_joint_paths(
         ("lieednn-shaped, from their starts", fan, _FAN),
         ("lieednn-shaped, from their mean start", [reproduction], _LINES[0]),
     ]
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10.5, 0.9 + 2.1 * rows), layout="constrained")
+    with drawn(path, 10.5, 0.9 + 2.1 * rows) as figure:
         axes = figure.subplots(rows, _IN_ROW, squeeze=False, sharex=True).ravel()
         for joint, axis in enumerate(axes):
             if joint >= arm.n_joints:
@@ -120,7 +113,6 @@ def plot_joint_paths(
                 axis.set_xlabel("fraction of the path")
                 axis.xaxis.set_tick_params(labelbottom=True)
         figure.legend(loc="outside upper center", ncols=len(groups))
-        figure_layout.save_figure(figure, path)
 
 
 def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | os.PathLike[str], seed: int = 0) -> None:
@@ -139,8 +131,7 @@ def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | o
         ("demonstrations", list(demonstrations.displaced), {"color": COLOURS[4], "lw": 1.0, "ls": "-"}),
         (f"{model.name}, from their mean start", [mean], _LINES[0]),
     ]
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(6.8, 6.2), layout="constrained")
+    with drawn(path, 6.8, 6.2) as figure:
         axis = figure.subplots()
         every = 1e3 * paths[..., [3 + h, 3 + v]]
         low, high = every.min(axis=(0, 1)), every.max(axis=(0, 1))
@@ -152,7 +143,6 @@ def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | o
         axis.set(xlabel=f"{'xyz'[h]} [mm]", ylabel=f"{'xyz'[v]} [mm]", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axis.set_aspect("equal", adjustable="box")
         figure.legend(loc="outside upper center", ncols=2)
-        figure_layout.save_figure(figure, path)
 
 
 def _draw_paths(
