@@ -76,12 +76,7 @@ class Arm(ModelArm):
         return cls.from_xml(model.path, model.name, **model.options).with_scene(scene, seed)
 
     @classmethod
-    def from_xml(
-        cls,
-        path: str | os.PathLike[str],
-        name: str | None = None,
-        **options: Unpack[ImportOptions],
-    ) -> Arm:
+    def from_xml(cls, path: str | os.PathLike[str], name: str | None = None, **options: Unpack[ImportOptions]) -> Arm:
         """Load an MJCF or URDF file that holds one arm.
 
         A file with the sites ``base_frame`` and ``link1_frame``, ``link2_frame``, ... is taken as it is. Any other is
@@ -102,11 +97,7 @@ class Arm(ModelArm):
 
     @classmethod
     def from_spec(
-        cls,
-        spec: mujoco.MjSpec,
-        source: Path = Path("a spec"),
-        name: str = "arm",
-        **options: Unpack[ImportOptions],
+        cls, spec: mujoco.MjSpec, source: Path = Path("a spec"), name: str = "arm", **options: Unpack[ImportOptions]
     ) -> Arm:
         """The arm in a spec, which is not changed, as of `from_xml`.
 

@@ -60,7 +60,8 @@ class _Unit:
 def _units(
     model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], ranges: dict[int, Floats], couplings: Couplings
 ) -> list[_Unit]:
-    anchors = data.xanchor[list(joints)]
+    anchors, screws = data.xanchor[list(joints)], np.zeros((2, 3, model.nv))
+    mujoco.mj_comPos(model, data)
     size = max(float(np.linalg.norm(anchors - anchors[0], axis=1).max()), 1e-2)
     runs: list[list[int]] = []
     last = {lead: i for i, joint in enumerate(joints) for lead in couplings.ratios(joint)}
@@ -76,20 +77,15 @@ def _units(
         kinds = {int(model.jnt_type[joint]) for joint in run}
         kind = {_SLIDE: "slide", _HINGE: "hinge", _BALL: "ball"}[kinds.pop()] if len(kinds) == 1 else "mixed"
         turns, columns = 0.0, {lead: np.zeros((6, 1)) for joint in run for lead in couplings.ratios(joint)}
+        mujoco.mj_jac(model, data, screws[1], screws[0], anchors[0], int(bodies[run[-1]]))
+        moving = np.concatenate([screws[0], screws[1] / size])
         for joint in run:
-            axis, ratios = data.xaxis[joint], couplings.ratios(joint)
-            arm = (data.xanchor[joint] - anchors[0]) / size
-            if model.jnt_type[joint] == _SLIDE:
-                for lead, ratio in ratios.items():
-                    columns[lead] += ratio * np.concatenate([np.zeros(3), axis])[:, None]
-                continue
-            reference = 0.0 if model.jnt_type[joint] == _BALL else model.qpos0[model.jnt_qposadr[joint]]
-            turns += float(np.abs(ranges[joint] - reference).max())
-            if model.jnt_type[joint] == _BALL:
-                columns[joint] = np.array([np.concatenate([e, np.cross(arm, e)]) for e in np.eye(3)]).T
-                continue
-            for lead, ratio in ratios.items():
-                columns[lead] += ratio * np.concatenate([axis, np.cross(arm, axis)])[:, None]
+            dof, ball = int(model.jnt_dofadr[joint]), model.jnt_type[joint] == _BALL
+            if model.jnt_type[joint] != _SLIDE:
+                reference = 0.0 if ball else model.qpos0[model.jnt_qposadr[joint]]
+                turns += float(np.abs(ranges[joint] - reference).max())
+            for lead, ratio in couplings.ratios(joint).items():
+                columns[lead] = columns[lead] + ratio * moving[:, dof : dof + (3 if ball else 1)]
         for lead, column in columns.items():
             if np.linalg.norm(column) < 1e-9:
                 others = ", ".join(repr(model.joint(joint).name) for joint in run if joint != lead)

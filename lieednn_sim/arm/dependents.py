@@ -67,7 +67,8 @@ class Dependents:
         self.independent = tuple(sorted(int(joint) for joint in independent))
         _check_joints(model, self.independent)
         self.dofs = dof_addresses(model, self.independent)
-        active = np.flatnonzero(data.eq_active * _equalities_enabled(model))
+        off = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
+        active = np.flatnonzero(data.eq_active * (not model.opt.disableflags & off))
         self._followers, roots, remaining = _in_closed_form(model, [int(e) for e in active], self.independent)
         equalities, looped = _loops_of(model, remaining, roots)
         led = {follower.joint for follower in self._followers if roots[follower.joint] is not None}
@@ -245,11 +246,6 @@ def _check_joints(model: mujoco.MjModel, joints: Sequence[int]) -> None:
     free = [joint for joint in joints if int(model.jnt_type[joint]) not in JOINT_KINDS]
     if free:
         raise InputError(f"{names(model, free)} is free; independent joints are hinges, slides and balls")
-
-
-def _equalities_enabled(model: mujoco.MjModel) -> bool:
-    off = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
-    return not model.opt.disableflags & off
 
 
 def _follower_of(model: mujoco.MjModel, equality: int) -> Follower:

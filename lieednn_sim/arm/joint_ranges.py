@@ -34,8 +34,8 @@ def joint_ranges(
     groups: Sequence[Sequence[int]],
     couplings: Couplings,
     notes: list[str],
-    around: Floats | None = None,
-    within: Mapping[int, Floats] | None = None,
+    around: Floats,
+    within: Mapping[int, Floats],
 ) -> dict[int, Floats]:
     """The range ``(2,)`` [rad, m] of each joint; new and narrowed ranges are added to ``notes``.
 
@@ -56,11 +56,11 @@ def joint_ranges(
     """
     joints = [joint for group in groups for joint in group]
     spans = {joint: _span(model, joint, notes, around, alone=len(group) == 1) for group in groups for joint in group}
-    for joint, (low, high) in (within or {}).items():
+    for joint, (low, high) in within.items():
         spans[joint] = np.array([max(spans[joint][0], low), min(spans[joint][1], high)])
     for lead in dict.fromkeys(couplings.line(joint)[0] for joint in joints):
         members = [joint for joint in joints if couplings.line(joint)[0] == lead]
-        if members == [lead] and (within is None or lead not in within) and np.isfinite(spans[lead]).all():
+        if members == [lead] and lead not in within and np.isfinite(spans[lead]).all():
             continue
         low, high = -np.inf, np.inf
         for joint in members:
@@ -120,7 +120,7 @@ def narrow_to_servos(
     return np.where(narrower, held, limits)
 
 
-def _span(model: mujoco.MjModel, joint: int, notes: list[str], around: Floats | None, *, alone: bool) -> Floats:
+def _span(model: mujoco.MjModel, joint: int, notes: list[str], around: Floats, *, alone: bool) -> Floats:
     name, kind = model.joint(joint).name, int(model.jnt_type[joint])
     given = joint_range(model, joint) if model.jnt_limited[joint] else np.array([-np.inf, np.inf])
     if kind == _SLIDE:
@@ -130,7 +130,7 @@ def _span(model: mujoco.MjModel, joint: int, notes: list[str], around: Floats | 
         span = np.array([0.0, min(widest, _WIDEST)])
     elif alone and model.jnt_limited[joint]:
         return given
-    elif alone and around is not None:
+    elif alone:
         return around[model.jnt_qposadr[joint]] + 2.0 * np.pi * np.array([-1.0, 1.0])
     else:
         reference = float(model.qpos0[model.jnt_qposadr[joint]])

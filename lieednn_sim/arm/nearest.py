@@ -148,7 +148,10 @@ class NearestPose:
         moving = np.arange(len(q))
         # If a gap remains, Gauss-Newton converges only linearly.
         for _ in range(6):
-            step = self._newton_step(q[moving], goal[moving])
+            gradient, inverse = self._quadratic(q[moving], goal[moving])
+            step = (inverse @ gradient[..., None])[..., 0]
+            # Long steps are outside the range of the quadratic model.
+            step = np.where(np.abs(step).max(axis=-1, keepdims=True) < 0.1, step, 0.0)
             q[moving] -= step
             # After a step of this size the next one, its square, is rounding.
             moving = moving[np.abs(step).max(axis=-1) > 1e-9]
@@ -260,12 +263,6 @@ class NearestPose:
             np.asarray(np.linalg.norm((transposed @ residual[..., None])[..., 0], axis=1)),
             levers[..., ~self.sliding].max(axis=(1, 2), initial=0.0),
         )
-
-    def _newton_step(self, q: Floats, goal: Floats) -> Floats:
-        gradient, inverse = self._quadratic(q, goal)
-        step = (inverse @ gradient[..., None])[..., 0]
-        # Long steps are outside the range of the quadratic model.
-        return np.where(np.abs(step).max(axis=-1, keepdims=True) < 0.1, step, 0.0)
 
     def _quadratic(self, q: Floats, goal: Floats, rate: Floats | None = None) -> tuple[Floats, Floats]:
         """The gradient ``(B, c)`` of f / 2, and the pseudo-inverse of its Hessian: undetermined coordinates stay.

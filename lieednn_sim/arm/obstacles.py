@@ -135,9 +135,9 @@ def check_home(arm: SerialArm, scene: str) -> None:
     """Raise `InputError` where an arm at its keyframe ``home`` touches one of the obstacles around it."""
     model = arm.model
     near = ContactFinder(model, PLANNED_CLEARANCE).geoms(arm.qpos(arm.keyframe("home")))[1]
-    moving = moving_geoms(model)
+    moving, roots = moving_geoms(model), model.body_rootid[model.geom_bodyid]
     for pair in near:
-        if moving[pair].sum() == 1 and any(_is_obstacle(model, int(g)) for g in pair):
+        if moving[pair].sum() == 1 and any(model.body(root).name.startswith(PREFIX) for root in roots[pair]):
             names = [model.geom(g).name or model.body(model.geom_bodyid[g]).name for g in pair]
             part, obstacle = names if moving[pair[0]] else names[::-1]
             raise InputError(
@@ -145,11 +145,6 @@ def check_home(arm: SerialArm, scene: str) -> None:
                 f"{1e3 * PLANNED_CLEARANCE:g} mm of {part!r} of arm {arm.name!r} at home; move it, or give the arm "
                 "another home"
             )
-
-
-def _is_obstacle(model: mujoco.MjModel, geom: int) -> bool:
-    root = model.body_rootid[model.geom_bodyid[geom]]
-    return bool(model.body(root).name.startswith(PREFIX))
 
 
 def _goals(model: mujoco.MjModel) -> list[int]:

@@ -31,12 +31,10 @@ class Retraction:
     Attributes:
         q: ``(..., n)`` joint coordinates [rad, m].
         qd: ``(..., n)`` their rates; zero for poses at rest.
-        twist: ``(..., N, 6)`` twists of the given poses [rad, m].
     """
 
     q: Floats
     qd: Floats
-    twist: Floats
     _measure: Callable[[], tuple[Floats, Floats]] = field(repr=False, compare=False)
 
     @property
@@ -94,7 +92,7 @@ class Retractor:
             q[..., solver.indices] += offset
             if rate is not None:
                 qd[..., solver.indices] = rate
-        return Retraction(q, qd, xi, partial(self._gap, given, q))
+        return Retraction(q, qd, partial(self._gap, given, q))
 
     @property
     def groups(self) -> list[Group]:

@@ -92,7 +92,8 @@ class TaskSpaceRegion:
         if not length > 0.0:
             raise InputError("a line needs two different points, got the same start and end")
         frame = scipy.spatial.transform.Rotation.align_vectors(way[None], [[1.0, 0.0, 0.0]])[0]
-        return cls._of(frame, first, [0.0, -across, -across], [length, across, across], rotation, angle)
+        width = as_nonnegative("angle", angle, _FARTHEST)
+        return cls._of(frame, first, [0.0, -across, -across], [length, across, across], rotation, width)
 
     @classmethod
     def orientation(
@@ -114,9 +115,7 @@ class TaskSpaceRegion:
                 raise InputError("axis must not be zero")
             frame = scipy.spatial.transform.Rotation.align_vectors(along[None], [[0.0, 0.0, 1.0]])[0]
             width[2] = np.inf
-        offset = transforms((frame.inv() * rotation).as_matrix(), np.zeros(3))
-        bounds = np.concatenate([_FREE, width])
-        return cls(transforms(frame.as_matrix(), np.zeros(3)), -bounds, bounds, offset)
+        return cls._of(frame, np.zeros(3), -_FREE, _FREE, rotation, width)
 
     @classmethod
     def box(
@@ -134,15 +133,16 @@ class TaskSpaceRegion:
             InputError: a value is malformed, or a lower bound is above the upper one.
         """
         low, high = (_as_bounds(name, value, 3) for name, value in (("lower", lower), ("upper", upper)))
-        return cls._of(scipy.spatial.transform.Rotation.identity(), np.zeros(3), low, high, rotation, angle)
+        width = as_nonnegative("angle", angle, _FARTHEST)
+        return cls._of(scipy.spatial.transform.Rotation.identity(), np.zeros(3), low, high, rotation, width)
 
     @classmethod
     def _of(
-        cls, frame: Rotation, place: Floats, low: ArrayLike, high: ArrayLike, rotation: Rotation | None, angle: float
+        cls, frame: Rotation, place: Floats, low: ArrayLike, high: ArrayLike, turn: Rotation | None, width: ArrayLike
     ) -> TaskSpaceRegion:
-        """Positions within bounds ``(3,)`` along the axes of a frame, with a rotation and a deviation of it, if any."""
-        width = _FREE if rotation is None else np.full(3, as_nonnegative("angle", angle, _FARTHEST))
-        turned = np.eye(3) if rotation is None else (frame.inv() * rotation).as_matrix()
+        """Positions within bounds ``(3,)`` along the axes of a frame, with a rotation and deviations of it, if any."""
+        width = _FREE if turn is None else np.broadcast_to(np.asarray(width, dtype=float), 3)
+        turned = np.eye(3) if turn is None else (frame.inv() * turn).as_matrix()
         return cls(
             transforms(frame.as_matrix(), place),
             np.concatenate([low, -width]),

@@ -119,7 +119,9 @@ def read_view(
         for what, value in given.items():
             fields[f"{what}_limits"][index] = value
     if fields["length_scale"] == 1.0:
-        fields["length_scale"] = _length_scale(fields)
+        # The furthest that a link moves [m], to two digits, if that is more than a metre.
+        furthest = float(np.abs(log(fields["joints"].poses(_samples(fields, 64)))[..., 3:]).max())
+        fields["length_scale"] = max(1.0, float(f"{furthest:.2g}"))
     return View(fields, held, chain, couplings)
 
 
@@ -213,9 +215,3 @@ def _acceleration_limits(model: mujoco.MjModel, fields: Mapping[str, Any]) -> Fl
         rates = dependents.basis(configurations) @ rates[dependents.dofs]
     spare = spare_acceleration(model, configurations, rates, force)
     return np.where(np.isfinite(given), given, spare)
-
-
-def _length_scale(fields: Mapping[str, Any]) -> float:
-    """The furthest that a link moves [m], to two digits, if that is more than a metre; else 1."""
-    largest = float(np.abs(log(fields["joints"].poses(_samples(fields, 64)))[..., 3:]).max())
-    return float(f"{largest:.2g}") if largest > 1.0 else 1.0

@@ -132,7 +132,13 @@ class Pushes:
         self._bodies = list(dict.fromkeys(body for _, body in self._pushes))
         self._timestep, self._shape = float(model.opt.timestep), (model.nbody, 6)
         for push in pushes:
-            self._require_a_step(push)
+            # One that is so short would never act.
+            nearby = np.round(push.start / self._timestep) + np.arange(-1, 2)
+            if not self._acts(push, self._timestep * nearby).any():
+                raise InputError(
+                    f"the push on {push.body!r} at {push.start:g} s takes {push.duration:g} s, in which no step of the"
+                    f" simulation begins; make it at least one time step of {self._timestep:g} s"
+                )
         self.channel_units: Mapping[str, str] = {"push_force": "N"} if pushes else {}
 
     def forces(self, steps: range) -> Floats:
@@ -147,15 +153,6 @@ class Pushes:
         # Compared halfway between steps, so that rounding of the times does not matter.
         half = 0.5 * self._timestep
         return (push.start - half < now) & (now < push.end - half)
-
-    def _require_a_step(self, push: Push) -> None:
-        """Refuse a push that is so short that it would never act."""
-        nearby = np.round(push.start / self._timestep) + np.arange(-1, 2)
-        if not self._acts(push, self._timestep * nearby).any():
-            raise InputError(
-                f"the push on {push.body!r} at {push.start:g} s takes {push.duration:g} s, in which no step of the"
-                f" simulation begins; make it at least one time step of {self._timestep:g} s"
-            )
 
     def apply(self, data: mujoco.MjData, step: int) -> None:
         """Set the forces of a step."""

@@ -123,12 +123,7 @@ def follow(
             record.step()
     end = total * arm.timestep
     rollout = record.rollout(
-        loop.reference.q,
-        loop.reference.qd,
-        target=targets[-1],
-        motion_end=end,
-        controller=name,
-        disturbances=changes,
+        loop.reference.q, loop.reference.qd, target=targets[-1], motion_end=end, controller=name, disturbances=changes
     )
     return Following(rollout, np.array(targets), np.array(states), period, np.array(spent))
 

@@ -6,14 +6,12 @@ from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import fixed_body
 from lieednn_sim.arm.step_stability import step_remedy
 from lieednn_sim.errors import InputError, SimulationError
-from lieednn_sim.lie import rotations, transforms
 from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sensors
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.validation import as_count, as_floats
@@ -97,12 +95,6 @@ class Simulation:
     def first_noise(self, count: int) -> Noise:
         """Errors ``(m, nv)`` of the first measurements after a reset."""
         return self._sensors.first(count)
-
-    def link_poses(self, links: slice = slice(None)) -> RigidTransform:
-        """Frames of the chosen links, by default all, at the present time, as poses of shape ``(N,)``."""
-        mujoco.mj_kinematics(self.model, self.data)
-        places, turns = self.arm.frames[links].poses(self.data.xpos, self.data.xmat)
-        return transforms(rotations(turns).as_matrix(), places)
 
     def move_obstacles(self) -> dict[str, Floats]:
         """Put moving obstacles where they are at the present time; returns positions ``(3,)`` by names of bodies."""

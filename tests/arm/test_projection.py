@@ -304,7 +304,7 @@ def test_rates_are_the_derivative_of_the_retraction(arm, seed, size):
         ('type="ball" range="0 2"', 'type="ball" range="0 4"', "may turn by 4 rad"),
         ('axis="1 0 0" range="-1 1"', 'axis="1 0 0" range="-6 6"', "may turn by 6 rad"),
         ('name="left" type="slide" axis="1 0 0" range="0 0.3"', 'name="left" type="slide"', "no position limits"),
-        ('<site name="link4_frame"/>', '<site name="link4_frame"/><site name="link5_frame"/>', "link 5.*no joint"),
+        ('<site name="link4_frame"/>', '<site name="link4_frame"/><site name="link5_frame"/>', "no joint is between"),
     ],
 )
 def test_what_cannot_be_an_arm_is_refused_with_the_reason(old, new, words, tmp_path):

@@ -7,7 +7,6 @@ import numpy as np
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import compensating_dofs, tangent_basis
-from lieednn_sim.errors import InputError
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY, Controller
 from lieednn_sim.simulation.disturbances import Noise
@@ -30,8 +29,7 @@ class LoopLinearisation(Controller):
     changes_plant = False
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
-        if arm.dependents is None:
-            raise InputError(f"arm {arm.name!r} has no closed loops")
+        assert arm.dependents is not None
         self._arm, self._reference, self._loops = arm, reference, arm.dependents
         self._actuators = actuators = Actuators(arm)
         self._unit = tangent_basis(arm.space)[arm.dependents.dofs]
