@@ -32,6 +32,8 @@ def make_rollout(arm: Arm, q: NDArray[np.float64] | None = None, **given: Any) -
         "link_position": poses.translation,
         "link_quaternion": poses.rotation.as_quat(scalar_first=True),
         "contacts": np.zeros(len(q), dtype=int),
+        "contact_force": np.zeros(len(q)),
+        "qpos": arm.qpos(q),
         "motion_end": 0.0,
     }
     return Rollout(arm=arm, q=q, **{**values, **given})

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import SCALAR
@@ -267,13 +268,7 @@ class ClosedLoops:
 
 def _determining(model: mujoco.MjModel, loose: Sequence[int], free: Floats, dofs: Indices) -> list[int]:
     """Hinges and slides that determine the free directions ``(F, D)``, those that move most first."""
-    columns = {j: free[:, dofs == model.jnt_dofadr[j]][:, 0] for j in loose if model.jnt_type[j] in SCALAR}
-    chosen: list[int] = []
-    for _ in free:
-        best = max(columns, key=lambda j: float(np.linalg.norm(columns[j])), default=None)
-        if best is None or np.linalg.norm(columns[best]) < 1e-6:
-            break
-        chosen.append(best)
-        unit = columns[best] / np.linalg.norm(columns[best])
-        columns = {j: column - (column @ unit) * unit for j, column in columns.items()}
-    return chosen
+    scalars = [j for j in loose if model.jnt_type[j] in SCALAR]
+    columns = free[:, np.searchsorted(dofs, model.jnt_dofadr[scalars])]
+    triangle, order = scipy.linalg.qr(columns, mode="r", pivoting=True)
+    return [scalars[k] for k, left in zip(order, np.diag(triangle), strict=False) if abs(left) > 1e-6]

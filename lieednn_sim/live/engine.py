@@ -5,14 +5,12 @@ Its policies are made by workers of the session. What is proved about them is he
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.budget import reporting
 from lieednn_sim.errors import NotCertifiedError
 from lieednn_sim.live.settings import PLANNED, Settings
 from lieednn_sim.network import BlockNetwork
@@ -111,24 +109,17 @@ class Made(NamedTuple):
     progress: Progress | None  # what is proved about it; None for a policy without a network
 
 
-def make_for(
-    arm: Arm, settings: Settings, start: Floats, target: Floats, *, rate: float, seed: int, check: Callable[..., None]
-) -> Made:
-    """Make the policy of some settings; raises as `make_policy` and `plan`.
-
-    Nothing else may use the arm. ``check`` is called between the steps of the work; an exception of it ends the work.
-    """
+def make_for(arm: Arm, settings: Settings, start: Floats, target: Floats, *, rate: float, seed: int) -> Made:
+    """Make the policy of some settings; raises as `make_policy` and `plan`. Nothing else may use the arm."""
     motion = None
     if settings.policy in PLANNED:
-        with reporting(lambda *_: check()):
-            motion = plan(arm, target, planner=settings.planner, start=start, seed=seed).motion
+        motion = plan(arm, target, planner=settings.planner, start=start, seed=seed).motion
     options = ShapedOptions(rate=settings.rho) if settings.policy == "lieednn-shaped" else None
     goal = target if motion is None else motion
     policy = make_policy(settings.policy, arm, goal, rate=rate, start=start, options=options, seed=seed)
     if settings.filtered:
         policy = FilteredPolicy(policy)
         policy.reset(start)
-    check()
     inner = network_policy(policy)
     return Made(settings, policy, motion, None if inner is None else Progress.of(inner))
 

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.budget import reporting
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, SimulationError
 from lieednn_sim.live.engine import Engine, Made, foreseen, make_for
 from lieednn_sim.live.settings import Settings
@@ -65,7 +66,7 @@ class Worker:
             self._changed.notify_all()
 
     def check(self, *_: object) -> None:
-        """Within a job: raise `Superseded` if its result is no longer wanted."""
+        """Within a job, and whenever that reports: raise `Superseded` if its result is no longer wanted."""
         with self._changed:
             if self._next is not None or self._closed:
                 raise Superseded
@@ -95,7 +96,8 @@ class Worker:
                     return
                 job, self._next, self._busy = self._next, None, True
             try:
-                job()
+                with reporting(self.check):
+                    job()
             except Superseded:
                 pass
             except Exception as error:
@@ -378,8 +380,8 @@ class Session:
 
         def work() -> None:
             arm = copy.deepcopy(self.arm)
-            how: dict[str, Any] = {"rate": self._rate, "seed": self.seed, "check": self._maker.check}
-            result = make_for(arm, desired, start, target, **how) if needs_policy else None
+            result = make_for(arm, desired, start, target, rate=self._rate, seed=self.seed) if needs_policy else None
+            self._maker.check()
             plant = ClosedLoop(policy, desired.controller, desired.disturbances) if needs_plant else None
             self._maker.check()
             self._requests.put(lambda: self._adopt(desired, result, plant))

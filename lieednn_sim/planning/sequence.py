@@ -193,12 +193,9 @@ def _heavier(model: mujoco.MjModel, data: mujoco.MjData, dofs: NDArray[np.int_])
     heavy, state = copy.deepcopy(model), mujoco.MjData(model)
     mujoco.mj_copyData(state, model, data)
     mujoco.mj_fwdPosition(model, state)
-    column, unit = np.zeros(model.nv), np.zeros(model.nv)
-    for dof in dofs:
-        unit[:] = 0.0
-        unit[dof] = 1.0
-        mujoco.mj_mulM(model, state, column, unit)
-        heavy.dof_armature[dof] += _HELD * column[dof]
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, state, inertia)
+    heavy.dof_armature[dofs] += _HELD * np.diag(inertia)[dofs]
     driving = actuator_moments(model)[:, dofs].any(axis=1)
     heavy.actuator_gainprm[driving] = heavy.actuator_biasprm[driving] = 0.0
     return heavy

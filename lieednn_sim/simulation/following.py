@@ -98,8 +98,8 @@ def follow(
     """
     arm, total = policy.arm, count_steps(duration, policy.arm.timestep)
     changes = Disturbances() if disturbances is None else disturbances
-    name = default_controller(arm) if controller is None else controller
-    name = "inverse-dynamics" if controller is None and name == "position-servo" else name
+    usual = default_controller(arm).replace("position-servo", "inverse-dynamics")
+    name = usual if controller is None else controller
     loop = ClosedLoop(policy, name, changes, rows=total + 1)
     period, simulation = loop.period, loop.simulation
     if period > total:

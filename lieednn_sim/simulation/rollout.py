@@ -59,12 +59,12 @@ class Rollout:
         link_quaternion: ``(K, N, 4)`` the same, (w, x, y, z).
         contacts: ``(K,)`` number of contacts; of a view, those of what the arm moves or carries with anything that it
             does not move along, fingers around a free body included.
-        contact_force: ``(K,)`` largest normal force among the contacts [N]; zero by default.
+        contact_force: ``(K,)`` largest normal force among the contacts [N].
         channels: ``(K, ...)`` further logs of controllers and disturbances by name, such as of `MocapWelds` and
             `Pushes`.
         channel_units: units of the channels, by name.
         motion_end: time at which the reference comes to rest [s].
-        qpos: ``(K, nq)`` positions in the order of the arm's model; by default those of q.
+        qpos: ``(K, nq)`` positions in the order of the arm's model.
         steps: when each step of a sequence began [s], and its name; none for a single motion.
         controller: a name of `CONTROLLERS`.
         reference_rate: rate at which the controller saw samples of the reference [Hz], None for every step.
@@ -88,8 +88,9 @@ class Rollout:
     link_position: Floats
     link_quaternion: Floats
     contacts: NDArray[np.int_]
+    contact_force: Floats
+    qpos: Floats
     motion_end: float
-    contact_force: Floats = field(default_factory=lambda: np.zeros(0))
     channels: Mapping[str, Floats] = field(default_factory=dict)
     channel_units: Mapping[str, str] = field(default_factory=dict)
     controller: str = "position-servo"
@@ -97,17 +98,12 @@ class Rollout:
     disturbances: Disturbances = field(default_factory=Disturbances)
     motion: Motion | None = None
     target: Floats = field(default_factory=lambda: np.zeros(0))
-    qpos: Floats = field(default_factory=lambda: np.zeros(0))
     steps: tuple[tuple[float, str], ...] = ()
 
     def __post_init__(self) -> None:
         k = len(as_times("t", self.t))
         n, links = self.arm.n_joints, self.arm.n_links
         check_fields(self, as_floats, *_PER_COORDINATE, shape=(k, n))
-        if np.size(self.contact_force) == 0:
-            set_fields(self, contact_force=np.zeros(k))
-        if np.size(self.qpos) == 0:
-            set_fields(self, qpos=self.arm.qpos(self.q))
         if np.size(self.target) == 0:
             set_fields(self, target=self.q_ref[-1])
         check_fields(self, as_floats, "t", "contacts", "contact_force", shape=(k,))
