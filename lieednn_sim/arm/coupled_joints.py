@@ -86,23 +86,22 @@ def _along_tendon(model: mujoco.MjModel, joints: Sequence[int], couplings: Coupl
             f"tendon {model.tendon(tendon).name!r} drives hinges and slides together; "
             "tie its joints by equalities that say how they share the motion"
         )
-    lines, added = dict(couplings.lines), dict(couplings.added)
     first, *others = heads
-    x0 = float(model.qpos0[model.jnt_qposadr[first]])
-    for joint in others:
-        ratio = pulls[joint] / pulls[first]
-        shift = float(model.qpos0[model.jnt_qposadr[joint]]) - ratio * x0
-        added[joint] = tendon
-        for follower, (leader, further, constant) in couplings.lines.items():
-            if leader == joint:
-                lines[follower] = first, further * ratio, further * shift + constant
-        lines[joint] = first, ratio, shift
+    x0, *zeros = model.qpos0[model.jnt_qposadr[heads]].tolist()
+    ratios = [pulls[joint] / pulls[first] for joint in others]
+    tied = {joint: (first, r, zero - r * x0) for joint, r, zero in zip(others, ratios, zeros, strict=True)}
+
+    def along(leader: int, ratio: float, shift: float) -> Line:
+        """A line whose leader may follow the first of the heads now."""
+        root, further, constant = tied.get(leader, (leader, 1.0, 0.0))
+        return root, ratio * further, ratio * constant + shift
+
+    lines = {follower: along(*line) for follower, line in couplings.lines.items()} | tied
     sums: dict[int, Sum] = {}
-    for joint, (ratios, shift) in couplings.sums.items():
-        through: dict[int, float] = {}
-        for head, ratio in ratios.items():
-            leader, further, constant = lines.get(head, (head, 1.0, 0.0))
-            through[leader] = through.get(leader, 0.0) + ratio * further
-            shift += ratio * constant
-        sums[joint] = through, shift
-    return Couplings(lines, added, sums)
+    for joint, (parts, shift) in couplings.sums.items():
+        total: dict[int, float] = {}
+        for head, part in parts.items():
+            root, further, shift = along(head, part, shift)
+            total[root] = total.get(root, 0.0) + further
+        sums[joint] = total, shift
+    return Couplings(lines, couplings.added | dict.fromkeys(others, tendon), sums)

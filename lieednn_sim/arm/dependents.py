@@ -65,7 +65,11 @@ class Dependents:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, independent: Sequence[int]) -> None:
         self._model = model
         self.independent = tuple(sorted(int(joint) for joint in independent))
-        _check_joints(model, self.independent)
+        joints = self.independent
+        if not joints or len(set(joints)) < len(joints) or not all(0 <= joint < model.njnt for joint in joints):
+            raise InputError(f"independent joints must be different ids from 0 to {model.njnt - 1}, got {list(joints)}")
+        if free := [joint for joint in joints if int(model.jnt_type[joint]) not in JOINT_KINDS]:
+            raise InputError(f"{names(model, free)} is free; independent joints are hinges, slides and balls")
         self.dofs = dof_addresses(model, self.independent)
         off = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
         active = np.flatnonzero(data.eq_active * (not model.opt.disableflags & off))
@@ -238,14 +242,6 @@ def tied_joints(model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Pairs (follower, leader) of the active equalities between two joints."""
     tied = (model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)) & (model.eq_active0 != 0) & (model.eq_obj2id >= 0)
     return list(zip(model.eq_obj1id[tied].tolist(), model.eq_obj2id[tied].tolist(), strict=True))
-
-
-def _check_joints(model: mujoco.MjModel, joints: Sequence[int]) -> None:
-    if not joints or len(set(joints)) < len(joints) or not all(0 <= joint < model.njnt for joint in joints):
-        raise InputError(f"independent joints must be different ids from 0 to {model.njnt - 1}, got {list(joints)}")
-    free = [joint for joint in joints if int(model.jnt_type[joint]) not in JOINT_KINDS]
-    if free:
-        raise InputError(f"{names(model, free)} is free; independent joints are hinges, slides and balls")
 
 
 def _follower_of(model: mujoco.MjModel, equality: int) -> Follower:

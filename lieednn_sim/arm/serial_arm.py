@@ -95,11 +95,6 @@ class SerialArm:
         return self.space.names
 
     @property
-    def exact(self) -> bool:
-        """Whether every compound joint has six degrees of freedom, so that it can take any pose."""
-        return self.retractor.exact
-
-    @property
     def link_names(self) -> tuple[str, ...]:
         """Names of the links for tables and plots; the last one is the end effector."""
         return (*(f"link {i}" for i in range(1, self.n_links)), "end effector")

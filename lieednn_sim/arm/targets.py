@@ -91,7 +91,7 @@ def _anywhere(arm: Arm, rng: np.random.Generator) -> Floats:
     collisions = None if arm.scene == "free" else Collisions(arm)
     for attempt in range(_ATTEMPTS):
         # Where the joint ranges are too small for the paper's distribution, fall back to that of other arms.
-        if arm.exact and attempt < _ATTEMPTS // 2:
+        if arm.retractor.exact and attempt < _ATTEMPTS // 2:
             q = arm.decode(rng.uniform(-NETWORK_SPREAD, NETWORK_SPREAD, (arm.n_links, 6))).q
         else:
             q = rng.uniform(low + inset, high - inset)

@@ -79,17 +79,15 @@ class ApproachBounds:
         self._moves = np.array([arm.moved_by(int(model.geom_bodyid[geom])) for geom in self._geoms])
         self._turns = model.jnt_type[model.dof_jntid] != mujoco.mjtJoint.mjJNT_SLIDE
         self._radius = np.where(model.geom_rbound > 0.0, model.geom_rbound, 0.0)[self._geoms]
-        self._identity = np.eye(arm.n_joints)
 
     def __call__(self, q: Floats, speeds: Floats) -> Floats:
         """Bounds ``(P,)`` [m/s] at ``q`` ``(n,)`` for joint velocities of at most ``speeds`` ``(n,)``."""
         model, data = self._arm.model, self._data
         data.qpos[:] = self._arm.qpos(q)
         mujoco.mj_kinematics(model, data)
-        rates = self._arm.qvel(np.broadcast_to(q, self._identity.shape), self._identity)
         anchors = data.xanchor[model.dof_jntid]
         levers = np.linalg.norm(data.geom_xpos[self._geoms][:, None] - anchors, axis=2) + self._radius[:, None]
-        moved = np.where(self._turns, levers, 1.0) * self._moves * (speeds @ np.abs(rates))
+        moved = np.where(self._turns, levers, 1.0) * self._moves * (np.abs(self._arm.unit_rates(q)) @ speeds)
         table = moved @ ~self._moves.T
         return np.asarray(table[self._first, self._second] + table[self._second, self._first])
 
