@@ -15,7 +15,7 @@ from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import CertifiedOptions, certified, network_path, plan
-from lieednn_sim.planning.motion import Motion, check_motion, count_steps
+from lieednn_sim.planning.motion import Motion, check_limits, check_motion, count_steps
 from lieednn_sim.planning.network_path import RESIDUAL, _invert, make_motion
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.synthesis import synthesize, synthesize_many
@@ -223,12 +223,12 @@ def test_limits_hold_between_samples(arm, motion):
     for beyond, expected in ((0.9e-6, nullcontext()), (1.1e-6, pytest.raises(PlanError, match=r"t = 1\.40 s joint"))):
         q[700:702, 4] = arm.position_limits[4, 1] - 0.25 * 0.3 * motion.timestep + beyond
         with expected:
-            check_motion(arm, dataclasses.replace(still, q=q, qd=qd))
+            check_limits(arm, motion.t, q, qd)
     q, qd = still.q.copy(), np.zeros_like(qd)
     for share, expected in ((0.999, nullcontext()), (1.001, pytest.raises(TooFastError, match="would move at"))):
         q[701:, 4] = q[0, 4] - share * fastest * motion.timestep / 1.5
         with expected as error:
-            check_motion(arm, dataclasses.replace(still, q=q, qd=qd))
+            check_limits(arm, motion.t, q, qd)
     assert error.value.duration == pytest.approx(4.004)
 
 

@@ -67,13 +67,12 @@ def motion_along(
         PlanError: not even the polyline itself can be followed in the problem's duration.
     """
     refusals: list[PlanError] = []
-    moves = len(_measured(corners / joint_scale(problem.arm))[1]) > 0
     for count in (*options.control_points, None):
         if count in blocked:
             refusals.append(blocked[count])
             continue
         try:
-            if options.fastest and count is not None and moves:
+            if options.fastest and count is not None and len(_measured(corners / joint_scale(problem.arm))[1]):
                 return _fastest(problem, corners, count, options)
             curve = stopping(problem, corners) if count is None else smoothed(problem, corners, count, options.bend)
             motion = joint_motion(problem, *curve)
