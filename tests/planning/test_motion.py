@@ -10,6 +10,7 @@ from scipy.interpolate import PchipInterpolator
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.budget import reporting
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
@@ -199,6 +200,21 @@ def test_candidates_are_made_a_few_at_a_time_so_that_progress_is_told(arm, monke
     assert told == [(1, 4, 1), (2, 4, 1), (3, 4, 2), (4, 4, 2)]
     monkeypatch.undo()
     np.testing.assert_array_equal(plan(arm, goal, options=options).motion.q, split.motion.q)
+
+
+@pytest.mark.parametrize("jump", [0.01, 0.03])
+def test_a_network_is_refused_where_the_nearest_configuration_jumps(jump, arm, network, monkeypatch):
+    decode = SerialArm.decode
+
+    def jumping(self, xi, *more):
+        found = decode(self, xi, *more)
+        moved = np.zeros_like(found.q)
+        moved[len(moved) // 2 :, 4] = jump
+        return dataclasses.replace(found, q=found.q + moved)
+
+    monkeypatch.setattr(SerialArm, "decode", jumping)
+    with nullcontext() if jump < 0.02 else pytest.raises(PlanError, match="path jump; use another"):
+        make_motion(arm, network, arm.keyframe("home"), 1.0, 0.002)
 
 
 def test_position_limits_hold_to_a_micron(arm, motion):
