@@ -146,7 +146,7 @@ class _Search:
     def solutions(
         self, seed: Seed, *, several: bool, progress: Callable[[int, int], None] | None = None
     ) -> Iterator[Floats]:
-        """Solutions near the start or, where several are wanted, near one random position each after the first one.
+        """Solutions near the start or, where several are wanted, near a random position each after the first one.
 
         Raises as `solve_ik` if there is none.
         """
@@ -156,7 +156,8 @@ class _Search:
             if progress is not None:
                 progress(attempt, _MOST)
             q = self._start if attempt == 0 else rng.uniform(low, high)
-            q, distance = self._descend(q, q if several else self._start)
+            # If what is near the start is refused, the next ones are near random positions, too.
+            q, distance = self._descend(q, q if several or refused else self._start)
             if distance < _TOLERANCE:
                 refusal = self._refusal(q)
                 if not refusal:
