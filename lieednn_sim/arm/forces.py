@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,8 @@ DRIVABLE = (
     "<position>, <motor>, or <general> with fixed gain, affine bias and no dynamics (timeconst), on joints or fixed "
     "tendons; of a file, servos='design' (--servos design) makes others"
 )
+# The model of which a thread last asked for forces, and its data.
+_LAST = threading.local()
 
 
 def tangent_basis(space: Coordinates) -> Floats:
@@ -160,8 +163,10 @@ def required_forces(
         limited: whether forces that ``actuatorfrcrange`` limits are meant: it limits compensation by actuators as well.
         grasp: a free body whose forces the body that carries it exerts.
     """
-    # One for all configurations: making it takes a hundred times as long as using it.
-    data = mujoco.MjData(model)
+    # Making data takes a hundred times as long as using them, so those of the last model are kept.
+    if getattr(_LAST, "model", None) is not model:
+        _LAST.model, _LAST.data = model, mujoco.MjData(model)
+    data = _LAST.data
     by_actuator = compensating_dofs(model)
     if limited:
         by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0
