@@ -95,7 +95,7 @@ def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[
         for _, name, motion in sorted(_Search(problem, options).optimised(), key=itemgetter(0)):
             yield f"{name}, optimised", motion
     if problem.path_constraint is None:
-        yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search)
+        yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search, guiding=True)
 
 
 def _straight(problem: PlanningProblem) -> Motion:
