@@ -216,6 +216,13 @@ def test_a_sharp_corner_does_not_slow_down_the_whole_motion(gantry):
     # On one leg or on the other, but at the corner, by as much as two control points are apart.
     assert np.abs(fast.q - corner)[:, 1:3].min(axis=1).max() < 1e-2
     np.testing.assert_array_equal(fast.q[[0, -1]], corners[[0, -1]])
+    # Where curves touch something, the polyline is followed as fast as it goes, with a stop at the corner.
+    slow, fast = (
+        in_time(motion_along, problem, corners, SmoothingOptions((224,), fastest=fastest), {224: PlanError("touches")})
+        for fastest in (False, True)
+    )
+    least = least_duration(gantry, *corners[:2]) + least_duration(gantry, *corners[1:])
+    assert least <= fast.t[-1] <= 1.03 * least < 0.85 * slow.t[-1]
     still = dataclasses.replace(problem, target=start)
     assert not motion_along(still, np.array([start] * 2), SmoothingOptions(fastest=True), {}).qd.any()
 
