@@ -38,9 +38,7 @@ _EASING_WIDTH = 0.1
 _RECORDED_WIDTH = 0.05
 _PIECES = 1000  # of the path, of equal length
 _GRID = 400  # pieces with one acceleration of the law on each
-_STRETCHED = 1.01  # times TOPP-RA's duration, in which no averages are looked for
 _ROUNDING = 1e-8  # what rounding moves a joint by whose goal is where it starts [rad, m]
-_RESERVE = 1.1  # times the least duration, of a guide
 _INSTANTS = 2000  # at which laws are sampled
 
 
@@ -147,7 +145,7 @@ def retime(arm: Arm, motion: Motion, *, guiding: bool = False) -> Motion:
     duration = max(float(law.x[-1]), 2.0 * arm.timestep)
     count_steps(duration, arm.timestep)
     if guiding:
-        return path.motion(law, math.ceil(_RESERVE * duration / arm.timestep))
+        return path.motion(law, math.ceil(1.1 * duration / arm.timestep))
     for _ in range(20):
         result = path.motion(law, math.ceil(duration / arm.timestep))
         try:
@@ -192,7 +190,7 @@ class _Path:
         size = np.where(np.isfinite(acceleration), acceleration, 1.0) * unit**2
         # It wants bounds in place of missing limits, too, far above all rates.
         limits = [np.minimum(bound, 1e6)[:, None] * [-1.0, 1.0] for bound in (velocity * unit / size, 0.0 * size + 1.0)]
-        # Half of the pieces are of equal length, the others as dense as the root of what the bend takes of the limits.
+        # Half of the pieces are of equal length, the others as dense as the root of what bends take of the limits.
         even = np.linspace(0.0, 1.0, _PIECES + 1)
         bend = np.sqrt(np.linalg.norm(self._q(even, 2) / acceleration, axis=1))
         density = even + cumulative_trapezoid(bend / max(bend.mean(), 1e-300), even, initial=0.0)
@@ -210,7 +208,7 @@ class _Path:
         t = unit * np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
         law = CubicHermiteSpline(t, grid, rate / unit)
         laws = [self._stretched(self._own), self._stretched(law)]
-        if min(each.x[-1] for each in laws) > _STRETCHED * t[-1]:
+        if min(each.x[-1] for each in laws) > 1.01 * t[-1]:  # else little could be gained
             laws += [self._stretched(_averaged(law, window * t[-1])) for window in np.geomspace(0.002, 1.0, 20)]
         return min(laws, key=lambda item: float(item.x[-1]))
 
