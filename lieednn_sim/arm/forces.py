@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.values import Floats
 
@@ -22,8 +21,6 @@ DRIVABLE = (
     "<position>, <motor>, or <general> with fixed gain, affine bias and no dynamics (timeconst), on joints or fixed "
     "tendons; of a file, servos='design' (--servos design) makes others"
 )
-# The model of which a thread last asked for forces, and its data.
-_LAST = threading.local()
 
 
 def tangent_basis(space: Coordinates) -> Floats:
@@ -163,10 +160,7 @@ def required_forces(
         limited: whether forces that ``actuatorfrcrange`` limits are meant: it limits compensation by actuators as well.
         grasp: a free body whose forces the body that carries it exerts.
     """
-    # Making data takes a hundred times as long as using them, so those of the last model are kept.
-    if getattr(_LAST, "model", None) is not model:
-        _LAST.model, _LAST.data = model, mujoco.MjData(model)
-    data = _LAST.data
+    data = scratch_data(model)
     by_actuator = compensating_dofs(model)
     if limited:
         by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0

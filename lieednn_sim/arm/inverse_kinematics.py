@@ -9,7 +9,7 @@ import daqp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.regions import TaskSpaceRegion
@@ -139,7 +139,7 @@ class _Search:
         self._arm, self._goal, self._path_constraint, self._start = arm, goal, path_constraint, start
         # Solutions are sought a little inside of a region, so that they are in it.
         self._regions = [r.within(2.0 * _TOLERANCE) for r in (goal, path_constraint) if isinstance(r, TaskSpaceRegion)]
-        self._data, self._tip, self._basis = arm.moving_data, arm.frames[-1:], tangent_basis(arm.space)
+        self._data, self._tip, self._basis = scratch_data(arm.model), arm.frames[-1:], tangent_basis(arm.space)
         self._zero = np.zeros(arm.model.nq)
         self._zero[arm.space.ball_addresses[:, 0]] = 1.0
 
