@@ -119,8 +119,7 @@ class Collisions:
         limits = np.broadcast_to(as_floats("cutoff", limits, self.pairs.shape[: limits.ndim]), len(self.pairs))
         if (limits <= 0.0).any():
             raise InputError(f"cutoff must be positive, got {limits.min():g}")
-        data, position = self._data, as_floats("q", q, (self.arm.n_joints,))
-        turns = data.geom_xmat.reshape(1, -1, 3, 3)
+        data, turns = self._data, self._data.geom_xmat.reshape(1, -1, 3, 3)
         _, index, distance, points = self.separations(data.qpos[None].copy(), data.geom_xpos[None], turns, limits[None])
         apart = distance - self._offset[index]
         order = np.argsort(apart, kind="stable")
@@ -128,7 +127,7 @@ class Collisions:
         if not len(order):
             return Distances(apart, np.zeros((0, self.arm.n_joints)), pairs)
         slopes = self._slopes(pairs, points[order], distance[order])
-        rates = self.arm.qvel(np.broadcast_to(position, self._identity.shape), self._identity)
+        rates = self.arm.qvel(np.broadcast_to(q, self._identity.shape), self._identity)
         return Distances(apart[order], slopes @ rates.T, pairs)
 
     def separations(

@@ -2,10 +2,10 @@
 
 TOPP-RA (Pham and Pham, IEEE Transactions on Robotics 34(3), 2018; the library toppra) finds the fastest time law within
 limits of velocity and acceleration. That law switches between full acceleration and braking, without a bound on jerk,
-and within its pieces, which are shorter where the path bends, the limits hold only about. So `retime` stretches it
-until it keeps them. Where that takes long, as with limits of jerk, it averages it over a window of time, which smooths
-it; of several windows the one with the shortest motion is taken. A network's motion keeps its path: its field is only
-multiplied by a positive number at every instant, so what is proven of the path still holds.
+and within its pieces, which are shorter where the path bends, the limits hold only about. So `retime` averages it over
+a window of time, a 500th of it, which smooths it, and stretches it until it keeps the limits. Where that takes long, as
+with limits of jerk, longer windows are tried, and the one with the shortest motion is taken. A network's motion keeps
+its path: its field is only multiplied by a positive number at every instant, so what is proven of the path still holds.
 """
 
 from __future__ import annotations
@@ -207,9 +207,10 @@ class _Path:
         # Constant acceleration on each piece.
         t = unit * np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
         law = CubicHermiteSpline(t, grid, rate / unit)
-        laws = [self._stretched(self._own), self._stretched(law)]
+        first, *more = t[-1] * np.geomspace(0.002, 1.0, 20)
+        laws = [self._stretched(self._own), self._stretched(_averaged(law, first))]
         if min(each.x[-1] for each in laws) > 1.01 * t[-1]:  # else little could be gained
-            laws += [self._stretched(_averaged(law, window * t[-1])) for window in np.geomspace(0.002, 1.0, 20)]
+            laws += [self._stretched(_averaged(law, window)) for window in more]
         return min(laws, key=lambda item: float(item.x[-1]))
 
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:

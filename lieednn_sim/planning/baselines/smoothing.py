@@ -69,16 +69,17 @@ def motion_along(
         PlanError: not even the polyline itself can be followed in the problem's duration.
     """
     refusals: list[PlanError] = []
+    fastest = options.fastest and len(_measured(corners / joint_scale(problem.arm))[1]) > 0
     for count in (*options.control_points, None):
         if count in blocked:
             refusals.append(blocked[count])
             continue
         try:
-            if options.fastest and count is not None and len(_measured(corners / joint_scale(problem.arm))[1]):
+            if fastest and count is not None:
                 return _fastest(problem, corners, count, options.bend, guiding)
             curve = stopping(problem, corners) if count is None else smoothed(problem, corners, count, options.bend)
             motion = joint_motion(problem, *curve)
-            if options.fastest:
+            if fastest:
                 # At its corners the retimed motion leaves the polyline, perhaps by more than its clearance.
                 with suppress(PlanError):
                     motion = retime(problem.arm, motion)
