@@ -5,6 +5,7 @@ on the first rendering, in `rendering.opengl`.
 """
 
 import os
+import threading
 from typing import Any
 
 try:
@@ -20,7 +21,9 @@ except Exception:  # of several OpenGL bindings, with no common base
         else:
             os.environ["MUJOCO_GL"] = asked
 
-__all__ = ["QuietWarnings", "geom_colours", "kinematics_at", "mujoco"]
+__all__ = ["QuietWarnings", "geom_colours", "kinematics_at", "mujoco", "scratch_data"]
+
+_SCRATCH = threading.local()
 
 
 class QuietWarnings:
@@ -40,6 +43,16 @@ def kinematics_at(model: Any, qpos: Any) -> Any:
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     return data
+
+
+def scratch_data(model: Any) -> Any:
+    """`mujoco.MjData` to compute with, which the next call of this thread for the model returns again.
+
+    New ones take a hundred times as long as a computation, so those of the thread's last model are kept.
+    """
+    if getattr(_SCRATCH, "model", None) is not model:
+        _SCRATCH.model, _SCRATCH.data = model, mujoco.MjData(model)
+    return _SCRATCH.data
 
 
 def geom_colours(model: Any) -> Any:

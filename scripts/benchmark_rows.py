@@ -25,7 +25,7 @@ from scipy.linalg import lapack
 from scipy.spatial.transform import RigidTransform
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments.gymnasium import Environment, VectorEnvironment
 from lieednn_sim.errors import LieEDNNError, RenderingUnavailableError
@@ -380,6 +380,41 @@ def rival_rows(arms: list[Arm], seeds: int) -> Iterator[Row]:
     yield Row("plan of lieednn-certified, in RRT-Connect's median, free space", samples, "<= 1")
 
 
+def inverse_rows(arms: list[Arm], seeds: int) -> Iterator[Row]:
+    """Time of inverse kinematics from home, contact test included, in the median of mink with daqp; none without mink.
+
+    mink with little damping, with which it converges in the fewest steps.
+    """
+    if importlib.util.find_spec("mink") is None:
+        return
+    mink = importlib.import_module("mink")
+
+    def rival(arm: Arm) -> Callable[[RigidTransform], None]:
+        configuration, home = mink.Configuration(arm.model), arm.qpos(arm.keyframe("home"))
+        task = mink.FrameTask(arm.frames.names[-1], "site", 1.0, 1.0, lm_damping=1e-3)
+        limits = [mink.ConfigurationLimit(arm.model)]
+
+        def solve(pose: RigidTransform) -> None:
+            task.set_target(mink.SE3.from_matrix(pose.as_matrix()))
+            configuration.update(home)
+            for _ in range(100):
+                if np.abs(task.compute_error(configuration)).max() < 1e-6:
+                    break
+                speed = mink.solve_ik(configuration, [task], 1.0, "daqp", 1e-6, limits=limits)
+                configuration.integrate_inplace(speed, 1.0)
+
+        return solve
+
+    for arm in arms:
+        solve, poses = rival(arm), [arm.link_poses(draw_target(arm, seed))[-1] for seed in range(seeds)]
+        ours, theirs = [], []
+        for pose, place, turn in [(pose, pose.translation, pose.rotation) for pose in poses]:
+            ours.append(seconds(partial(solve_ik, arm, place, turn)))
+            theirs.append(seconds(partial(solve, pose)))
+        name = f"inverse kinematics with contact test, {arm.name}, in the median of mink with daqp"
+        yield Row(name, np.array(ours) / np.median(theirs), "<= 1.5")
+
+
 def video_rows(run: Rollout, repeats: int) -> Iterator[Row]:
     """Frames per second of wall time of a video, in those of rendering all pictures first and then encoding them.
 
@@ -480,6 +515,7 @@ def ratio_rows(targets: list[np.ndarray], epochs: dict[str, list[float]], scale:
         *synthesis_rows(targets, arms, max(1000 // scale, 1), few),
         check_row(Arm.load("telescopic_pr", "poles", 1), 1, few),
         *rival_rows(arms, max(10 // scale, 1)),
+        *inverse_rows(arms, max(40 // scale, 2)),
         *video_rows(simulate(arm, chosen.motion), max(6 // scale, 1)),
         *code_rows(max(100_000 // scale, 10)),
     ]

@@ -20,12 +20,9 @@ from lieednn_sim.studies import Comparison
 KILL = "import os, signal, sys\nkill = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
 # The progress of the simulation is where it dies.
 AT_PROGRESS = """
-import contextlib
-from lieednn_sim.cli import main, commands
-@contextlib.contextmanager
-def deadly(what):
-    yield kill if what == "simulate" else (lambda *_: None)
-commands.progress = deadly
+from lieednn_sim.cli import main
+from lieednn_sim.simulation import tracking
+tracking.report = kill
 sys.exit(main())
 """
 PLAN = ["--target", "random:3", "--planner", "linear-attractor", "--duration", "3"]

@@ -118,7 +118,7 @@ def test_rows_of_a_planner_that_fails_and_of_a_task_left_out(tmp_path, monkeypat
     assert "within 33 mm of 'world'" in row["failure"]
     table = (tmp_path / "tasks.md").read_text()
     assert "| minimum-jerk | 0 of 1 | 0 | - | - | - |" in table
-    assert "- minimum-jerk, 1 of 1, such as case 1: motion 1: 'wand' would come within" in table
+    assert "- minimum-jerk, 1 of 1, such as case 1: motion 1: 'tool' would come within" in table
     # A case that is done is not done again, and a figure beyond its mark fails.
     (tmp_path / "boom.json").write_text(
         json.dumps(

@@ -141,7 +141,7 @@ class ClearanceBounds:
         reach = np.where(self._turns, levers, 1.0) * self._moves
         table = (reach * widest[:, None]) @ ~self._moves.T
         moved = table[:, self._first, self._second] + table[:, self._second, self._first]
-        at, index, gaps, points = self._collisions.separations_near(
+        at, index, gaps, points = self._collisions.separations(
             qpos, place.geoms, place.turns, moved + (cutoff + self._margin)
         )
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
@@ -326,10 +326,7 @@ def _largest(free: Floats, slope: Floats, bent: Floats) -> Floats:
 
 
 def _hulls(model: mujoco.MjModel) -> tuple[Floats, NDArray[np.int_], Floats]:
-    """Corners ``(G, V, 3)`` in the geoms' frames, numbers ``(G,)`` of them, after which they recur, and radii ``(G,)``.
-
-    Each geom is inside the sum of its corners' hull and a ball.
-    """
+    """Corners ``(G, V, 3)`` in the geoms' frames, how many differ, and radii of balls: geoms are inside their sums."""
     sides = 12  # of the prism around a cylinder
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], axis=1) / np.cos(np.pi / sides)
@@ -337,8 +334,7 @@ def _hulls(model: mujoco.MjModel) -> tuple[Floats, NDArray[np.int_], Floats]:
     prism[:, 2] = np.repeat([1.0, -1.0], sides)
     box = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
     segment = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-    hulls, radii = np.zeros((model.ngeom, len(prism), 3)), np.zeros(model.ngeom)
-    counts = np.zeros(model.ngeom, dtype=int)
+    hulls, counts, radii = np.zeros((model.ngeom, len(prism), 3)), np.ones(model.ngeom, int), np.zeros(model.ngeom)
     kinds = mujoco.mjtGeom
     for geom in range(model.ngeom):
         kind, size, center = model.geom_type[geom], model.geom_size[geom], model.geom_aabb[geom, :3]

@@ -114,37 +114,26 @@ class Collisions:
         Raises:
             InputError: q is malformed, or the cutoff is not positive.
         """
-        sorted_distance, points, sorted_pairs = self.separations(q, cutoff)
-        if not len(sorted_distance):
-            return Distances(sorted_distance, np.zeros((0, self.arm.n_joints)), sorted_pairs)
-        slopes = self._slopes(sorted_pairs, points, sorted_distance)
-        sorted_distance = sorted_distance - self.offsets(sorted_pairs)
-        position = as_floats("q", q, (self.arm.n_joints,))
-        rates = self.arm.qvel(np.broadcast_to(position, self._identity.shape), self._identity)
-        return Distances(sorted_distance, slopes @ rates.T, sorted_pairs)
-
-    def separations(self, q: ArrayLike, cutoff: ArrayLike) -> tuple[Floats, Floats, Pairs]:
-        """Distances ``(P,)``, witness points ``(P, 2, 3)`` and pairs ``(P, 2)``; arguments as of `distances`.
-
-        These distances are of the geoms themselves, without their offsets; in the order of those with them.
-        """
         self._move(q)
         limits = as_floats("cutoff", cutoff, (), batched=True)
         limits = np.broadcast_to(as_floats("cutoff", limits, self.pairs.shape[: limits.ndim]), len(self.pairs))
         if (limits <= 0.0).any():
             raise InputError(f"cutoff must be positive, got {limits.min():g}")
-        data = self._data
-        turns = data.geom_xmat.reshape(1, -1, 3, 3)
-        _, index, distance, points = self.separations_near(
-            data.qpos[None].copy(), data.geom_xpos[None], turns, limits[None]
-        )
-        order = np.argsort(distance - self._offset[index], kind="stable")
-        return distance[order], points[order], self.pairs[index[order]]
+        data, turns = self._data, self._data.geom_xmat.reshape(1, -1, 3, 3)
+        _, index, distance, points = self.separations(data.qpos[None].copy(), data.geom_xpos[None], turns, limits[None])
+        apart = distance - self._offset[index]
+        order = np.argsort(apart, kind="stable")
+        pairs = self.pairs[index[order]]
+        if not len(order):
+            return Distances(apart, np.zeros((0, self.arm.n_joints)), pairs)
+        slopes = self._slopes(pairs, points[order], distance[order])
+        rates = self.arm.qvel(np.broadcast_to(q, self._identity.shape), self._identity)
+        return Distances(apart[order], slopes @ rates.T, pairs)
 
-    def separations_near(
+    def separations(
         self, qpos: Floats, places: Floats, turns: Floats, cutoff: Floats
     ) -> tuple[NDArray[np.int_], NDArray[np.int_], Floats, Floats]:
-        """As `separations`, at positions ``(I, nq)`` at once, unsorted.
+        """Distances of the geoms themselves, without their offsets, at positions ``(I, nq)`` at once, unsorted.
 
         Args:
             qpos: positions of everything in the model.

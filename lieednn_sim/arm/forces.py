@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.values import Floats
 
@@ -160,8 +160,7 @@ def required_forces(
         limited: whether forces that ``actuatorfrcrange`` limits are meant: it limits compensation by actuators as well.
         grasp: a free body whose forces the body that carries it exerts.
     """
-    # One for all configurations: making it takes a hundred times as long as using it.
-    data = mujoco.MjData(model)
+    data = scratch_data(model)
     by_actuator = compensating_dofs(model)
     if limited:
         by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0

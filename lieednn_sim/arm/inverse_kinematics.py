@@ -9,7 +9,7 @@ import daqp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.regions import TaskSpaceRegion
@@ -139,14 +139,14 @@ class _Search:
         self._arm, self._goal, self._path_constraint, self._start = arm, goal, path_constraint, start
         # Solutions are sought a little inside of a region, so that they are in it.
         self._regions = [r.within(2.0 * _TOLERANCE) for r in (goal, path_constraint) if isinstance(r, TaskSpaceRegion)]
-        self._data, self._tip, self._basis = arm.moving_data, arm.frames[-1:], tangent_basis(arm.space)
+        self._data, self._tip, self._basis = scratch_data(arm.model), arm.frames[-1:], tangent_basis(arm.space)
         self._zero = np.zeros(arm.model.nq)
         self._zero[arm.space.ball_addresses[:, 0]] = 1.0
 
     def solutions(
         self, seed: Seed, *, several: bool, progress: Callable[[int, int], None] | None = None
     ) -> Iterator[Floats]:
-        """Solutions near the start or, where several are wanted, near one random position each after the first one.
+        """Solutions near the start or, where several are wanted, near a random position each after the first one.
 
         Raises as `solve_ik` if there is none.
         """
@@ -156,7 +156,8 @@ class _Search:
             if progress is not None:
                 progress(attempt, _MOST)
             q = self._start if attempt == 0 else rng.uniform(low, high)
-            q, distance = self._descend(q, q if several else self._start)
+            # If what is near the start is refused, the next ones are near random positions, too.
+            q, distance = self._descend(q, q if several or refused else self._start)
             if distance < _TOLERANCE:
                 refusal = self._refusal(q)
                 if not refusal:
@@ -202,8 +203,8 @@ class _Search:
         arm, data, balls, spread = self._arm, self._data, self._arm.space.balls, self._arm.ranges
         # The coordinates, then the angles of ball joints, which have the limits of their first coordinates.
         which = np.append(np.arange(len(q)), balls[:, 0])
-        (low, high), widths = arm.position_limits[which].T, spread[which]
-        rows, rates = np.zeros((len(balls), len(q))), np.empty(arm.model.nv)
+        (low, high), widths = arm.position_limits.T[:, which], spread[which]
+        rows, rates, own = np.zeros((len(balls), len(q))), np.empty(arm.model.nv), arm.space.own_rate_addresses
         q, distance = arm.within_angles(q), np.inf
         # Of the chain alone: other joints do not move the end effector.
         data.qpos[:] = arm.space.to_qpos(q)
@@ -215,7 +216,7 @@ class _Search:
             slopes = slopes * spread
             # At most that at 3 m or rad, so that steps to what is far away are long.
             hessian, gradient, damping = slopes.T @ slopes, slopes.T @ error, min(square, 9.0) + 1e-9
-            hessian[np.diag_indices(len(q))] += damping
+            hessian.flat[:: len(q) + 1] += damping
             # Of the many solutions of a redundant arm, one that is near: until it is close, part of the damping is from
             # there. Without that, the last steps lead to the next solution.
             if square > 1e-4:
@@ -234,8 +235,8 @@ class _Search:
             mujoco.mj_integratePos(arm.model, data.qpos, self._basis @ (spread * step), 1.0)
             # The coordinates, at a tenth of the cost of `from_qpos` where there are ball joints.
             mujoco.mj_differentiatePos(arm.model, rates, 1.0, self._zero, data.qpos)
-            moved = rates[arm.space.own_rate_addresses]
-            q = np.clip(moved, *arm.position_limits.T)
+            moved = rates[own]
+            q = np.clip(moved, low[: len(q)], high[: len(q)])
             if len(balls):
                 q = arm.within_angles(q)
             if (q != moved).any():

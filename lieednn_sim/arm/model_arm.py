@@ -90,11 +90,6 @@ class ModelArm(SerialArm):
         mujoco.mj_setState(self.model, data, self.state, mujoco.mjtState.mjSTATE_INTEGRATION)
         return data
 
-    @cached_property
-    def moving_data(self) -> mujoco.MjData:
-        """Data for kinematics of the chain alone, since a new one costs as much as an inverse; for one thread."""
-        return mujoco.MjData(self.model)
-
     @property
     def dofs(self) -> NDArray[np.int_]:
         """Addresses in qvel of all that the coordinates move, but for what is carried."""

@@ -177,7 +177,8 @@ class Simulating:
 
     Attributes:
         controller: one of your own as FILE.py:CLASS, or a name of `CONTROLLERS` (default: position-servo for arms of
-            the package, inverse-dynamics for others that servos drive, else feedback-linearisation).
+            the package, inverse-dynamics with a known payload and for others that servos drive, else
+            feedback-linearisation).
         reference_rate: rate of the references that the controller gets, held in between [Hz] (default: every time
             step).
         hold: time simulated after the motion [s].

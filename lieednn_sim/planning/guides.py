@@ -110,7 +110,7 @@ def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[
             # A finer optimisation from there keeps clear where the former does not.
             yield f"{name}, optimised", partial(search.finer, free)
     if problem.path_constraint is None:
-        yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search)
+        yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search, guiding=True)
 
 
 def _straight(problem: PlanningProblem) -> Motion:

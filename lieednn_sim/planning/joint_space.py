@@ -119,13 +119,7 @@ def sweeps(arm: Arm) -> Floats:
 
 
 def joint_motion(
-    problem: PlanningProblem,
-    q: Floats,
-    qd: Floats,
-    progress: Floats,
-    *,
-    checked: bool = True,
-    guiding: bool = False,
+    problem: PlanningProblem, q: Floats, qd: Floats, progress: Floats, *, checked: bool = True, guiding: bool = False
 ) -> Motion:
     """The motion through given joint positions at `PlanningProblem.times`, checked against the arm's limits.
 

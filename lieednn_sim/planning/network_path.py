@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, PchipInterpolator, make_interp_spline
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.projection import Retraction
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
 from lieednn_sim.planning.joint_space import joint_scale
@@ -42,7 +41,6 @@ class NetworkPath:
     Attributes:
         arm: decodes states to joint positions.
         network: a network with as many visible neurons as the arm has links.
-        start: ``(n,)`` joint position at the beginning.
         target: ``(N, 6)`` the visible neurons' equilibrium.
         states: from positions ``(K,)`` to the states of all neurons there, or of the visible ones if there are joints.
         speed: the speed along the path as a function of position, up to its end: that of the joints in units of their
@@ -55,7 +53,6 @@ class NetworkPath:
 
     arm: Arm
     network: ComponentwiseNetwork
-    start: Floats
     target: Floats
     states: Callable[[Floats], Floats]
     speed: PchipInterpolator | None
@@ -83,7 +80,7 @@ class NetworkPath:
         if np.abs(origin - target).max() <= RESIDUAL:
             still, none = make_interp_spline([0, 1], [begin, begin], 1), np.zeros((2, 2, arm.n_links))
             rest = None, still, still.derivative(), PchipInterpolator([0, 1], none)
-            return cls(arm, network, begin, network.visible(target), lambda at: np.stack([origin] * len(at)), *rest)
+            return cls(arm, network, network.visible(target), lambda at: np.stack([origin] * len(at)), *rest)
         # The pace is gamma's far from the equilibrium, and the slowest eigenvalue's close to it.
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
         longest = 100.0 / network.gamma + 40.0 / pace
@@ -122,9 +119,9 @@ class NetworkPath:
             rates = np.linalg.norm(field * units, axis=(-2, -1))
         # Shape-preserving, so that the speed stays positive between its samples.
         speed = PchipInterpolator(grid, rates)
-        joints, slopes = (make_interp_spline(grid, values, 5) for values in (decoded.q, decoded.qd))
-        moving = joints, slopes, _gaps(grid, decoded)
-        return cls(arm, network, begin, network.visible(target), trajectory, speed, *moving)
+        gaps = PchipInterpolator(grid, np.stack([decoded.gap_translation, decoded.gap_rotation], axis=1))
+        moving = *(make_interp_spline(grid, values, 5) for values in (decoded.q, decoded.qd)), gaps
+        return cls(arm, network, network.visible(target), trajectory, speed, *moving)
 
     @classmethod
     def encoded(cls, arm: Arm, network: LieEDNN, given: Motion, units: Floats) -> NetworkPath:
@@ -150,8 +147,9 @@ class NetworkPath:
         near = np.stack([np.interp(length, passed, joint) for joint in given.q[known].T], axis=1)
         decoded = arm.decode(visible(some), start=near)
         joints = make_interp_spline(some, decoded.q, 5)
-        moving = joints, joints.derivative(), _gaps(some, decoded)
-        return cls(arm, network, given.q[0], network.bias[: network.n_visible], visible, speed, *moving, universal=True)
+        gaps = PchipInterpolator(some, np.stack([decoded.gap_translation, decoded.gap_rotation], axis=1))
+        moving = joints, joints.derivative(), gaps
+        return cls(arm, network, network.bias[: network.n_visible], visible, speed, *moving, universal=True)
 
     def timed(self, duration: float, timestep: float, law: Law | None = None) -> Motion:
         """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`.
@@ -227,11 +225,6 @@ def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Moti
             "take a target on this side of the configurations at which a link's pose does not tell its joints apart"
         )
     return motion
-
-
-def _gaps(at: Floats, decoded: Retraction) -> PchipInterpolator:
-    """Mechanism gaps as of `NetworkPath`, through those at positions ``(K,)``."""
-    return PchipInterpolator(at, np.stack([decoded.gap_translation, decoded.gap_rotation], axis=1))
 
 
 def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, wanted: Floats) -> Floats:

@@ -2,10 +2,10 @@
 
 TOPP-RA (Pham and Pham, IEEE Transactions on Robotics 34(3), 2018; the library toppra) finds the fastest time law within
 limits of velocity and acceleration. That law switches between full acceleration and braking, without a bound on jerk,
-and within its pieces, which are shorter where the path bends, the limits hold only about. So `retime` stretches it
-until it keeps them. Where that takes long, as with limits of jerk, it averages it over a window of time, which smooths
-it; of several windows the one with the shortest motion is taken. A network's motion keeps its path: its field is only
-multiplied by a positive number at every instant, so what is proven of the path still holds.
+and within its pieces, which are shorter where the path bends, the limits hold only about. So `retime` averages it over
+a window of time, a 500th of it, which smooths it, and stretches it until it keeps the limits. Where that takes long, as
+with limits of jerk, longer windows are tried, and the one with the shortest motion is taken. A network's motion keeps
+its path: its field is only multiplied by a positive number at every instant, so what is proven of the path still holds.
 """
 
 from __future__ import annotations
@@ -38,9 +38,7 @@ _EASING_WIDTH = 0.1
 _RECORDED_WIDTH = 0.05
 _PIECES = 1000  # of the path, of equal length
 _GRID = 400  # pieces with one acceleration of the law on each
-_STRETCHED = 1.01  # times TOPP-RA's duration, in which no averages are looked for
 _ROUNDING = 1e-8  # what rounding moves a joint by whose goal is where it starts [rad, m]
-_RESERVE = 1.1  # times the least duration, of a guide
 _INSTANTS = 2000  # at which laws are sampled
 
 
@@ -147,7 +145,7 @@ def retime(arm: Arm, motion: Motion, *, guiding: bool = False) -> Motion:
     duration = max(float(law.x[-1]), 2.0 * arm.timestep)
     count_steps(duration, arm.timestep)
     if guiding:
-        return path.motion(law, math.ceil(_RESERVE * duration / arm.timestep))
+        return path.motion(law, math.ceil(1.1 * duration / arm.timestep))
     for _ in range(20):
         result = path.motion(law, math.ceil(duration / arm.timestep))
         try:
@@ -192,7 +190,7 @@ class _Path:
         size = np.where(np.isfinite(acceleration), acceleration, 1.0) * unit**2
         # It wants bounds in place of missing limits, too, far above all rates.
         limits = [np.minimum(bound, 1e6)[:, None] * [-1.0, 1.0] for bound in (velocity * unit / size, 0.0 * size + 1.0)]
-        # Half of the pieces are of equal length, the others as dense as the root of what the bend takes of the limits.
+        # Half of the pieces are of equal length, the others as dense as the root of what bends take of the limits.
         even = np.linspace(0.0, 1.0, _PIECES + 1)
         bend = np.sqrt(np.linalg.norm(self._q(even, 2) / acceleration, axis=1))
         density = even + cumulative_trapezoid(bend / max(bend.mean(), 1e-300), even, initial=0.0)
@@ -209,9 +207,10 @@ class _Path:
         # Constant acceleration on each piece.
         t = unit * np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
         law = CubicHermiteSpline(t, grid, rate / unit)
-        laws = [self._stretched(self._own), self._stretched(law)]
-        if min(each.x[-1] for each in laws) > _STRETCHED * t[-1]:
-            laws += [self._stretched(_averaged(law, window * t[-1])) for window in np.geomspace(0.002, 1.0, 20)]
+        first, *more = t[-1] * np.geomspace(0.002, 1.0, 20)
+        laws = [self._stretched(self._own), self._stretched(_averaged(law, first))]
+        if min(each.x[-1] for each in laws) > 1.01 * t[-1]:  # else little could be gained
+            laws += [self._stretched(_averaged(law, window)) for window in more]
         return min(laws, key=lambda item: float(item.x[-1]))
 
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:

@@ -54,6 +54,8 @@ class MotionTracker(Policy):
     def stopping(cls, arm: Arm, q: Floats, qd: Floats, rate: float) -> MotionTracker:
         """A policy that brakes a reference with rates ``(n,)`` at the limits of acceleration, straight, and stays."""
         needed = max(float((np.abs(qd) / arm.acceleration_limits).max()), 2.0 / rate)
+        if not needed * rate < 1e6:
+            raise InputError(f"braking would take {needed:g} s, more than a million periods at {rate:g} Hz")
         low, high = arm.position_limits.T
         end = np.clip(arm.within_angles(q + 0.5 * needed * qd), low, high)
         policy = cls(arm, CubicHermiteSpline([0.0, needed], [q, end], [qd, np.zeros_like(qd)]), rate)

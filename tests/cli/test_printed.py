@@ -70,7 +70,14 @@ def test_plan_prints_what_was_found_and_what_is_proved(printed, how):
     details, told = HOW[how]
     network = None if how == "nothing" else Network()
     guide = SimpleNamespace(planner="rrt-connect")
-    found = {"motion": MOTION, "details": details, "guide": guide, "leaves": "'a' to 'b' (1 mm)", "clearance": 7}
+    found = {
+        "motion": MOTION,
+        "details": details,
+        "guide": guide,
+        "leaves": "'a' to 'b' (1 mm)",
+        "clearance": 7,
+        "arm": None,
+    }
     result = SimpleNamespace(planner="some", network=network, **found)
     planning.print_plan(result)
     lines = printed()

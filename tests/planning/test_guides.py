@@ -14,6 +14,7 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.evaluation.metrics import motion_metrics
 from lieednn_sim.planning import PLANNERS, GuideOptions, PlanningProblem, guide_optimisation, guides, plan
+from lieednn_sim.planning.baselines.interpolation import minimum_jerk
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
 from lieednn_sim.planning.guides import followed, shortened
 from lieednn_sim.planning.joint_space import sweeps
@@ -158,6 +159,24 @@ def test_without_a_guide_there_is_no_motion(poles, monkeypatch):
     monkeypatch.setattr("lieednn_sim.planning.baselines.sampling.connecting_path", lambda *_: None)
     with pytest.raises(PlanError, match=r"no guide finds a motion that .* follows; minimum-jerk: .*; rrt-connect: "):
         best_guide(poles, GuideOptions(collision_checks=1))
+
+
+@pytest.mark.parametrize(("name", "found", "seeds"), [("a", True, 5), ("a", False, 1), ("minimum-jerk", True, 1)])
+def test_other_seeds_are_tried_where_they_may_give_a_motion_that_can_be_followed(name, found, seeds, monkeypatch):
+    problem, asked = problem_of("free", 0), []
+    straight = minimum_jerk(problem)
+
+    def refuse(why):
+        raise PlanError(why)
+
+    def motions(given, _options):
+        asked.append(given.seed)
+        yield name, lambda: straight if found else refuse("not found")
+
+    monkeypatch.setattr(guides, "_motions", motions)
+    with pytest.raises(PlanError, match="follows; .*: not followed" if found else "not found"):
+        followed(problem, GuideOptions(), lambda _: refuse("not followed"), 5)
+    assert asked == list(range(seeds))
 
 
 def test_a_shortened_path_is_shorter_and_clear_by_hand():

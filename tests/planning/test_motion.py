@@ -10,12 +10,13 @@ from scipy.interpolate import PchipInterpolator
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.budget import reporting
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import CertifiedOptions, certified, network_path, plan
-from lieednn_sim.planning.motion import Motion, check_motion, count_steps
+from lieednn_sim.planning.motion import Motion, check_limits, check_motion, count_steps
 from lieednn_sim.planning.network_path import RESIDUAL, _invert, make_motion
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.synthesis import synthesize, synthesize_many
@@ -201,6 +202,21 @@ def test_candidates_are_made_a_few_at_a_time_so_that_progress_is_told(arm, monke
     np.testing.assert_array_equal(plan(arm, goal, options=options).motion.q, split.motion.q)
 
 
+@pytest.mark.parametrize("jump", [0.01, 0.03])
+def test_a_network_is_refused_where_the_nearest_configuration_jumps(jump, arm, network, monkeypatch):
+    decode = SerialArm.decode
+
+    def jumping(self, xi, *more):
+        found = decode(self, xi, *more)
+        moved = np.zeros_like(found.q)
+        moved[len(moved) // 2 :, 4] = jump
+        return dataclasses.replace(found, q=found.q + moved)
+
+    monkeypatch.setattr(SerialArm, "decode", jumping)
+    with nullcontext() if jump < 0.02 else pytest.raises(PlanError, match="path jump; use another"):
+        make_motion(arm, network, arm.keyframe("home"), 1.0, 0.002)
+
+
 def test_position_limits_hold_to_a_micron(arm, motion):
     for index, side, sign in ((3, 1, 1.0), (4, 0, -1.0)):
         limit = arm.position_limits[index, side]
@@ -223,12 +239,12 @@ def test_limits_hold_between_samples(arm, motion):
     for beyond, expected in ((0.9e-6, nullcontext()), (1.1e-6, pytest.raises(PlanError, match=r"t = 1\.40 s joint"))):
         q[700:702, 4] = arm.position_limits[4, 1] - 0.25 * 0.3 * motion.timestep + beyond
         with expected:
-            check_motion(arm, dataclasses.replace(still, q=q, qd=qd))
+            check_limits(arm, motion.t, q, qd)
     q, qd = still.q.copy(), np.zeros_like(qd)
     for share, expected in ((0.999, nullcontext()), (1.001, pytest.raises(TooFastError, match="would move at"))):
         q[701:, 4] = q[0, 4] - share * fastest * motion.timestep / 1.5
         with expected as error:
-            check_motion(arm, dataclasses.replace(still, q=q, qd=qd))
+            check_limits(arm, motion.t, q, qd)
     assert error.value.duration == pytest.approx(4.004)
 
 

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from lieednn_sim import registry
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.errors import InputError, LieEDNNError, TooFastError
+from lieednn_sim.errors import InputError, LieEDNNError, PlanError, TooFastError
 from lieednn_sim.planning import plan, retime
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along
 from lieednn_sim.planning.joint_space import travelled
@@ -180,6 +180,7 @@ def test_a_turn_is_sharp_from_ten_lengths_over_the_squared_duration_on(gantry):
 def test_a_turn_of_any_radius_is_taken_in_the_least_time(gantry, radius):
     """As by TOPP-RA on two thousand pieces of equal length, of which some eight are in the sharpest turn."""
     motion, _ = turning(gantry, radius)
+    gantry = dataclasses.replace(gantry, force_limits=np.full(4, np.inf))
     path = toppra.SplineInterpolator(travelled(motion.q), motion.q)
     velocity, acceleration = (x[:, None] * [-1.0, 1.0] for x in (gantry.velocity_limits, gantry.acceleration_limits))
     constraints = [
@@ -204,6 +205,7 @@ def test_a_straight_way_has_no_turns_however_sharply_it_accelerates(gantry):
 
 
 def test_a_sharp_corner_does_not_slow_down_the_whole_motion(gantry):
+    gantry = dataclasses.replace(gantry, force_limits=np.full(4, np.inf))
     start = gantry.keyframe("home")
     corner = start + np.array([0.0, 0.0, 0.8, 0.0])
     problem = PlanningProblem(gantry, start, corner + np.array([0.0, 0.3, 0.0, 0.0]), duration=0.1, longest=10.0)
@@ -217,6 +219,13 @@ def test_a_sharp_corner_does_not_slow_down_the_whole_motion(gantry):
     # On one leg or on the other, but at the corner, by as much as two control points are apart.
     assert np.abs(fast.q - corner)[:, 1:3].min(axis=1).max() < 1e-2
     np.testing.assert_array_equal(fast.q[[0, -1]], corners[[0, -1]])
+    # Where curves touch something, the polyline is followed as fast as it goes, with a stop at the corner.
+    slow, fast = (
+        in_time(motion_along, problem, corners, SmoothingOptions((224,), fastest=fastest), {224: PlanError("touches")})
+        for fastest in (False, True)
+    )
+    least = least_duration(gantry, *corners[:2]) + least_duration(gantry, *corners[1:])
+    assert least <= fast.t[-1] <= 1.03 * least < 0.85 * slow.t[-1]
     still = dataclasses.replace(problem, target=start)
     assert not motion_along(still, np.array([start] * 2), SmoothingOptions(fastest=True), {}).qd.any()
 
@@ -248,3 +257,16 @@ def test_steps_of_any_length_are_timed_at_the_limits(planner):
         least = 2.0 * np.sqrt(np.abs(target - home) / arm.acceleration_limits).max()
         duration = plan(arm, target, planner=planner, fastest=True).motion.t[-1]
         assert least <= duration <= max(1.5 * least, 2.5 * arm.timestep)
+
+
+def test_a_guide_is_a_tenth_slower_and_not_checked(gantry):
+    """What follows it is; here the other half of the way is beyond a limit of position."""
+    arm, motion = straight(gantry)
+    found = retime(arm, motion)
+    low, high = arm.position_limits.T
+    narrow = dataclasses.replace(arm, position_limits=np.stack([low, np.minimum(high, found.q[0] + [9, 9, 0.8, 9])], 1))
+    with pytest.raises(PlanError, match="its range is"):
+        retime(narrow, motion)
+    guide = retime(narrow, motion, guiding=True)
+    assert guide.t[-1] == pytest.approx(1.1 * found.t[-1], abs=2.0 * arm.timestep)
+    assert max(rates(arm, guide)) < 0.95

@@ -103,8 +103,8 @@ class BitStarOptions(PathOptions):
 Search: TypeAlias = Callable[[SearchSpace, PathOptions, np.random.SeedSequence], Any]
 
 
-def sampling_planner(name: str) -> Callable[[PlanningProblem, PathOptions], Motion]:
-    """The planner with a name of `METHODS`.
+def sampling_planner(name: str) -> Callable[..., Motion]:
+    """The planner with a name of `METHODS`; its arguments are a problem, options, and ``guiding`` of `motion_along`.
 
     RRT-Connect grows two trees from start and target until they meet. The others improve the path with a fixed amount
     of work: RRT* rewires one tree, Informed RRT* samples only where a shorter path is possible, BIT* searches batches
@@ -116,11 +116,11 @@ def sampling_planner(name: str) -> Callable[[PlanningProblem, PathOptions], Moti
         PlanError: no path was found within the work allowed, or it cannot be followed in time.
     """
 
-    def planner(problem: PlanningProblem, options: PathOptions) -> Motion:
+    def planner(problem: PlanningProblem, options: PathOptions, *, guiding: bool = False) -> Motion:
         balanced = isinstance(options, RrtConnectOptions) and options.balanced
         search = balanced_search if balanced else ompl_search(name)
         path = cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, search))
-        return motion_along_first(problem, path, len(options.spacings), options, name)
+        return motion_along_first(problem, path, len(options.spacings), options, name, guiding=guiding)
 
     return planner
 

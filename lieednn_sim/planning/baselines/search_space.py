@@ -68,7 +68,7 @@ class EdgeTest:
         count = max(1, math.ceil(float(np.abs(second - first) @ self._density)))
         # An end found clear before is not tested again, but counts as work.
         end = second.tobytes()
-        fractions = _fractions(count)[end in self._known :]
+        fractions = bisecting(count)[end in self._known :]
         self._clear.tests += end in self._known
         if self._clear.first_blocked(self.scale * (first + fractions[:, None] * (second - first))) is not None:
             return False
@@ -152,8 +152,8 @@ def _validator_class(base: Any) -> type[Any]:
 
 
 @lru_cache(maxsize=4096)
-def _fractions(count: int) -> Floats:
-    """1/count to count/count, the last one first, the others by bisection, so that contacts are found early."""
+def bisecting(count: int) -> Floats:
+    """Fractions 1/count to 1, the last one first, the others by bisection, so that contacts are found early."""
     order, gaps = [count], [(0, count)]
     for low, high in gaps:
         middle = (low + high) // 2

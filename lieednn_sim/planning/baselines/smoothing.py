@@ -19,6 +19,7 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from lieednn_sim.errors import PlanError, TooFastError
+from lieednn_sim.planning.baselines.search_space import bisecting
 from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion, joint_scale
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
@@ -29,6 +30,9 @@ from lieednn_sim.values import Floats
 # A curve to be followed at the limits is first tested for contact at this many places, and then sampled as a motion of
 # this many steps, before its time law is computed.
 _PLACES, _STEPS = 512, 2000
+
+Blocked = dict[int | None, PlanError]
+Paths = Callable[[int], Floats | None]
 
 
 @dataclass(frozen=True)
@@ -41,8 +45,6 @@ class SmoothingOptions(PlannerOptions):
         fastest: follow the smoothest curve that is free of contact as fast as the arm's limits allow, whatever the
             duration (`retime`). Otherwise the whole motion gets the time that its sharpest corner needs, and
             `plan(fastest=True)` only speeds up the curve chosen that way.
-        guiding: whether the motion only guides another one, which is checked and timed in the end: then what
-            ``fastest`` finds is not.
     """
 
     control_points: tuple[int, ...] = field(
@@ -50,11 +52,10 @@ class SmoothingOptions(PlannerOptions):
     )
     bend: float = 8.0
     fastest: bool = False
-    guiding: bool = False
 
 
 def motion_along(
-    problem: PlanningProblem, corners: Floats, options: SmoothingOptions, blocked: dict[int | None, PlanError]
+    problem: PlanningProblem, corners: Floats, options: SmoothingOptions, blocked: Blocked, *, guiding: bool = False
 ) -> Motion:
     """The smoothest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
 
@@ -62,22 +63,23 @@ def motion_along(
         problem, corners, options: the problem, the corners of the polyline, and how it is smoothed.
         blocked: numbers of control points whose curves are blocked at any duration, with the reasons. It is added to;
             pass it on to calls with other durations, in which these curves are skipped.
+        guiding: whether the motion only guides another one: then a curve is followed at the limits as of `retime`.
 
     Raises:
         PlanError: not even the polyline itself can be followed in the problem's duration.
     """
     refusals: list[PlanError] = []
-    moves = len(_measured(corners / joint_scale(problem.arm))[1]) > 0
+    fastest = options.fastest and len(_measured(corners / joint_scale(problem.arm))[1]) > 0
     for count in (*options.control_points, None):
         if count in blocked:
             refusals.append(blocked[count])
             continue
         try:
-            if options.fastest and count is not None and moves:
-                return _fastest(problem, corners, count, options)
+            if fastest and count is not None:
+                return _fastest(problem, corners, count, options.bend, guiding)
             curve = stopping(problem, corners) if count is None else smoothed(problem, corners, count, options.bend)
             motion = joint_motion(problem, *curve)
-            if options.fastest:
+            if fastest:
                 # At its corners the retimed motion leaves the polyline, perhaps by more than its clearance.
                 with suppress(PlanError):
                     motion = retime(problem.arm, motion)
@@ -92,12 +94,12 @@ def motion_along(
 
 
 def motion_along_first(
-    problem: PlanningProblem, path: Callable[[int], Floats | None], attempts: int, options: SmoothingOptions, name: str
+    problem: PlanningProblem, path: Paths, attempts: int, options: SmoothingOptions, name: str, *, guiding: bool = False
 ) -> Motion:
     """The motion along the first path that can be followed, in the time that it needs.
 
     Args:
-        problem, options, name: the problem, how paths are smoothed, and the planner's name.
+        problem, options, name, guiding: the problem, how paths are smoothed, the planner's name; as of `motion_along`.
         path: function from the number of an attempt to corners ``(M, n)``, or None if it fails. Paths do not depend on
             the duration; it should remember them, since they are asked for again when the motion needs more time.
         attempts: largest number of paths to ask for.
@@ -105,7 +107,7 @@ def motion_along_first(
     Raises:
         PlanError: there is no path, or none can be followed.
     """
-    blocked = {attempt: dict[int | None, PlanError]() for attempt in range(attempts)}
+    blocked = {attempt: Blocked() for attempt in range(attempts)}
 
     def motion(asked: PlanningProblem) -> Motion:
         refusal: PlanError | None = None
@@ -114,7 +116,7 @@ def motion_along_first(
             if corners is None:
                 break
             try:
-                return motion_along(asked, corners, options, curves)
+                return motion_along(asked, corners, options, curves, guiding=guiding)
             except PlanError as error:
                 refusal = error
                 if isinstance(error, TooFastError) and error.duration <= asked.longest:
@@ -124,17 +126,15 @@ def motion_along_first(
     return in_time(motion, problem)
 
 
-def _fastest(problem: PlanningProblem, corners: Floats, count: int, options: SmoothingOptions) -> Motion:
+def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float, guiding: bool) -> Motion:
     """The motion along a smooth curve at the arm's limits, whatever the problem's duration."""
-    arm, places = problem.arm, np.arange(_PLACES + 1)
-    # Every sixteenth first, so that most contacts are found early.
-    places = places[np.argsort(places % 16 != 0, kind="stable")]
-    curve = _spline(*_measured(corners / joint_scale(arm)), count)
-    if any(arm.near_contacts_along(joint_scale(arm) * curve(places / _PLACES))):
+    arm, scale = problem.arm, joint_scale(problem.arm)
+    curve = _spline(*_measured(corners / scale), count)
+    if any(arm.near_contacts_along(scale * curve(bisecting(_PLACES)))):
         raise PlanError("the curve touches something")
     slow = replace(problem, duration=_STEPS * arm.timestep)
-    motion = joint_motion(slow, *smoothed(slow, corners, count, options.bend), checked=False)
-    return retime(arm, motion, guiding=options.guiding)
+    motion = joint_motion(slow, *smoothed(slow, corners, count, bend), checked=False)
+    return retime(arm, motion, guiding=guiding)
 
 
 def smoothed(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> tuple[Floats, Floats, Floats]:

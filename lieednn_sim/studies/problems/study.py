@@ -53,10 +53,7 @@ OPTIONS: Mapping[str, PlannerOptions] = {
     # Its guide is minimum jerk, or else the same search, for a fair comparison with it. Contacts of a network that
     # deviates a little are found by the check of its motion. Fewer neurons would rarely do for paths this long.
     "lieednn-shaped": ShapedOptions(
-        guide=GuideOptions(optimised=False, search=replace(_SEARCH, guiding=True)),
-        guides=100,
-        deviation=1e-2,
-        neurons=(64,),
+        guide=GuideOptions(optimised=False, search=_SEARCH), guides=100, deviation=1e-2, neurons=(64,)
     ),
 }
 
@@ -134,8 +131,7 @@ def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float)
         result = plan(
             arm, goal, planner=planner, start=start, duration=(least, 100.0 * least), options=OPTIONS.get(planner)
         )
-    # The search has timed its motion.
-    if _TIMED and OPTIONS.get(planner) is not _SEARCH:
+    if _TIMED and OPTIONS.get(planner) is not _SEARCH:  # which times its motion
         # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
         # its new samples. Then the motion stays as it is.
         with contextlib.suppress(PlanError):
