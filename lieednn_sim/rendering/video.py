@@ -213,7 +213,9 @@ def render_video(
 def _check_complete(path: Path, total: int) -> None:
     """Check that a video is readable: a disk that fills up with the last frame goes unnoticed by the encoder."""
     if path.suffix == ".mp4":
-        frames = count_frames(path)
+        frames = 0
+        with contextlib.suppress(OSError, RuntimeError):
+            frames = int(imageio_ffmpeg.count_frames_and_secs(str(path))[0])
         if frames != total:
             raise FileError(f"cannot write the video: {frames} of {total} frames arrived; is the disk full?")
 
@@ -282,14 +284,6 @@ def mp4_writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callab
             encoder.wait()
             with contextlib.suppress(OSError):
                 frames.close()
-
-
-def count_frames(path: Path) -> int:
-    """Number of readable frames of a video; 0 if it cannot be read."""
-    try:
-        return int(imageio_ffmpeg.count_frames_and_secs(str(path))[0])
-    except (OSError, RuntimeError):
-        return 0
 
 
 typecheck_public(globals())

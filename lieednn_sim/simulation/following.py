@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import field
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._mujoco import QuietWarnings, mujoco
+from lieednn_sim._mujoco import QuietWarnings
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import count_steps, steps_of_rate
@@ -111,7 +113,10 @@ def follow(
     policy.reset(origin)
     loop.begin(origin)
     sample = _sampler(arm, target, arm.timestep)
-    record, targets = Log(simulation, loop.driver, _Channels(policy), *log), list[Floats]()
+    # The channels of the policy, as those of a controller.
+    told: Any = SimpleNamespace(channel_units=policy.channel_units)
+    told.sample, told.channel_values = lambda _: policy.channels(), lambda samples: tuple(samples.T)
+    record, targets = Log(simulation, loop.driver, told, *log), list[Floats]()
     states, spent = list[Floats](), list[float]()
     with QuietWarnings():
         for k in range(total + 1):
@@ -205,21 +210,6 @@ class ClosedLoop:
             for _ in range(self.period):
                 self.act()
                 self.simulation.advance_once()
-
-
-class _Channels:
-    """The channels of a policy, as those of a controller."""
-
-    def __init__(self, policy: Policy) -> None:
-        self._policy, self.channel_units = policy, policy.channel_units
-
-    def sample(self, _: mujoco.MjData) -> Floats:
-        """See `log.ChannelSource`."""
-        return self._policy.channels()
-
-    def channel_values(self, samples: Floats) -> tuple[Floats, ...]:
-        """See `log.ChannelSource`."""
-        return tuple(samples.T)
 
 
 def _sampler(

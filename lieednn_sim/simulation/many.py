@@ -70,9 +70,7 @@ class Rollouts:
 
     def rollout(self, index: int) -> Rollout:
         """One rollout with its whole log, simulated again; raises `SimulationError` if it failed."""
-        if as_count("index", index, -len(self)) >= len(self):
-            raise InputError(f"index must be below {len(self)}, the number of rollouts, got {index}")
-        motion = self.motions[index]
+        motion = self.motions[as_count("index", index, -len(self), len(self) - 1)]
         return simulate(self.arm, motion, hold=self.t[-1] - as_motion(self.arm, motion).t[-1], **self.settings)
 
 

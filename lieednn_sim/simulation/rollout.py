@@ -25,17 +25,8 @@ from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, check_fields, frozen, set_fields
 
 _PER_COORDINATE = ("q", "qd", "q_ref", "qd_ref", "force", "constraint_force")
-_ARRAYS = (
-    "t",
-    *_PER_COORDINATE,
-    "qpos",
-    "ctrl",
-    "link_position",
-    "link_quaternion",
-    "contacts",
-    "contact_force",
-    "target",
-)
+_OTHERS = ("qpos", "ctrl", "link_position", "link_quaternion", "contacts", "contact_force", "target")
+_ARRAYS = ("t", *_PER_COORDINATE, *_OTHERS)
 # Before the names of channels in a file.
 _CHANNEL = "channel "
 

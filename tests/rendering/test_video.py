@@ -154,9 +154,10 @@ def test_frames_are_counted(tmp_path):
     with video.mp4_writer(path, (160, 90), 10.0) as append:
         for grey in (20, 90, 160, 230):
             append(np.full((90, 160, 3), grey, np.uint8))
-    assert video.count_frames(path) == 4
+    video._check_complete(path, 4)
     (tmp_path / "junk.mp4").write_bytes(b"junk")
-    assert video.count_frames(tmp_path / "junk.mp4") == 0
+    with pytest.raises(FileError, match="0 of 4 frames arrived"):
+        video._check_complete(tmp_path / "junk.mp4", 4)
 
 
 def test_a_second_of_frames_lasts_a_second(tmp_path):
