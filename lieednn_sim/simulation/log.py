@@ -158,6 +158,11 @@ class Log:
             InputError: a reference is malformed, or shorter than the steps.
         """
         arm, model, rows = self._simulation.arm, self._simulation.model, self._rows
+        known = (
+            as_floats("q_ref", q_ref, (arm.n_joints,), batched=True),
+            as_floats("qd_ref", qd_ref, (arm.n_joints,), batched=True),
+        )
+        q_ref, qd_ref = (as_floats("reference", value[:rows], (rows, arm.n_joints)) for value in known)
         log = {
             name: np.frombuffer(stream.getvalue(), count=rows * view.size).reshape(rows, *view.shape)
             for name, (stream, view) in self._log.items()
@@ -174,8 +179,8 @@ class Log:
             t=self._simulation.timestep * np.arange(self._first, self._first + rows, dtype=float),
             q=q,
             qd=arm.rates(q, log["qvel"]),
-            q_ref=np.array(q_ref[:rows]),
-            qd_ref=np.array(qd_ref[:rows]),
+            q_ref=q_ref.copy(),
+            qd_ref=qd_ref.copy(),
             ctrl=self._own_controls(controls, log["qpos"], log["qvel"]),
             force=np.nan_to_num(log["actuators"]) @ basis,
             constraint_force=np.nan_to_num(log["constraints"]) @ basis,
