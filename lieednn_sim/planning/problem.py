@@ -101,7 +101,7 @@ class Plan:
         target: ``(n,)`` joint target [rad, m].
         planner: name of the planner.
         cpu_time: CPU time that planning took [s].
-        guide: the plan that the motion follows, with its planner's name; None if it follows none.
+        guide: the plan that the motion follows, with its planner's name, not wholly checked; None if it follows none.
         arm: the arm that it was planned for.
         leaves: what is nearer than the arm's clearance at the start, and how near, in words; empty where nothing is.
     """
