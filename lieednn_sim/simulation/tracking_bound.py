@@ -26,7 +26,7 @@ from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.tracking import as_loaded, as_motion
-from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.validation import as_floats, as_nonnegative, as_positive
 from lieednn_sim.values import Floats
 
 
@@ -68,7 +68,8 @@ def tracking_bound(
     if arm.dependents is not None or len(arm.space.balls):
         raise InputError(f"arm {arm.name!r} has ball joints or moves closed loops, for which there is no bound")
     bare = arm.without_visuals
-    heavier = {(scale, load) for scale in np.linspace(low, high, 3) for load in np.linspace(0.0, payload, 3)}
+    loads = np.linspace(0.0, as_nonnegative("payload", payload), 3)
+    heavier = {(scale, load) for scale in np.linspace(low, high, 3) for load in loads}
     changes = [Disturbances(mass_scale=scale, payload=load) for scale, load in sorted(heavier)]
     of_rate, of_feedback = 2.0 / np.e / rate, 1.0 + 2.0 * np.exp(-2.0)
     error = np.zeros(arm.n_joints)
