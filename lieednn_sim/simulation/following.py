@@ -100,8 +100,9 @@ def follow(
     """
     arm, total = policy.arm, count_steps(duration, policy.arm.timestep)
     changes = Disturbances() if disturbances is None else disturbances
-    usual = default_controller(arm).replace("position-servo", "inverse-dynamics")
-    name = usual if controller is None else controller
+    name = controller
+    if name is None:
+        name = default_controller(arm).replace("position-servo", "inverse-dynamics")
     loop = ClosedLoop(policy, name, changes, rows=total + 1)
     period, simulation = loop.period, loop.simulation
     if period > total:
