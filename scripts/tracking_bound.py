@@ -71,6 +71,7 @@ def main() -> int:
         "for. Medians of the largest error of a joint and of its bound [rad, m], and the bound over the error. A joint "
         f"was beyond its bound in {broken} of {runs} runs.\n"
     )
+    options.output.parent.mkdir(parents=True, exist_ok=True)
     with io.atomic_text(options.output) as file:
         file.write(head + "\n".join(table(headings, rows)) + "\n")
     return int(broken > 0)
