@@ -155,7 +155,7 @@ def report(rows: Sequence[Proof]) -> str:
         cells[-1] += [numbers([row.clearance for row in solved]), f"{len(tubes)} of {len(solved)}"]
         cells[-1] += [numbers([row.tube for row in tubes if row.tube]), numbers([row.motion_time for row in solved])]
         cells[-1] += [numbers([row.planning_time for row in solved]), numbers([row.tube_time for row in tubes])]
-        blocked = [row.scene for row in own if " would " in row.reason and "range is" not in row.reason]
+        blocked = [row.scene for row in own if " would come within " in row.reason or " would touch " in row.reason]
         lost += [f"- {key[0]}, `{key[1]}`, something in the way: {', '.join(blocked)}"] if blocked else []
         others = [row for row in own if row.reason and row.scene not in blocked]
         lost += [f"- {key[0]}, `{key[1]}`, {row.scene}: {row.reason}" for row in others]
