@@ -14,7 +14,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
 from lieednn_sim.rendering import scene_setup
 from lieednn_sim.rendering.overlay import Overlay
-from lieednn_sim.rendering.video import Camera
+from lieednn_sim.rendering.video import Camera, Image
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path
@@ -51,6 +51,13 @@ def render_still(
     """
     if as_path("path", path).suffix != ".png":
         raise InputError(f"a picture's name must end in .png, got {Path(path).name!r}")
+    image = still(rollout, camera=camera, size=size, preset=preset)
+    with io.atomic_path(path) as temporary:
+        Picture.fromarray(image).save(temporary, format="PNG")
+
+
+def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset: str) -> Image:
+    """The picture ``(height, width, 3)`` of `render_still`."""
     points, model = scene_setup.occupied(rollout), rollout.arm.model
     overlay = Overlay.of(rollout, scene_setup.scale(rollout.arm, points))
     moving = (model.body_weldid[model.geom_bodyid] != 0) & (model.body_mocapid[model.geom_bodyid] < 0)
@@ -73,8 +80,7 @@ def render_still(
             picture = view.picture_at(rollout.qpos[k], draw)
             there = (picture != empty).any(axis=-1)
             result[there] += opacity * (picture[there] - result[there])
-    with io.atomic_path(path) as temporary:
-        Picture.fromarray(np.rint(result).astype(np.uint8)).save(temporary, format="PNG")
+    return np.rint(result).astype(np.uint8)
 
 
 def instants(path: Floats, count: int) -> list[int]:
