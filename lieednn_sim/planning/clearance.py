@@ -112,6 +112,15 @@ class Cubics:
         inside = first * last < 0.0
         return np.where(inside, self._moved[:-1] - 0.5 * first**2 / np.where(inside, last - first, 1.0), 0.0)
 
+    def at(self, times: ArrayLike) -> tuple[Floats, Floats]:
+        """Joints at instants ``(I,)`` that count steps, and their rates times the step, each ``(I, n)``."""
+        instants = np.asarray(times, dtype=float)
+        k = np.minimum(instants.astype(int), len(self._largest) - 1)
+        s = (instants - k)[:, None]
+        q, moved, first, last = self._q[k], self._moved[k], *self._ends[:, k]
+        jerk = last - first
+        return q + s * (moved + s * (0.5 * first + s * jerk / 6.0)), moved + s * (first + 0.5 * s * jerk)
+
     def around(self, begin: ArrayLike, end: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
         """Joints ``(I, n)`` in the middle of intervals, directions, and bounds of what joints deviate from these.
 
@@ -120,12 +129,7 @@ class Cubics:
         """
         begin, end = np.asarray(begin, dtype=float), np.asarray(end, dtype=float)
         middle, half = 0.5 * (begin + end), 0.5 * (end - begin)[:, None]
-        k = np.minimum(middle.astype(int), len(self._largest) - 1)
-        s = (middle - k)[:, None]
-        q, moved, first, last = self._q[k], self._moved[k], *self._ends[:, k]
-        jerk = last - first
-        at = q + s * (moved + s * (0.5 * first + s * jerk / 6.0))
-        rate = moved + s * (first + 0.5 * s * jerk)
+        at, rate = self.at(middle)
         # Steps that an interval touches.
         edges = np.stack([np.floor(begin), np.maximum(np.ceil(end), np.floor(begin) + 1.0)], axis=1).astype(int)
         edges = np.minimum(edges, len(self._largest) - np.array([1, 0]))
@@ -175,7 +179,7 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
 def _test(arm: Arm, step: float, cubics: Cubics, at: Floats) -> None:
     """Raise `PlanError` where something is nearer than the arm's clearance, at times ``(I,)`` in steps."""
     at = at[np.argsort(np.arange(len(at)) % _FIRST != 0, kind="stable")]
-    check_contact(arm, step * at, cubics.around(at, at)[0])
+    check_contact(arm, step * at, cubics.at(at)[0])
 
 
 def check_contact(arm: Arm, t: Floats, q: Floats) -> None:

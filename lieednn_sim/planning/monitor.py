@@ -10,7 +10,6 @@ larger than the larger ones of both.
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
@@ -39,7 +38,6 @@ class ClearanceMonitor:
     def __init__(self, arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
         self.clearance = proved_clearance(arm, t, q, qd)
         self._arm, self._step, self._last, bounds = arm, float(t[1] - t[0]), len(t) - 1, bounds_of(arm)
-        self._planned = CubicHermiteSpline(np.arange(len(t)), q, self._step * qd)
         self._off, self._bounds = np.zeros_like(q), bounds
         self._cubics = Cubics(self._step, q, qd, self._off)
         self._before: tuple[float, Floats] | None = None
@@ -78,7 +76,7 @@ class ClearanceMonitor:
         if qpos is not None and moved_besides(self._arm, q, qpos):
             return f"{leaves} more has moved than the arm"
         end = min(at, self._last)
-        error = np.abs(q - self._planned(end))
+        error = np.abs(q - self._cubics.at([end])[0][0])
         begin, before = self._before or (end, error)
         self._before, widest = (end, error), np.maximum(before, error)
         first, last = np.clip(self.edges.searchsorted([begin, end], "right") - 1, 0, len(self.allowed) - 1)

@@ -221,7 +221,7 @@ def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
         )
     cubics = Cubics(timestep, q, qd)
     if len(turns := cubics.turns()):
-        _check_positions(arm, timestep * turns, cubics.around(turns, turns)[0])
+        _check_positions(arm, timestep * turns, cubics.at(turns)[0])
     too_fast: list[tuple[float, str]] = []
     words = (("move", "/s"), ("accelerate", "/s^2"), ("jerk", "/s^3"), ("move", "/s"))
     rates = (*rates_and_limits(arm, qd, timestep), (cubics.fastest() / timestep, arm.velocity_limits, 1.0))
