@@ -17,7 +17,9 @@ gives a sharp one. Geoms are assumed to be convex; MuJoCo takes meshes for their
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +29,7 @@ from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.collision import Collisions, Pairs
 from lieednn_sim.arm.deviations import Group
 from lieednn_sim.arm.equalities import dof_addresses
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.values import Floats
 
 # Distance below which normals are lost in rounding, so that nothing is proved [m].
@@ -92,6 +94,8 @@ class ClearanceBounds:
         Returns:
             The scales ``(I,)``, those without the path (c = 0), and the geoms ``(I, 2)`` that limit the latter, or -1.
         """
+        if len(q) > _AT_ONCE:
+            return _in_parts(partial(self, most=most), q, path, rest, spread)
         each = spread @ self._members
         # Displacements of joints: along the path, without it, and by the deviation.
         steps = self._displacements(np.stack([np.abs(path) + rest[:, 0], rest[:, 1], each]))
@@ -107,7 +111,8 @@ class ClearanceBounds:
     def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
         """Lower bounds ``(I,)`` of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
 
-        They are no larger than the cutoff, and not below -1. The geoms ``(I, 2)`` are those of the bound, or -1.
+        They are no larger than the cutoff, and not below -1, as where loops cannot be closed. The geoms ``(I, 2)`` are
+        those of the bound, or -1.
 
         Args:
             q: ``(I, n)`` configurations.
@@ -116,12 +121,13 @@ class ClearanceBounds:
             cutoff: distance beyond which geoms do not count [m].
         """
         if len(q) > _AT_ONCE:
-            parts = [slice(k, k + _AT_ONCE) for k in range(0, len(q), _AT_ONCE)]
-            bounds, limiting = zip(*(self.least(q[k], path[k], rest[k], cutoff) for k in parts), strict=True)
-            return np.concatenate(bounds), np.concatenate(limiting)
+            return _in_parts(partial(self.least, cutoff=cutoff), q, path, rest)
         steps = self._displacements(np.stack([np.abs(path) + rest, 0.0 * rest, 0.0 * rest]))
         rests, still = np.stack([rest, 0.0 * rest], axis=1), np.zeros((len(q), len(self._members)))
-        at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)
+        try:
+            at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)
+        except NoSolutionError:
+            return np.full(len(q), -1.0), np.full((len(q), 2), -1)
         found = np.maximum(np.maximum(free[0].min(axis=-1, initial=cutoff), gap[0]), -1.0)
         return _least(found, at, pairs, len(q), cutoff)
 
@@ -289,6 +295,13 @@ class _Places:
             turn = self._bodies[:, model.jnt_bodyid[joint]].reshape(-1, 3, 3)
             axes[:, first : first + 3] = np.swapaxes(turn, -1, -2)
         return axes
+
+
+def _in_parts(bound: Callable[..., tuple[NDArray[Any], ...]], *rows: Floats) -> Any:
+    """The arrays that a function makes of rows ``(I, ...)``, of which it is given at most so many at once."""
+    parts = range(0, len(rows[0]), _AT_ONCE)
+    made = [bound(*(values[k : k + _AT_ONCE] for values in rows)) for k in parts]
+    return tuple(map(np.concatenate, zip(*made, strict=True)))
 
 
 def _least(found: Floats, at: NDArray[np.int_], pairs: Pairs, count: int, most: float) -> tuple[Floats, Pairs]:

@@ -21,7 +21,7 @@ from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLAT
 from lieednn_sim.evaluation.figure_layout import COLOURS, drawn
 from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.learning import History
-from lieednn_sim.planning.clearance import FAR, Cubics, bounds_of, least_of
+from lieednn_sim.planning.clearance import FAR, Cubics, bounds_of
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.values import Floats
@@ -82,7 +82,7 @@ def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     distance = [1e3 * min(collisions.least_clearance_at(qpos[None]), FAR) for qpos in rollout.qpos[some]]
     if not isinstance(bounds, str):
         t, *tracked = rollout.tracked
-        least = least_of(bounds, *Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:])[:3], FAR)[0]
+        least = bounds.least(*Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:])[:3], FAR)[0]
     low, high = min(1.05 * min(distance), 0.0), 1e3 * FAR
     with drawn(path, 10.0, 3.4) as figure:
         axis = _subplots(figure, rollout.t, 1, 1)[0, 0]

@@ -21,9 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.clearance_bounds import ClearanceBounds
-from lieednn_sim.arm.collision import Pairs
 from lieednn_sim.budget import check_time
-from lieednn_sim.errors import InputError, NoSolutionError, PlanError
+from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.values import Floats, frozen
 
 # Intervals to begin with, and the way in one of them, which is rarely proved if it is longer [rad, m]; and how many
@@ -169,7 +168,7 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
             _test(arm, step, cubics, np.unique(np.concatenate(every)))
             return
         tested += len(begin)
-        least, _ = least_of(bounds, *cubics.around(begin, end)[:3], arm.clearance)
+        least, _ = bounds.least(*cubics.around(begin, end)[:3], arm.clearance)
         begin, end, least = (values[least < arm.clearance] for values in (begin, end, least))
         middle, whole = 0.5 * (begin + end), end - begin > 1.0
         _test(arm, step, cubics, np.concatenate([np.floor(middle[whole]), begin[~whole], end[~whole]]))
@@ -209,8 +208,8 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
         check_time()
         measured += len(begin)
         at, way, rest, left = cubics.around(begin, end)
-        least, pairs = least_of(bounds, at, way, rest, nearest)
-        there, _ = least_of(bounds, at, 0.0 * way, left, nearest)
+        least, pairs = bounds.least(at, way, rest, nearest)
+        there, _ = bounds.least(at, 0.0 * way, left, nearest)
         nearest = max(float(there[there > 0.0].min(initial=nearest)), NEAR)
         done = (least > 0.0) & ((least >= _SHARP * nearest) | (end - begin <= 1.0))
         if measured > _MOST + len(t) // 4:
@@ -229,14 +228,6 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
     # An instant of contact is no stretch.
     bound = bound if proved > 1e-9 else -np.inf
     return Clearance(bound, time, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved)
-
-
-def least_of(bounds: ClearanceBounds, at: Floats, way: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
-    """As `ClearanceBounds.least`; -1 where loops cannot be closed."""
-    try:
-        return bounds.least(at, way, rest, cutoff)
-    except NoSolutionError:
-        return np.full(len(at), -1.0), np.full((len(at), 2), -1)
 
 
 def _edges(q: Floats) -> tuple[Floats, Floats]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning.clearance import FAR, NEAR, Cubics, bounds_of, least_of, proved_clearance
+from lieednn_sim.planning.clearance import FAR, NEAR, Cubics, bounds_of, proved_clearance
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.values import Floats
 
@@ -45,9 +45,8 @@ class ClearanceMonitor:
         self._middle, self._way, self._rest, _ = self._cubics.around(self.edges[:-1], self.edges[1:])
         self.allowed = np.zeros(len(self._rest))
         if not isinstance(bounds, str):
-            for part in np.array_split(np.arange(len(self._rest)), 4):  # in parts, for the memory
-                rests, one = np.stack([self._rest[part]] * 2, axis=1), np.ones((len(part), 1))
-                self.allowed[part] = bounds(self._middle[part], self._way[part], rests, one, FAR)[0]
+            rests, one = np.stack([self._rest] * 2, axis=1), np.ones((len(self._rest), 1))
+            self.allowed = bounds(self._middle, self._way, rests, one, FAR)[0]
 
     @classmethod
     def of(cls, arm: Arm, motion: Motion) -> ClearanceMonitor:
@@ -88,12 +87,12 @@ class ClearanceMonitor:
         begin = min(begin, self._last - 1.0)
         self._off[int(begin) : int(np.ceil(end)) + 1] = widest
         middle, way, rest, _ = self._cubics.around([begin], [end])
-        least, pairs = least_of(bounds, middle, way, rest, NEAR)
+        least, pairs = bounds.least(middle, way, rest, NEAR)
         if least[0] > 0.0:
             return ""
         # The joint without whose error the bound would be largest.
         n = len(q)
-        without, _ = least_of(bounds, middle.repeat(n, 0), way.repeat(n, 0), rest - np.diag(widest), FAR)
+        without, _ = bounds.least(middle.repeat(n, 0), way.repeat(n, 0), rest - np.diag(widest), FAR)
         joint, near = int(without.argmax()), ""
         if pairs[0, 0] >= 0:
             near = ", and {!r} may touch {!r}".format(*bounds.names(pairs[0]))
