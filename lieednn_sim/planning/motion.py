@@ -10,13 +10,12 @@ from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.planning.clearance import Cubics, check_clearance, check_contact
-from lieednn_sim.planning.statics import check_forces
+from lieednn_sim.planning.statics import check_forces, some_samples
 from lieednn_sim.validation import as_floats, as_positive, as_times
 from lieednn_sim.values import Floats, check_fields, frozen
 
 LIMIT_TOLERANCE = 1e-6  # by which positions may exceed a limit [rad, m]: a target on one is reached up to the residual
 JUMP = 0.02  # by which a step between samples exceeds at most what the velocities explain [rad, m]
-_LOOKS = 33  # at the samples of a motion that is checked roughly
 _MAX_STEPS = 100_000  # 200 s at a simulation step of 2 ms; longer motions would take minutes to plan
 
 
@@ -185,7 +184,7 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
 def check_roughly(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     """As `check_limits`, and contact at some samples: for what another motion follows, which is checked wholly."""
     check_limits(arm, t, q, qd)
-    some = np.linspace(0, len(t) - 1, _LOOKS).round().astype(int)
+    some = some_samples(len(t))
     check_contact(arm, t[some], q[some])
 
 
@@ -210,9 +209,9 @@ def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     """
     timestep = t[1] - t[0]
     _check_positions(arm, t, q)
-    # Steps much longer than twice what the velocities at their ends explain are jumps, which no duration mends.
-    step, speed = np.abs(np.diff(q, axis=0)), np.maximum(np.abs(qd[1:]), np.abs(qd[:-1]))
-    unexplained = step - 2.0 * timestep * speed - np.minimum(JUMP, timestep * arm.velocity_limits)
+    # Jumps, which no duration mends.
+    step, unexplained = unexplained_steps(t, q, qd)
+    unexplained -= np.minimum(JUMP, timestep * arm.velocity_limits)
     k, joint = map(int, np.unravel_index(unexplained.argmax(), unexplained.shape))
     if unexplained[k, joint] > 0.0:
         raise PlanError(
@@ -237,6 +236,15 @@ def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
             too_fast.append((t[-1] * ratio[k, joint] ** power, reason))
     if too_fast:
         raise _too_fast(*max(too_fast))
+
+
+def unexplained_steps(t: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
+    """Steps ``(K - 1, n)`` between samples, and what they have beyond twice what the rates at their ends explain.
+
+    Where that is large, a step leads to another of two configurations that are equally near to a network's state.
+    """
+    step, speed = np.abs(np.diff(q, axis=0)), np.maximum(np.abs(qd[1:]), np.abs(qd[:-1]))
+    return step, step - 2.0 * np.diff(t)[:, None] * speed
 
 
 def _too_fast(enough: float, reason: str) -> TooFastError:

@@ -22,7 +22,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
 from lieednn_sim.planning.joint_space import joint_scale
-from lieednn_sim.planning.motion import JUMP, Motion, check_motion, count_steps
+from lieednn_sim.planning.motion import JUMP, Motion, check_motion, count_steps, unexplained_steps
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law, step_lengths
 from lieednn_sim.synthesis import CurveEncoder
@@ -105,11 +105,8 @@ class NetworkPath:
         states = trajectory(grid)
         field = network.visible(network.vector_field(states))
         decoded = arm.decode(network.visible(states), field, begin)
-        # Where a link's joints are exactly singular, nothing bounds their rates. A step much longer than twice what the
-        # rates at its ends explain leads to another of two configurations that are equally near.
-        fastest = np.maximum(np.abs(decoded.qd[1:]), np.abs(decoded.qd[:-1]))
-        unexplained = np.abs(np.diff(decoded.q, axis=0)) - 2.0 * np.diff(grid)[:, None] * fastest
-        if not (fastest < 1e100).all() or unexplained.max() > JUMP:
+        # Where a link's joints are exactly singular, nothing bounds their rates.
+        if not (np.abs(decoded.qd) < 1e100).all() or unexplained_steps(grid, decoded.q, decoded.qd)[1].max() > JUMP:
             raise PlanError("the joint positions nearest to the network's path jump; use another network")
         if units is None:
             weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)

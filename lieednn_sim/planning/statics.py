@@ -12,7 +12,6 @@ from lieednn_sim.arm.forces import actuator_moments, actuator_ranges, dry_fricti
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.values import Floats
 
-_LOOKS = 33  # at samples of a motion
 _NEAR = 0.7  # part of a limit above which, at one of them, all are looked at; of 288 fast motions none had 1.25 of it
 _TOLERANCE = 1e-6  # by which a force may pass its limit, in units of it
 _RESTING = 1e-6  # rate below which dry friction holds a joint rather than brakes it [rad/s, m/s]
@@ -57,7 +56,7 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
         TooWeakError: f0 alone is beyond a limit.
     """
     last = len(t) - 1
-    looks, fastest = np.linspace(0, last, _LOOKS).round().astype(int), np.abs(np.diff(qd, axis=0)).argmax(axis=0)
+    looks, fastest = some_samples(len(t)), np.abs(np.diff(qd, axis=0)).argmax(axis=0)
     if not _limited(arm) or _use(_along(arm, t, q, qd, np.append(np.minimum(looks, last - 1), fastest))).max() <= _NEAR:
         return None
     check_held(arm, q[looks], [f"t = {time:.2f} s" for time in t[looks]])
@@ -87,6 +86,11 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     worst = int(stretch.argmax())
     where = f"would be overloaded at t = {t[rows[worst]]:.2f} s"
     return float(t[-1] * stretch[worst]), _overload(arm, int(j[worst]), where, needed[worst], bound[worst])
+
+
+def some_samples(count: int) -> NDArray[np.int_]:
+    """Which of so many samples of a motion are looked at first."""
+    return np.linspace(0, count - 1, 33).round().astype(int)
 
 
 def _limited(arm: Arm) -> bool:
