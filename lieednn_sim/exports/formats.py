@@ -34,8 +34,8 @@ _ATTEMPTS = 20
 class Episode(NamedTuple):
     """An episode of a data set for imitation learning."""
 
-    frames: Mapping[str, NDArray[Any]]  # features ``(T,)`` or ``(T, k)`` by name, of numbers or booleans
-    about: Mapping[str, Any]  # further values, such as its seed, for the table of episodes
+    frames: Mapping[str, NDArray[Any]]  #: features ``(T,)`` or ``(T, k)`` by name, of numbers or booleans
+    about: Mapping[str, Any]  #: further values, such as its seed, for the table of episodes
 
 
 def export(

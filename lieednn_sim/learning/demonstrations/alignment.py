@@ -240,12 +240,12 @@ def twist_of(displaced: Floats) -> Floats:
 class Warp:
     """A match of the samples of two paths."""
 
-    # Dynamic-time-warping distance: the least sum of distances over all alignments, each step of which advances in one
-    # path or both (Sakoe and Chiba, IEEE T-ASSP 26(1), 1978); not normalised.
+    #: Dynamic-time-warping distance: the least sum of distances over all alignments, each step of which advances in one
+    #: path or both (Sakoe and Chiba, IEEE T-ASSP 26(1), 1978); not normalised.
     total: float
-    # Discrete Frechet distance: the least maximal distance over these alignments (Eiter and Mannila, 1994).
+    #: Discrete Frechet distance: the least maximal distance over these alignments (Eiter and Mannila, 1994).
     frechet: float
-    pairs: NDArray[np.intp]  # (L, 2) indices of the samples matched by the alignment of least sum
+    pairs: NDArray[np.intp]  #: (L, 2) indices of the samples matched by the alignment of least sum
 
 
 def warp(path: ArrayLike, other: ArrayLike) -> Warp:

@@ -31,11 +31,11 @@ _ARRIVED = 1e-3
 class JointErrors:
     """A joint motion against the one it should follow, with samples paired by dynamic time warping."""
 
-    effector: PathErrors  # of the end effector's path
-    joints_rms: tuple[float, ...]  # root mean square error of each joint [rad, m]
-    worst_percent: float  # the largest of these, in percent of its joint's range
-    gap_mm: float  # largest mechanism gap of the network's states; 0 for demonstrations
-    gap_deg: float  # the same as an angle
+    effector: PathErrors  #: of the end effector's path
+    joints_rms: tuple[float, ...]  #: root mean square error of each joint [rad, m]
+    worst_percent: float  #: the largest of these, in percent of its joint's range
+    gap_mm: float  #: largest mechanism gap of the network's states; 0 for demonstrations
+    gap_deg: float  #: the same as an angle
 
 
 @dataclass(frozen=True)

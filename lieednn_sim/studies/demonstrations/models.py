@@ -90,13 +90,13 @@ class ModelRow:
     """One model of one set of demonstrations."""
 
     model: str
-    n_parameters: int  # that are fitted
-    fit_s: float  # CPU time of the fit [s]
-    mean: PathErrors  # against the mean demonstration, from its start
-    training: PathErrors  # against each demonstration, from its start, on average
-    # The same for models fitted without that demonstration; None with a single one, or if not requested.
+    n_parameters: int  #: that are fitted
+    fit_s: float  #: CPU time of the fit [s]
+    mean: PathErrors  #: against the mean demonstration, from its start
+    training: PathErrors  #: against each demonstration, from its start, on average
+    #: The same for models fitted without that demonstration; None with a single one, or if not requested.
     left_out: PathErrors | None
-    attraction: Attraction  # where random starts ended
+    attraction: Attraction  #: where random starts ended
 
 
 def reproduction(

@@ -24,10 +24,10 @@ WALKER = "obstacle_walker"
 class PathRecovery:
     """How an arm recovered; the distance of configurations is the largest difference of a joint, in its range."""
 
-    deviation: float  # largest distance from the path
-    # Time from the disturbance's end until the distance stays below a tenth of that; None if it never does.
+    deviation: float  #: largest distance from the path
+    #: Time from the disturbance's end until the distance stays below a tenth of that; None if it never does.
     time_s: float | None
-    fraction: float | None  # of the path left when the disturbance began, what was covered by then; None likewise
+    fraction: float | None  #: of the path left when the disturbance began, what was covered by then; None likewise
 
 
 class UndisturbedPath:
