@@ -55,7 +55,7 @@ class ClearanceBounds:
         model, n = arm.model, arm.n_joints
         self._arm, self._collisions, self._margin = arm, Collisions(arm), margin
         _check_provable(arm, self._collisions.pairs)
-        self._data, self._identity = mujoco.MjData(model), np.eye(n)
+        self._data = mujoco.MjData(model)
         self._members = np.zeros((len(groups), n))
         for row, (indices, weights) in zip(self._members, groups, strict=True):
             row[indices] = 1.0 / weights
@@ -154,7 +154,7 @@ class ClearanceBounds:
         margin = self._margin + self._collisions.offsets(pairs)
         fixed, moving = pairs.T
         alone = self._moves[moving] & ~self._moves[fixed]
-        rates = self._rates(q)
+        rates = np.ascontiguousarray(self._arm.unit_rates(q))
         places, come, deviated, levers = self._corners(
             place, at, moving, normals, alone, rates, path[at], rest[at], spread[at]
         )
@@ -249,10 +249,6 @@ class ClearanceBounds:
         levers = np.where(self._turns, np.sqrt(np.maximum(square - np.square(along), 0.0)).max(axis=1), 1.0)
         places = (points @ normals[..., None])[..., 0] - self._round[geoms][:, None]
         return places, come, deviated, alone * levers
-
-    def _rates(self, q: Floats) -> Floats:
-        """Rates ``(I, nv, n)`` of MuJoCo's velocities by the coordinates'."""
-        return np.ascontiguousarray(np.swapaxes(self._arm.qvel(q[:, None], self._identity), -1, -2))
 
     def _rests(self, alone: Floats, levers: Floats, steps: Floats) -> tuple[Floats, Floats, Floats]:
         """The rests as a polynomial of degree two in s: constant ``(2, P)``, linear ``(2, P)``, quadratic ``(P,)``."""

@@ -78,7 +78,6 @@ class Collisions:
         # MuJoCo's bounding sphere is smaller than the box's, but centred at the geom's frame: used where these agree.
         centred = ~planes & (np.abs(self._center).max(axis=1) < _SLACK) & (model.geom_rbound[used] > 0.0)
         self._radius[centred] = np.minimum(self._radius, model.geom_rbound[used])[centred]
-        self._identity = np.eye(arm.n_joints)
         self._segment = np.zeros(6)
         # The moving bodies, which of them each geom belongs to, and their Jacobians; the last is zero, for fixed ones.
         bodies = np.unique(model.geom_bodyid[used])
@@ -127,8 +126,7 @@ class Collisions:
         if not len(order):
             return Distances(apart, np.zeros((0, self.arm.n_joints)), pairs)
         slopes = self._slopes(pairs, points[order], distance[order])
-        rates = self.arm.qvel(np.broadcast_to(q, self._identity.shape), self._identity)
-        return Distances(apart[order], slopes @ rates.T, pairs)
+        return Distances(apart[order], slopes @ self.arm.unit_rates(q), pairs)
 
     def separations(
         self, qpos: Floats, places: Floats, turns: Floats, cutoff: Floats

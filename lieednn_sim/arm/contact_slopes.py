@@ -63,7 +63,7 @@ class ContactSlopes(ContactFinder):
             kept.append(data.contact.exclude == 0)
             rows.append(data.efc_J.reshape(-1, model.nv).copy())
         # MuJoCo's velocities for a unit rate of each joint, which depend on the position of ball joints alone.
-        rates = np.swapaxes(self._arm.qvel(q[at, None], np.eye(q.shape[1])), -1, -2)
+        rates = self._arm.unit_rates(q[at])
         slopes = np.concatenate([q[:0], *map(np.matmul, rows, rates)])
         index, distance = np.repeat(np.array(at, dtype=int), list(map(len, rows))), np.concatenate(distances)
         near = (distance := distance[np.concatenate(kept)]) < self._margin

@@ -288,15 +288,14 @@ class ModelArm(SerialArm):
         return velocities
 
     def unit_rates(self, q: ArrayLike | None = None) -> Floats:
-        """Velocities ``(nv, n)`` of all that moves at unit rates of the coordinates at ``q`` ``(n,)``.
+        """Velocities ``(..., nv, n)`` of all that moves at unit rates of the coordinates at ``q`` ``(..., n)``.
 
         By default, those at any configuration (`tangent_basis`); where there are closed loops, those at home.
         """
         if q is None and self.dependents is None:
             return tangent_basis(self.space)
-        units = np.eye(self.n_joints)
-        at = self.keyframe("home") if q is None else as_floats("q", q, (self.n_joints,))
-        return self.qvel(np.broadcast_to(at, units.shape), units).T
+        at = self.keyframe("home") if q is None else as_floats("q", q, (self.n_joints,), batched=True)
+        return np.swapaxes(self.qvel(at[..., None, :], np.eye(self.n_joints)), -1, -2)
 
     def holding(self, body: str, touching: Sequence[str] = ()) -> Self:
         """This view of a model with a free body that its end effector carries, from where that is in its ``home``.
