@@ -102,12 +102,12 @@ def test_the_compiled_network_steps_as_ours(kind, steps, tmp_path):
 
 def test_the_header_has_the_certificate_and_says_when_there_is_none(tmp_path):
     network = networks()["plain"]
-    header = (network.to_c(tmp_path / "new" / "folder") / "lieednn.h").read_text()
+    header = (network.to_c(tmp_path / "new" / "folder") / "lieednn_numbers.h").read_text()
     assert f"#define LIEEDNN_LAMBDA_MAX {network.certificate.lambda_max!r} " in header
     assert f"#define LIEEDNN_RATE {network.certificate.rate!r} " in header
     assert "globally stable for every bias" in header
     bare = LieEDNN(network.alpha, network.rotation, network.translation, network.bias)
-    header = (bare.to_c(tmp_path) / "lieednn.h").read_text()
+    header = (bare.to_c(tmp_path) / "lieednn_numbers.h").read_text()
     assert "#define LIEEDNN_LAMBDA_MAX NAN " in header
     assert "not certified: nothing is proved" in header
 
