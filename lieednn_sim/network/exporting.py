@@ -112,7 +112,7 @@ def c_header(
     lines += ["", f"#ifdef {prefix}_ARRAYS"]
     for key, (values, what) in arrays.items():
         array = np.asarray(values)
-        kind = "int" if array.dtype.kind in "bi" else "double"
+        kind = "int" if array.dtype.kind == "i" else "double"
         sizes = "".join(f"[{size}]" for size in array.shape)
         lines += [f"/* {what} */", f"static const {kind} {key}{sizes} = {_array(array)};"]
     return "\n".join([*lines, "#endif", "", "#endif", ""])
