@@ -133,8 +133,8 @@ class Policy(ABC):
     def to_c(self, folder: str | os.PathLike[str]) -> Path:
         """Write the policy as C99 into a folder; only a `NetworkPolicy` can, others raise `InputError`."""
         raise InputError(
-            f"a {type(self).__name__} has no C code, only a NetworkPolicy has, such as 'lieednn-shaped': run this one in "
-            "Python by control_loop"
+            f"a {type(self).__name__} has no C code, only a NetworkPolicy has, such as 'lieednn-shaped'; run it by "
+            "control_loop"
         )
 
     def allowed(self) -> Floats:

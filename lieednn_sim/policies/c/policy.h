@@ -15,7 +15,7 @@
 #define POLICY_JUMP_SPEED 2.0 /* a joint jumps that moved at more than this times its largest speed, */
 #define POLICY_JUMP_WAY 0.02 /* and this fraction of its range on top */
 #define POLICY_MAX_STALE 10 /* periods with the very same measurement, */
-#define POLICY_STALE_WAY 0.02 /* in which the reference moved by this fraction of a range: the policy brakes */
+#define POLICY_STALE_WAY POLICY_TOLERANCE /* in which the reference moved by this fraction of a range: it brakes */
 #endif
 
 /* The status of a period, as bits. */

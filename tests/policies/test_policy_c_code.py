@@ -1,0 +1,262 @@
+"""Policies as C99, compiled and run beside Python's: references, what is done about faults, and the page."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import subprocess
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from compiling import COMPILER, FLAGS, address, compiled, library
+from mechanisms import ODD_ARM
+
+from lieednn_sim import draw_target
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning.network_planners import without_weights
+from lieednn_sim.policies import Feedback, MotionTracker, NetworkPolicy, make_policy
+
+MISSING, JUMPED, STALE, REFUSED, FAILED, LIMITED, BRAKING, AT_REST = (1 << k for k in range(8))
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "howto" / "policy_as_code.md"
+
+
+class Compiled:
+    """An exported policy as a shared library, started at joints ``(n,)``."""
+
+    def __init__(self, policy, folder, q) -> None:
+        self.library = library(policy.to_c(folder))
+        self.n, self.memory = policy.arm.n_joints, np.zeros(100_000)
+        assert self.library.policy_start(address(self.memory), address(q)) == 0
+
+    @property
+    def q(self):
+        return self.memory[: self.n].copy()
+
+    @property
+    def qd(self):
+        return self.memory[self.n : 2 * self.n].copy()
+
+    @property
+    def counts(self):
+        return self.memory[2 * self.n + 2 :].view(ctypes.c_ulong)[:8].tolist()
+
+    def start(self, q):
+        return self.library.policy_start(address(self.memory), address(q))
+
+    def step(self, measured, target):
+        return self.library.policy_step(address(self.memory), address(measured), address(target))
+
+    def stop(self):
+        self.library.policy_stop(address(self.memory))
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory):
+    path = tmp_path_factory.mktemp("odd") / "scene.xml"
+    path.write_text(ODD_ARM)
+    return Arm.from_xml(path, "odd")
+
+
+def policies(kind, request):
+    """A policy that is reset, and targets."""
+    name, maker, rate = kind
+    if name in ("gantry", "odd"):
+        arm = request.getfixturevalue(name)
+        arm = replace(arm, velocity_limits=0.3 * arm.ranges, acceleration_limits=3.0 * arm.ranges)
+        low, high = arm.position_limits.T
+        middle, some = 0.5 * (low + high), np.random.default_rng(0).uniform(-0.25, 0.25, (9, arm.n_joints))
+        targets = middle + some * (high - low)
+        network = request.getfixturevalue("cascade") if maker == "cascade" else without_weights
+        policy = NetworkPolicy(arm, network(arm.encode(targets[0])), rate, feedback=Feedback(rate=20.0))
+        policy.reset(middle)
+        return policy, targets
+    arm = Arm.load(name)
+    targets = [draw_target(arm, seed=seed) for seed in range(9)]
+    return make_policy(maker, arm, targets[0], rate=rate), targets
+
+
+@compiled
+@pytest.mark.parametrize(
+    "kind",
+    [
+        ("telescopic_pr", "lieednn-shaped", 100.0),
+        ("telescopic_rrp", "lieednn-certified", 500.0),
+        ("telescopic_compound", "linear-attractor", 100.0),
+        ("gantry", "cascade", 50.0),
+        ("odd", "linear", 200.0),
+    ],
+    ids=lambda kind: kind[0],
+)
+def test_references_are_those_of_python(kind, request, tmp_path):
+    """Behind an arm that lags, is pushed and measured with noise and losses, and targets that jump and move."""
+    policy, targets = policies(kind, request)
+    arm, rng = policy.arm, np.random.default_rng(1)
+    code = Compiled(policy, tmp_path, policy.q)
+    place, push, target, way = policy.q, 0.0, targets[0], 0.0
+    seen, limited, pulled = 0, 0, 0
+    for k in range(800):
+        if k % 100 == 0:
+            target = targets[k // 100]
+            way = rng.uniform(-0.1, 0.1, arm.n_joints) * (k % 200) / 100 * arm.ranges * policy.period
+            push = 0.05 * rng.normal(size=arm.n_joints) * arm.ranges * (k % 300 == 0)
+        if (arm.limit_excess(target + way) < 0.0).all():
+            target = target + way
+        place = place + (policy.q + push - place) * min(1.0, 8.0 * policy.period)
+        measured = place + rng.choice([0.0, 2e-3]) * rng.normal(size=arm.n_joints) * arm.ranges
+        if k % 40 < 8 and k % 3:
+            measured = None
+        q, qd = policy.step(measured, target)
+        status = code.step(measured, target)
+        assert status & ~LIMITED == (MISSING if measured is None else 0)
+        np.testing.assert_allclose(code.q, q, rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(code.qd, qd, rtol=0.0, atol=1e-9)
+        assert bool(status & LIMITED) == policy._limited
+        seen, limited, pulled = seen + (measured is not None), limited + bool(status & LIMITED), pulled + policy.pulled
+    # All of it was tried.
+    assert min(seen, limited, pulled) > 20
+    assert code.counts[0] == 800 - seen
+
+
+@compiled
+def test_it_brakes_as_the_loop_does(tmp_path):
+    arm = Arm.load("telescopic_pr")
+    policy = make_policy("lieednn-certified", arm, "extended", rate=100)
+    code = Compiled(policy, tmp_path, policy.q)
+    for _ in range(30):
+        code.step(policy.q, arm.keyframe("extended"))
+        policy.step(policy.q, arm.keyframe("extended"))
+    assert np.abs(policy.qd).max() > 0.1
+    stopping = MotionTracker.stopping(arm, policy.q, policy.qd, 100.0)
+    code.stop()
+    for _ in range(60):
+        q, qd = stopping.step(None, policy.q)
+        status = code.step(code.q, arm.keyframe("home"))
+        np.testing.assert_allclose(code.q, q, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(code.qd, qd, rtol=0.0, atol=1e-9)
+        assert status == (BRAKING if qd.any() else BRAKING | AT_REST)
+    assert status == BRAKING | AT_REST
+    assert code.start(code.q) == 0
+    assert code.step(code.q, arm.keyframe("home")) & ~LIMITED == 0
+
+
+@compiled
+def test_faults_are_told_and_braked_for(tmp_path):
+    arm = Arm.load("telescopic_pr")
+    home, goal = arm.keyframe("home"), arm.keyframe("extended")
+    code = Compiled(make_policy("lieednn-certified", arm, goal, rate=100), tmp_path, home)
+    statuses = lambda measured, count: [code.step(measured(), goal) & ~LIMITED for _ in range(count)]  # noqa: E731
+    here = lambda: code.q  # noqa: E731
+    bad = np.array([np.nan, *home[1:]])
+
+    # Ten periods in a row go on without feedback, an eleventh does not.
+    assert statuses(lambda: None, 5) + statuses(lambda: bad, 5) == [MISSING] * 10
+    assert statuses(here, 1) == [0]
+    assert statuses(lambda: np.full(8, np.inf), 11) == [MISSING] * 10 + [MISSING | BRAKING]
+    assert statuses(here, 100)[-1] == BRAKING | AT_REST
+    assert code.qd.tolist() == [0.0] * 8
+
+    # In a period of 0.01 s the first joint moves by at most 0.02 rad; twice that, and 2 % of its 5.934 rad, are 0.159.
+    assert code.start(home) == 0
+    aside = np.zeros(8)
+    aside[0] = 0.158
+    assert code.step(home + aside, home) & ~LIMITED == 0
+    assert code.step(home - 0.01 * aside, home) == JUMPED
+    # In two periods 0.199, but no longer.
+    assert code.step(home - 0.2 * aside, home) & ~LIMITED == 0
+
+    # The very same joints, those of the start included, while the reference goes on.
+    assert code.start(home) == 0
+    told = statuses(lambda: home, 200)
+    first = told.index(STALE | BRAKING)
+    assert first >= 9
+    assert set(told[:first]) == {0}
+    assert told[-1] & (BRAKING | AT_REST) == BRAKING | AT_REST
+    # At rest they may stay the same.
+    assert code.start(home) == 0
+    assert {code.step(home, home) for _ in range(100)} == {0}
+
+    # Targets: the last one stays.
+    there = np.array([code.step(code.q, goal) & ~LIMITED for _ in range(20)])
+    way = code.q
+    for refused in (bad, np.full(8, np.inf), np.where(np.arange(8) == 3, 0.4501, goal)):
+        assert code.step(code.q, refused) & ~LIMITED == REFUSED
+    assert not there.any()
+    assert np.abs(code.q - goal).max() < np.abs(way - goal).max()
+    assert [code.step(code.q, None) & ~LIMITED for _ in range(600)][-1] == 0
+    np.testing.assert_allclose(code.q, goal, atol=1e-3)
+    assert code.counts[3] == 3
+
+    # No start out of reach, and no reference without a start.
+    assert code.start(bad) == REFUSED
+    assert code.step(home, goal) == FAILED
+    assert code.start(np.where(np.arange(8) == 3, 0.46, home)) == REFUSED
+    assert code.start(np.where(np.arange(8) == 3, 0.4505, home)) == 0
+    assert code.q[3] == 0.45
+
+
+@compiled
+@pytest.mark.parametrize("name", ["telescopic_pr", "telescopic_compound"])
+def test_no_fault_makes_the_reference_jump(name, tmp_path):
+    """Speeds and, while one gathers speed or brakes, accelerations keep their limits; every end is at rest."""
+    arm, rng = Arm.load(name), np.random.default_rng(3)
+    targets = [draw_target(arm, seed=seed) for seed in range(20)]
+    policy = make_policy("lieednn-certified", arm, targets[0], rate=100)
+    code = Compiled(policy, tmp_path, policy.q)
+    (low, high), gain = arm.position_limits.T, 0.01 * arm.acceleration_limits
+    q, qd, target, ends, braking = code.q, code.qd, targets[0], 0, 0
+    for _ in range(5_000):
+        if rng.random() < 0.02:
+            target = targets[rng.integers(20)]
+        wanted, measured = target, q + 3e-3 * rng.normal(size=len(q)) * arm.ranges
+        fault = rng.integers(40)
+        if fault < 3:
+            measured = [None, np.full(len(q), rng.choice([np.nan, np.inf, -1e308])), measured + rng.normal()][fault]
+        elif fault < 6:
+            wanted = [None, target + np.nan, 1e3 * target + 1.0][fault - 3]
+        status = code.step(measured if rng.random() > 0.1 or braking else None, wanted)
+        now, rate = code.q, code.qd
+        assert ((low <= now) & (now <= high)).all()
+        assert (np.abs(rate) <= np.minimum(arm.velocity_limits, np.abs(qd) + gain) * 1.0011).all()
+        # By no more than a cubic of such speeds at its ends may move, and a network bends within a period.
+        assert (np.abs(now - q) <= 0.01 * (np.maximum(np.abs(rate), np.abs(qd)) + gain)).all()
+        braking = status & BRAKING
+        if braking:
+            assert (np.abs(rate - qd) <= gain * (1.0 + 1e-6)).all()
+        q, qd = now, rate
+        if rng.random() < 5e-3:
+            code.stop()
+        if status & AT_REST:
+            assert not qd.any()
+            assert code.start(q) == 0
+            ends += 1
+    assert ends > 10
+
+
+def test_what_has_no_c_code_is_refused(tmp_path):
+    arm = Arm.load("telescopic_pr")
+    with pytest.raises(InputError, match="a ReplanningPolicy has no C code, only a NetworkPolicy has"):
+        make_policy("lieednn-replanning", arm, "extended").to_c(tmp_path)
+    with pytest.raises(InputError, match="'telescopic_crane' move others, or tendons, that have ranges of their own"):
+        make_policy("linear-attractor", Arm.load("telescopic_crane"), "home").to_c(tmp_path)
+
+
+@compiled
+def test_the_page_runs(tmp_path, monkeypatch):
+    """Each packet waits for the other side, however busy the machine is."""
+    export, robot = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    (main,) = re.findall(r"^```c\n(/\* main\.c.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    names: dict = {}
+    exec(export, names)
+    Path("controller/main.c").write_text(main)
+    sources = sorted(Path("controller").glob("*.c"))
+    subprocess.run([COMPILER, *FLAGS, *sources, "-o", "controller/run", "-lm"], check=True)
+    exec(robot.replace("sockname()[1])]", 'sockname()[1]), "30"]'), names)
+    assert names["controller"].returncode == 0
+    assert names["status"] == BRAKING | AT_REST | MISSING
+    assert abs(names["measured"] - names["target"]).max() < 2e-3
