@@ -100,22 +100,31 @@ def write_sources(folder: str | os.PathLike[str], sources: Path, made: Mapping[s
 
 
 def c_header(
-    name: str, about: str, prefix: str, numbers: Mapping[str, tuple[object, str]], arrays: Mapping[str, tuple[Any, str]]
+    name: str,
+    about: str,
+    prefix: str,
+    numbers: Mapping[str, tuple[object, str]],
+    arrays: Mapping[str, tuple[NDArray[Any], str]],
 ) -> str:
     """A C header: a comment, macros of numbers, and arrays, for the source that defines ``prefix_ARRAYS``.
 
-    All have a name, a value, and what it is in words.
+    Numbers and arrays are by their names, each with what it is in words.
     """
     guard = f"{name.upper()}_H"
-    lines = [f"/* {about} */", f"#ifndef {guard}", f"#define {guard}", ""]
-    lines += [f"#define {prefix}_{key} {_number(value)} /* {what} */" for key, (value, what) in numbers.items()]
+    lines = [f"/* {_comment(about)} */", f"#ifndef {guard}", f"#define {guard}", ""]
+    lines += [
+        f"#define {prefix}_{key} {_number(value)} /* {_comment(what)} */" for key, (value, what) in numbers.items()
+    ]
     lines += ["", f"#ifdef {prefix}_ARRAYS"]
-    for key, (values, what) in arrays.items():
-        array = np.asarray(values)
-        kind = "int" if array.dtype.kind == "i" else "double"
-        sizes = "".join(f"[{size}]" for size in array.shape)
-        lines += [f"/* {what} */", f"static const {kind} {key}{sizes} = {_array(array)};"]
+    for key, (array, what) in arrays.items():
+        kind, sizes = "int" if array.dtype.kind == "i" else "double", "".join(f"[{size}]" for size in array.shape)
+        lines += [f"/* {_comment(what)} */", f"static const {kind} {key}{sizes} = {_array(array)};"]
     return "\n".join([*lines, "#endif", "", "#endif", ""])
+
+
+def _comment(text: str) -> str:
+    """A text that cannot end the comment that it is in."""
+    return " ".join(text.replace("*/", "* /").split())
 
 
 def _number(value: object) -> str:

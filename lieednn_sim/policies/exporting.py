@@ -7,10 +7,11 @@ scales its axes. Lengths are in the network's unit.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Mapping, Sized
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
@@ -20,11 +21,11 @@ from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 
 
 def write_policy(
-    arm: Arm, settings: dict[str, tuple[Any, str]], feedback: Feedback | None, folder: str | os.PathLike[str]
+    arm: Arm, settings: Mapping[str, tuple[object, str]], feedback: Feedback | None, folder: str | os.PathLike[str]
 ) -> Path:
     """Write ``policy.h``, ``policy.c`` and ``policy_numbers.h``, for a network beside them; see `NetworkPolicy.to_c`.
 
-    Settings are numbers by name, with what they are.
+    Settings are numbers by name, each with what it is in words.
     """
     if arm.stops is not None:
         raise InputError(
@@ -44,19 +45,21 @@ def write_policy(
         "START_TOLERANCE": (arm.start_tolerance, "how far a start may be beyond a limit, at which it is taken to be"),
     }
     low, high = arm.position_limits.T
-    # Of coordinates that share a link, the least is where a row of the normal equations begins.
-    begin = np.arange(arm.n_joints)
+    balls, begin = np.zeros(arm.n_joints, dtype=int), np.arange(arm.n_joints)
+    balls[arm.space.balls[:, 0]] = 1
     for joint in joints:
         begin[joint.indices] = np.minimum(begin[joint.indices], joint.indices[0])
-    screws = [joint.screw for joint in joints]
     factors = [factor for joint in joints for factor in joint.factors]
     axes, anchors = np.zeros((len(factors), 3, 3)), np.zeros((len(factors), 3))
     coordinates = np.zeros((len(factors), 3), dtype=int)
     for i, factor in enumerate(factors):
-        unit = arm.length_scale if factor.kind == "slide" else 1.0
-        axes[i, : len(factor.indices)] = factor.ratio / unit * factor.axes.T
+        columns, unit = len(factor.indices), arm.length_scale if factor.kind == "slide" else 1.0
+        axes[i, :columns], coordinates[i, :columns] = factor.ratio / unit * factor.axes.T, factor.indices
         anchors[i] = factor.anchor / arm.length_scale
-        coordinates[i, : len(factor.indices)] = factor.indices
+    screwed, screws = np.full(len(joints), -1), np.zeros((len(joints), 6))
+    for i, joint in enumerate(joints):
+        if joint.screw is not None:
+            screwed[i], screws[i] = joint.indices[0], joint.screw / arm.twist_units
     arrays = {
         "low": (low, "position limits [rad, m]"),
         "high": (high, "of a ball joint, the largest angle"),
@@ -65,32 +68,23 @@ def write_policy(
         "jump_speed": (jump_speeds(arm), "faster targets jump, and so do measured joints"),
         "max_acceleration": (arm.acceleration_limits, "[rad/s^2, m/s^2]"),
         "reference": (arm.joints.reference, "where every link's pose is the identity [rad, m]"),
-        "ball": (
-            np.isin(np.arange(arm.n_joints), arm.space.balls[:, :1]).astype(int),
-            "whether a ball joint begins here",
-        ),
+        "ball": (balls, "whether a ball joint begins here"),
         "begin": (begin, "first coordinate of those that share a link with this one"),
-        "factor_of": (_ends(joint.factors for joint in joints), "where the factors of each link begin, and the end"),
-        "turns": (np.array([int(factor.kind != "slide") for factor in factors]), "factors: whether they turn"),
-        "columns": (np.array([len(factor.indices) for factor in factors]), "number of coordinates"),
-        "coordinate": (coordinates, "which these are"),
-        "axes": (axes, "their axes"),
-        "anchor": (anchors, "a point that does not move"),
         "moved_by": (_ends(joint.indices for joint in joints), "where the coordinates of each link begin, and the end"),
         "mover": (np.concatenate([joint.indices for joint in joints]), "which these are"),
-        "screwed": (
-            np.array([-1 if z is None else joint.indices[0] for z, joint in zip(screws, joints, strict=True)]),
-            "links that move along one screw: its coordinate, else -1",
-        ),
-        "screw": (
-            np.array([np.zeros(6) if z is None else z / arm.twist_units for z in screws]),
-            "and the screw",
-        ),
+        "screwed": (screwed, "coordinate of links that move along one screw, else -1"),
+        "screw": (screws, "and the screw"),
+        "factor_of": (_ends(joint.factors for joint in joints), "where the factors of each link begin, and the end"),
+        "turns": (np.array([int(factor.kind != "slide") for factor in factors]), "whether a factor turns"),
+        "columns": (np.array([len(factor.indices) for factor in factors]), "the number of its coordinates"),
+        "coordinate": (coordinates, "which these are"),
+        "axes": (axes, "its axes"),
+        "anchor": (anchors, "a point that it does not move"),
     }
-    about = f"The policy's numbers, of the arm {arm.name!r}."
-    header = c_header("policy_numbers", about, "POLICY", numbers, arrays)
+    header = c_header("policy_numbers", f"The policy's numbers, of the arm {arm.name!r}.", "POLICY", numbers, arrays)
     return write_sources(folder, Path(__file__).parent / "c", {"policy_numbers.h": header})
 
 
-def _ends(parts: Any) -> Any:
+def _ends(parts: Iterable[Sized]) -> NDArray[np.int_]:
+    """Where each of several parts begins in their concatenation, and its end."""
     return np.cumsum([0, *map(len, parts)])
