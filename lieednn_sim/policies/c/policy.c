@@ -56,12 +56,6 @@ static void rotation(const double w[3], double r[4])
         r[k + 1] = factor * w[k];
 }
 
-static void exponential(const double xi[6], pose *out)
-{
-    rotation(xi, out->r);
-    left_jacobian(xi, xi + 3, out->p);
-}
-
 static void logarithm(const pose *t, double xi[6])
 {
     const double sign = t->r[0] < 0.0 ? -1.0 : 1.0, sine = sqrt(dot(t->r + 1, t->r + 1));
@@ -157,7 +151,8 @@ static void decode(const double x[SEEN], const double flow[SEEN], double q[N], d
             double xi[6];
             for (int k = 0; k < 6; k++)
                 xi[k] = x[6 * link + k] + ahead[s] * flow[6 * link + k];
-            exponential(xi, &given[s][link]);
+            rotation(xi, given[s][link].r);
+            left_jacobian(xi, xi + 3, given[s][link].p);
         }
     for (int step = 0; step < 8; step++) {
         double m[N][N], b[3][N], largest = 0.0;
