@@ -70,6 +70,8 @@ def test_a_dragged_target_is_reached_within_a_millimetre_under_a_bound_that_hold
     shown = observer.look()
     assert shown.arrived
     assert shown.distance == pytest.approx(np.linalg.norm(tip(arm, session.tick.q) - goal), abs=1e-6)
+    for far in ({"distance": 1.1e-3}, {"angle": 6e-3}):
+        assert not shown._replace(**far).arrived
     certificate = session.policy.network.certificate
     assert certificate.lambda_max < certificate.bound == 1.0
     # The bound is no triviality: it falls as the distance does.
