@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.network_planners import without_weights
-from lieednn_sim.policies import Feedback, NetworkPolicy
+from lieednn_sim.policies import Feedback, NetworkPolicy, make_policy
 from lieednn_sim.simulation import Disturbances, Push, follow
 from lieednn_sim.synthesis import synthesize
 
@@ -208,3 +208,18 @@ def test_it_is_slowed_down_to_a_limit_and_not_further():
         assert policy.pace < 0.5
         assert 0.95 < (np.abs(qd) / allowed).max() <= 1.001
     assert policy.message == f"moves at {100 * policy.pace:.2g} % of its speed, within the joints' limits"
+
+
+def test_no_change_of_target_goes_beyond_a_limit_at_a_low_rate():
+    arm = Arm.load("telescopic_rrp")
+    low, high = arm.position_limits.T
+    policy = make_policy("lieednn-certified", arm, "extended", rate=20.0)
+    policy.reset("home")
+    rng, worst = np.random.default_rng(0), []
+    for k in range(120):
+        if k % 12 == 0:
+            goal = low + (high - low) * rng.uniform(0.1, 0.9, arm.n_joints)
+        allowed = policy.allowed()
+        _, qd = policy.step(None, goal)
+        worst.append((np.abs(qd) / allowed).max())
+    assert 0.95 < max(worst) <= 1.002

@@ -158,6 +158,22 @@ def test_a_tracker_plays_a_motion_at_any_rate_and_begins_where_it_does(gantry):
         MotionTracker(ls.Arm.load("telescopic_pr"), motion)
 
 
+def test_a_reference_brakes_at_the_limit_of_its_hardest_joint_by_hand(gantry):
+    most, start = gantry.acceleration_limits, np.zeros(4)
+    for qd, periods in (
+        (np.array([0.3, -0.1, 0.0, 0.2]) * most, 30),  # 0.3 s, at 100 Hz
+        (np.array([0.0, 0.0, 0.001, 0.0]) * most, 2),  # no less than two periods
+    ):
+        policy = MotionTracker.stopping(gantry, start, qd, 100.0)
+        np.testing.assert_array_equal(policy.qd, qd)
+        steps = [policy.step(None, start) for _ in range(periods)]
+        assert steps[-2][1].any()
+        assert not steps[-1][1].any()
+        np.testing.assert_allclose(steps[-1][0], 0.5 * qd * periods / 100.0, atol=1e-12)
+        speeds = np.vstack([qd, *[rate for _, rate in steps]])
+        assert (np.abs(np.diff(speeds, axis=0)) <= 1.001 * most / 100.0).all()
+
+
 class Halver(Policy):
     """Goes half of the way that is left in every period."""
 
