@@ -210,16 +210,16 @@ def test_it_is_slowed_down_to_a_limit_and_not_further():
     assert policy.message == f"moves at {100 * policy.pace:.2g} % of its speed, within the joints' limits"
 
 
-def test_no_change_of_target_goes_beyond_a_limit_at_a_low_rate():
+@pytest.mark.parametrize("seed", [1, 4, 9])
+def test_a_network_that_gathers_speed_within_a_period_keeps_the_limits(seed):
     arm = Arm.load("telescopic_rrp")
     low, high = arm.position_limits.T
-    policy = make_policy("lieednn-certified", arm, "extended", rate=20.0)
+    goal = low + (high - low) * (0.1 + 0.8 * np.random.default_rng(seed).random(arm.n_joints))
+    policy = make_policy("lieednn-certified", arm, goal, rate=20.0, start="home")
     policy.reset("home")
-    rng, worst = np.random.default_rng(0), []
-    for k in range(120):
-        if k % 12 == 0:
-            goal = low + (high - low) * rng.uniform(0.1, 0.9, arm.n_joints)
+    shares = []
+    for _ in range(20):
         allowed = policy.allowed()
         _, qd = policy.step(None, goal)
-        worst.append((np.abs(qd) / allowed).max())
-    assert 0.95 < max(worst) <= 1.002
+        shares.append((np.abs(qd) / allowed).max())
+    assert 0.95 < max(shares) <= 1.002
