@@ -190,6 +190,11 @@ def test_another_tab_shows_the_arm_its_loss_leaves_the_first_and_nothing_complai
     assert [line for line in complaints if not any(words in line for words in known)] == []
 
 
+def test_a_dragged_link_is_pulled_harder_the_farther_the_mouse_is_up_to_the_sliders_force(page):
+    for away, force in ((0.0, 0.0), (0.15, 75.0), (0.3, 150.0), (3.0, 150.0)):
+        np.testing.assert_allclose(page._panel.spring([1.0, 0.0, 0.5], [1.0, away, 0.5]), [0.0, force, 0.0], atol=1e-9)
+
+
 def test_the_command_shows_an_own_robot_until_ctrl_c(start, tmp_path, two_hinges):
     (tmp_path / "mine.xml").write_text(two_hinges)
     (tmp_path / "table.yaml").write_text("obstacles: [{shape: sphere, name: lamp, radius: 0.1, position: [2, 0, 1]}]")

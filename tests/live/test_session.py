@@ -2,6 +2,7 @@
 
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -226,12 +227,14 @@ def test_a_planned_motion_begins_where_the_arm_stopped_and_is_made_again_for_eac
     session.advance(1)
     stop = session.policy
     assert isinstance(stop, MotionTracker)
+    session.settle()  # the motion is there before the arm has stopped
+    assert session.busy
     for _ in range(60):
         references.append(session.tick.q_ref)
         session.advance()
     change = np.diff(np.array(references), n=2, axis=0) * 100.0**2
     assert (np.abs(change[1:]) <= 1.01 * arm.acceleration_limits).all()
-    session.settle()
+    assert not session.busy
     session.advance(600)
     assert np.abs(session.tick.q_ref - arm.keyframe("extended")).max() < 1e-9
     middle = plan(arm, "extended", planner="minimum-jerk", start=stop.end).motion
@@ -279,6 +282,24 @@ def test_in_real_time_a_paused_loop_stands_and_a_closed_one_ends(arm, begin):
     assert stood[0] == stood[1] > 0.05
     session.close()
     assert not [thread for thread in threading.enumerate() if thread.name == "control loop"]
+
+
+def test_one_late_period_is_caught_up_and_more_are_not(begin, monkeypatch):
+    session, now, slept = begin(rate=100.0), [0.0], []
+
+    def sleep(duration):
+        slept.append(duration)
+        now[0] += duration
+
+    def advance():
+        now[0] += 0.1 if len(slept) == 2 else 0.0
+        if len(slept) == 6:
+            session._closed.set()
+
+    monkeypatch.setattr("lieednn_sim.live.session.time", SimpleNamespace(perf_counter=lambda: now[0], sleep=sleep))
+    monkeypatch.setattr(session, "advance", advance)
+    session._keep_time()
+    np.testing.assert_allclose(slept, [0.01, 0.01, 0.0, 0.0, 0.01, 0.01, 0.01], atol=1e-12)
 
 
 def test_a_worker_does_the_newest_job_and_tells_what_failed():
