@@ -218,6 +218,13 @@ static int within(const double q[N], double tolerance)
     return 1;
 }
 
+/* Largest velocity at the end of a period from which a distance suffices to brake. */
+static double stopping(double distance, double velocity, double a)
+{
+    const double h = POLICY_PERIOD, left = distance - 0.5 * h * velocity, lost = 0.5 * a * h;
+    return left < 0.0 ? 2.0 * left / h : sqrt(lost * lost + 2.0 * a * left) - lost;
+}
+
 /* The network's target, in the middle of the period; adds the rates of one that moves. */
 static void aim(policy *p, double drift[SEEN], double rate[N])
 {
@@ -242,7 +249,7 @@ static void aim(policy *p, double drift[SEEN], double rate[N])
     lieednn_field(&p->net, p->net.x, p->flow);
     if (!p->aimed || jumped) {
         double near[N];
-        memcpy(near, p->q, sizeof near);
+        memcpy(near, p->own_q, sizeof near);
         decode(p->net.x, p->flow, near, p->flow_rate);
     }
     memcpy(p->target, p->wanted, sizeof p->target);
@@ -255,17 +262,17 @@ static double listen(policy *p, const double measured[N], double drift[SEEN], do
 {
     double there[SEEN], here[SEEN], behind = 0.0;
     for (int i = 0; i < N; i++)
-        behind = fmax(behind, fabs(measured[i] - p->q[i]) / range[i]);
+        behind = fmax(behind, fabs(measured[i] - p->own_q[i]) / range[i]);
     const double late = behind / POLICY_PATIENCE;
     const double pull = POLICY_PULL * fmax(0.0, 1.0 - POLICY_TOLERANCE / fmax(behind, 1e-300));
     p->behind = behind;
     if (pull > 0.0) {
         encode(measured, there);
-        encode(p->q, here);
+        encode(p->own_q, here);
         for (int i = 0; i < SEEN; i++)
             drift[i] += pull * (there[i] - here[i]);
         for (int i = 0; i < N; i++)
-            rate[i] += pull * (measured[i] - p->q[i]);
+            rate[i] += pull * (measured[i] - p->own_q[i]);
     }
     return fmax(1.0 / (1.0 + late * late), 0.01);
 }
@@ -286,6 +293,32 @@ static void integrate(policy *p, double scale, const double drift[SEEN])
     memcpy(p->net.bias, bias, sizeof bias);
 }
 
+/* A period of the reference after one at q with qd: each joint is at that where limits of velocity and acceleration
+   allow it, else follows it within them. Its velocities are the rates, and the differences of positions. */
+static void follow(policy *p, const double q[N], const double qd[N])
+{
+    const double h = POLICY_PERIOD;
+    for (int i = 0; i < N; i++) {
+        /* With something for rounding; a limit of 1e6 is none. */
+        const double a = fmin(1.001 * max_acceleration[i], 1e6), v = 1.001 * max_speed[i], old = p->qd[i];
+        const double slowest = fmax(-v, old - a * h), fastest = fmin(v, old + a * h);
+        const double upper = fmin(fmax(stopping(high[i] - p->q[i], old, a), slowest), fastest);
+        const double back = fmin(fmax(-stopping(p->q[i] - low[i], -old, a), slowest), fastest), lower = fmin(back, upper);
+        const double mean = (q[i] - p->q[i]) / h, lag = q[i] - p->q[i] - 0.5 * h * (old + qd[i]);
+        if (lower <= qd[i] && qd[i] <= upper && fabs(mean - p->mean[i]) <= a * h && fabs(qd[i] - mean) <= 0.5 * a * h) {
+            p->q[i] = q[i];
+            p->qd[i] = qd[i];
+            p->mean[i] = mean;
+        } else {
+            /* The lag vanishes at 8/s, or as fast as half of the acceleration can end. */
+            const double extra = fmin(8.0 * fabs(lag), sqrt(a * fabs(lag)));
+            p->qd[i] = fmin(fmax(qd[i] + copysign(extra, lag), lower), upper);
+            p->mean[i] = 0.5 * (old + p->qd[i]);
+            p->q[i] += h * p->mean[i];
+        }
+    }
+}
+
 static unsigned act(policy *p, const double *measured)
 {
     double drift[SEEN] = {0.0}, rate[N] = {0.0}, allowed[N], desired[N], x[LIEEDNN_SIZE], flow[LIEEDNN_SIZE];
@@ -293,7 +326,7 @@ static unsigned act(policy *p, const double *measured)
     aim(p, drift, rate);
     const double waiting = measured ? listen(p, measured, drift, rate) : 1.0, scale = waiting * POLICY_SPEED;
     for (int i = 0; i < N; i++) {
-        allowed[i] = fmin(max_speed[i], fabs(p->qd[i]) + max_acceleration[i] * POLICY_PERIOD);
+        allowed[i] = fmin(max_speed[i], fabs(p->own_qd[i]) + max_acceleration[i] * POLICY_PERIOD);
         desired[i] = scale * p->flow_rate[i] + rate[i];
         excess = fmax(excess, fabs(desired[i]) / allowed[i]);
     }
@@ -307,7 +340,7 @@ static unsigned act(policy *p, const double *measured)
         integrate(p, fraction * scale, drift);
         lieednn_field(&p->net, p->net.x, flow);
         for (int i = 0; i < N; i++)
-            drawn[i] = p->q[i] + fraction * POLICY_PERIOD * desired[i];
+            drawn[i] = p->own_q[i] + fraction * POLICY_PERIOD * desired[i];
         decode(p->net.x, flow, drawn, flow_rate);
         excess = 0.0;
         for (int i = 0; i < N; i++) {
@@ -324,10 +357,11 @@ static unsigned act(policy *p, const double *measured)
     }
     memcpy(p->flow, flow, sizeof flow);
     memcpy(p->flow_rate, flow_rate, sizeof flow_rate);
-    memcpy(p->q, drawn, sizeof drawn);
-    limit(p->q);
+    memcpy(p->own_q, drawn, sizeof drawn);
+    limit(p->own_q);
     for (int i = 0; i < N; i++)
-        p->qd[i] = p->q[i] == drawn[i] ? qd[i] : 0.0;
+        p->own_qd[i] = p->own_q[i] == drawn[i] ? qd[i] : 0.0;
+    follow(p, p->own_q, p->own_qd);
     p->pace = fraction * waiting;
     return fraction < 1.0 ? POLICY_LIMITED : 0;
 }
@@ -340,6 +374,7 @@ unsigned policy_start(policy *p, const double q[N])
         return POLICY_REFUSED;
     memcpy(p->q, q, sizeof p->q);
     limit(p->q);
+    memcpy(p->own_q, p->q, sizeof p->own_q);
     memcpy(p->wanted, p->q, sizeof p->wanted);
     memcpy(p->seen, q, sizeof p->seen);
     memcpy(p->since, p->q, sizeof p->since);
@@ -370,14 +405,18 @@ void policy_stop(policy *p)
 static unsigned brake(policy *p)
 {
     const double s = fmin(p->braking * POLICY_PERIOD / p->needed, 1.0), rest = 1.0 - s;
+    double q[N], qd[N];
+    int moves = s < 1.0;
     for (int i = 0; i < N; i++) {
         const double slope = p->needed * p->rate[i], way = p->end[i] - p->from[i];
-        p->q[i] = p->from[i] + s * s * (3.0 - 2.0 * s) * way + s * rest * rest * slope;
-        p->qd[i] = s < 1.0 ? (6.0 * s * rest * way + (1.0 - 3.0 * s) * rest * slope) / p->needed : 0.0;
+        q[i] = p->from[i] + s * s * (3.0 - 2.0 * s) * way + s * rest * rest * slope;
+        qd[i] = s < 1.0 ? (6.0 * s * rest * way + (1.0 - 3.0 * s) * rest * slope) / p->needed : 0.0;
     }
-    limit(p->q);
+    follow(p, q, qd);
     p->braking += s < 1.0;
-    return s < 1.0 ? POLICY_BRAKING : POLICY_BRAKING | POLICY_AT_REST;
+    for (int i = 0; i < N; i++)
+        moves |= p->qd[i] != 0.0;
+    return moves ? POLICY_BRAKING : POLICY_BRAKING | POLICY_AT_REST;
 }
 
 /* What is wrong with a measurement. */
@@ -399,7 +438,7 @@ static unsigned faults(policy *p, const double *measured)
         memcpy(p->since, p->q, sizeof p->since);
     }
     p->same = same ? p->same + 1 : 0;
-    return p->same >= POLICY_MAX_STALE && moved > POLICY_STALE_WAY ? POLICY_STALE : 0;
+    return p->same > POLICY_MAX_STALE && moved > POLICY_STALE_WAY ? POLICY_STALE : 0;
 }
 
 unsigned policy_step(policy *p, const double *measured, const double *target)

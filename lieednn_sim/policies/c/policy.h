@@ -1,7 +1,8 @@
 /* A certified network as the policy of an arm, as C99: measured joints and target in, reference out, once a period.
 
-   It computes what NetworkPolicy of the Python package computes, and also brakes where measurements cannot be believed.
-   It allocates nothing, and a step takes a bounded number of operations. Its state is in a `policy` that you own.
+   It computes what NetworkPolicy of the Python package computes, and does about faults what its control_loop does: the
+   reference keeps the limits of position, velocity and acceleration, and brakes where measurements cannot be used. It
+   allocates nothing, and a step takes a bounded number of operations. Its state is in a `policy` that you own.
    Joints [rad, m] are in the order of policy_numbers.h; a ball joint has the three entries of a rotation vector. */
 #ifndef POLICY_H
 #define POLICY_H
@@ -11,11 +12,11 @@
 
 /* What is done about faults; who defines the first one before defines all. */
 #ifndef POLICY_MAX_MISSING
-#define POLICY_MAX_MISSING 10 /* periods in a row without a usable measurement, after which the policy brakes */
+#define POLICY_MAX_MISSING 20 /* periods in a row without a usable measurement, after which the policy brakes */
 #define POLICY_JUMP_SPEED 2.0 /* a joint jumps that moved at more than this times its largest speed, */
-#define POLICY_JUMP_WAY 0.02 /* and this fraction of its range on top */
-#define POLICY_MAX_STALE 10 /* periods with the very same measurement, */
-#define POLICY_STALE_WAY POLICY_TOLERANCE /* in which the reference moved by this fraction of a range: it brakes */
+#define POLICY_JUMP_WAY 0.01 /* and this fraction of its range on top */
+#define POLICY_MAX_STALE 50 /* periods in a row in which all joints stay equal, after which the policy brakes, */
+#define POLICY_STALE_WAY 0.005 /* if the reference moved by this fraction of a joint's range since */
 #endif
 
 /* The status of a period, as bits. */
@@ -25,7 +26,7 @@ enum {
     POLICY_STALE = 4, /* the measurement has stayed the same for too long: brakes */
     POLICY_REFUSED = 8, /* the target is not finite or beyond a limit: the last one stays; or a start is: no start */
     POLICY_FAILED = 16, /* the reference would not be finite: brakes from the last one; or there was no start */
-    POLICY_LIMITED = 32, /* slowed down by limits of velocity or acceleration; no fault */
+    POLICY_LIMITED = 32, /* the network is slowed down by limits of velocity or acceleration; no fault */
     POLICY_BRAKING = 64, /* brakes, or has braked: only policy_start begins again */
     POLICY_AT_REST = 128, /* has braked, and rests */
     POLICY_BITS = 8
@@ -33,6 +34,7 @@ enum {
 
 typedef struct {
     double q[POLICY_JOINTS], qd[POLICY_JOINTS]; /* the reference, at the end of the last period */
+    double own_q[POLICY_JOINTS], own_qd[POLICY_JOINTS]; /* the network's, which that follows within the limits */
     double pace; /* how fast the network ran, as a fraction of its speed */
     double behind; /* largest distance of measured joints from the reference, as a fraction of their ranges */
     unsigned long count[POLICY_BITS]; /* in how many periods each bit was set */
@@ -43,6 +45,7 @@ typedef struct {
     unsigned braking, unseen, same; /* numbers of periods */
     double wanted[POLICY_JOINTS], target[POLICY_JOINTS], goal[LIEEDNN_VISIBLE]; /* last valid target; the one in use */
     double flow[LIEEDNN_SIZE], flow_rate[POLICY_JOINTS]; /* the network's field, and as rates of the joints */
+    double mean[POLICY_JOINTS]; /* velocities in the last period */
     double seen[POLICY_JOINTS], since[POLICY_JOINTS]; /* last measurement, and the reference when it was new */
     double from[POLICY_JOINTS], rate[POLICY_JOINTS], end[POLICY_JOINTS], needed; /* way of braking, its time [s] */
 } policy;
