@@ -83,10 +83,15 @@ def policies(kind, request):
         policy.reset(middle)
         return policy, targets
     arm = Arm.load(name)
-    targets = [draw_target(arm, seed=seed) for seed in range(9)]
-    # Some at limits, where a push leads beyond them.
-    targets[1::2] = [arm.within_angles(np.clip(5.0 * target, *arm.position_limits.T)) for target in targets[1::2]]
+    targets = some_targets(arm)
     return make_policy(maker, arm, targets[0], rate=rate), targets
+
+
+def some_targets(arm):
+    """Every second one is at limits, where a push leads beyond them."""
+    targets = [draw_target(arm, seed=seed) for seed in range(9)]
+    targets[1::2] = [arm.within_angles(np.clip(5.0 * target, *arm.position_limits.T)) for target in targets[1::2]]
+    return targets
 
 
 @compiled
@@ -231,14 +236,14 @@ def test_a_start_a_little_beyond_limits_is_at_them(tmp_path):
 def test_no_fault_makes_the_reference_jump(name, tmp_path):
     """Positions, speeds and accelerations keep their limits, whichever way they are found; every end is at rest."""
     arm, rng = Arm.load(name), np.random.default_rng(3)
-    targets = [draw_target(arm, seed=seed) for seed in range(20)]
+    targets = some_targets(arm)
     policy = make_policy("lieednn-certified", arm, targets[0], rate=100)
     code = Compiled(policy, tmp_path, policy.q)
     (low, high), gain = arm.position_limits.T, 1.0011 * 0.01 * arm.acceleration_limits
     q, qd, mean, target, ends, braking = code.q, code.qd, 0.0, targets[0], 0, 0
     for _ in range(5_000):
         if rng.random() < 0.02:
-            target = targets[rng.integers(20)]
+            target = targets[rng.integers(9)]
         wanted, measured = target, q + 3e-3 * rng.normal(size=len(q)) * arm.ranges
         fault = rng.integers(40)
         if fault < 3:
@@ -261,6 +266,33 @@ def test_no_fault_makes_the_reference_jump(name, tmp_path):
             assert code.start(q) == 0
             ends, mean = ends + 1, 0.0
     assert ends > 10
+
+
+@compiled
+@pytest.mark.parametrize("name", ["telescopic_pr", "telescopic_compound"])
+def test_what_is_sent_is_what_the_loop_sends(name, tmp_path):
+    """Towards targets at limits, with measurements that slow the network down at once, and while it brakes."""
+    rule = pytest.importorskip("lieednn_sim.policies.loop_faults").LimitedReference
+    arm, rng = Arm.load(name), np.random.default_rng(5)
+    targets = some_targets(arm)
+    policy = make_policy("lieednn-certified", arm, targets[0], rate=100)
+    code = Compiled(policy, tmp_path, policy.q)
+    for k in range(900):
+        if k % 100 == 0:
+            policy.reset(code.q)
+            sent, brake = rule(arm, policy.q, policy.period), None
+            assert code.start(policy.q) == 0
+        measured = policy.q + 2e-3 * rng.normal(size=arm.n_joints) * arm.ranges * (k % 9 == 0)
+        reference = policy.step(measured, targets[k // 100])
+        if k % 100 == 20 + 5 * (k // 100):
+            code.stop()
+            brake = MotionTracker.stopping(arm, sent.q, sent.qd, 100.0)
+        sent.towards(*(reference if brake is None else brake.act(None, brake.end)))
+        status = code.step(measured, targets[k // 100])
+        np.testing.assert_allclose(code.q, sent.q, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(code.qd, sent.qd, rtol=0.0, atol=1e-9)
+        if brake is not None:
+            assert bool(status & AT_REST) == (not sent.qd.any() and brake.message == "has ended")
 
 
 def test_what_has_no_c_code_is_refused(tmp_path):
