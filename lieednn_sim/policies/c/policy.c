@@ -415,7 +415,9 @@ static unsigned brake(policy *p)
     follow(p, q, qd);
     p->braking += s < 1.0;
     for (int i = 0; i < N; i++)
-        moves |= p->qd[i] != 0.0;
+        moves |= fabs(p->qd[i]) > 1e-9; /* at a limit something may be left by rounding */
+    if (!moves)
+        memset(p->qd, 0, sizeof p->qd);
     return moves ? POLICY_BRAKING : POLICY_BRAKING | POLICY_AT_REST;
 }
 
