@@ -216,7 +216,7 @@ class ReplanningPolicy(FeedbackPolicy):
         _, _, bend = self.course.transition(np.array([self.time]))
         most = 0.5 * self.arm.acceleration_limits
         qdd = ratio**2 * bend[0] + self._pace_rate / pace**2 * self._velocity
-        now = np.stack([self.drawn, ratio * self._velocity, np.clip(qdd, -most, most)])
+        now = np.array([self.drawn, ratio * self._velocity, np.minimum(np.maximum(qdd, -most), most)])
         result = transition(self.arm, now, base, clear)
         try:
             course = TimedPath(self.arm, self._encoder, result, self.state)
