@@ -135,7 +135,7 @@ class LoopRun:
             self._equal, self._since = 0, self._sent.q
         self._seen, self._time = measured, time
         moved = np.abs(self._sent.q - self._since) > 0.005 * arm.ranges
-        if self._equal > self._options.stale and moved.any():
+        if self._equal > self._options.stale and moved.any() and not self.stopped:
             self.faults["stale"] += 1
             self.halt(f"all measured joints stayed equal for {self._equal} periods while the reference moved")
         return measured
