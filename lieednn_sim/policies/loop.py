@@ -35,7 +35,7 @@ class LoopReport:
         lateness: ``(L,)`` time from the end of each period until its reference was sent [s]; negative if in time.
         step_time: ``(L,)`` wall time that the policy took in each period [s].
         message: the policy's last message.
-        stopped: why the loop stopped before its duration was over; empty if it did not.
+        stopped: why the loop stopped, if not because its duration was over; else empty.
         faults: how often what went wrong: measurements ``missing``, ``malformed``, not to be ``read``, with a ``jump``,
             ``stale``; a ``target`` refused; failures of ``write``; and whether the policy, stop or on_late ``raised``.
         at_rest: whether the last reference sent is at rest; `stopped` says why not.
@@ -78,14 +78,15 @@ def control_loop(
 ) -> LoopReport:
     """Run a policy at its rate: read the joints, ask the policy, write the reference, and wait for the next period.
 
-    The policy is reset where the joints are. What is sent lags behind a reference of the policy that breaks a limit of
-    velocity or acceleration. After a period that ends late, the next one begins at once, and all keep their full
-    length: the loop does not catch up. Python's garbage is collected before the loop, not in it.
+    The policy is reset where the joints are. A joint whose reference from the policy breaks a limit of velocity or
+    acceleration is sent one that lags behind within the limits. After a period that ends late, the next one begins at
+    once, and all keep their full length: the loop does not catch up. Python's garbage is collected before the loop, not
+    in it.
 
     At last the reference brakes to rest, straight ahead, within the limits of acceleration: after the duration, when
     more goes wrong than the options put up with, when the policy, `stop` or `on_late` raises, and at Ctrl-C in the main
-    thread, unless that has a handler of one's own; a second Ctrl-C ends at once. Once the loop runs, it raises nothing:
-    the report has why it stopped, and whether at rest, which cannot be if `write` fails.
+    thread, unless that has a handler of one's own; a second Ctrl-C ends at once. What goes wrong once the loop runs is
+    not raised but reported. Only if `write` fails the last reference may not be at rest.
 
     Args:
         policy: the policy.
@@ -124,15 +125,8 @@ def control_loop(
         policy.reset(first)
         policy.step(first, goal)
     policy.reset(first)
-    run = LoopRun(policy, goal, options)
+    run = LoopRun(policy, goal, options, stop, monitor)
     lateness, step_time, late = list[float](), list[float](), 0
-
-    def check(measured: Floats | None) -> None:
-        if stop is not None and stop():
-            run.halt("as it was told to")
-        if monitor is not None and measured is not None:
-            run.halt(monitor.left(run.steps * policy.period / arm.timestep, measured))
-
     with _undisturbed(run):
         started = start = time.perf_counter()
         while run.goes_on(len(lateness) < total):
@@ -141,7 +135,7 @@ def control_loop(
             if leads and callable(target):
                 run.aim(target, start - started)
             asked = time.perf_counter()
-            run.step(measured, check if leads else None)
+            run.step(measured, leads)
             step_time.append(time.perf_counter() - asked)
             run.write(write)
             end = start + policy.period

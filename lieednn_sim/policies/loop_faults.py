@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
+from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies.base import JointBounds, Policy, has_jumped
 from lieednn_sim.policies.planned import MotionTracker
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, read_only
 
 MAX_PERIODS = 10**7
 
@@ -40,15 +41,9 @@ class LoopOptions(PlannerOptions):
 
 
 class LimitedReference(JointBounds):
-    """A reference that is another one as long as that keeps the limits of velocity and acceleration, and else lags.
+    """A reference ``q`` with rates ``qd``, ``(n,)``, at rest at first, and then another one while that keeps the limits.
 
-    Args:
-        arm: the arm.
-        q: ``(n,)`` where it is at rest [rad, m].
-        period: control period [s].
-
-    Attributes:
-        q, qd: ``(n,)`` the reference at the end of the last period, and its rates.
+    A joint whose other reference breaks a limit of velocity or acceleration lags behind it.
     """
 
     def __init__(self, arm: Arm, q: Floats, period: float) -> None:
@@ -72,22 +67,29 @@ class LimitedReference(JointBounds):
         extra = np.minimum(8.0 * np.abs(lag), np.sqrt(self.acceleration_limits * np.abs(lag)))
         rate = np.where(equal, rate, np.clip(rate + np.sign(lag) * extra, lower, upper))
         self._mean = np.where(equal, mean, 0.5 * (self.qd + rate))
-        self.q, self.qd = np.where(equal, there, self.q + h * self._mean), rate
+        self.q, self.qd = read_only(np.where(equal, there, self.q + h * self._mean)), read_only(rate)
 
 
 class LoopRun:
     """A loop while it runs: its measurements, its target, its reference, and what its `LoopReport` says."""
 
-    def __init__(self, policy: Policy, goal: Floats, options: LoopOptions) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        goal: Floats,
+        options: LoopOptions,
+        stop: Callable[[], object] | None = None,
+        monitor: ClearanceMonitor | None = None,
+    ) -> None:
         kinds = ("missing", "malformed", "read", "jump", "stale", "target", "write", "raised")
         self.faults, self.stopped, self.message, self.at_rest = dict.fromkeys(kinds, 0), "", "", True
         self.error: BaseException | None = None
-        self._policy, self._goal, self._options = policy, goal, options
+        self._policy, self._goal, self._options, self._stop, self._monitor = policy, goal, options, stop, monitor
         self._sent = LimitedReference(policy.arm, policy.q, policy.period)
         self._brake: MotionTracker | None = None
         # What was measured last, and when; the reference since when that stays equal.
         self._seen, self._time, self._since = policy.q, 0.0, policy.q
-        self.steps = self._unusable = self._equal = self._unwritten = 0
+        self._steps = self._unusable = self._equal = self._unwritten = 0
 
     def goes_on(self, in_time: bool) -> bool:
         """Whether there is another period: within the duration, or until a reference at rest is written."""
@@ -147,21 +149,25 @@ class LoopRun:
         except Exception:
             self.faults["target"] += 1
 
-    def step(self, measured: Floats | None, check: Callable[[Floats | None], object] | None) -> None:
-        """Find the next reference: the policy's if a check is made and finds no reason to stop, else the brake's."""
+    def step(self, measured: Floats | None, leads: bool) -> None:
+        """Find the next reference: the policy's if it still leads and there is no reason to stop, else the brake's."""
         # One that could not be written is still the next: none is left out.
-        if self._unwritten or (check and self.guard(self._lead, measured, check)):
+        if self._unwritten or (leads and self.guard(self._lead, measured)):
             return
         sent, policy = self._sent, self._policy
         self._brake = self._brake or MotionTracker.stopping(policy.arm, sent.q, sent.qd, policy.rate)
         sent.towards(*self._brake.act(None, self._brake.end))
 
-    def _lead(self, measured: Floats | None, check: Callable[[Floats | None], object]) -> bool:
-        check(measured)
+    def _lead(self, measured: Floats | None) -> bool:
+        policy = self._policy
+        if self._stop is not None and self._stop():
+            self.halt("as it was told to")
+        if self._monitor is not None and measured is not None:
+            self.halt(self._monitor.left(self._steps * policy.period / policy.arm.timestep, measured))
         if self.stopped:
             return False
-        reference = self._policy.step(measured, self._goal)
-        self.message, self.steps = self._policy.message, self.steps + 1
+        reference = policy.step(measured, self._goal)
+        self.message, self._steps = policy.message, self._steps + 1
         self._sent.towards(*reference)
         return True
 
