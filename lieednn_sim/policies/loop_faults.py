@@ -41,7 +41,7 @@ class LoopOptions(PlannerOptions):
 
 
 class LimitedReference(JointBounds):
-    """A reference ``q`` with rates ``qd``, ``(n,)``, at rest at first, and then another one while that keeps the limits.
+    """A reference ``q`` with rates ``qd``, ``(n,)``, at rest at first, and then another one if that keeps the limits.
 
     A joint whose other reference breaks a limit of velocity or acceleration lags behind it.
     """

@@ -79,11 +79,11 @@ BAD = {
 @pytest.mark.parametrize("kind", BAD)
 @pytest.mark.parametrize(("periods", "goes_on"), [(5, True), (6, False)])
 def test_without_measurements_it_goes_on_without_feedback_and_then_brakes(gantry, kind, periods, goes_on):
-    """Feedback is on, and the arm stays behind by nothing; where it goes on it sends what a policy without does."""
-    robot, alone = Robot(dict.fromkeys(range(20, 20 + periods), BAD[kind])), Robot()
+    """The arm is where its reference is, so that feedback changes nothing; two periods with it begin a new count."""
+    robot, alone = Robot(dict.fromkeys([10, *range(12, 17), *range(20, 20 + periods)], BAD[kind])), Robot()
     report = run(gantry, robot, options=LoopOptions(missing=5), duration=0.4)
     run(gantry, alone, duration=0.4)
-    assert report.faults == {**dict.fromkeys(report.faults, 0), kind: periods}
+    assert report.faults == {**dict.fromkeys(report.faults, 0), kind: 6 + periods}
     assert report.at_rest
     if goes_on:
         assert report.stopped == ""
@@ -202,6 +202,10 @@ def test_what_cannot_be_written_is_written_again(gantry):
     report = run(gantry, robot, options=LoopOptions(attempts=7), duration=0.5)
     run(gantry, alone, duration=0.4)
     assert (report.stopped, report.faults["write"], report.at_rest) == ("", 10, True)
+    np.testing.assert_array_equal(robot.q, alone.q)
+    # The very last one, too.
+    robot = Robot(writes={len(alone.q) - 2: raising(OSError)})
+    assert run(gantry, robot, duration=0.4).at_rest
     np.testing.assert_array_equal(robot.q, alone.q)
     robot = Robot(writes=failing)
     report = run(gantry, robot, options=LoopOptions(attempts=6), duration=0.5)
