@@ -132,7 +132,9 @@ def test_a_policy_that_plays_a_plan_is_sent_as_it_is():
     assert used.max() > 0.9
     for rate in (100.0, 333.0):
         robot, policy = Robot(start=motion.q[0]), make_policy("tracker", arm, made, rate=rate)
-        run(arm, robot, name=policy, target=made.target, duration=motion.t[-1] + 0.1)
+        # At the end it rests, and so do the measured joints: they are not stale.
+        how = {"duration": motion.t[-1] + 0.3, "options": LoopOptions(stale=10)}
+        assert run(arm, robot, name=policy, target=made.target, **how).stopped == ""
         policy.reset(motion.q[0])
         np.testing.assert_array_equal(robot.q[1:], [policy.step(None, made.target)[0] for _ in robot.q[1:]])
 
@@ -326,9 +328,10 @@ def test_every_end_comes_to_rest(gantry, clock, what):
         report = run(gantry, robot, target=AWAY, duration=0.2)
         assert (report.stopped, report.error) == ("", None)
     elif what == "stop":
-        robot.writes[19] = event.set
-        report = run(gantry, robot, target=AWAY, stop=event.is_set)
-        assert (report.stopped, report.error) == ("as it was told to", None)
+        # What goes wrong while it brakes is no other reason.
+        robot.writes |= {19: event.set, 20: lambda: setattr(clock, "now", clock.now + 0.02)}
+        report = run(gantry, robot, target=AWAY, stop=event.is_set, on_late=raising(OSError("no screen")))
+        assert (report.stopped, report.error, report.faults["raised"]) == ("as it was told to", None, 1)
     elif what == "stop raises":
         report = run(gantry, robot, target=AWAY, stop=lambda: len(robot.q) > 20 and 1 / 0)
         assert report.stopped == "ZeroDivisionError('division by zero')"
