@@ -120,7 +120,9 @@ class LoopRun:
                 # Somebody may go on to write into the array.
                 measured = as_floats("what read returns", given, (arm.n_joints,)).copy()
         except Exception as failure:
-            kind, why, error = "malformed" if isinstance(failure, InputError) else "read", repr(failure), failure
+            kind, why = "malformed" if isinstance(failure, InputError) else "read", repr(failure)
+            # Its traceback would hold this frame, which holds it, and no garbage is collected in a loop.
+            error = failure.with_traceback(None)
         if measured is not None:
             beyond = np.maximum(np.abs(measured - self._seen) - 0.01 * arm.ranges, 0.0)
             if has_jumped(arm, beyond / (self._options.jump * (time - self._time))):
