@@ -19,6 +19,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.policies import Feedback, MotionTracker, NetworkPolicy, make_policy
+from lieednn_sim.policies.loop_faults import LimitedReference
 
 MISSING, JUMPED, STALE, REFUSED, FAILED, LIMITED, BRAKING, AT_REST = (1 << k for k in range(8))
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "howto" / "policy_as_code.md"
@@ -272,7 +273,6 @@ def test_no_fault_makes_the_reference_jump(name, tmp_path):
 @pytest.mark.parametrize("name", ["telescopic_pr", "telescopic_compound"])
 def test_what_is_sent_is_what_the_loop_sends(name, tmp_path):
     """By a network that comes to limits so fast that joints could not stop there, and turns at once."""
-    rule = pytest.importorskip("lieednn_sim.policies.loop_faults").LimitedReference
     arm, rng = Arm.load(name), np.random.default_rng(5)
     policy = make_policy("linear-attractor", arm, "home", rate=100, convergence_rate=20.0)
     code = Compiled(policy, tmp_path, policy.q)
@@ -282,7 +282,7 @@ def test_what_is_sent_is_what_the_loop_sends(name, tmp_path):
             limit = arm.within_angles(arm.position_limits[:, side])
             inside = np.clip(limit + (0.4 - 0.8 * side) * arm.velocity_limits, *arm.position_limits.T)
             policy.reset(inside)
-            sent, brake = rule(arm, policy.q, policy.period), None
+            sent, brake = LimitedReference(arm, policy.q, policy.period), None
             assert code.start(policy.q) == 0
         measured = policy.q + 2e-3 * rng.normal(size=arm.n_joints) * arm.ranges * (k % 40 == 0)
         target = limit if k % 130 < 80 else inside
