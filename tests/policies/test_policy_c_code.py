@@ -276,7 +276,7 @@ def test_what_is_sent_is_what_the_loop_sends(name, tmp_path):
     arm, rng = Arm.load(name), np.random.default_rng(5)
     policy = make_policy("linear-attractor", arm, "home", rate=100, convergence_rate=20.0)
     code = Compiled(policy, tmp_path, policy.q)
-    for k in range(1_950):
+    for k in range(2_340):
         if k % 390 == 0:
             side = k // 390 % 2
             limit = arm.within_angles(arm.position_limits[:, side])
