@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim import io, stability
 from lieednn_sim.errors import FileError, InputError, LieEDNNError, NotCertifiedError
-from lieednn_sim.network.dynamics import INTEGRATORS, Equilibrium, Trajectory, find_equilibrium, integrate
+from lieednn_sim.network.dynamics import INTEGRATORS, Equilibrium, Trajectory, emptied, find_equilibrium, integrate
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, as_ratio
 from lieednn_sim.values import Floats, read_only
 
@@ -100,7 +100,7 @@ class BlockNetwork(ABC):
         state = self.start(xi)
         if self.n_hidden:
             first = self.n_visible
-            driven = self.n_driven > first and self.blocks[first:, :first].any()
+            driven = self.n_driven > first and self.coupled[first:, :first].any()
             state[first:] = self._rest(state) if driven else self._undriven_rest
         return state
 
@@ -140,10 +140,15 @@ class BlockNetwork(ABC):
         """Flat weight matrix W, ``(dN, dN)``."""
         return read_only(as_floats("weight", flatten_blocks(self.blocks), ("n", "n")))
 
+    @property
+    def coupled(self) -> NDArray[np.bool_]:
+        """Whether neuron i has an input from neuron j, ``(N, N)``."""
+        return np.asarray(self.blocks.any(axis=(2, 3)))
+
     @cached_property
     def n_driven(self) -> int:
         """Number of leading neurons after which none has an input, at least 1: the visible ones of many cascades."""
-        return leading(np.asarray(self.blocks.any(axis=(1, 2, 3))))
+        return int(np.flatnonzero(self.coupled.any(axis=1)).max(initial=0)) + 1
 
     @cached_property
     def driven_weight(self) -> Floats:
@@ -291,7 +296,8 @@ class BlockNetwork(ABC):
                 solver = INTEGRATORS[method](
                     lambda _, x: self.flat_vector_field(x), 0.0, first, longest, rtol=rtol, atol=atol
                 )
-                t, x, dense = integrate(solver, away)
+                with emptied(solver):
+                    t, x, dense = integrate(solver, away)
             except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
                 raise LieEDNNError(f"integration of the network failed: {error}") from None
         if not (np.isfinite(x).all() and np.isfinite(t).all()):
@@ -428,8 +434,3 @@ def flatten_blocks(blocks: Floats) -> Floats:
     """Blocks ``(M, N, d, d)`` as one read-only matrix ``(Md, Nd)``."""
     m, n, size = blocks.shape[:3]
     return read_only(np.ascontiguousarray(blocks.transpose(0, 2, 1, 3).reshape(m * size, n * size)))
-
-
-def leading(driven: NDArray[np.bool_]) -> int:
-    """Number of leading entries of ``(N,)`` after which none is true, at least 1."""
-    return int(driven.nonzero()[0].max(initial=0)) + 1

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import field
 
 import numpy as np
@@ -109,13 +110,13 @@ def find_equilibrium(
 
 def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
     """The state after ``duration``, or after 5000 steps, which only a network far faster than its decay needs."""
-    flow = RK45(lambda _, y: vector_field(y), 0.0, x, duration)
-    for _ in range(5000):
-        if flow.status != "running":
-            break
-        check_time()
-        flow.step()
-    return np.asarray(flow.y, dtype=np.float64)
+    with emptied(RK45(lambda _, y: vector_field(y), 0.0, x, duration)) as flow:
+        for _ in range(5000):
+            if flow.status != "running":
+                break
+            check_time()
+            flow.step()
+        return np.asarray(flow.y, dtype=np.float64)
 
 
 def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, tolerance: float) -> tuple[Floats, int, bool]:
@@ -149,6 +150,18 @@ def runge_kutta_step(field: VectorField, x: Floats, h: float) -> Floats:
     k3 = field(x + 0.5 * h * k2)
     k4 = field(x + h * k3)
     return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+
+
+@contextlib.contextmanager
+def emptied(solver: OdeSolver) -> Iterator[OdeSolver]:
+    """A solver that is empty after the block: SciPy's refer to themselves, and keep what their vector field refers to.
+
+    Python would free a network of many neurons, and much memory, only when it next looks for such cycles.
+    """
+    try:
+        yield solver
+    finally:
+        vars(solver).clear()
 
 
 def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Floats, Floats, OdeSolution | PPoly]:
