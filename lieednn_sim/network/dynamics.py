@@ -185,7 +185,8 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
         pieces.append(piece)
         if away is not None and away(solver.y) <= 0.0:
             tiny = 4.0 * float(np.finfo(float).eps)  # as precise as SciPy's own events
-            end = brentq(lambda time, piece=piece: away(piece(time)), solver.t_old, solver.t, xtol=tiny, rtol=tiny)
+            # Of its function, though not of its arguments, `brentq` leaves a reference cycle behind.
+            end = brentq(_crossing, solver.t_old, solver.t, (away, piece), xtol=tiny, rtol=tiny)
             t.append(end)
             x.append(piece(end))
             break
@@ -194,6 +195,10 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
     times = np.array(t)
     dense = _polynomials(times, pieces) if isinstance(solver, RK45) else OdeSolution(times, pieces)
     return times, np.array(x), dense
+
+
+def _crossing(time: float, away: Callable[[Floats], float], piece: DenseOutput) -> float:
+    return away(piece(time))
 
 
 def _polynomials(t: Floats, pieces: list[DenseOutput]) -> PPoly:
