@@ -170,6 +170,11 @@ class BlockNetwork(ABC):
         return self.weight
 
     @cached_property
+    def _of_weights(self) -> dict[str, Any]:
+        """What takes much time and memory to find of the weights, whichever of the networks that share them asks."""
+        return {}
+
+    @cached_property
     def certificate(self) -> stability.Certificate | None:
         """The stored Lyapunov diagonal, checked against this network's weights; None when there is none."""
         if self.lyapunov_diagonal is None:
@@ -214,9 +219,11 @@ class BlockNetwork(ABC):
         """Jacobian of the flat vector field, ``(..., N, d)`` to ``(..., dN, dN)``."""
         state = as_floats("xi", xi, self.bias.shape, batched=True)
         driven = self._driven(state)
-        whole = np.zeros((*driven.shape[:-2], state.shape[-2] * state.shape[-1], driven.shape[-1]))
+        every = np.arange(driven.shape[-1])
+        whole = np.zeros((*driven.shape[:-2], len(every), len(every)))
         whole[..., : driven.shape[-2], :] = self.mu * driven
-        return whole - self.gamma * np.eye(driven.shape[-1])
+        whole[..., every, every] -= self.gamma
+        return whole
 
     def equilibrium(self, start: ArrayLike | None = None, *, tolerance: float = 1e-12) -> Equilibrium:
         """Find an equilibrium by damped Newton steps, with the flow as fallback; see `dynamics.find_equilibrium`.
@@ -336,7 +343,7 @@ class BlockNetwork(ABC):
         # Weights and proof are the same: hand over what was checked and computed for them, and nothing else.
         network, known = object.__new__(type(self)), vars(self)
         values = {name: known[name] for name in self._kept() if name in known}
-        values["bias"] = read_only(as_floats("bias", bias, bias.shape))
+        values |= {"_of_weights": self._of_weights, "bias": read_only(as_floats("bias", bias, bias.shape))}
         if self.start_reference is not None:
             reached = target[: self.n_visible]
             moved = reached - self._visible_target
