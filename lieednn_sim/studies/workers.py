@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import gc
 import importlib
 import itertools
-import math
 import multiprocessing
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
-from functools import cache
-from time import monotonic
 from typing import Any
 
 from rich.console import Console
@@ -24,8 +19,6 @@ from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Registry
 
 _OF_USERS: tuple[Registry[Any], ...] = PLANNERS, POLICIES, CONTROLLERS  # kinds to which users add
-# When `released` last did its work, by `monotonic` [s].
-_last_released = -math.inf
 
 
 @contextlib.contextmanager
@@ -81,7 +74,7 @@ _Outcome = tuple[tuple[Any, ...], Any, Exception | None]
 def _here(run: Callable[..., Any], todo: Sequence[tuple[Any, ...]]) -> Iterator[_Outcome]:
     for task in todo:
         try:
-            ended: _Outcome = task, released(run, *task), None
+            ended: _Outcome = task, run(*task), None
         except Exception as error:
             ended = task, None, error
         yield ended
@@ -93,7 +86,7 @@ def _on_workers(
     """The outcomes of tasks as they end; few are submitted ahead, so that memory does not grow with the study."""
     waiting = iter(todo)
     try:
-        running = {pool.submit(released, run, *task): task for task in itertools.islice(waiting, ahead)}
+        running = {pool.submit(run, *task): task for task in itertools.islice(waiting, ahead)}
         while running:
             ended = wait(running, return_when=FIRST_COMPLETED).done
             # What is finished counts before a worker that died.
@@ -102,39 +95,13 @@ def _on_workers(
                 if isinstance(error, BrokenExecutor) or not isinstance(error, Exception | None):
                     raise error
                 yield task, None if error else future.result(), error
-            running |= {pool.submit(released, run, *task): task for task in itertools.islice(waiting, len(ended))}
+            running |= {pool.submit(run, *task): task for task in itertools.islice(waiting, len(ended))}
     except BrokenExecutor:
         raise LieEDNNError(
             "a worker process died, of too little memory, or because a script that starts workers has no "
             "`if __name__ == '__main__':`; finished work is kept, the same command continues, and one job needs less "
             "memory"
         ) from None
-
-
-def released(run: Callable[..., Any], *task: Any) -> Any:
-    """Run a task, then return the memory that it used to the system, at most every five seconds.
-
-    A reference cycle of a few Python objects may hold megabytes of MuJoCo's or OMPL's, which Python does not count when
-    it decides whether to collect cycles; and arrays of many sizes leave holes in the heap of glibc, which keeps them.
-    Without this, workers grew from 0.2 to 0.8 GB in a thousand cases. To search for cycles takes about 50 ms.
-    """
-    global _last_released
-    try:
-        return run(*task)
-    finally:
-        if monotonic() - _last_released > 5.0:
-            gc.collect()
-            _trim()(0)
-            _last_released = monotonic()
-
-
-@cache
-def _trim() -> Callable[[int], Any]:
-    """Glibc's `malloc_trim`; elsewhere a function that does nothing."""
-    try:
-        return getattr(ctypes.CDLL(None), "malloc_trim", lambda _: 0)
-    except TypeError:  # Windows gives no handle of the program itself
-        return lambda _: 0
 
 
 def _added() -> tuple[list[str], list[tuple[int, str]]]:
