@@ -23,7 +23,6 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.lie import adjoint
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
-from lieednn_sim.network.dynamics import emptied
 from lieednn_sim.validation import as_choice, as_floats
 from lieednn_sim.values import Floats, frozen
 
@@ -222,11 +221,11 @@ class EquilibriumSolver:
             speed = np.abs(field(0.0, x)).max()
             if speed < _AT_REST or left == 0:
                 break
-            with emptied(RK45(field, 0.0, x, horizon, rtol=1e-7, atol=1e-9)) as run:
-                while run.status == "running" and left > 0:
-                    run.step()
-                    left -= 1
-                x = run.y
+            run = RK45(field, 0.0, x, horizon, rtol=1e-7, atol=1e-9)
+            while run.status == "running" and left > 0:
+                run.step()
+                left -= 1
+            x = run.y
         output = self._phi(x)
         return FlatEquilibrium(x, output, self._slope(x, output), success=bool(speed < _AT_REST))
 

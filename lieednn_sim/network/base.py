@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim import io, stability
 from lieednn_sim.errors import FileError, InputError, LieEDNNError, NotCertifiedError
-from lieednn_sim.network.dynamics import INTEGRATORS, Equilibrium, Trajectory, emptied, find_equilibrium, integrate
+from lieednn_sim.network.dynamics import INTEGRATORS, Equilibrium, Trajectory, find_equilibrium, integrate
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, as_ratio
 from lieednn_sim.values import Floats, read_only
 
@@ -303,8 +303,7 @@ class BlockNetwork(ABC):
                 solver = INTEGRATORS[method](
                     lambda _, x: self.flat_vector_field(x), 0.0, first, longest, rtol=rtol, atol=atol
                 )
-                with emptied(solver):
-                    t, x, dense = integrate(solver, away)
+                t, x, dense = integrate(solver, away)
             except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
                 raise LieEDNNError(f"integration of the network failed: {error}") from None
         if not (np.isfinite(x).all() and np.isfinite(t).all()):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import field
 
 import numpy as np
@@ -110,13 +109,15 @@ def find_equilibrium(
 
 def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
     """The state after ``duration``, or after 5000 steps, which only a network far faster than its decay needs."""
-    with emptied(RK45(lambda _, y: vector_field(y), 0.0, x, duration)) as flow:
-        for _ in range(5000):
-            if flow.status != "running":
-                break
-            check_time()
-            flow.step()
-        return np.asarray(flow.y, dtype=np.float64)
+    flow = RK45(lambda _, y: vector_field(y), 0.0, x, duration)
+    for _ in range(5000):
+        if flow.status != "running":
+            break
+        check_time()
+        flow.step()
+    y = np.asarray(flow.y, dtype=np.float64)
+    vars(flow).clear()  # as in `integrate`
+    return y
 
 
 def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, tolerance: float) -> tuple[Floats, int, bool]:
@@ -152,18 +153,6 @@ def runge_kutta_step(field: VectorField, x: Floats, h: float) -> Floats:
     return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
 
 
-@contextlib.contextmanager
-def emptied(solver: OdeSolver) -> Iterator[OdeSolver]:
-    """A solver that is empty after the block: SciPy's refer to themselves, and keep what their vector field refers to.
-
-    Python would free a network of many neurons, and much memory, only when it next looks for such cycles.
-    """
-    try:
-        yield solver
-    finally:
-        vars(solver).clear()
-
-
 def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tuple[Floats, Floats, OdeSolution | PPoly]:
     """Times ``(K,)``, states ``(K, n)`` and their interpolant, of a solver run to its end or to where ``away`` is zero.
 
@@ -171,34 +160,35 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
     evaluations, as for a stiff network.
     """
     t, x, pieces = [solver.t], [solver.y], list[DenseOutput]()
-    while solver.status == "running":
-        check_time()
-        message = solver.step()
-        if solver.status == "failed":
-            raise ArithmeticError(message)
-        if solver.nfev > _MAX_EVALUATIONS:
-            raise LieEDNNError(
-                f"the network is too stiff for {type(solver).__name__}: more than {_MAX_EVALUATIONS} evaluations in a "
-                f"duration of {solver.t_bound:g}; use method='Radau', a shorter duration or smaller weights"
-            )
-        piece = solver.dense_output()
-        pieces.append(piece)
-        if away is not None and away(solver.y) <= 0.0:
-            tiny = 4.0 * float(np.finfo(float).eps)  # as precise as SciPy's own events
-            # Of its function, though not of its arguments, `brentq` leaves a reference cycle behind.
-            end = brentq(_crossing, solver.t_old, solver.t, (away, piece), xtol=tiny, rtol=tiny)
-            t.append(end)
-            x.append(piece(end))
-            break
-        t.append(solver.t)
-        x.append(solver.y)
+    try:
+        while solver.status == "running":
+            check_time()
+            message = solver.step()
+            if solver.status == "failed":
+                raise ArithmeticError(message)
+            if solver.nfev > _MAX_EVALUATIONS:
+                raise LieEDNNError(
+                    f"the network is too stiff for {type(solver).__name__}: more than {_MAX_EVALUATIONS} evaluations "
+                    f"in a duration of {solver.t_bound:g}; use method='Radau', a shorter duration or smaller weights"
+                )
+            piece = solver.dense_output()
+            pieces.append(piece)
+            if away is not None and away(solver.y) <= 0.0:
+                tiny = 4.0 * float(np.finfo(float).eps)  # as precise as SciPy's own events
+                # Of its function, though not of its arguments, `brentq` leaves a reference cycle behind.
+                beyond, known = lambda time, away, piece: away(piece(time)), (away, piece)
+                end = brentq(beyond, solver.t_old, solver.t, known, xtol=tiny, rtol=tiny)
+                t.append(end)
+                x.append(piece(end))
+                break
+            t.append(solver.t)
+            x.append(solver.y)
+    finally:
+        # SciPy's solvers refer to themselves, and so keep what their vector field refers to: a network, and its memory.
+        vars(solver).clear()
     times = np.array(t)
     dense = _polynomials(times, pieces) if isinstance(solver, RK45) else OdeSolution(times, pieces)
     return times, np.array(x), dense
-
-
-def _crossing(time: float, away: Callable[[Floats], float], piece: DenseOutput) -> float:
-    return away(piece(time))
 
 
 def _polynomials(t: Floats, pieces: list[DenseOutput]) -> PPoly:
