@@ -12,9 +12,9 @@ from typing import Any
 
 
 class Worker(SpawnProcess):
-    """A fresh process that ends at once when the one that started it does, even by SIGKILL, and leaves Ctrl-C to it.
+    """A fresh process that ends at once when its starter does, even by SIGKILL, and leaves Ctrl-C to it.
 
-    Both before it imports what it works with, which may take seconds.
+    Both begin before it imports what it works with, which may take seconds.
     """
 
     def start(self) -> None:

@@ -2,23 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from typing import Any
-
-
-@contextlib.contextmanager
-def kept_error(error: LieEDNNError) -> Iterator[list[LieEDNNError]]:
-    """A list of an error, in whose place others are put that are caught in the block; after it the list is empty.
-
-    An error refers to the frames that it came through, and these to their variables. So a frame in whose variables it
-    stays is a reference cycle, which holds arms, models and networks until Python next looks for cycles.
-    """
-    kept = [error]
-    try:
-        yield kept
-    finally:
-        kept.clear()
 
 
 class LieEDNNError(Exception):

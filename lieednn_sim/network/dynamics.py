@@ -176,8 +176,7 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
             if away is not None and away(solver.y) <= 0.0:
                 tiny = 4.0 * float(np.finfo(float).eps)  # as precise as SciPy's own events
                 # Of its function, though not of its arguments, `brentq` leaves a reference cycle behind.
-                beyond, known = lambda time, away, piece: away(piece(time)), (away, piece)
-                end = brentq(beyond, solver.t_old, solver.t, known, xtol=tiny, rtol=tiny)
+                end = brentq(lambda at, f, x: f(x(at)), solver.t_old, solver.t, (away, piece), xtol=tiny, rtol=tiny)
                 t.append(end)
                 x.append(piece(end))
                 break

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import cpu_time, default_limit
-from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError, kept_error
+from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning.goals import Goal, candidates
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
@@ -175,8 +175,9 @@ def plan(
     shortest, longest = durations(duration)
     first = PlanningProblem(free, q, q, shortest, number, longest, path_constraint)
     check_held(arm, first.start[None], ["the start"])
+    refusals: list[LieEDNNError] = [NoSolutionError("there is no goal")]
     # For matrices this small, threads would only wait for each other.
-    with default_limit(), one_blas_thread(), kept_error(NoSolutionError("there is no goal")) as refusal:
+    with default_limit(), one_blas_thread():
         for goal in candidates(arm, target, q, number, path_constraint):
             try:
                 check_held(arm, goal[None], ["the target"])
@@ -186,9 +187,10 @@ def plan(
             except (PlanError, NotCertifiedError) as error:
                 if leaves:
                     error.args = (f"{error}; from the start the motion must leave what is near: {leaves}",)
-                refusal[0] = error
+                # A traceback refers to frames, and these to their variables: to the error, in a cycle with the arm.
+                refusals = [error.with_traceback(None)]
             else:
                 spent = cpu_time() - begin
                 result = replace(result, motion=motion, target=goal, planner=planner, cpu_time=spent)
                 return replace(result, arm=arm, leaves=leaves)
-        raise refusal[0]
+    raise refusals.pop()

@@ -153,11 +153,8 @@ def _off_path(arm: Arm, network: ComponentwiseNetwork, motion: Motion) -> float:
     """
     off = np.inf if motion.xi.shape[1] != network.n_visible else _INTEGRATED
     if np.isfinite(off) and motion.tau[-1] > 0.0:
-        path = network.trajectory(network.start(motion.xi[0]), motion.tau[-1])
-        # In parts, since there may be hundreds of hidden neurons, whose states are not looked at.
-        parts = np.array_split(motion.tau, len(motion.tau) // 100 + 1)
-        states = np.concatenate([network.visible(path(part)) for part in parts])
-        off = max(off, float(np.abs(states - motion.xi).max()))
+        states = network.trajectory(network.start(motion.xi[0]), motion.tau[-1])(motion.tau)
+        off = max(off, float(np.abs(network.visible(states) - motion.xi).max()))
     if off <= _SAME:
         off = max(off, float(np.abs(arm.decode(motion.xi, start=motion.q[0]).q - motion.q).max()))
     if off > _SAME:

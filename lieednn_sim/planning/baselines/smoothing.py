@@ -18,7 +18,7 @@ import numpy as np
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import BSpline, CubicHermiteSpline
 
-from lieednn_sim.errors import PlanError, TooFastError, kept_error
+from lieednn_sim.errors import PlanError, TooFastError
 from lieednn_sim.planning.baselines.search_space import bisecting
 from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion, joint_scale
 from lieednn_sim.planning.motion import Motion
@@ -112,19 +112,18 @@ def motion_along_first(
     blocked = {attempt: Blocked() for attempt in range(attempts)}
 
     def motion(asked: PlanningProblem) -> Motion:
-        unknown = PlanError(f"{name} found no path free of contact; try another seed or target")
-        with kept_error(unknown) as refusal:
-            for attempt, curves in blocked.items():
-                corners = path(attempt)
-                if corners is None:
+        refusals = [PlanError(f"{name} found no path free of contact; try another seed or target")]
+        for attempt, curves in blocked.items():
+            corners = path(attempt)
+            if corners is None:
+                break
+            try:
+                return motion_along(asked, corners, options, curves, guiding=guiding)
+            except PlanError as error:
+                refusals = [error.with_traceback(None)]  # as in `plan`
+                if isinstance(error, TooFastError) and error.duration <= asked.longest:
                     break
-                try:
-                    return motion_along(asked, corners, options, curves, guiding=guiding)
-                except PlanError as error:
-                    refusal[0] = error
-                    if isinstance(error, TooFastError) and error.duration <= asked.longest:
-                        break
-            raise refusal[0]
+        raise refusals.pop()
 
     return in_time(motion, problem)
 

@@ -26,7 +26,7 @@ from scipy.interpolate import BSpline
 from scipy.linalg import solve_triangular
 
 from lieednn_sim.budget import check_time
-from lieednn_sim.errors import PlanError, kept_error
+from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.joint_space import SPLINE_DEGREE, Workspace, clamped_knots, joint_motion, sweeps
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
@@ -81,17 +81,17 @@ def stomp(problem: PlanningProblem, options: StompOptions) -> Motion:
         PlanError: no path is clear, or the motion breaks a limit of the arm.
     """
     rng = np.random.default_rng(problem.seed)
-    with kept_error(PlanError(f"no path of {options.rounds} rounds is clear; try another seed or target")) as refusal:
-        for spacing in (options.spacing, 0.5 * options.spacing):
-            search = StompSearch(problem, options, spacing, rng)
-            path = search.clear_path()
-            if path is None:
-                break
-            try:
-                return in_time(motion_along, problem, search.smoothed(path))
-            except PlanError as error:
-                refusal[0] = error
-        raise refusal[0]
+    refusals = [PlanError(f"no path of {options.rounds} rounds is clear; try another seed or target")]
+    for spacing in (options.spacing, 0.5 * options.spacing):
+        search = StompSearch(problem, options, spacing, rng)
+        path = search.clear_path()
+        if path is None:
+            break
+        try:
+            return in_time(motion_along, problem, search.smoothed(path))
+        except PlanError as error:
+            refusals = [error.with_traceback(None)]  # as in `plan`
+    raise refusals.pop()
 
 
 def motion_along(problem: PlanningProblem, path: Floats) -> Motion:
