@@ -49,8 +49,10 @@ def used(arm, planner):
 
 
 def refused(arm):
-    """Likewise, where the planner finds no motion, and where a simulation fails."""
-    made = [arm, arm.model]
+    """Likewise, where the planner finds no motion to one of two goals, or to the only one; and a simulation fails."""
+    aside = np.append(-2.0, arm.keyframe("home")[1:])
+    made = [arm, arm.model, ls.plan(arm, np.stack([BEHIND, aside]), planner="minimum-jerk")]
+    assert made[-1].target[0] == -2.0
     with pytest.raises(PlanError):
         ls.plan(arm, BEHIND, planner="minimum-jerk")
     heavy = ls.Disturbances(pushes=[ls.Push("end effector", (1e12, 0.0, 0.0), 0.0, 0.1)])
