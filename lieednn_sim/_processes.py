@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable
 from multiprocessing.connection import Connection, Pipe, wait
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
@@ -30,7 +29,7 @@ class Worker(SpawnProcess):
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
-    def __reduce__(self) -> tuple[Callable[..., Worker], tuple[Any, ...], dict[str, Any]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         # What is called comes before the rest in the stream, and so before what the rest imports.
         rest = {name: value for name, value in vars(self).items() if name not in ("_starter", "_held")}
         return _begun, (type(self), self._starter), rest

@@ -333,12 +333,6 @@ class Arm(ModelArm):
             raise FileError(f"{state['source']}, or a file that it uses, has changed since the arm was loaded from it")
         vars(self).update(state, spec=loaded.spec)
 
-    def __copy__(self) -> Arm:
-        """Another arm with the same model, and what has been computed of it."""
-        twin = object.__new__(type(self))
-        vars(twin).update(vars(self))
-        return twin
-
     def __deepcopy__(self, _: dict[int, Any]) -> Arm:
         return replace(self, spec=self.spec and self.spec.copy(), model=copy.deepcopy(self.model))
 

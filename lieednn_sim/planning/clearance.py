@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import threading
-from copy import copy
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -266,6 +266,6 @@ def bounds_of(arm: Arm) -> ClearanceBounds | str:
 def _bounds_in(arm: Arm, _: int) -> ClearanceBounds | str:
     n = arm.n_joints
     try:
-        return ClearanceBounds(copy(arm.without_visuals), [(np.arange(n), np.ones(n))])
+        return ClearanceBounds(replace(arm.without_visuals), [(np.arange(n), np.ones(n))])
     except InputError as error:
         return str(error)

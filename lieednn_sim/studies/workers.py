@@ -27,11 +27,10 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
     None of them survives the block, however it ends; other children of this process are left alone.
     """
-    context: Any = WorkerContext()
     if sys.platform == "win32":
         workers = min(workers, 61)  # the most that a pool can have there
     others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker, initargs=_added())
+    pool = ProcessPoolExecutor(workers, mp_context=WorkerContext(), initializer=_prepare_worker, initargs=_added())
     try:
         yield pool
     except BaseException:
