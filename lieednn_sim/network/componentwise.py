@@ -119,8 +119,10 @@ class ComponentwiseNetwork(BlockNetwork):
     def assess(self, start: ArrayLike | None = None) -> stability.Verdict:
         """All stability conditions with the rates they prove; the local one at the equilibrium found from ``start``."""
         result = self.equilibrium(start)
-        jacobian = self.jacobian(result.xi) if result.success else None
-        return stability.assess(self.weight, jacobian=jacobian, **self._proved_on)
+        known = self._of_weights
+        if "verdict" not in known:
+            known["verdict"] = stability.assess(self.weight, **self._proved_on)
+        return known["verdict"].locally(self.jacobian(result.xi)) if result.success else known["verdict"]
 
     @property
     def _proved_on(self) -> dict[str, Any]:

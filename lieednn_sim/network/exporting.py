@@ -54,7 +54,7 @@ def write_c(network: BlockNetwork, activation: str, folder: str | os.PathLike[st
     if activation not in _PHI:
         raise InputError(f"C code is known for {' and '.join(_PHI)}, not for the activation {activation!r}")
     first, d = network.n_visible, network.bias.shape[1]
-    if network.n_hidden and network.n_driven > first and network.blocks[first:, :first].any():
+    if network.coupled[first:, :first].any():
         raise InputError("hidden neurons hear visible ones in this network, which the C code cannot retarget")
     result = network.equilibrium()
     if not result.success:

@@ -104,7 +104,7 @@ def search_path(
     seen = dict(places)
 
     def search() -> Motion:
-        refused: InputError | None = None
+        refused = ""
         # With less of the margin where start or target are nearer than that.
         for share in (1.0, 0.5, 0.0):
             there = arm.with_moved_bodies(seen, share * margin)
@@ -112,10 +112,10 @@ def search_path(
                 # Nearly every motion needs more than this, and gets it.
                 problem = PlanningProblem(there, *ends, duration=0.5, longest=50.0, seed=seed)
             except InputError as error:
-                refused = error
+                refused = str(error)
                 continue
             return rrt_connect(problem, options)
-        raise PlanError(str(refused))
+        raise PlanError(refused)
 
     return _worker(os.getpid()).submit(search)
 

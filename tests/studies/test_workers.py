@@ -93,7 +93,7 @@ def test_a_worker_that_dies_loses_no_finished_task(monkeypatch):
 
 def test_a_task_that_ends_at_the_same_time_counts_before_a_worker_that_dies(monkeypatch):
     class Ended(ThreadPoolExecutor):
-        def submit(self, _, run, *task):
+        def submit(self, run, *task):
             future = Future()
             future.set_result(run(*task)) if task[0] else future.set_exception(BrokenExecutor())
             return future

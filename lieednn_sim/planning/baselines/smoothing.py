@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from operator import attrgetter
+from operator import itemgetter
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
@@ -31,7 +31,7 @@ from lieednn_sim.values import Floats
 # this many steps, before its time law is computed.
 _PLACES, _STEPS = 512, 2000
 
-Blocked = dict[int | None, PlanError]
+Blocked = dict[int | None, str]
 Paths = Callable[[int], Floats | None]
 
 
@@ -68,11 +68,11 @@ def motion_along(
     Raises:
         PlanError: not even the polyline itself can be followed in the problem's duration.
     """
-    refusals: list[PlanError] = []
+    late, refusal = list[tuple[float, str]](), ""
     fastest = options.fastest and len(_measured(corners / joint_scale(problem.arm))[1]) > 0
     for count in (*options.control_points, None):
         if count in blocked:
-            refusals.append(blocked[count])
+            refusal = blocked[count]
             continue
         try:
             if fastest and count is not None:
@@ -84,13 +84,15 @@ def motion_along(
                 with suppress(PlanError):
                     motion = retime(problem.arm, motion)
             return motion
+        except TooFastError as error:
+            late.append((error.duration, str(error)))
         except PlanError as error:
-            refusals.append(error)
-            if not isinstance(error, TooFastError):
-                blocked[count] = error
+            refusal = blocked[count] = str(error)
     # A motion that only needs more time takes precedence over blocked ones; of several, the one that needs the least.
-    late = (error for error in refusals if isinstance(error, TooFastError))
-    raise min(late, key=attrgetter("duration"), default=refusals[-1])
+    if late:
+        duration, message = min(late, key=itemgetter(0))
+        raise TooFastError(message, duration)
+    raise PlanError(refusal)
 
 
 def motion_along_first(
@@ -110,7 +112,7 @@ def motion_along_first(
     blocked = {attempt: Blocked() for attempt in range(attempts)}
 
     def motion(asked: PlanningProblem) -> Motion:
-        refusal: PlanError | None = None
+        refusals = [PlanError(f"{name} found no path free of contact; try another seed or target")]
         for attempt, curves in blocked.items():
             corners = path(attempt)
             if corners is None:
@@ -118,10 +120,10 @@ def motion_along_first(
             try:
                 return motion_along(asked, corners, options, curves, guiding=guiding)
             except PlanError as error:
-                refusal = error
+                refusals = [error.with_traceback(None)]  # as in `plan`
                 if isinstance(error, TooFastError) and error.duration <= asked.longest:
                     break
-        raise refusal or PlanError(f"{name} found no path free of contact; try another seed or target")
+        raise refusals.pop()
 
     return in_time(motion, problem)
 
