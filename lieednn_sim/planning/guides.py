@@ -71,7 +71,8 @@ def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[
 
     A guide's plan has the name of the planner whose motion it is, with ", optimised" if it was. Minimum jerk comes
     first: no motion is shorter or smoother. Then come the optimised candidates, those with the least measure first, and
-    at last RRT-Connect's motion. Guides keep the limits; of contact they are free at some samples.
+    at last RRT-Connect's motion, which keeps the limits, as the others do; of contact guides are free at some samples.
+    Where that search is to be the fastest (`SmoothingOptions.fastest`), slow motions along its curves come before it.
 
     Args:
         problem, options: the problem, and how guides are found.
@@ -110,7 +111,10 @@ def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[
             # A finer optimisation from there keeps clear where the former does not.
             yield f"{name}, optimised", partial(search.finer, free)
     if problem.path_constraint is None:
-        yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search, guiding=True)
+        if options.search.fastest:
+            for motion in sampling.rrt_connect_curves(problem, options.search):
+                yield "rrt-connect", partial(lambda curve: curve, motion)
+        yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search)
 
 
 def _straight(problem: PlanningProblem) -> Motion:

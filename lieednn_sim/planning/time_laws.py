@@ -120,14 +120,12 @@ def _through(s: Floats, fraction: Floats, slope: Floats) -> Law:
     return lambda x: (np.clip(law(x), 0.0, 1.0), np.maximum(rate(x), 0.0))
 
 
-def retime(arm: Arm, motion: Motion, *, guiding: bool = False) -> Motion:
+def retime(arm: Arm, motion: Motion) -> Motion:
     """Make a motion along the path of another one, as fast as velocity, acceleration and jerk limits allow.
 
     Args:
         arm: the motion's arm, in its scene.
         motion: a motion from rest to rest, at any pace.
-        guiding: whether the result only guides another motion. Then it is not checked, and takes a tenth longer, so
-            that one a little off its path keeps the limits, too.
 
     Returns:
         The motion; its duration is the least one found, rounded up to a time step, or a few thousandths more. A motion
@@ -144,8 +142,6 @@ def retime(arm: Arm, motion: Motion, *, guiding: bool = False) -> Motion:
     law = path.fastest()
     duration = max(float(law.x[-1]), 2.0 * arm.timestep)
     count_steps(duration, arm.timestep)
-    if guiding:
-        return path.motion(law, math.ceil(1.1 * duration / arm.timestep))
     for _ in range(20):
         result = path.motion(law, math.ceil(duration / arm.timestep))
         try:

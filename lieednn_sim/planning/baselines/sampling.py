@@ -10,7 +10,8 @@ They are shortened, then smoothed and timed by `smoothing`. RRT-Connect with bal
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any, TypeAlias
@@ -18,8 +19,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from lieednn_sim.budget import check_time
+from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines.search_space import SearchSpace
-from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along_first
+from lieednn_sim.planning.baselines.smoothing import Paths, SmoothingOptions, motion_along_first, slow_motion
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.joint_space import Workspace
 from lieednn_sim.planning.motion import Motion
@@ -104,7 +106,7 @@ Search: TypeAlias = Callable[[SearchSpace, PathOptions, np.random.SeedSequence],
 
 
 def sampling_planner(name: str) -> Callable[..., Motion]:
-    """The planner with a name of `METHODS`; its arguments are a problem, options, and ``guiding`` of `motion_along`.
+    """The planner with a name of `METHODS`; its arguments are a problem and options.
 
     RRT-Connect grows two trees from start and target until they meet. The others improve the path with a fixed amount
     of work: RRT* rewires one tree, Informed RRT* samples only where a shorter path is possible, BIT* searches batches
@@ -116,13 +118,28 @@ def sampling_planner(name: str) -> Callable[..., Motion]:
         PlanError: no path was found within the work allowed, or it cannot be followed in time.
     """
 
-    def planner(problem: PlanningProblem, options: PathOptions, *, guiding: bool = False) -> Motion:
-        balanced = isinstance(options, RrtConnectOptions) and options.balanced
-        search = balanced_search if balanced else ompl_search(name)
-        path = cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, search))
-        return motion_along_first(problem, path, len(options.spacings), options, name, guiding=guiding)
+    def planner(problem: PlanningProblem, options: PathOptions) -> Motion:
+        return motion_along_first(problem, _paths(problem, options, name), len(options.spacings), options, name)
 
     return planner
+
+
+def _paths(problem: PlanningProblem, options: PathOptions, name: str) -> Paths:
+    """The paths of a planner."""
+    balanced = isinstance(options, RrtConnectOptions) and options.balanced
+    search = balanced_search if balanced else ompl_search(name)
+    return cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, search))
+
+
+def rrt_connect_curves(problem: PlanningProblem, options: RrtConnectOptions) -> Iterator[Motion]:
+    """Slow, unchecked motions (`slow_motion`) along the curves that ``rrt-connect`` would try, one after another."""
+    path = _paths(problem, options, "rrt-connect")
+    for attempt in range(len(options.spacings)):
+        if (corners := path(attempt)) is None:
+            return
+        for count in options.control_points:
+            with suppress(PlanError):
+                yield slow_motion(problem, corners, count, options.bend)
 
 
 rrt_connect = sampling_planner("rrt-connect")

@@ -131,7 +131,7 @@ def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float)
         result = plan(
             arm, goal, planner=planner, start=start, duration=(least, 100.0 * least), options=OPTIONS.get(planner)
         )
-    if _TIMED and OPTIONS.get(planner) is not _SEARCH:  # which times its motion
+    if _TIMED and planner not in OPTIONS:  # which time their motions
         # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
         # its new samples. Then the motion stays as it is.
         with contextlib.suppress(PlanError):
