@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,22 @@ class TooWeakError(PlanError, InputError):
 def force_use(arm: Arm, t: Floats, q: Floats, qd: Floats) -> float:
     """Largest force that a motion needs of the actuators, in units of its limit; arguments are as of `check_forces`."""
     return float(_use(_along(arm, t, q, qd, np.arange(len(t) - 1))).max())
+
+
+def path_forces(arm: Arm, path: Callable[..., Floats], s: Floats) -> tuple[Floats, Floats]:
+    """Forces that a path q(s) needs: coefficients ``(4, S, m)`` of s'', s'^2, s' and 1 at s ``(S,)``, with s' > 0.
+
+    The path has its derivatives as ``path(s, order)``. The bounds of the forces are ``(2, m)``, the lower ones first.
+    """
+    q, slope, step = path(s), path(s, 1), 1e-6
+    ahead, behind = (arm.qvel(path(at), path(at, 1)) for at in (s + step, s - step))
+    rates, bend = arm.qvel(q, slope), (ahead - behind) / (2.0 * step)
+    # Dampers push the other way, and dry friction does not, when the rates alone are reversed.
+    still, drawn, along, back = (
+        _needed(arm, q, slope, qvel, qacc)[0]
+        for qvel, qacc in ((0.0, 0.0), (0.0, rates), (rates, bend), (-rates, bend))
+    )
+    return np.stack([drawn - still, 0.5 * (along + back) - still, 0.5 * (along - back), still]), np.stack(_bounds(arm))
 
 
 def check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
@@ -82,10 +98,17 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
         worst = int(spare.argmin())
         where = f"cannot be held at t = {t[rows[worst]]:.2f} s"
         raise TooWeakError(_overload(arm, int(j[worst]), where, still[worst], bound[worst]))
-    stretch = (f1 + np.sqrt(np.maximum(f1**2 + 4.0 * spare * f2, 0.0))) / (2.0 * spare)
+    stretch = least_stretch(f0, f1, f2, bound)
     worst = int(stretch.argmax())
     where = f"would be overloaded at t = {t[rows[worst]]:.2f} s"
     return float(t[-1] * stretch[worst]), _overload(arm, int(j[worst]), where, needed[worst], bound[worst])
+
+
+def least_stretch(still: Floats, damping: Floats, pull: Floats, bound: Floats) -> Floats:
+    """By how much time must be stretched for f0 + f1 / s + f2 / s^2 to stay below a bound; 0 where f0 does not."""
+    spare = bound - still
+    root = np.sqrt(np.maximum(damping**2 + 4.0 * spare * pull, 0.0))
+    return np.where(spare > 0.0, (damping + root) / (2.0 * np.where(spare > 0.0, spare, 1.0)), 0.0)
 
 
 def some_samples(count: int) -> NDArray[np.int_]:
@@ -95,7 +118,12 @@ def some_samples(count: int) -> NDArray[np.int_]:
 
 def _limited(arm: Arm) -> bool:
     """Whether any force has a limit."""
-    return bool(np.isfinite(arm.force_limits if arm.dependents is None else actuator_ranges(arm.model)).any())
+    return bool(np.isfinite(_bounds(arm)).any())
+
+
+def _bounds(arm: Arm) -> tuple[Floats, Floats]:
+    """Least and largest forces ``(m,)``, of the coordinates or of the actuators as of `_needed`."""
+    return (-arm.force_limits, arm.force_limits) if arm.dependents is None else tuple(actuator_ranges(arm.model).T)
 
 
 def _along(arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_]) -> Floats:
@@ -115,11 +143,11 @@ def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: F
     needed = np.vecmat(required_forces(model, qpos, qvel, qacc, limited=True, grasp=arm.grasp), basis)
     friction = dry_friction(model, basis)
     needed += np.where(np.abs(qd) > _RESTING, np.sign(qd) * friction, -np.clip(needed, -friction, friction))
-    low, high = -arm.force_limits, arm.force_limits
+    low, high = _bounds(arm)
     if arm.dependents is not None:
         # Forces of least norm.
         exert = np.linalg.pinv(np.swapaxes(actuator_moments(model) @ basis, -1, -2))
-        needed, (low, high) = np.matvec(exert, needed), actuator_ranges(model).T
+        needed = np.matvec(exert, needed)
     return np.stack([needed, np.where(needed > 0.0, high, -low)])
 
 

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -22,6 +24,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError, TooFastError
 from lieednn_sim.planning.joint_space import joint_scale, travelled
 from lieednn_sim.planning.motion import Motion, check_motion, count_steps, rates_and_limits
+from lieednn_sim.planning.statics import check_forces, least_stretch, path_forces
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
@@ -40,6 +43,7 @@ _PIECES = 1000  # of the path, of equal length
 _GRID = 400  # pieces with one acceleration of the law on each
 _ROUNDING = 1e-8  # what rounding moves a joint by whose goal is where it starts [rad, m]
 _INSTANTS = 2000  # at which laws are sampled
+_LOOKS = 251  # at which forces are looked at
 
 
 def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
@@ -174,9 +178,33 @@ class _Path:
         self._q = CubicSpline(self._fraction, motion.q[kept])
         speed = np.linalg.norm(motion.qd[kept] / joint_scale(arm), axis=1)
         self._own = CubicHermiteSpline(motion.t[kept], self._fraction, speed / length[-1])
+        self._forces: tuple[CubicSpline, Floats] | None = None
 
     def fastest(self) -> CubicHermiteSpline:
         """The law with the shortest duration, from time to the fraction of the path's length."""
+        best = self._smoothed(self._switching())
+        t = np.linspace(0.0, best.x[-1], _LOOKS)
+        if check_forces(self._arm, t, self._q(best(t)), self._q(best(t), 1) * best(t, 1)[:, None]) is None:
+            return best
+        even = np.linspace(0.0, 1.0, _LOOKS)
+        values, bounds = path_forces(self._arm, self._q, even)
+        self._forces = CubicSpline(even, values, axis=1), bounds
+        best = self._stretched(best)
+        with suppress(PlanError):
+            best = min(best, self._smoothed(self._switching(best)), key=_duration)
+        return best
+
+    def _smoothed(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
+        """The fastest of laws that keep all limits: that of the motion, and averages of a law with switches."""
+        lasts = _duration(law)
+        first, *more = lasts * np.geomspace(0.002, 1.0, 20)
+        laws = [self._stretched(self._own), self._stretched(_averaged(law, first))]
+        if min(map(_duration, laws)) > 1.01 * lasts:  # else little could be gained
+            laws += [self._stretched(_averaged(law, window)) for window in more]
+        return min(laws, key=_duration)
+
+    def _switching(self, near: CubicHermiteSpline | None = None) -> CubicHermiteSpline:
+        """The fastest law within velocity and acceleration limits, and those of force, which are taken near a law."""
         topp = optional_module("toppra")
         constraint, algorithm = optional_module("toppra.constraint"), optional_module("toppra.algorithm")
         # The solver wants numbers about one, also for a motion of a micrometre: each joint in units of what its
@@ -191,8 +219,11 @@ class _Path:
         bend = np.sqrt(np.linalg.norm(self._q(even, 2) / acceleration, axis=1))
         density = even + cumulative_trapezoid(bend / max(bend.mean(), 1e-300), even, initial=0.0)
         grid = np.interp(np.linspace(0.0, density[-1], _GRID + 1), density, even)
+        constraints = [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])]
+        if near is not None:
+            constraints.append(self._force_constraint(near, grid, unit))
         solver = algorithm.TOPPRA(
-            [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])],
+            constraints,
             topp.SplineInterpolator(self._fraction, (q - q[0]) / size),
             gridpoints=grid,
             solver_wrapper="seidel",
@@ -202,12 +233,30 @@ class _Path:
             raise PlanError("toppra finds no time law for this path; it turns too sharply")
         # Constant acceleration on each piece.
         t = unit * np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
-        law = CubicHermiteSpline(t, grid, rate / unit)
-        first, *more = t[-1] * np.geomspace(0.002, 1.0, 20)
-        laws = [self._stretched(self._own), self._stretched(_averaged(law, first))]
-        if min(each.x[-1] for each in laws) > 1.01 * t[-1]:  # else little could be gained
-            laws += [self._stretched(_averaged(law, window)) for window in more]
-        return min(laws, key=lambda item: float(item.x[-1]))
+        return CubicHermiteSpline(t, grid, rate / unit)
+
+    def _force_constraint(self, near: CubicHermiteSpline, grid: Floats, unit: float) -> Any:
+        """Limits of force for toppra, with time in a unit [s].
+
+        Dampers need a force d s', in which toppra's constraints are not linear; they are in s'^2. So d s' is replaced
+        by its tangent there at the rate of a law, d (s'^2 / r + r) / 2, which is never less.
+        """
+        assert self._forces is not None
+        (drawn, bent, damped, still), (low, high) = self._forces[0](grid), self._forces[1]
+        some = near.x[-1] * np.linspace(0.0, 1.0, _INSTANTS + 1)
+        rate = np.interp(grid, near(some), near(some, 1))
+        rate = np.maximum(rate, 0.05 * rate.max())[:, None]
+        rows = []
+        for side, bound in ((1.0, high), (-1.0, -low)):
+            resisting = 0.5 * np.maximum(side * damped, 0.0)
+            terms = side * drawn / unit**2, (side * bent + resisting / rate) / unit**2, side * still + resisting * rate
+            rows.append(np.stack(terms)[..., np.isfinite(bound)] / bound[np.isfinite(bound)])
+        made = np.concatenate(rows, axis=2)
+        count = made.shape[2]
+        result = optional_module("toppra.constraint").LinearConstraint()
+        result.identical, result.dof = True, self._q.c.shape[-1]
+        result.compute_constraint_params = lambda *_: (*made, np.eye(count), np.ones(count), None, None)
+        return result
 
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
         """The law, stretched or compressed to the least time in which it keeps all limits."""
@@ -215,6 +264,16 @@ class _Path:
         qd = self._q(law(t), 1) * law(t, 1)[:, None]
         rates = rates_and_limits(self._arm, qd, t[1])
         factor = max(float((np.abs(values) / limits).max()) ** power for values, limits, power in rates)
+        if self._forces is not None:
+            drawn, bent, damped, still = self._forces[0](law(t[:-1]))
+            speed = law(t, 1)
+            pull, damping = (
+                drawn * (np.diff(speed) / t[1])[:, None] + bent * speed[:-1, None] ** 2,
+                damped * speed[:-1, None],
+            )
+            for side, bound in zip((-1.0, 1.0), self._forces[1], strict=True):
+                stretch = least_stretch(side * still, side * damping, side * pull, side * bound)
+                factor = max(factor, float(stretch.max()))
         return CubicHermiteSpline(law.x * factor, law(law.x), law(law.x, 1) / factor)
 
     def motion(self, law: CubicHermiteSpline, steps: int) -> Motion:
@@ -232,6 +291,10 @@ class _Path:
             for values in (old.tau, old.gap_translation, old.gap_rotation)
         )
         return Motion(t, tau, xi, old.xi_target, q, qd, translation, rotation)
+
+
+def _duration(law: CubicHermiteSpline) -> float:
+    return float(law.x[-1])
 
 
 def _averaged(law: CubicHermiteSpline, window: float) -> CubicHermiteSpline:
