@@ -126,16 +126,9 @@ class ContactFinder:
         # The last one is for all others.
         return distance + still * np.append(self._lack, 0.0)[self._leaving(contact.geom)]
 
-    def first(self, qpos: Floats) -> int | None:
-        """Index of the first of MuJoCo's positions ``(K, nq)`` at which some geoms are closer than the margin."""
-        model, data = self._model, self._data
-        place = data.qpos
-        for index, place[:] in enumerate(qpos):
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_collision(model, data)
-            if data.ncon and self._distances().min() < self._margin:
-                return index
-        return None
+    def any(self, qpos: Floats) -> bool:
+        """Whether some geoms are closer than the margin at MuJoCo's positions ``(nq,)``."""
+        return bool(self._found(qpos) and self._distances().min() < self._margin)
 
     def _found(self, qpos: Floats) -> int:
         """The number of contacts, which are then in ``_data``."""

@@ -20,6 +20,7 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines import interpolation, sampling
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
+from lieednn_sim.planning.baselines.smoothing import slow_motion
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
 from lieednn_sim.planning.joint_space import Workspace, travelled
@@ -111,10 +112,13 @@ def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[
             # A finer optimisation from there keeps clear where the former does not.
             yield f"{name}, optimised", partial(search.finer, free)
     if problem.path_constraint is None:
-        if options.search.fastest:
-            for motion in sampling.rrt_connect_curves(problem, options.search):
-                yield "rrt-connect", partial(lambda curve: curve, motion)
-        yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search)
+        rrt, path = options.search, sampling.paths(problem, options.search, "rrt-connect")
+        for attempt in range(len(rrt.spacings) if rrt.fastest else 0):
+            if (corners := path(attempt)) is None:
+                break
+            for count in rrt.control_points:
+                yield "rrt-connect", partial(slow_motion, problem, corners, count, rrt.bend)
+        yield "rrt-connect", partial(sampling.rrt_connect, problem, rrt)
 
 
 def _straight(problem: PlanningProblem) -> Motion:

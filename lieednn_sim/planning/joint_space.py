@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -28,9 +28,6 @@ class ClearanceTest:
 
     def __init__(self, arm: Arm, margin: float) -> None:
         self._arm, self._margin = arm, margin
-        # Unchecked where it can be: checking each edge would cost as much as its collision passes.
-        plain = arm.dependents is None and arm.grasp is None
-        self._qpos = arm.space.to_qpos if plain else partial(arm.qpos, strict=False)
         # Visual geoms, which touch nothing, would take most of the time.
         self._finder = arm.without_visuals.contact_finder(margin)
         self.tests = 0  # configurations tested so far: a measure of work that does not depend on the machine
@@ -44,14 +41,14 @@ class ClearanceTest:
 
         One beyond the arm's stops, or at which loops cannot be closed, counts as well.
         """
-        positions = self._qpos(q)
+        # Converted at once and unchecked: checking each configuration would cost as much as its collision pass.
+        positions = self._arm.qpos(q, strict=False)
         beyond = self._beyond(positions)
-        inside = len(q) if beyond is None else int(np.append(beyond > 0.0, True).argmax())
-        blocked = self._finder.first(positions[:inside])
-        if blocked is None and inside < len(q):
-            blocked = inside
-        self.tests += len(q) if blocked is None else blocked + 1
-        return blocked
+        for index, position in enumerate(positions):
+            self.tests += 1
+            if (beyond is not None and beyond[index] > 0.0) or self._finder.any(position):
+                return index
+        return None
 
     def _beyond(self, positions: Floats) -> Floats | None:
         """How far the arm's stops, if it has any, are exceeded at MuJoCo's positions ``(K, nq)``."""
@@ -63,7 +60,7 @@ class ClearanceTest:
         Only pairs closer than the margin count, so the sum, with what `Arm.stops` are exceeded by, is zero where a call
         returns True. It grows with the depth of a penetration up to half the thickness of a geom.
         """
-        positions = self._qpos(q)
+        positions = self._arm.qpos(q, strict=False)
         # What is beyond a range of the arm's stops lacks as much; where loops cannot be closed, a metre.
         beyond = self._beyond(positions)
         total = np.zeros(len(q)) if beyond is None else np.clip(beyond, 0.0, 1.0)

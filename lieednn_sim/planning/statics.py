@@ -26,20 +26,18 @@ def force_use(arm: Arm, t: Floats, q: Floats, qd: Floats) -> float:
     return float(_use(_along(arm, t, q, qd, np.arange(len(t) - 1))).max())
 
 
-def path_forces(arm: Arm, path: Callable[..., Floats], s: Floats) -> tuple[Floats, Floats]:
-    """Forces that a path q(s) needs: coefficients ``(4, S, m)`` of s'', s'^2, s' and 1 at s ``(S,)``, with s' > 0.
+def path_forces(arm: Arm, path: Callable[..., Floats], s: Floats) -> Floats:
+    """Forces along a path q(s) over their bounds: coefficients ``(4, S, 2 m)`` of s'', s'^2, s' > 0 and 1.
 
-    The path has its derivatives as ``path(s, order)``. The bounds of the forces are ``(2, m)``, the lower ones first.
+    The path is called as ``path(s, order)``, with s ``(S,)``. The forces must be below 1; those that are bounded from
+    below come first.
     """
     q, slope, step = path(s), path(s, 1), 1e-6
     ahead, behind = (arm.qvel(path(at), path(at, 1)) for at in (s + step, s - step))
-    rates, bend = arm.qvel(q, slope), (ahead - behind) / (2.0 * step)
-    # Dampers push the other way, and dry friction does not, when the rates alone are reversed.
-    still, drawn, along, back = (
-        _needed(arm, q, slope, qvel, qacc)[0]
-        for qvel, qacc in ((0.0, 0.0), (0.0, rates), (rates, bend), (-rates, bend))
-    )
-    return np.stack([drawn - still, 0.5 * (along + back) - still, 0.5 * (along - back), still]), np.stack(_bounds(arm))
+    rates = arm.qvel(q, slope)
+    still, damping, rest = _parts(arm, q, slope, rates, (ahead - behind) / (2.0 * step))
+    forces = np.stack([_needed(arm, q, slope, 0.0, rates)[0] - still, rest, damping, still])
+    return np.concatenate([forces / bound for bound in _bounds(arm)], axis=2)
 
 
 def check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
@@ -86,28 +84,22 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     else:
         return None
     rows, (needed, bound) = some[k], forces[:, k, j]
-    one = (0, np.arange(len(rows)), j)
-    still = _needed(arm, q[rows], qd[rows])[one]
-    # Backwards in time, dry friction and dampers push the other way.
-    dry = still - _needed(arm, q[rows], -qd[rows])[one]
-    damping = 0.5 * (needed - _along(arm, -t, q, -qd, rows)[one] - dry)
     # In the direction of the bound that is passed.
-    f0, f1 = np.sign(needed) * (still, damping)
-    f2, spare = np.abs(needed) - f0 - f1, bound - f0
-    if spare.min() <= 0.0:
-        worst = int(spare.argmin())
+    f0, f1, f2 = np.sign(needed) * [part[np.arange(len(rows)), j] for part in _along(arm, t, q, qd, rows, _parts)]
+    if (f0 >= bound).any():
+        worst = int((bound - f0).argmin())
         where = f"cannot be held at t = {t[rows[worst]]:.2f} s"
-        raise TooWeakError(_overload(arm, int(j[worst]), where, still[worst], bound[worst]))
+        raise TooWeakError(_overload(arm, int(j[worst]), where, f0[worst], bound[worst]))
     stretch = least_stretch(f0, f1, f2, bound)
     worst = int(stretch.argmax())
     where = f"would be overloaded at t = {t[rows[worst]]:.2f} s"
     return float(t[-1] * stretch[worst]), _overload(arm, int(j[worst]), where, needed[worst], bound[worst])
 
 
-def least_stretch(still: Floats, damping: Floats, pull: Floats, bound: Floats) -> Floats:
+def least_stretch(still: Floats, damping: Floats, rest: Floats, bound: Floats | float) -> Floats:
     """By how much time must be stretched for f0 + f1 / s + f2 / s^2 to stay below a bound; 0 where f0 does not."""
     spare = bound - still
-    root = np.sqrt(np.maximum(damping**2 + 4.0 * spare * pull, 0.0))
+    root = np.sqrt(np.maximum(damping**2 + 4.0 * spare * rest, 0.0))
     return np.where(spare > 0.0, (damping + root) / (2.0 * np.where(spare > 0.0, spare, 1.0)), 0.0)
 
 
@@ -126,10 +118,11 @@ def _bounds(arm: Arm) -> tuple[Floats, Floats]:
     return (-arm.force_limits, arm.force_limits) if arm.dependents is None else tuple(actuator_ranges(arm.model).T)
 
 
-def _along(arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_]) -> Floats:
-    """As `_needed`, for a motion at some samples, each with the acceleration to the next one."""
-    qvel, after = arm.qvel(q[rows], qd[rows]), arm.qvel(q[rows + 1], qd[rows + 1])
-    return _needed(arm, q[rows], qd[rows], qvel, (after - qvel) / (t[1] - t[0]))
+def _parts(arm: Arm, q: Floats, qd: Floats, qvel: Floats, qacc: Floats) -> Floats:
+    """Forces of gravity, springs and dry friction, of dampers, and the rest, ``(3, S, m)``, as of `_needed`."""
+    # Dampers push the other way when the rates are reversed.
+    still, along, back = (_needed(arm, q, qd, *rates)[0] for rates in ((0.0, 0.0), (qvel, qacc), (-qvel, qacc)))
+    return np.stack([still, 0.5 * (along - back), 0.5 * (along + back) - still])
 
 
 def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
@@ -149,6 +142,14 @@ def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: F
         exert = np.linalg.pinv(np.swapaxes(actuator_moments(model) @ basis, -1, -2))
         needed = np.matvec(exert, needed)
     return np.stack([needed, np.where(needed > 0.0, high, -low)])
+
+
+def _along(
+    arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_], of: Callable[..., Floats] = _needed
+) -> Floats:
+    """As `_needed`, for a motion at some samples, each with the acceleration to the next one."""
+    qvel, after = arm.qvel(q[rows], qd[rows]), arm.qvel(q[rows + 1], qd[rows + 1])
+    return of(arm, q[rows], qd[rows], qvel, (after - qvel) / (t[1] - t[0]))
 
 
 def _use(forces: Floats) -> Floats:

@@ -178,7 +178,7 @@ class _Path:
         self._q = CubicSpline(self._fraction, motion.q[kept])
         speed = np.linalg.norm(motion.qd[kept] / joint_scale(arm), axis=1)
         self._own = CubicHermiteSpline(motion.t[kept], self._fraction, speed / length[-1])
-        self._forces: tuple[CubicSpline, Floats] | None = None
+        self._forces: CubicSpline | None = None
 
     def fastest(self) -> CubicHermiteSpline:
         """The law with the shortest duration, from time to the fraction of the path's length."""
@@ -187,21 +187,19 @@ class _Path:
         if check_forces(self._arm, t, self._q(best(t)), self._q(best(t), 1) * best(t, 1)[:, None]) is None:
             return best
         even = np.linspace(0.0, 1.0, _LOOKS)
-        values, bounds = path_forces(self._arm, self._q, even)
-        self._forces = CubicSpline(even, values, axis=1), bounds
+        self._forces = CubicSpline(even, path_forces(self._arm, self._q, even), axis=1)
         best = self._stretched(best)
         with suppress(PlanError):
-            best = min(best, self._smoothed(self._switching(best)), key=_duration)
+            best = min(best, self._smoothed(self._switching(best)), key=lambda item: float(item.x[-1]))
         return best
 
     def _smoothed(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
         """The fastest of laws that keep all limits: that of the motion, and averages of a law with switches."""
-        lasts = _duration(law)
-        first, *more = lasts * np.geomspace(0.002, 1.0, 20)
+        first, *more = law.x[-1] * np.geomspace(0.002, 1.0, 20)
         laws = [self._stretched(self._own), self._stretched(_averaged(law, first))]
-        if min(map(_duration, laws)) > 1.01 * lasts:  # else little could be gained
+        if min(each.x[-1] for each in laws) > 1.01 * law.x[-1]:  # else little could be gained
             laws += [self._stretched(_averaged(law, window)) for window in more]
-        return min(laws, key=_duration)
+        return min(laws, key=lambda item: float(item.x[-1]))
 
     def _switching(self, near: CubicHermiteSpline | None = None) -> CubicHermiteSpline:
         """The fastest law within velocity and acceleration limits, and those of force, which are taken near a law."""
@@ -242,20 +240,14 @@ class _Path:
         by its tangent there at the rate of a law, d (s'^2 / r + r) / 2, which is never less.
         """
         assert self._forces is not None
-        (drawn, bent, damped, still), (low, high) = self._forces[0](grid), self._forces[1]
-        some = near.x[-1] * np.linspace(0.0, 1.0, _INSTANTS + 1)
-        rate = np.interp(grid, near(some), near(some, 1))
+        drawn, bent, damped, still = self._forces(grid)
+        rate = np.interp(grid, near(near.x), near(near.x, 1))
         rate = np.maximum(rate, 0.05 * rate.max())[:, None]
-        rows = []
-        for side, bound in ((1.0, high), (-1.0, -low)):
-            resisting = 0.5 * np.maximum(side * damped, 0.0)
-            terms = side * drawn / unit**2, (side * bent + resisting / rate) / unit**2, side * still + resisting * rate
-            rows.append(np.stack(terms)[..., np.isfinite(bound)] / bound[np.isfinite(bound)])
-        made = np.concatenate(rows, axis=2)
-        count = made.shape[2]
+        half, count = 0.5 * np.maximum(damped, 0.0), still.shape[1]
+        rows = drawn / unit**2, (bent + half / rate) / unit**2, still + half * rate, np.eye(count), np.ones(count)
         result = optional_module("toppra.constraint").LinearConstraint()
-        result.identical, result.dof = True, self._q.c.shape[-1]
-        result.compute_constraint_params = lambda *_: (*made, np.eye(count), np.ones(count), None, None)
+        result.identical, result.dof = True, len(self._arm.velocity_limits)
+        result.compute_constraint_params = lambda *_: (*rows, None, None)
         return result
 
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
@@ -265,15 +257,10 @@ class _Path:
         rates = rates_and_limits(self._arm, qd, t[1])
         factor = max(float((np.abs(values) / limits).max()) ** power for values, limits, power in rates)
         if self._forces is not None:
-            drawn, bent, damped, still = self._forces[0](law(t[:-1]))
-            speed = law(t, 1)
-            pull, damping = (
-                drawn * (np.diff(speed) / t[1])[:, None] + bent * speed[:-1, None] ** 2,
-                damped * speed[:-1, None],
-            )
-            for side, bound in zip((-1.0, 1.0), self._forces[1], strict=True):
-                stretch = least_stretch(side * still, side * damping, side * pull, side * bound)
-                factor = max(factor, float(stretch.max()))
+            drawn, bent, damped, still = self._forces(law(t[:-1]))
+            speed = law(t, 1)[:, None]
+            rest = drawn * np.diff(speed, axis=0) / t[1] + bent * speed[:-1] ** 2
+            factor = max(factor, float(least_stretch(still, damped * speed[:-1], rest, 1.0).max()))
         return CubicHermiteSpline(law.x * factor, law(law.x), law(law.x, 1) / factor)
 
     def motion(self, law: CubicHermiteSpline, steps: int) -> Motion:
@@ -291,10 +278,6 @@ class _Path:
             for values in (old.tau, old.gap_translation, old.gap_rotation)
         )
         return Motion(t, tau, xi, old.xi_target, q, qd, translation, rotation)
-
-
-def _duration(law: CubicHermiteSpline) -> float:
-    return float(law.x[-1])
 
 
 def _averaged(law: CubicHermiteSpline, window: float) -> CubicHermiteSpline:

@@ -134,7 +134,7 @@ def test_with_more_strength_longer_curves_have_codes(encoder):
     weak, same = encoder.encode(curve), strong.encode(curve)
     codes = [one.hidden_start - each.network.hidden_start for one, each in ((weak, encoder), (same, strong))]
     np.testing.assert_allclose(50.0 * codes[1], codes[0], atol=1e-6)
-    paths = [CurveEncoder.of(network).path(network, curve[0])(w) for network in (weak, same)]
+    paths = [each.path(network, curve[0])(w) for each, network in ((encoder, weak), (strong, same))]
     np.testing.assert_allclose(*paths, atol=1e-3 * np.linalg.norm(curve[-1] - curve[0]))
     far = 40.0 * curve
     flow = strong.path(strong.encode(far), far[0])

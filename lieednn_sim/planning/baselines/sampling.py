@@ -10,8 +10,7 @@ They are shortened, then smoothed and timed by `smoothing`. RRT-Connect with bal
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any, TypeAlias
@@ -19,9 +18,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from lieednn_sim.budget import check_time
-from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines.search_space import SearchSpace
-from lieednn_sim.planning.baselines.smoothing import Paths, SmoothingOptions, motion_along_first, slow_motion
+from lieednn_sim.planning.baselines.smoothing import Paths, SmoothingOptions, motion_along_first
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.joint_space import Workspace
 from lieednn_sim.planning.motion import Motion
@@ -119,27 +117,16 @@ def sampling_planner(name: str) -> Callable[..., Motion]:
     """
 
     def planner(problem: PlanningProblem, options: PathOptions) -> Motion:
-        return motion_along_first(problem, _paths(problem, options, name), len(options.spacings), options, name)
+        return motion_along_first(problem, paths(problem, options, name), len(options.spacings), options, name)
 
     return planner
 
 
-def _paths(problem: PlanningProblem, options: PathOptions, name: str) -> Paths:
-    """The paths of a planner."""
+def paths(problem: PlanningProblem, options: PathOptions, name: str) -> Paths:
+    """The paths of the planner with a name of `METHODS`."""
     balanced = isinstance(options, RrtConnectOptions) and options.balanced
     search = balanced_search if balanced else ompl_search(name)
     return cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, search))
-
-
-def rrt_connect_curves(problem: PlanningProblem, options: RrtConnectOptions) -> Iterator[Motion]:
-    """Slow, unchecked motions (`slow_motion`) along the curves that ``rrt-connect`` would try, one after another."""
-    path = _paths(problem, options, "rrt-connect")
-    for attempt in range(len(options.spacings)):
-        if (corners := path(attempt)) is None:
-            return
-        for count in options.control_points:
-            with suppress(PlanError):
-                yield slow_motion(problem, corners, count, options.bend)
 
 
 rrt_connect = sampling_planner("rrt-connect")

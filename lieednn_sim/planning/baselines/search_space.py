@@ -63,7 +63,7 @@ class EdgeTest:
 
     def passable(self, first: Floats, second: Floats) -> bool:
         """Whether the edge from a clear point ``(n,)`` to another one is clear, at evenly spaced configurations."""
-        if out_of_time() or (self._balls and not self._inside(self.scale * second)):
+        if not self._inside(self.scale * second):
             return False
         count = max(1, math.ceil(float(np.abs(second - first) @ self._density)))
         # An end found clear before is not tested again, but counts as work.

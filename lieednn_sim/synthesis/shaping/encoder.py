@@ -30,8 +30,7 @@ from lieednn_sim.values import Floats, frozen
 
 CODE_PAIRS = 48  # pairs for each visible neuron
 _MOST_VISIBLE = 16  # largest number of visible neurons: arrays of hidden ones grow with its square, to 0.2 GB
-# D, by default: codes of the package's arms reach about a third of `LARGEST_CODE`.
-_STRENGTH = 80.0
+_STRENGTH = 80.0  # D, by default; codes of the package's arms reach about a third of `LARGEST_CODE`
 # Instants of the fit and of the path in closed form: this many even steps of g, then steps by this ratio, to this g.
 _STEPS, _RATIO, _LEAST_CLOCK = 360, 0.75, 5e-10
 _STRIDE = 3  # every third instant is one of the fit
@@ -69,11 +68,6 @@ class CurveEncoder:
         size = as_positive("strength", strength)
         self.network, self._silent = _universal(count, name, size)
         self._basis = _basis(name, size)
-
-    @classmethod
-    def of(cls, network: LieEDNN) -> CurveEncoder:
-        """The encoder of a universal network."""
-        return cls(network.n_visible, network.activation, network.alpha[0].max())
 
     def encode(self, curve: ArrayLike, units: ArrayLike = 1.0) -> LieEDNN:
         """The universal network with the code and the target of a curve.
