@@ -179,6 +179,11 @@ class _Path:
         speed = np.linalg.norm(motion.qd[kept] / joint_scale(arm), axis=1)
         self._own = CubicHermiteSpline(motion.t[kept], self._fraction, speed / length[-1])
         self._forces: CubicSpline | None = None
+        # Half of the pieces are of equal length, the others as dense as the root of what bends take of the limits.
+        even = np.linspace(0.0, 1.0, _PIECES + 1)
+        bend = np.sqrt(np.linalg.norm(self._q(even, 2) / arm.acceleration_limits, axis=1))
+        density = even + cumulative_trapezoid(bend / max(bend.mean(), 1e-300), even, initial=0.0)
+        self._grid = np.interp(np.linspace(0.0, density[-1], _GRID + 1), density, even)
 
     def fastest(self) -> CubicHermiteSpline:
         """The law with the shortest duration, from time to the fraction of the path's length."""
@@ -186,8 +191,8 @@ class _Path:
         t = np.linspace(0.0, best.x[-1], _LOOKS)
         if check_forces(self._arm, t, self._q(best(t)), self._q(best(t), 1) * best(t, 1)[:, None]) is None:
             return best
-        even = np.linspace(0.0, 1.0, _LOOKS)
-        self._forces = CubicSpline(even, path_forces(self._arm, self._q, even), axis=1)
+        some = self._grid[::2]
+        self._forces = CubicSpline(some, path_forces(self._arm, self._q, some), axis=1)
         best = self._stretched(best)
         with suppress(PlanError):
             best = min(best, self._smoothed(self._switching(best)), key=lambda item: float(item.x[-1]))
@@ -212,36 +217,31 @@ class _Path:
         size = np.where(np.isfinite(acceleration), acceleration, 1.0) * unit**2
         # It wants bounds in place of missing limits, too, far above all rates.
         limits = [np.minimum(bound, 1e6)[:, None] * [-1.0, 1.0] for bound in (velocity * unit / size, 0.0 * size + 1.0)]
-        # Half of the pieces are of equal length, the others as dense as the root of what bends take of the limits.
-        even = np.linspace(0.0, 1.0, _PIECES + 1)
-        bend = np.sqrt(np.linalg.norm(self._q(even, 2) / acceleration, axis=1))
-        density = even + cumulative_trapezoid(bend / max(bend.mean(), 1e-300), even, initial=0.0)
-        grid = np.interp(np.linspace(0.0, density[-1], _GRID + 1), density, even)
         constraints = [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])]
         if near is not None:
-            constraints.append(self._force_constraint(near, grid, unit))
+            constraints.append(self._force_constraint(near, unit))
         solver = algorithm.TOPPRA(
             constraints,
             topp.SplineInterpolator(self._fraction, (q - q[0]) / size),
-            gridpoints=grid,
+            gridpoints=self._grid,
             solver_wrapper="seidel",
         )
         _, rate, _ = solver.compute_parameterization(0.0, 0.0)
         if rate is None or not np.isfinite(rate).all():
             raise PlanError("toppra finds no time law for this path; it turns too sharply")
         # Constant acceleration on each piece.
-        t = unit * np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
-        return CubicHermiteSpline(t, grid, rate / unit)
+        t = unit * np.append(0.0, np.cumsum(2.0 * np.diff(self._grid) / (rate[1:] + rate[:-1])))
+        return CubicHermiteSpline(t, self._grid, rate / unit)
 
-    def _force_constraint(self, near: CubicHermiteSpline, grid: Floats, unit: float) -> Any:
+    def _force_constraint(self, near: CubicHermiteSpline, unit: float) -> Any:
         """Limits of force for toppra, with time in a unit [s].
 
         Dampers need a force d s', in which toppra's constraints are not linear; they are in s'^2. So d s' is replaced
         by its tangent there at the rate of a law, d (s'^2 / r + r) / 2, which is never less.
         """
         assert self._forces is not None
-        drawn, bent, damped, still = self._forces(grid)
-        rate = np.interp(grid, near(near.x), near(near.x, 1))
+        drawn, bent, damped, still = self._forces(self._grid)
+        rate = np.interp(self._grid, near(near.x), near(near.x, 1))
         rate = np.maximum(rate, 0.05 * rate.max())[:, None]
         half, count = 0.5 * np.maximum(damped, 0.0), still.shape[1]
         rows = drawn / unit**2, (bent + half / rate) / unit**2, still + half * rate, np.eye(count), np.ones(count)
@@ -252,7 +252,7 @@ class _Path:
 
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
         """The law, stretched or compressed to the least time in which it keeps all limits."""
-        t = np.linspace(0.0, law.x[-1], _INSTANTS + 1)
+        t = np.linspace(0.0, law.x[-1], max(_INSTANTS, round(law.x[-1] / self._arm.timestep)) + 1)
         qd = self._q(law(t), 1) * law(t, 1)[:, None]
         rates = rates_and_limits(self._arm, qd, t[1])
         factor = max(float((np.abs(values) / limits).max()) ** power for values, limits, power in rates)
