@@ -96,7 +96,7 @@ class SearchSpace:
         self._problem = problem
         # Callbacks must not hold OMPL's objects: such reference cycles are never collected.
         self.edges = edges = EdgeTest(problem.arm, workspace, spacing)
-        self.ends = [problem.start, problem.target][:: -1 if workspace.narrower_target else 1]
+        self.ends = sorted((problem.start, problem.target), key=workspace.collisions.clearance)
         self._space = base.RealVectorStateSpace(n)
         bounds = base.RealVectorBounds(n)
         for joint, (low, high) in enumerate(edges.bounds):
