@@ -3,9 +3,11 @@
 TOPP-RA (Pham and Pham, IEEE Transactions on Robotics 34(3), 2018; the library toppra) finds the fastest time law within
 limits of velocity and acceleration. That law switches between full acceleration and braking, without a bound on jerk,
 and within its pieces, which are shorter where the path bends, the limits hold only about. So `retime` averages it over
-a window of time, a 500th of it, which smooths it, and stretches it until it keeps the limits. Where that takes long, as
-with limits of jerk, longer windows are tried, and the one with the shortest motion is taken. A network's motion keeps
-its path: its field is only multiplied by a positive number at every instant, so what is proven of the path still holds.
+a window of time, a 500th of it, which smooths it, and stretches it until it keeps the limits. Where actuators would be
+too weak for it, it is found anew within limits of force, linear in s'' and s'^2, and averaged over a longer window.
+Where that takes long, as with limits of jerk, longer windows are tried, and the shortest motion is taken. A network's
+motion keeps its path: its field is only multiplied by a positive number at every instant, so what is proven of the path
+still holds.
 """
 
 from __future__ import annotations
@@ -187,23 +189,23 @@ class _Path:
 
     def fastest(self) -> CubicHermiteSpline:
         """The law with the shortest duration, from time to the fraction of the path's length."""
-        best = self._smoothed(self._switching())
-        t = np.linspace(0.0, best.x[-1], _LOOKS)
-        if check_forces(self._arm, t, self._q(best(t)), self._q(best(t), 1) * best(t, 1)[:, None]) is None:
-            return best
-        some = self._grid[::2]
-        self._forces = CubicSpline(some, path_forces(self._arm, self._q, some), axis=1)
-        best = self._stretched(best)
-        with suppress(PlanError):
-            best = min(best, self._smoothed(self._switching(best)), key=lambda item: float(item.x[-1]))
-        return best
-
-    def _smoothed(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
-        """The fastest of laws that keep all limits: that of the motion, and averages of a law with switches."""
-        first, *more = law.x[-1] * np.geomspace(0.002, 1.0, 20)
-        laws = [self._stretched(self._own), self._stretched(_averaged(law, first))]
-        if min(each.x[-1] for each in laws) > 1.01 * law.x[-1]:  # else little could be gained
-            laws += [self._stretched(_averaged(law, window)) for window in more]
+        law, window = self._switching(), 0.002
+        near = self._stretched(_averaged(law, window * law.x[-1]))
+        t = np.linspace(0.0, near.x[-1], _LOOKS)
+        if check_forces(self._arm, t, self._q(near(t)), self._q(near(t), 1) * near(t, 1)[:, None]) is not None:
+            some = self._grid[::2]
+            self._forces = CubicSpline(some, path_forces(self._arm, self._q, some), axis=1)
+            near = self._stretched(near)
+            with suppress(PlanError):
+                # Switches between forces are steeper.
+                law, window = self._switching(near), 0.007
+        first, *more = law.x[-1] * np.geomspace(window, 1.0, 20)
+        laws = [near, self._stretched(self._own), self._stretched(_averaged(law, first))]
+        if min(each.x[-1] for each in laws) > 1.008 * law.x[-1] + first:  # else little could be gained
+            for each in more:
+                laws.append(self._stretched(_averaged(law, each)))
+                if laws[-1].x[-1] > 1.05 * min(tried.x[-1] for tried in laws[2:]):  # and so are longer ones
+                    break
         return min(laws, key=lambda item: float(item.x[-1]))
 
     def _switching(self, near: CubicHermiteSpline | None = None) -> CubicHermiteSpline:
@@ -245,9 +247,12 @@ class _Path:
         rate = np.maximum(rate, 0.05 * rate.max())[:, None]
         half, count = 0.5 * np.maximum(damped, 0.0), still.shape[1]
         rows = drawn / unit**2, (bent + half / rate) / unit**2, still + half * rate, np.eye(count), np.ones(count)
-        result = optional_module("toppra.constraint").LinearConstraint()
+        linear = optional_module("toppra.constraint.linear_constraint")
+        # At both ends of a piece.
+        both = linear.canlinear_colloc_to_interpolate(*rows, None, None, self._grid, identical=True)
+        result = linear.LinearConstraint()
         result.identical, result.dof = True, len(self._arm.velocity_limits)
-        result.compute_constraint_params = lambda *_: (*rows, None, None)
+        result.compute_constraint_params = lambda *_: both
         return result
 
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
