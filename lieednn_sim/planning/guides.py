@@ -112,9 +112,9 @@ def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[
             # A finer optimisation from there keeps clear where the former does not.
             yield f"{name}, optimised", partial(search.finer, free)
     if problem.path_constraint is None:
-        rrt, path = options.search, sampling.paths(problem, options.search, "rrt-connect")
-        for attempt in range(len(rrt.spacings) if rrt.fastest else 0):
-            if (corners := path(attempt)) is None:
+        rrt, path = options.search, partial(sampling.paths, problem, options.search, "rrt-connect")
+        for corners in map(path(), range(len(rrt.spacings))) if rrt.fastest else ():
+            if corners is None:
                 break
             for count in rrt.control_points:
                 yield "rrt-connect", partial(slow_motion, problem, corners, count, rrt.bend)

@@ -62,23 +62,21 @@ def connected(
         """A node and the new point that it can be extended to, or None if no extension succeeds."""
         samples = rng.uniform(bounds[:, 0], bounds[:, 1], (_DRAWN, len(bounds)))
         near, distance = grown.nearest(samples)
-        radius = grown.radius
-        inside = np.flatnonzero(distance <= radius[near])
-        tried = inside if len(inside) else np.argmin(distance / radius[near], keepdims=True)
-        nodes, lengths = near[tried], distance[tried]
-        points = grown.points[nodes]
-        ahead = points + (samples[tried] - points) * (longest_edge / np.maximum(lengths, longest_edge))[:, None]
-        for node, length, point, new in zip(nodes.tolist(), lengths.tolist(), points, ahead, strict=True):
+        inside = distance <= grown.radius[near]
+        for index in np.flatnonzero(inside) if inside.any() else [np.argmin(distance / grown.radius[near])]:
+            node, length = near[index], distance[index]
             # The domain may have shrunk meanwhile.
-            if len(inside) and length > radius[node]:
+            if inside[index] and length > grown.radius[node]:
                 continue
             if over():
                 break
+            point = grown.points[node]
+            new = point + (samples[index] - point) * (longest_edge / max(length, longest_edge))
             if onto is not None:
                 new = onto(new)
             if near_enough(point, new) and clear(point, new):
-                return node, new
-            radius[node] = _DOMAIN * longest_edge
+                return int(node), new
+            grown.radius[node] = _DOMAIN * longest_edge
         return None
 
     while not over():
