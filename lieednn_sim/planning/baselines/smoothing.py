@@ -54,16 +54,13 @@ class SmoothingOptions(PlannerOptions):
     fastest: bool = False
 
 
-def motion_along(
-    problem: PlanningProblem, corners: Floats, options: SmoothingOptions, blocked: Blocked, *, guiding: bool = False
-) -> Motion:
+def motion_along(problem: PlanningProblem, corners: Floats, options: SmoothingOptions, blocked: Blocked) -> Motion:
     """The smoothest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
 
     Args:
         problem, corners, options: the problem, the corners of the polyline, and how it is smoothed.
         blocked: numbers of control points whose curves are blocked at any duration, with the reasons. It is added to;
             pass it on to calls with other durations, in which these curves are skipped.
-        guiding: whether the motion only guides another one: then a curve is followed at the limits as of `retime`.
 
     Raises:
         PlanError: not even the polyline itself can be followed in the problem's duration.
@@ -76,7 +73,7 @@ def motion_along(
             continue
         try:
             if fastest and count is not None:
-                return _fastest(problem, corners, count, options.bend, guiding)
+                return retime(problem.arm, slow_motion(problem, corners, count, options.bend))
             curve = stopping(problem, corners) if count is None else smoothed(problem, corners, count, options.bend)
             motion = joint_motion(problem, *curve)
             if fastest:
@@ -96,12 +93,12 @@ def motion_along(
 
 
 def motion_along_first(
-    problem: PlanningProblem, path: Paths, attempts: int, options: SmoothingOptions, name: str, *, guiding: bool = False
+    problem: PlanningProblem, path: Paths, attempts: int, options: SmoothingOptions, name: str
 ) -> Motion:
     """The motion along the first path that can be followed, in the time that it needs.
 
     Args:
-        problem, options, name, guiding: the problem, how paths are smoothed, the planner's name; as of `motion_along`.
+        problem, options, name: the problem, how paths are smoothed, and the planner's name.
         path: function from the number of an attempt to corners ``(M, n)``, or None if it fails. Paths do not depend on
             the duration; it should remember them, since they are asked for again when the motion needs more time.
         attempts: largest number of paths to ask for.
@@ -118,7 +115,7 @@ def motion_along_first(
             if corners is None:
                 break
             try:
-                return motion_along(asked, corners, options, curves, guiding=guiding)
+                return motion_along(asked, corners, options, curves)
             except PlanError as error:
                 refusals = [error.with_traceback(None)]  # as in `plan`
                 if isinstance(error, TooFastError) and error.duration <= asked.longest:
@@ -128,15 +125,18 @@ def motion_along_first(
     return in_time(motion, problem)
 
 
-def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float, guiding: bool) -> Motion:
-    """The motion along a smooth curve at the arm's limits, whatever the problem's duration."""
+def slow_motion(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> Motion:
+    """A motion along a curve of `smoothed` that is to be timed: not checked, but for contact at some places.
+
+    Raises:
+        PlanError: there, something touches.
+    """
     arm, scale = problem.arm, joint_scale(problem.arm)
-    curve = _spline(*_measured(corners / scale), count)
-    if any(arm.near_contacts_along(scale * curve(bisecting(_PLACES)))):
+    points, lengths = _measured(corners / scale)
+    if len(lengths) and any(arm.near_contacts_along(scale * _spline(points, lengths, count)(bisecting(_PLACES)))):
         raise PlanError("the curve touches something")
     slow = replace(problem, duration=_STEPS * arm.timestep)
-    motion = joint_motion(slow, *smoothed(slow, corners, count, bend), checked=False)
-    return retime(arm, motion, guiding=guiding)
+    return joint_motion(slow, *smoothed(slow, corners, count, bend), checked=False)
 
 
 def smoothed(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> tuple[Floats, Floats, Floats]:
