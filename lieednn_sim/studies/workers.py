@@ -9,20 +9,17 @@ import importlib
 import itertools
 import math
 import multiprocessing
-import os
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
 from functools import cache
-from multiprocessing.context import SpawnContext, SpawnProcess
 from time import monotonic
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from lieednn_sim._processes import WorkerContext
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Registry
 
@@ -31,31 +28,13 @@ _OF_USERS: tuple[Registry[Any], ...] = PLANNERS, POLICIES, CONTROLLERS  # kinds 
 _last_released = -math.inf
 
 
-class _Worker(SpawnProcess):
-    """A process that starts with Ctrl-C blocked, so that none ends it with a traceback before it is prepared."""
-
-    def start(self) -> None:
-        if not hasattr(signal, "pthread_sigmask"):  # on Windows, where the traceback is all that differs
-            super().start()
-            return
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            super().start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-class _Context(SpawnContext):
-    Process = _Worker
-
-
 @contextlib.contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """A pool of fresh processes, which are stopped at once when the block fails or is interrupted.
 
     None of them survives the block, however it ends; other children of this process are left alone.
     """
-    context: Any = _Context()
+    context: Any = WorkerContext()
     if sys.platform == "win32":
         workers = min(workers, 61)  # the most that a pool can have there
     others = set(multiprocessing.active_children())
@@ -173,13 +152,3 @@ def _prepare_worker(modules: Sequence[str], files: Sequence[tuple[int, str]]) ->
     for kind, name in files:
         with contextlib.suppress(Exception):
             _OF_USERS[kind].find(name)
-    # Ctrl-C reaches the whole process group; the main process stops the workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """End this worker when the main process is killed; a pool's worker would wait forever."""
-    if parent := multiprocessing.parent_process():
-        parent.join()
-        os._exit(1)
