@@ -1,4 +1,4 @@
-"""Replanning: no jump at a change, the proof and the arrival, a pole in the way, nowhere to go, and error messages."""
+"""Replanning: no jump at a change, the proof and the arrival, poles in the way, nowhere to go, and error messages."""
 
 import dataclasses
 from concurrent.futures import Future
@@ -10,7 +10,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning import plan
-from lieednn_sim.planning.transition import straight
+from lieednn_sim.planning.transition import along, straight
 from lieednn_sim.policies import Feedback, FilteredPolicy, ReplanningOptions, ReplanningPolicy, make_policy, replanning
 from lieednn_sim.policies.surroundings import Surroundings
 from lieednn_sim.simulation import Disturbances, MovingObstacle, Push, follow
@@ -186,7 +186,7 @@ def test_searches_have_seeds_of_their_own_and_their_paths_are_looked_at_again(be
         if len(seeds) < 3:
             future.set_exception(PlanError("no path"))
         else:
-            future.set_result(path)
+            future.set_result(along(beside, path))
         return future
 
     monkeypatch.setattr(replanning, "search_path", search)
