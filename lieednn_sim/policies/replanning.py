@@ -20,6 +20,9 @@ where it can rest. If there is none, the arm waits there, and the search is made
 last seen, or where they soon will be as they move. A path that is searched for is proved to be clear of them there, as
 every planned motion; that straight motions and transitions onto paths are, which a period has no time to prove, is only
 checked, at samples.
+
+Where the arm rests, or can, an obstacle may come too near, if it goes on as it does. Then the arm gets out of its way
+(`evasion`), by another motion of the same network, and comes back when the way to the target stays free.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import PPoly
@@ -41,11 +45,11 @@ from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.planning.transition import along, straight, transition
-from lieednn_sim.policies.evasion import Threat, search_refuge
+from lieednn_sim.policies.evasion import evasion
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.searching import aside, found, ready
-from lieednn_sim.policies.surroundings import Surroundings, search_path
+from lieednn_sim.policies.surroundings import Surroundings, path_around
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
@@ -150,8 +154,8 @@ class ReplanningPolicy(FeedbackPolicy):
         # A search, when it is due, and whether it is for a way out of an obstacle's way.
         self._search: tuple[Future[PPoly], int, bool] | None = None
         self._path: PPoly | None = None
-        # The obstacle that is evaded, and whether that is in vain.
-        self._evaded, self._caught = "", False
+        # The obstacle that is evaded; `_caught` says that it cannot be.
+        self._evaded = ""
         lead = (self._options.search_periods + self._options.look_every) * self.period
         # In which the arm can have moved each joint by half its range; nobody knows how obstacles go on for longer.
         half = float(straight(self.arm, q, q + 0.5 * self.range, _SOONEST).x[-1])
@@ -274,7 +278,7 @@ class ReplanningPolicy(FeedbackPolicy):
     def _clear_way(self) -> None:
         # Times of the present motion before which the arm must rest, since something blocks it, or another is to come.
         self._blocked_at = self._ends_at = math.inf
-        self._blocker = self._reason = ""
+        self._blocker, self._reason, self._caught = "", "", False
 
     def _turn_to(self, base: PPoly) -> None:
         """Take a base motion; raises `PlanError`."""
@@ -314,20 +318,19 @@ class ReplanningPolicy(FeedbackPolicy):
         rest = max(self.time + self.stopping, min(self._blocked_at, self.time + lead))
         options = self._options
         ends = self._resting(rest), goal
-        search = search_path(
-            self.arm, self._surroundings.places, ends, options.margin, options.search, self._next_seed()
-        )
-        self._search = search, self._periods + options.search_periods, False
+        self._start(False, path_around, dict(self._surroundings.places), ends, options.margin, options.search)
         self._reason = "a path is searched for"
+
+    def _start(self, evades: bool, search: Callable[..., PPoly], *arguments: Any) -> None:
+        """Start a search, see `searching.aside`, which also gets a seed of its own."""
+        seed, self._searches = self._seed + self._searches, self._searches + 1
+        due = self._periods + self._options.search_periods
+        self._search = aside(self.arm, search, *arguments, seed), due, evades
 
     def _resting(self, time: float) -> Floats:
         """Rest at a time of the present motion, unless it turns before; returns where that is ``(n,)``."""
         self._ends_at = time
-        return self._within_limits(self.course.transition(np.array([time]))[0][0])
-
-    def _next_seed(self) -> int:
-        self._searches += 1
-        return self._seed + self._searches - 1
+        return self._within_limits(self._at(np.array([time]))[0])
 
     def _take_found(self, goal: Floats) -> None:
         """Take the path or evasion that was searched for, if it is there and due."""
@@ -341,7 +344,6 @@ class ReplanningPolicy(FeedbackPolicy):
                 if evades:
                     way, self._path = self._path, None
                     self._turn_to(way)
-                    self._caught, self._reason = False, ""
                     return
             except PlanError as error:
                 self._reason, self._caught = str(error), evades
@@ -449,12 +451,11 @@ class ReplanningPolicy(FeedbackPolicy):
             return False
         self._evaded = threat
         if not searching:
-            options, around = self._options, self._surroundings
-            lead = options.search_periods * self.period
-            what = Threat(dict(around.places), dict(around.velocities), lead, self._horizon)
+            around, lead = self._surroundings, self._options.search_periods * self.period
+            seen = dict(around.places), around.velocities
             start = self._resting(max(self.time, min(stops, end, self.time + self.stopping)))
-            search = search_refuge(self.arm, what, start, options.margin, options.search, self._next_seed())
-            self._search, self._path = (search, self._periods + options.search_periods, True), None
+            self._start(True, evasion, *seen, start, self._options.margin, lead, self._horizon)
+            self._path = None
         return True
 
     def _may_return(self, goal: Floats) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections import deque
 from collections.abc import Mapping
-from concurrent.futures import Future
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,6 @@ from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, rrt_connect
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.transition import along
-from lieednn_sim.policies.searching import aside
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
 
@@ -143,22 +141,6 @@ class Surroundings:
         return model
 
 
-def search_path(
-    arm: Arm,
-    places: Mapping[str, Floats],
-    ends: tuple[Floats, Floats],
-    margin: float,
-    options: RrtConnectOptions,
-    seed: int,
-) -> Future[PPoly]:
-    """Search for a path by RRT-Connect beside the control loop (`searching.aside`); by the arguments alone.
-
-    It keeps the margin [m] from moving obstacles, in their places, where its ends, start and target ``(n,)``, allow it.
-    Asked for what was `found`, it raises `PlanError` if there is no path, or OMPL is not installed.
-    """
-    return aside(arm, path_around, dict(places), ends, margin, options, seed)
-
-
 def path_around(
     arm: Arm,
     places: dict[str, Floats],
@@ -167,7 +149,13 @@ def path_around(
     options: RrtConnectOptions,
     seed: int,
 ) -> PPoly:
-    """The path of `search_path`, as `transition.along` makes it; raises `LieEDNNError`."""
+    """A path by RRT-Connect, as `transition.along` makes it; the result depends on the arguments alone.
+
+    It keeps the margin [m] from moving obstacles, in their places, where its ends, start and target ``(n,)``, allow it.
+
+    Raises:
+        LieEDNNError: there is no path, or OMPL is not installed.
+    """
     refused: InputError | None = None
     # With less of the margin where start or target are nearer than that.
     for share in (1.0, 0.5, 0.0):

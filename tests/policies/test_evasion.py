@@ -15,9 +15,9 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.policies import ReplanningOptions, ReplanningPolicy, searching
-from lieednn_sim.policies.evasion import Threat, search_refuge
+from lieednn_sim.policies.evasion import evasion
 from lieednn_sim.policies.searching import aside, found
-from lieednn_sim.policies.surroundings import Surroundings, search_path
+from lieednn_sim.policies.surroundings import Surroundings, path_around
 from lieednn_sim.simulation import Disturbances, MovingObstacle, follow
 
 POLE = "obstacle_pole"
@@ -112,9 +112,8 @@ def searches(arm):
     """A path around a pole, and a way out of the way of one, as arrays."""
     options, goal = RrtConnectOptions(max_collision_checks=(20_000,), fastest=True), np.array([0.0, 1.5, 0.0, 0.5])
     place = {POLE: np.array([1.0, 0.8, 0.0])}
-    threat = Threat(place, {POLE: np.array([0.0, -0.3, 0.0])}, lead=0.2, horizon=3.0)
-    path = found(search_path(arm, place, (np.zeros(4), goal), 0.06, options, 3))
-    away = found(search_refuge(arm, threat, np.zeros(4), 0.06, options, 3))
+    path = found(aside(arm, path_around, place, (np.zeros(4), goal), 0.06, options, 3))
+    away = found(aside(arm, evasion, place, {POLE: np.array([0.0, -0.3, 0.0])}, np.zeros(4), 0.06, 0.2, 3.0, 3))
     return path.x, path.c, away.x, away.c
 
 

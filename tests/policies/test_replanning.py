@@ -165,9 +165,9 @@ def test_what_is_in_the_way_by_hand(beside):
 def test_an_obstacle_is_expected_to_go_on(beside, step, blocked, monkeypatch):
     """Five periods of 0.02 s at 1 m/s towards the path, 0.3 s before it is there, or away from it."""
     searched = []
-    monkeypatch.setattr(replanning, "search_path", lambda _, places, *__: searched.append(places.copy()) or Future())
     policy = ReplanningPolicy(beside, 50.0, feedback=None)
     policy.reset(np.zeros(4))
+    monkeypatch.setattr(replanning, "aside", lambda _, __, places, *___: searched.append(places) or Future())
     for k in range(6):
         policy.see({"obstacle_pole": np.array([1.4 - step * (1.0 - k / 5.0), 0.8, 0.0])})
         policy.step(None, ACROSS)
@@ -180,8 +180,8 @@ def test_searches_have_seeds_of_their_own_and_their_paths_are_looked_at_again(be
     """No path, and then one into which the pole has moved meanwhile; it rests before the pole all the same."""
     seeds, path = [], plan(beside, ACROSS, planner="minimum-jerk", duration=2.0).motion
 
-    def search(arm, places, ends, margin, options, seed):
-        seeds.append(seed)
+    def aside(arm, search, *arguments):
+        seeds.append(arguments[-1])
         future = Future()
         if len(seeds) < 3:
             future.set_exception(PlanError("no path"))
@@ -189,9 +189,9 @@ def test_searches_have_seeds_of_their_own_and_their_paths_are_looked_at_again(be
             future.set_result(along(beside, path))
         return future
 
-    monkeypatch.setattr(replanning, "search_path", search)
     policy = ReplanningPolicy(beside, 50.0, seed=7, feedback=None, options=ReplanningOptions(search_periods=5))
     policy.reset(np.zeros(4))
+    monkeypatch.setattr(replanning, "aside", aside)
     policy.see({"obstacle_pole": np.array([1.0, 0.8, 0.0])})
     for _ in range(100):
         policy.step(None, ACROSS)
