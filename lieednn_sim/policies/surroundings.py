@@ -156,7 +156,7 @@ def path_around(
     Raises:
         LieEDNNError: there is no path, or OMPL is not installed.
     """
-    refused: InputError | None = None
+    refused = ""
     # With less of the margin where start or target are nearer than that.
     for share in (1.0, 0.5, 0.0):
         there = arm.with_moved_bodies(places, share * margin)
@@ -164,7 +164,7 @@ def path_around(
             # Nearly every motion needs more than this, and gets it.
             problem = PlanningProblem(there, *ends, duration=0.5, longest=50.0, seed=seed)
         except InputError as error:
-            refused = error
+            refused = str(error)
             continue
         return along(arm, rrt_connect(problem, options))
-    raise PlanError(str(refused))
+    raise PlanError(refused)
