@@ -98,6 +98,8 @@ class Surroundings:
             if finder is None:
                 continue
             distance, pairs = finder.geoms(qpos)
+            if not len(pairs):
+                continue
             if finder is self._near:
                 _, pairs = self._near_pairs(distance, pairs, self._kept)
             elif self._near is not None:
