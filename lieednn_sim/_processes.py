@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
+from collections.abc import Callable
 from multiprocessing.connection import Connection, Pipe, wait
 from multiprocessing.context import SpawnContext, SpawnProcess
+from types import ModuleType
 from typing import Any
 
 
@@ -29,16 +32,34 @@ class Worker(SpawnProcess):
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[Callable[..., Worker], tuple[Any, ...], dict[str, Any]]:
         # What is called comes before the rest in the stream, and so before what the rest imports.
         rest = {name: value for name, value in vars(self).items() if name not in ("_starter", "_held")}
         return _begun, (type(self), self._starter), rest
+
+
+class LoneWorker(Worker):
+    """A worker that does not run the program of the one that started it, which may be a script that moves a robot."""
+
+    def start(self) -> None:
+        program = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            super().start()
+        finally:
+            sys.modules["__main__"] = program
 
 
 class WorkerContext(SpawnContext):
     """Context of `multiprocessing` whose processes are of `Worker`."""
 
     Process = Worker
+
+
+class LoneWorkerContext(SpawnContext):
+    """Context of `multiprocessing` whose processes are of `LoneWorker`."""
+
+    Process = LoneWorker
 
 
 def _begun(kind: type[Worker], starter: Connection) -> Worker:
