@@ -170,7 +170,7 @@ def test_stale_measurements_brake_where_the_reference_moves(gantry):
 BAD_TARGETS = [np.nan * GOAL, GOAL[:2], np.full(4, 9.0), None, "nowhere", raising(ValueError("no target"))]
 
 
-@pytest.mark.parametrize("bad", BAD_TARGETS, ids=repr)
+@pytest.mark.parametrize("bad", BAD_TARGETS)
 def test_a_bad_target_is_refused_and_the_last_one_stays(gantry, bad):
     def target(time):
         if 0.095 < time < 0.295:
