@@ -39,9 +39,13 @@ class Worker(SpawnProcess):
 
 
 class LoneWorker(Worker):
-    """A worker that does not run the program of the one that started it, which may be a script that moves a robot."""
+    """A worker that does not run the program of the one that started it, which may be a script that moves a robot.
+
+    It may be idle when that ends, which is therefore not to wait for it.
+    """
 
     def start(self) -> None:
+        self.daemon = True
         program = sys.modules["__main__"]
         sys.modules["__main__"] = ModuleType("__main__")
         try:

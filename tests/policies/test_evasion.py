@@ -162,3 +162,24 @@ def test_the_process_ends_with_its_parent_and_runs_no_script(tmp_path):
     run.kill()
     # The process has its output open, which ends with the last of them.
     assert run.communicate(timeout=60) == ("", None)
+
+
+def test_a_worker_of_a_study_ends_though_its_policy_has_such_a_process(tmp_path, start):
+    """Nobody else ends that, and it waits for searches."""
+    script = tmp_path / "study.py"
+    script.write_text(
+        textwrap.dedent("""
+        from lieednn_sim.arm import Arm
+        from lieednn_sim.policies.searching import aside
+        from lieednn_sim.studies.workers import worker_pool
+
+        def search():
+            return aside(Arm.load("telescopic_pr"), getattr, "name").result()
+
+        if __name__ == "__main__":
+            with worker_pool(1) as pool:
+                print(pool.submit(search).result(), flush=True)
+            print("ended", flush=True)
+    """)
+    )
+    assert start(script).communicate(timeout=120)[0] == "telescopic_pr\nended\n"
