@@ -117,6 +117,15 @@ def searches(arm):
     return path.x, path.c, away.x, away.c
 
 
+def test_it_comes_back_as_soon_as_a_pole_stands(gantry):
+    """One that came at 1 m/s, before which it would have gone further away; three looks, 0.3 s, tell that it stands."""
+    arm, way = with_poles(gantry, (1.0, 1.5)), walks((0.0, 1.0, 1.5), (0.9, 1.0, 0.6), (9.0, 1.0, 0.6))
+    rollout = follow(ReplanningPolicy(arm, 50.0), np.zeros(4), 4.0, disturbances=way).rollout
+    evading = rollout.t[rollout.channels["evading"] == 1.0]
+    assert 0.9 < evading[-1] < 1.25
+    np.testing.assert_allclose(rollout.q[-1], 0.0, atol=1e-3)
+
+
 def test_searches_in_a_process_find_what_they_find_in_a_thread_and_go_on_there(gantry, monkeypatch):
     pytest.importorskip("ompl.geometric")
     arm = with_poles(gantry, (3.0, 0.8))
