@@ -462,8 +462,9 @@ class ReplanningPolicy(FeedbackPolicy):
         return True
 
     def _may_return(self, goal: Floats) -> bool:
-        """Whether the straight way to the goal stays free; while obstacles move, only once the arm rests where it went."""
-        if self._surroundings.velocities and self.time < self.course.transition.duration and self.pace > _RESTS:
+        """Whether the straight way to the goal stays free; only once the arm rests, if obstacles move or are near."""
+        near = self._surroundings.velocities or self._surroundings.near
+        if near and self.time < self.course.transition.duration and self.pace > _RESTS:
             return False
         if self._surroundings.blocked(goal[None], only_moving=True):
             self._reason = _NOT_FREE

@@ -120,6 +120,11 @@ class Surroundings:
             self._kept = min(self._margin, least - 0.2 * abs(least))
             self.touching = self._obstacle_of(pairs[distance.argmin()]) if least < 0.0 else ""
 
+    @property
+    def near(self) -> bool:
+        """Whether the arm is to leave a moving obstacle that is nearer than the margin."""
+        return self._kept < self._margin
+
     def _obstacle_of(self, pair: NDArray[np.int_]) -> str:
         """Name of the body of a pair of geoms ``(2,)`` that the arm does not move."""
         first, second = pair
