@@ -126,6 +126,15 @@ def test_a_target_out_of_reach_is_refused_with_the_joint_or_the_contact(begin):
     assert fenced.aimed.problem.endswith("'link4' touches 'obstacle_window'")
 
 
+def test_the_rate_that_is_shown_is_that_of_a_linear_network(begin):
+    session = begin(target="extended")
+    session.advance(150)
+    before = session.tick.progress.distance
+    session.advance(50)
+    after = session.tick.progress
+    assert after.rate == pytest.approx(np.log(before / after.distance) / 0.5, rel=1e-6)
+
+
 def test_a_pushed_arm_yields_and_returns(arm, begin):
     session = begin()
     session.advance(10)
