@@ -227,6 +227,19 @@ def test_menus_change_the_plant_and_the_policy_without_a_jump(begin):
     assert session.policy.network.n_clock > 0
 
 
+def test_another_plant_takes_over_the_motion_of_the_arm(begin):
+    session = begin(target="extended")
+    session.advance(30)
+    before = session._engine._loop.simulation
+    q, qd = before.q.copy(), before.qd.copy()
+    assert np.abs(qd).max() > 0.1
+    session.choose(payload=3.0)
+    session.settle()
+    after = session._engine._loop.simulation
+    assert after is not before
+    np.testing.assert_allclose([after.q, after.qd], [q, qd], atol=1e-12)
+
+
 def test_a_planned_motion_begins_where_the_arm_stopped_and_is_made_again_for_each_target(arm, begin):
     session = begin(target="extended")
     session.advance(50)
