@@ -27,11 +27,12 @@ from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.planning.time_laws import law_of, retime
 from lieednn_sim.synthesis import CurveEncoder, ShapingOptions, shape
+from lieednn_sim.synthesis.shaping.encoder import STRENGTH
 from lieednn_sim.values import Floats, frozen
 
 _GUIDE = GuideOptions()
 # Of universal networks; with the second, curves have codes that are fifty times as long or as sharply bent.
-_STRENGTHS = (80.0, 4000.0)
+_STRENGTHS = (STRENGTH, 4000.0)
 _STRIDE = 2  # every second sample of the guide's motion is a sample of the curve
 
 

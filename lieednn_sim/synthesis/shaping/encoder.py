@@ -31,7 +31,7 @@ from lieednn_sim.values import Floats, frozen
 
 CODE_PAIRS = 48  # pairs for each visible neuron
 _MOST_VISIBLE = 16  # largest number of visible neurons: arrays of hidden ones grow with its square, to 0.2 GB
-_STRENGTH = 80.0  # D, by default; codes of the package's arms reach about a third of `LARGEST_CODE`
+STRENGTH = 80.0  # D, by default; codes of the package's arms reach about a third of `LARGEST_CODE`
 # Instants of the fit and of the path in closed form: this many even steps of g, then steps by this ratio, to this g.
 _STEPS, _RATIO, _LEAST_CLOCK = 360, 0.75, 5e-10
 _STRIDE = 3  # every third instant is one of the fit
@@ -62,7 +62,7 @@ class CurveEncoder:
         InputError: a value is out of range.
     """
 
-    def __init__(self, n_visible: int, activation: str = DEFAULT_ACTIVATION, strength: float = _STRENGTH) -> None:
+    def __init__(self, n_visible: int, activation: str = DEFAULT_ACTIVATION, strength: float = STRENGTH) -> None:
         count, name = as_count("n_visible", n_visible), as_activation(activation)
         if count > _MOST_VISIBLE:
             raise InputError(f"n_visible must be at most {_MOST_VISIBLE}, got {count}")
