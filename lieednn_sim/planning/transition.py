@@ -65,11 +65,16 @@ class Transition:
         scaled = self.differences * self.fade ** np.arange(3.0)[:, None]
         results = []
         factors = _FADING
-        for order in range(3):
-            part = self.base(own, nu=order) / self.slower**order
-            results.append(part + s[:, : factors.shape[1]] @ (factors.T @ scaled) / self.fade**order)
+        for order, part in enumerate(self._along(own)):
+            results.append(
+                part / self.slower**order + s[:, : factors.shape[1]] @ (factors.T @ scaled) / self.fade**order
+            )
             factors = factors[:, 1:] * np.arange(1.0, factors.shape[1])
         return results[0], results[1], results[2]
+
+    def _along(self, own: Floats) -> Floats:
+        """The base and its first two derivatives ``(3, K, n)`` at its times ``(K,)``."""
+        return np.stack([self.base(own, nu=order) for order in range(3)])
 
 
 def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str | None] | None = None) -> Transition:

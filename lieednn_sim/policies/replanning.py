@@ -40,7 +40,7 @@ from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.timed_path import TimedPath
-from lieednn_sim.planning.transition import along, straight, transition
+from lieednn_sim.planning.transition import Transition, along, straight, transition
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.surroundings import Surroundings, search_path
@@ -54,6 +54,8 @@ _SAME = 1e-6
 _RESTS = 1e-3
 # Time in which the pace may fall to zero where no joint moves fast [s], and duration of the motion of rest at first.
 _SOONEST = 0.25
+# The part of the limits of acceleration by which the pace falls before the arm must rest.
+GENTLY = 0.35
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,8 @@ class ReplanningPolicy(FeedbackPolicy):
 
     certified = True
     channel_units = MappingProxyType({**FeedbackPolicy.channel_units, "changes": "1", "blocked": "1"})
+    # Parts of the limits of acceleration: what a change may take over, and what the pace may use.
+    _taken_over, _used = 0.5, 0.85
     # Set with every motion taken: t_r, the network's time z, c, and the velocity of the motion itself.
     rest_at: float
     _z: float
@@ -190,12 +194,12 @@ class ReplanningPolicy(FeedbackPolicy):
         slower = 1.0 / max(1.0, float((np.abs(desired) / self.allowed()).max()))
         self._limited = slower * pace < 0.99 * self._waiting
         self._pace_rate, self.pace = (slower * pace - self.pace) / self.period, slower * pace
-        self.drawn, inside = drawn, self._within_limits(drawn)
-        return inside, np.where(inside == drawn, slower * desired, 0.0)
+        self.drawn, inside, self._rate = drawn, self._within_limits(drawn), slower * desired
+        return inside, np.where(inside == drawn, self._rate, 0.0)
 
     def _within_acceleration(self, wish: float, extra: Floats) -> float:
         """The pace nearest to a wish with which no joint's velocity changes by more than its limit in a period."""
-        most, change, velocity = 0.85 * self._max_gain, extra - self.qd, self._velocity
+        most, change, velocity = self._used * self._max_gain, extra - self.qd, self._velocity
         moving = np.abs(velocity) > 1e-9
         ends = (np.array([-most, most]) - change)[:, moving] / velocity[moving]
         low = float(ends.min(axis=0).max(initial=0.0))
@@ -205,16 +209,19 @@ class ReplanningPolicy(FeedbackPolicy):
 
     def take(self, base: PPoly, clear: Callable[[Floats], str | None]) -> None:
         """Turn to a base motion, see `transition`; raises `PlanError` if there is no clear transition or no code."""
+        self.go_along(lambda now: transition(self.arm, now, base, clear))
+
+    def go_along(self, make: Callable[[Floats], Transition]) -> None:
+        """Go along the transition that is made for the present state ``(3, n)``; raises `PlanError` as `take` does."""
         # The state of the joints in the time of a motion that begins now, at this pace.
         pace = max(self._waiting, self.pace, _RESTS)
         ratio = self.pace / pace
         _, _, bend = self.course.transition(np.array([self.time]))
-        most = 0.5 * self.arm.acceleration_limits
+        most = self._taken_over * self.arm.acceleration_limits
         qdd = ratio**2 * bend[0] + self._pace_rate / pace**2 * self._velocity
         now = np.stack([self.drawn, ratio * self._velocity, np.clip(qdd, -most, most)])
-        result = transition(self.arm, now, base, clear)
         try:
-            course = TimedPath(self.arm, self._encoder, result, self.state)
+            course = TimedPath(self.arm, self._encoder, make(now), self.state)
         except InputError as error:
             raise PlanError(f"the network cannot follow the motion: {error}") from None
         self.pace, self._pace_rate = pace, 0.0
@@ -235,8 +242,7 @@ class ReplanningPolicy(FeedbackPolicy):
         self._velocity = rate * slope
         _, qd, _ = course.transition(np.linspace(0.0, course.transition.duration, 64))
         swift = np.abs(qd).max(axis=0) / self.arm.acceleration_limits
-        # The pace falls by a fraction of the accelerations' limits.
-        self._braking = 0.35 / max(float(swift.max()), 0.35 * _SOONEST)
+        self._braking = GENTLY / max(float(swift.max()), GENTLY * _SOONEST)
 
     # Where it goes.
 

@@ -61,6 +61,13 @@ class Surroundings:
                     return index, self._model.body(self._model.geom_bodyid[obstacle]).name
         return None
 
+    def nearest(self, q: Floats) -> tuple[str, str, float]:
+        """Names of the two bodies nearest to each other at ``q`` ``(n,)``, something in the way, and their distance."""
+        found = [each.geoms(self._arm.qpos(q)) for each in (self._all, self._near) if each is not None]
+        distance, pairs = (np.concatenate(part) for part in zip(*found, strict=True))
+        first, second = self._model.geom_bodyid[pairs[distance.argmin()]]
+        return self._model.body(first).name, self._model.body(second).name, float(distance.min())
+
     def leave(self, q: Floats) -> None:
         """Let the arm, at ``q`` ``(n,)``, get away from a moving obstacle that is nearer than the margin already.
 
