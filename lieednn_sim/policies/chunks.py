@@ -24,15 +24,17 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.chunks import ChunkCurve, ChunkMotion, Finding, go_over, judge
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
+from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.policies.base import has_jumped
-from lieednn_sim.policies.feedback import FeedbackPolicy
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import GENTLY, ReplanningOptions, ReplanningPolicy
-from lieednn_sim.validation import as_choice, as_floats, as_positive
+from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats
 
 # Kinds of findings that are repaired by default; and samples of a motion at which contact is looked for.
@@ -115,6 +117,18 @@ class ChunkPolicy(ReplanningPolicy):
     _taken_over, _used = 1.0, 1.0
     _options: ChunkOptions
     _proof: ProofAhead | None
+
+    def __init__(
+        self,
+        arm: Arm,
+        rate: float = 100.0,
+        *,
+        motion: Motion | None = None,
+        options: ChunkOptions | None = None,
+        feedback: Feedback | None = FEEDBACK,
+        seed: Seed = 0,
+    ) -> None:
+        super().__init__(arm, rate, motion=motion, options=options or ChunkOptions(), feedback=feedback, seed=seed)
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""

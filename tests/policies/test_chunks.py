@@ -23,7 +23,7 @@ def swing(t):
 
 
 def made(arm, rate=100.0, **options):
-    policy = ChunkPolicy(arm, rate, feedback=None, options=ChunkOptions(**options))
+    policy = ChunkPolicy(arm, rate, feedback=None, options=ChunkOptions(**options) if options else None)
     policy.reset(HOME)
     return policy
 
