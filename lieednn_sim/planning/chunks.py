@@ -18,7 +18,7 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -34,6 +34,8 @@ _POWERS = np.diag([1.0, 2.0, 3.0], 1)
 _SEGMENT = np.concatenate([np.linalg.matrix_power(_POWERS, k) @ _CUBIC for k in range(3)], axis=1)
 # Weights s that are tried; the greatest one whose score is at most this multiple of the best is taken.
 _WEIGHTS, _NEARLY = np.logspace(-3.0, 7.0, 21), 1.3
+# Factors on the least duration of a chunk and on that of the fade onto it, those tried first that delay it least.
+_TRIED = sorted(product((1.0, 1.15, 1.4, 2.0, 3.0, 5.0, 8.0), (1.0, 1.4, 2.0, 3.0, 5.0)), key=math.prod)
 # Chunks with more jumps than this are no motion.
 MOST_JUMPS = 4
 
@@ -265,31 +267,37 @@ def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, end: float, 
     v, a = arm.velocity_limits, arm.acceleration_limits
     (fast, *_), (bent, *_) = curve.excess(arm, begin)
     least = max(1.0, fast, math.sqrt(bent))
-    for slower in (least * more for more in (1.0, 1.15, 1.4, 2.0, 3.0, 5.0, 8.0)):
-        ramp = _shortest_ramp(arm, curve, begin, end, slower)
-        if ramp is None:
+    bases = dict[float, tuple[Ramped | None, Floats, float]]()
+    for more, longer in _TRIED:
+        if more not in bases:
+            bases[more] = _onto(arm, now, curve, begin, end, least * more)
+        base, differences, soonest = bases[more]
+        if base is None:
             continue
-        base = Ramped(curve, begin, end, slower, ramp)
-        states = base.states(np.linspace(0.0, float(base.x[-1]), 33))
-        away = np.abs(differences := now - states[:, 0])
-        spare = np.maximum(1.0 - np.abs(states[1:]).max(axis=1) / [v, a], 0.5) * [v, a]
-        # Largest derivatives of the corrections of `transition`, of differences in position and in velocity.
-        soonest = max(
-            fade,
-            float((1.875 * away[0] / spare[0]).max()),
-            math.sqrt((5.78 * away[0] / spare[1]).max()),
-            float((4.0 * away[1] / spare[1]).max()),
-        )
-        for longer in (1.0, 1.4, 2.0, 3.0, 5.0):
-            result = ChunkMotion(base, 1.0, differences, longer * soonest)
-            q, qd, qdd = result(np.linspace(0.0, result.fade, 33))
-            if (
-                (np.abs(qd) <= 1.001 * v).all()
-                and (np.abs(qdd) <= 1.001 * a).all()
-                and (arm.limit_excess(q) <= LIMIT_TOLERANCE).all()
-            ):
-                return result
+        result = ChunkMotion(base, 1.0, differences, longer * max(fade, soonest))
+        q, qd, qdd = result(np.linspace(0.0, result.fade, 33))
+        if (
+            (np.abs(qd) <= 1.001 * v).all()
+            and (np.abs(qdd) <= 1.001 * a).all()
+            and (arm.limit_excess(q) <= LIMIT_TOLERANCE).all()
+        ):
+            return result
     raise PlanError("no transition onto the chunk keeps the limits of the joints")
+
+
+def _onto(
+    arm: Arm, now: Floats, curve: ChunkCurve, begin: float, end: float, slower: float
+) -> tuple[Ramped | None, Floats, float]:
+    """A base, what the state differs from it ``(3, n)``, and about the least time in which that can fade [s]."""
+    if (ramp := _shortest_ramp(arm, curve, begin, end, slower)) is None:
+        return None, now, 0.0
+    base, limits = Ramped(curve, begin, end, slower, ramp), np.stack([arm.velocity_limits, arm.acceleration_limits])
+    states = base.states(np.linspace(0.0, float(base.x[-1]), 33))
+    away = np.abs(differences := now - states[:, 0])
+    v, a = np.maximum(1.0 - np.abs(states[1:]).max(axis=1) / limits, 0.5) * limits
+    # Largest derivatives of the corrections of `transition`, of differences in position and in velocity.
+    times = (1.875 * away[0] / v).max(), math.sqrt((5.78 * away[0] / a).max()), (4.0 * away[1] / a).max()
+    return base, differences, float(max(times))
 
 
 def _shortest_ramp(arm: Arm, curve: ChunkCurve, begin: float, end: float, slower: float) -> float | None:

@@ -209,7 +209,7 @@ class ChunkPolicy(ReplanningPolicy):
         then, curve = self._curve
         u = begin - then + step * np.arange(len(targets))
         # The weight of earlier ones falls to zero where they end.
-        left = np.clip((curve.duration - u) / max(curve.duration - (self.now - then), 1e-9), 0.0, 1.0)
+        left = np.clip((curve.duration - u) / max(curve.duration - (self.now - then), self._options.fade), 0.0, 1.0)
         weight = (1.0 - self._options.newest) * (left * left * (3.0 - 2.0 * left))[:, None]
         return (1.0 - weight) * targets + weight * curve(np.clip(u, 0.0, curve.duration))[0]
 
@@ -301,7 +301,8 @@ class ChunkPolicy(ReplanningPolicy):
         """Go on with the proof of the present motion."""
         if self._proof is not None and not self._proof.pair:
             self._proof.advance(2)
-            self.counts["unproved"] += bool(self._proof.pair)
+            if self._proof.pair:
+                self.counts["unproved"] += 1
 
     def _follow(self, course: TimedPath) -> None:
         super()._follow(course)
@@ -351,8 +352,10 @@ class ChunkPolicy(ReplanningPolicy):
             base, at = motion.base, np.array([self.time])
             ends = base.end < base.curve.duration and self.time >= max(base.ramps_at, motion.fade)
             looks = self._periods % options.look_every == 0 and self.time < motion.duration
+            # Once it slows down, another code would let it hurry again.
+            most = (0.5 if self.time < base.ramps_at else 1.0) * options.tolerance
             # The code may not be near enough, or joints pull.
-            if ends or (looks and np.abs(motion(at)[0] - self.drawn).max() > 0.5 * options.tolerance):
+            if ends or (looks and np.abs(motion(at)[0] - self.drawn).max() > most):
                 self._join(base.curve, float(base.clock(at)[0][0]), 1.0 if ends else 0.5)
 
     @property
