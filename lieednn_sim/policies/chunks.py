@@ -20,12 +20,13 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim.arm import Arm
-from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.arm import Arm, solve_ik
+from lieednn_sim.errors import InputError, NoSolutionError, PlanError
 from lieednn_sim.planning.chunks import ChunkCurve, ChunkMotion, Finding, go_over, judge
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
 from lieednn_sim.planning.motion import Motion
@@ -36,6 +37,9 @@ from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import GENTLY, ReplanningOptions, ReplanningPolicy
 from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
 
 # Kinds of findings that are repaired by default; and samples of a motion at which contact is looked for.
 _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
@@ -147,11 +151,12 @@ class ChunkPolicy(ReplanningPolicy):
         """The policy's time since its reset [s], in which the times of chunks are given."""
         return self._periods * self.period
 
-    def accept(self, chunk: ArrayLike, t0: float, dt: float) -> ChunkVerdict:
+    def accept(self, chunk: ArrayLike | RigidTransform, t0: float, dt: float) -> ChunkVerdict:
         """Follow a chunk from now on, or refuse it; call it between two steps.
 
         Args:
-            chunk: ``(H, n)`` joint targets [rad, m].
+            chunk: ``(H, n)`` joint targets [rad, m]; or H poses of the end effector in the world, of which each becomes
+                the joint target next to the one before (`solve_ik`), which takes about a millisecond each.
             t0: the time of `now` for which the first one is [s]. If that is yet to come, what goes on before goes on
                 until then.
             dt: time between two targets [s].
@@ -184,23 +189,32 @@ class ChunkPolicy(ReplanningPolicy):
 
     def _read(self, chunk: ArrayLike, t0: float, dt: float) -> tuple[Floats, float, float]:
         """The targets, the time of the first one, and that between two; raises `_RefusedError`."""
-        kind = "shape"
+        kind, shape = "shape", ("H", self.arm.n_joints)
         try:
-            targets = as_floats("chunk", np.nan_to_num(np.asarray(chunk)), ("H", self.arm.n_joints), largest=np.inf)
-            if not len(targets):
+            if hasattr(chunk, "as_matrix"):
+                kind = "reach"
+                chunk = self._at_poses(chunk)
+            elif not len(as_floats("chunk", np.nan_to_num(np.asarray(chunk)), shape, largest=np.inf)):
                 raise InputError("chunk must have at least one target, got none")
             kind = "nan"
-            targets, kind = as_floats("chunk", chunk, ("H", self.arm.n_joints)), "times"
+            targets, kind = as_floats("chunk", chunk, shape), "times"
             begin, step = float(as_floats("t0", t0, ())), as_positive("dt", dt)
-        except (InputError, TypeError, ValueError) as error:
+        except (InputError, NoSolutionError, TypeError, ValueError) as error:
             raise _RefusedError(Finding(kind, str(error))) from None
         last = begin + (len(targets) - 1) * step
-        if last <= self.now:
+        if last < self.now - 1e-9:
             raise _RefusedError(Finding("stale", f"its last target was for {last:.3f} s, it is {self.now:.3f} s"))
         if begin < self._newest:
             text = f"it begins at {begin:.3f} s, one that begins at {self._newest:.3f} s came before"
             raise _RefusedError(Finding("stale", text))
         return targets, begin, step
+
+    def _at_poses(self, poses: RigidTransform) -> Floats:
+        """Joint targets ``(H, n)`` for poses, each next to the one before."""
+        q = [self._within_limits(self.drawn)]
+        for k in range(len(poses)):
+            q.append(solve_ik(self.arm, poses[k].translation, poses[k].rotation, start=q[-1]))
+        return np.array(q[1:])
 
     def _blended(self, targets: Floats, begin: float, step: float) -> Floats:
         """Targets ``(H, n)`` where earlier ones have their weight."""

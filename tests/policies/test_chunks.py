@@ -4,7 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
+import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.chunks import ChunkCurve, judge
@@ -204,6 +206,22 @@ def test_a_policy_that_is_late_makes_the_arm_go_on_and_not_back_and_forth(newest
     left = np.linalg.norm(np.array(way) - goal, axis=1)
     assert left[-1] < 5e-3
     assert (left - np.minimum.accumulate(left)).max() < 5e-3
+
+
+def test_poses_become_the_joint_targets_next_to_each_other():
+    arm = ls.Arm.load("telescopic_pr")
+    policy = make_policy("lieednn-chunks", arm, "home", feedback=None)
+    t = np.linspace(0.0, 1.0, 11)[:, None]
+    way = arm.keyframe("home") + (3.0 * t**2 - 2.0 * t**3) * 0.3 * (arm.keyframe("extended") - arm.keyframe("home"))
+    poses = RigidTransform.from_matrix(np.stack([arm.link_poses(q)[-1].as_matrix() for q in way]))
+    verdict = policy.accept(poses, 0.0, 0.1)
+    assert verdict.accepted, verdict
+    for _ in range(200):
+        policy.step(None, arm.keyframe("home"))
+    off = poses[-1].inv() * arm.link_poses(policy.q)[-1]
+    assert max(np.abs(off.translation).max(), off.rotation.magnitude()) < 1e-4
+    far = RigidTransform.from_translation([[9.0, 0.0, 0.0]])
+    assert [finding.kind for finding in policy.accept(far, policy.now, 0.1).findings] == ["reach"]
 
 
 def test_a_chunk_for_later_begins_then_and_a_new_target_is_newer(gantry):
