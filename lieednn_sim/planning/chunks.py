@@ -89,12 +89,7 @@ class ChunkCurve:
     @classmethod
     def through(cls, arm: Arm, targets: Floats, step: float) -> ChunkCurve:
         """The curve of targets ``(H, n)``, smoothed if they are noisy, within the position limits."""
-        count = len(targets)
-        if count < 4:
-            # A cubic needs four.
-            fine = np.linspace(0.0, count - 1.0, max(3 * (count - 1), 3) + 1)
-            step *= float(fine[1]) or 1.0
-            targets = np.stack([np.interp(fine, np.arange(count), column) for column in targets.T], axis=1)
+        targets = targets if len(targets) > 1 else targets.repeat(2, axis=0)
         control, modes, bending = _fitting(len(targets))
         parts, weighted = modes.T @ targets, _WEIGHTS[:, None] * bending
         lost = weighted / (1.0 + weighted)
@@ -322,9 +317,9 @@ def _fitting(count: int) -> tuple[Floats, Floats, Floats]:
     These are ``(count + 2, count)``, orthonormal ``(count, count)`` and ``(count,)``.
     """
     values = (np.eye(count, count + 2) + 4.0 * np.eye(count, count + 2, 1) + np.eye(count, count + 2, 2)) / 6.0
-    thirds = np.diff(np.eye(count + 2), n=3, axis=0)
-    # Lagrange's conditions of the least |D c|^2 with B c = y.
-    system = np.block([[thirds.T @ thirds, values.T], [values, np.zeros((count, count))]])
+    firsts, thirds = (np.diff(np.eye(count + 2), n=order, axis=0) for order in (1, 3))
+    # Lagrange's conditions of the least |D c|^2 with B c = y; two targets do not determine it.
+    system = np.block([[thirds.T @ thirds + 1e-9 * firsts.T @ firsts, values.T], [values, np.zeros((count, count))]])
     control = np.linalg.solve(system, np.eye(2 * count + 2)[:, count + 2 :])[: count + 2]
     bent = thirds @ control
     bending, modes = np.linalg.eigh(bent.T @ bent)

@@ -278,3 +278,22 @@ def test_what_is_misused_is_said(gantry):
         ChunkOptions(newest=2.0)
     policy = make_policy("lieednn-chunks", gantry, np.full(4, 0.1), start=HOME)
     assert (policy.certified, str(policy.accept(np.zeros((3, 4)), 0.0, 0.1))) == (True, "accepted")
+
+
+def test_around_a_pole_if_asked(gantry):
+    """The chunk goes through the pole to a place behind it."""
+    pytest.importorskip("ompl")
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name="pole", pos=[1.0, 0.8, 0.0])
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.05, 4.0, 0.0])
+    arm = dataclasses.replace(gantry.with_obstacles(spec, "pole"), scene="free")
+    t = np.linspace(0.0, 1.0, 31)
+    chunk = np.outer(3.0 * t**2 - 2.0 * t**3, [0.0, 1.6, 0.0, 0.0])
+    verdict = made(arm).accept(chunk, 0.0, 0.1)
+    assert [(finding.kind, finding.repaired) for finding in verdict.findings] == [("contact", False)]
+    policy = made(arm, repaired=(*REPAIRED, "contact"))
+    verdict = policy.accept(chunk, 0.0, 0.1)
+    assert [(finding.kind, finding.repaired) for finding in verdict.findings] == [("contact", True)]
+    q = run(policy, 900)[:, 0]
+    np.testing.assert_allclose(q[-1], chunk[-1], atol=1e-5)
+    assert not any(arm.contacts(row) for row in q)
