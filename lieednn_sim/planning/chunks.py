@@ -179,7 +179,7 @@ def _ramp(x: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def judge(
-    arm: Arm, targets: Floats, step: float, passed: float, repaired: Collection[str]
+    arm: Arm, targets: Floats, step: float, passed: float, reference: Floats, repaired: Collection[str]
 ) -> tuple[list[tuple[float, ChunkCurve]], list[Finding]]:
     """What is wrong with a chunk, and the curves of its parts between jumps, mended.
 
@@ -191,6 +191,7 @@ def judge(
         targets: ``(H, n)`` finite targets [rad, m].
         step: h, time between two of them [s].
         passed: time since the first one [s]; how fast the curve was before does not count.
+        reference: ``(n,)`` where the arm should be now [rad, m].
         repaired: kinds of findings that are repaired.
 
     Returns:
@@ -227,6 +228,11 @@ def judge(
     if len(edges) > MOST_JUMPS + 2:
         text = f"it jumps {len(edges) - 2} times, more than {MOST_JUMPS} are no motion"
         findings["motion", -1] = Finding("motion", text)
+    for begin, curve in [part for part in parts if part[0] <= passed][-1:]:
+        u = min(passed - begin, curve.duration)
+        away = np.abs(curve(np.array([u]))[0, 0] - reference)
+        for joint in np.flatnonzero(away > step * speed).tolist():
+            note("jump", "begins away by", round((begin + u) / step), joint, away[joint], step * speed[joint])
     for (begin, curve), (a, b) in zip(parts, pairwise(edges), strict=False):
         off = np.abs(curve(step * np.arange(float(b - a)))[0] - mended[a:b])
         for row, joint in np.argwhere(off > step * speed).tolist():

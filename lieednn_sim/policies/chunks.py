@@ -25,17 +25,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim.arm import Arm, solve_ik
+from lieednn_sim.arm import solve_ik
 from lieednn_sim.errors import InputError, NoSolutionError, PlanError
 from lieednn_sim.planning.chunks import ChunkCurve, ChunkMotion, Finding, go_over, judge
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
-from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.timed_path import TimedPath
-from lieednn_sim.policies.base import has_jumped
-from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
+from lieednn_sim.policies.feedback import FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import GENTLY, ReplanningOptions, ReplanningPolicy
-from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive
+from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -119,20 +117,9 @@ class ChunkPolicy(ReplanningPolicy):
 
     channel_units = MappingProxyType({**ReplanningPolicy.channel_units, "accepted": "1", "refused": "1", "proved": "s"})
     _taken_over, _used = 1.0, 1.0
+    _defaults = ChunkOptions
     _options: ChunkOptions
     _proof: ProofAhead | None
-
-    def __init__(
-        self,
-        arm: Arm,
-        rate: float = 100.0,
-        *,
-        motion: Motion | None = None,
-        options: ChunkOptions | None = None,
-        feedback: Feedback | None = FEEDBACK,
-        seed: Seed = 0,
-    ) -> None:
-        super().__init__(arm, rate, motion=motion, options=options or ChunkOptions(), feedback=feedback, seed=seed)
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
@@ -172,13 +159,12 @@ class ChunkPolicy(ReplanningPolicy):
         findings, dropped, motion = list[Finding](), 0, None
         try:
             targets, begin, step = self._read(chunk, t0, dt)
-            dropped = int(np.clip(math.ceil((self.now - begin) / step - 1e-9), 0, len(targets)))
-            blended = self._blended(targets, begin, step)
-            parts, findings = judge(self.arm, blended, step, self.now - begin, self._options.repaired)
-            timed = [(begin + first, curve) for first, curve in parts]
-            findings += self._apart(*timed[0])
+            passed = self.now - begin
+            dropped = int(np.clip(math.ceil(passed / step - 1e-9), 0, len(targets)))
+            blended, repaired = self._blended(targets, begin, step), self._options.repaired
+            parts, findings = judge(self.arm, blended, step, passed, self.drawn, repaired)
             if all(finding.repaired for finding in findings):
-                findings += self._turn_onto(timed)
+                findings += self._turn_onto([(begin + first, curve) for first, curve in parts])
                 self._newest, motion = begin, self.course.transition
         except _RefusedError as refused:
             findings.append(refused.finding)
@@ -189,15 +175,16 @@ class ChunkPolicy(ReplanningPolicy):
 
     def _read(self, chunk: ArrayLike, t0: float, dt: float) -> tuple[Floats, float, float]:
         """The targets, the time of the first one, and that between two; raises `_RefusedError`."""
-        kind, shape = "shape", ("H", self.arm.n_joints)
+        kind, n = "reach", self.arm.n_joints
         try:
             if hasattr(chunk, "as_matrix"):
-                kind = "reach"
                 chunk = self._at_poses(chunk)
-            elif not len(as_floats("chunk", np.nan_to_num(np.asarray(chunk)), shape, largest=np.inf)):
+            kind = "shape"
+            kind = "nan" if np.shape(chunk)[1:] == (n,) and np.size(chunk) else kind
+            targets = as_floats("chunk", chunk, ("H", n))
+            if not len(targets):
                 raise InputError("chunk must have at least one target, got none")
-            kind = "nan"
-            targets, kind = as_floats("chunk", chunk, shape), "times"
+            kind = "times"
             begin, step = float(as_floats("t0", t0, ())), as_positive("dt", dt)
         except (InputError, NoSolutionError, TypeError, ValueError) as error:
             raise _RefusedError(Finding(kind, str(error))) from None
@@ -226,17 +213,6 @@ class ChunkPolicy(ReplanningPolicy):
         left = np.clip((curve.duration - u) / max(curve.duration - (self.now - then), self._options.fade), 0.0, 1.0)
         weight = (1.0 - self._options.newest) * (left * left * (3.0 - 2.0 * left))[:, None]
         return (1.0 - weight) * targets + weight * curve(np.clip(u, 0.0, curve.duration))[0]
-
-    def _apart(self, begin: float, curve: ChunkCurve) -> list[Finding]:
-        """Whether a curve is elsewhere now than the reference."""
-        name, u = self.arm.joint_names, np.clip(self.now - begin, 0.0, curve.duration)
-        away = np.abs(curve(np.array([u]))[0, 0] - self.drawn)
-        if begin > self.now or not has_jumped(self.arm, away / curve.step):
-            return []
-        joint = int((away / self.range).argmax())
-        text = f"it is {away[joint]:.3g} {self.arm.unit(joint)} from where joint {name[joint]!r} is"
-        mended = "jump" in self._options.repaired
-        return [Finding("jump", text, mended, round(u / curve.step), name[joint], float(away[joint]))]
 
     def _turn_onto(self, parts: list[tuple[float, ChunkCurve]]) -> list[Finding]:
         """Follow parts, or go to their end on another way if they touch something and that is allowed."""

@@ -108,6 +108,7 @@ class ReplanningPolicy(FeedbackPolicy):
     channel_units = MappingProxyType({**FeedbackPolicy.channel_units, "changes": "1", "blocked": "1"})
     # Parts of the limits of acceleration: what a change may take over, and what the pace may use.
     _taken_over, _used = 0.5, 0.85
+    _defaults = ReplanningOptions
     # Set with every motion taken: t_r, the network's time z, c, and the velocity of the motion itself.
     rest_at: float
     _z: float
@@ -129,7 +130,7 @@ class ReplanningPolicy(FeedbackPolicy):
             raise InputError(f"the motion has {n} joint coordinates, arm {arm.name!r} has {arm.n_joints}")
         self._encoder = CurveEncoder(arm.n_links)
         self._given, self._seed = motion, as_seed("seed", seed)
-        self._options = ReplanningOptions() if options is None else options
+        self._options = self._defaults() if options is None else options
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""

@@ -96,7 +96,7 @@ def test_faults_are_found_with_their_values_and_mended(gantry):
     flat = np.zeros((20, 4))
 
     def found(changed, step=0.1):
-        parts, findings = judge(gantry, changed, step, 0.0, REPAIRED)
+        parts, findings = judge(gantry, changed, step, 0.0, np.minimum(changed[0], 2.0), REPAIRED)
         return parts, {finding.kind: (finding.joint, finding.row, finding.value, finding.limit) for finding in findings}
 
     assert found(flat)[1] == {}
