@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning.chunks import ChunkCurve, judge
+from lieednn_sim.planning.chunks import ChunkCurve, go_over, judge
 from lieednn_sim.planning.clearance import ProofAhead, proved_clearance
 from lieednn_sim.policies import ChunkOptions, ChunkPolicy, make_policy
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
@@ -308,3 +308,15 @@ def test_around_a_pole_if_asked(gantry):
     q = run(policy, 900)[:, 0]
     np.testing.assert_allclose(q[-1], chunk[-1], atol=1e-5)
     assert not any(arm.contacts(row) for row in q)
+
+
+def test_a_motion_along_a_curve_has_the_derivatives_of_its_positions_and_its_state_at_the_beginning(gantry):
+    curve, v, a = ChunkCurve.through(gantry, swing(0.05 * np.arange(30)), 0.05), *map(np.array, ([0.1] * 4, [0.5] * 4))
+    now = np.stack([curve(np.array([0.3]))[0, 0] + 0.01, v, a])
+    motion = go_over(gantry, now, curve, 0.3, 1.2, 0.2)
+    t, h = np.linspace(0.05, motion.duration - 0.05, 60), 1e-4
+    before, at, after = motion(t - h), motion(t), motion(t + h)
+    for order in (0, 1):
+        np.testing.assert_allclose((after[order] - before[order]) / (2.0 * h), at[order + 1], atol=2e-3)
+    np.testing.assert_allclose(np.stack(motion(np.zeros(1)))[:, 0], now, atol=1e-9)
+    np.testing.assert_allclose(motion(np.array([motion.duration, 9.0]))[0], curve(np.array([1.2] * 2))[0], atol=1e-9)
