@@ -168,6 +168,10 @@ class ChunkMotion(Transition):
         """Duration [s]; the fade may outlast the base."""
         return max(super().duration, self.fade)
 
+    @property
+    def _one(self) -> bool:
+        return False
+
     def _along(self, own: Floats) -> Floats:
         return self.base.states(own)
 

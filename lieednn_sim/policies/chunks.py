@@ -261,11 +261,11 @@ class ChunkPolicy(ReplanningPolicy):
             self._require_clear(samples[-1][1], motion.duration)
             return motion
 
-        # A shorter part has a smaller code.
-        for part in (1.0, 0.5, 0.25):
+        # A shorter part has a smaller code, which is nearer to it. The rest comes back to it by further codes.
+        for part, most in ((1.0, 0.5 * options.tolerance), (0.5, options.tolerance), (0.25, np.inf)):
             horizon, samples = part * share * options.horizon, list[tuple[Floats, Floats, Floats]]()
             try:
-                self.go_along(onto)
+                self.go_along(onto, most)
                 break
             except PlanError as refused:
                 error = str(refused)

@@ -36,6 +36,7 @@ from scipy.interpolate import PPoly
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
+from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
@@ -93,7 +94,6 @@ class ReplanningPolicy(FeedbackPolicy):
         seed: seed of the searches.
 
     Attributes:
-        network: the certified network with its present code and bias.
         changes: number of codes taken since the reset.
         course: the present motion.
         time: time of the present motion [s].
@@ -170,6 +170,11 @@ class ReplanningPolicy(FeedbackPolicy):
     # How it goes along its present motion.
 
     @property
+    def network(self) -> LieEDNN:
+        """The certified network with its present code and bias."""
+        return self.course.network
+
+    @property
     def state(self) -> Floats:
         """``(N, 6)`` state of the visible neurons, one for each link."""
         return self.course.state.x.reshape(-1, 6)
@@ -212,17 +217,20 @@ class ReplanningPolicy(FeedbackPolicy):
         """Turn to a base motion, see `transition`; raises `PlanError` if there is no clear transition or no code."""
         self.go_along(lambda now: transition(self.arm, now, base, clear))
 
-    def go_along(self, make: Callable[[Floats], Transition]) -> None:
-        """Go along the transition that is made for the present state ``(3, n)``; raises `PlanError` as `take` does."""
+    def go_along(self, make: Callable[[Floats], Transition], most: float = math.inf) -> None:
+        """Go along the transition that is made for the present state ``(3, n)``, see `TimedPath`.
+
+        Raises `PlanError` as `take` does.
+        """
         # The state of the joints in the time of a motion that begins now, at this pace.
         pace = max(self._waiting, self.pace, _RESTS)
         ratio = self.pace / pace
         _, _, bend = self.course.transition(np.array([self.time]))
-        most = self._taken_over * self.arm.acceleration_limits
+        limits = self._taken_over * self.arm.acceleration_limits
         qdd = ratio**2 * bend[0] + self._pace_rate / pace**2 * self._velocity
-        now = np.stack([self.drawn, ratio * self._velocity, np.clip(qdd, -most, most)])
+        now = np.stack([self.drawn, ratio * self._velocity, np.clip(qdd, -limits, limits)])
         try:
-            course = TimedPath(self.arm, self._encoder, make(now), self.state)
+            course = TimedPath(self.arm, self._encoder, make(now), self.state, most)
         except InputError as error:
             raise PlanError(f"the network cannot follow the motion: {error}") from None
         self.pace, self._pace_rate = pace, 0.0
@@ -235,13 +243,11 @@ class ReplanningPolicy(FeedbackPolicy):
 
     def _follow(self, course: TimedPath) -> None:
         """Follow a course from its beginning."""
-        self.course, self.network = course, course.network
+        self.course = course
         self.time, self._z, self.rest_at = 0.0, 0.0, math.inf
         self.changes += 1
-        _, rate = course.clock(0.0)
-        _, slope = self._retraction(self.state, course.state.flow.reshape(-1, 6))
-        self._velocity = rate * slope
-        _, qd, _ = course.transition(np.linspace(0.0, course.transition.duration, 64))
+        _, qd, _ = course.transition.even
+        self._velocity = qd[0]
         swift = np.abs(qd).max(axis=0) / self.arm.acceleration_limits
         self._braking = GENTLY / max(float(swift.max()), GENTLY * _SOONEST)
 
@@ -269,7 +275,7 @@ class ReplanningPolicy(FeedbackPolicy):
 
         def clear(q: Floats) -> str | None:
             result = self._surroundings.blocked(q)
-            self._blocker = result[1] if result else ""
+            self._blocker = result[1] if result else self._blocker
             return repr(result[1]) if result else None
 
         # Where limits alone refuse all transitions, nothing is in the way.
