@@ -36,8 +36,8 @@ _SEGMENT = np.concatenate([np.linalg.matrix_power(_POWERS, k) @ _CUBIC for k in 
 _WEIGHTS, _NEARLY = np.logspace(-3.0, 7.0, 21), 1.3
 # Factors on the least duration of a chunk and on that of the fade onto it, those tried first that delay it least.
 _TRIED = sorted(product((1.0, 1.15, 1.4, 2.0, 3.0, 5.0, 8.0), (1.0, 1.4, 2.0, 3.0, 5.0)), key=math.prod)
-# Chunks with more jumps than this are no motion.
-MOST_JUMPS = 4
+# Chunks with more jumps than this are no motion; with more targets, the first of a length would take long to fit.
+MOST_JUMPS, MOST_TARGETS = 4, 256
 
 
 @dataclass(frozen=True)
@@ -313,14 +313,14 @@ def _shortest_ramp(arm: Arm, curve: ChunkCurve, begin: float, end: float, slower
     # From the shortest on, at least 0.04 s.
     tried = most * 0.75 ** np.arange(max(math.log(most / 0.04) / math.log(4.0 / 3.0), 0.0) // 1.0 + 1.0)[::-1]
     gone, rate, bend = _ramp(np.linspace(0.0, 1.0, 9))
-    _, slope, turn = curve(np.maximum(end - tried[:, None] / slower * (0.5 - gone), begin).ravel())
-    slowing = bend / tried[:, None] / slower
-    qdd = turn * np.tile(rate**2, len(tried))[:, None] / slower**2 + slope * np.ravel(slowing * 1.0)[:, None]
-    fits = (np.abs(qdd) <= arm.acceleration_limits).all(axis=1).reshape(len(tried), -1).all(axis=1)
+    times = tried[:, None] / slower
+    _, slope, turn = curve(np.maximum(end - times * (0.5 - gone), begin).ravel()).reshape(3, len(tried), 9, -1)
+    qdd = (turn * (rate**2)[:, None] + slope * (bend / times)[..., None]) / slower**2
+    fits = (np.abs(qdd) <= arm.acceleration_limits).all(axis=(1, 2))
     return float(tried[fits.argmax()]) if fits.any() else None
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=64)
 def _fitting(count: int) -> tuple[Floats, Floats, Floats]:
     """Of ``count`` targets: control points of the smoothest curve through values, its modes, and how bent these are.
 

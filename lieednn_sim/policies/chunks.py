@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import solve_ik
 from lieednn_sim.errors import InputError, NoSolutionError, PlanError
-from lieednn_sim.planning.chunks import ChunkCurve, ChunkMotion, Finding, go_over, judge
+from lieednn_sim.planning.chunks import MOST_TARGETS, ChunkCurve, ChunkMotion, Finding, go_over, judge
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
 from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.policies.feedback import FeedbackPolicy
@@ -142,8 +142,8 @@ class ChunkPolicy(ReplanningPolicy):
         """Follow a chunk from now on, or refuse it; call it between two steps.
 
         Args:
-            chunk: ``(H, n)`` joint targets [rad, m]; or H poses of the end effector in the world, of which each becomes
-                the joint target next to the one before (`solve_ik`), which takes about a millisecond each.
+            chunk: ``(H, n)`` joint targets [rad, m], at most 256; or H poses of the end effector in the world, of which
+                each becomes the joint target next to the one before (`solve_ik`), in about a millisecond.
             t0: the time of `now` for which the first one is [s]. If that is yet to come, what goes on before goes on
                 until then.
             dt: time between two targets [s].
@@ -182,8 +182,9 @@ class ChunkPolicy(ReplanningPolicy):
             kind = "shape"
             kind = "nan" if np.shape(chunk)[1:] == (n,) and np.size(chunk) else kind
             targets = as_floats("chunk", chunk, ("H", n))
-            if not len(targets):
-                raise InputError("chunk must have at least one target, got none")
+            if not 1 <= len(targets) <= MOST_TARGETS:
+                kind = "shape"
+                raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")
             kind = "times"
             begin, step = float(as_floats("t0", t0, ())), as_positive("dt", dt)
         except (InputError, NoSolutionError, TypeError, ValueError) as error:

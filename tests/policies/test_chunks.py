@@ -71,6 +71,7 @@ def test_a_long_chunk_is_coded_piece_by_piece(gantry):
     [
         (np.zeros((5, 3)), 0.0, 0.1, "shape"),
         (np.zeros((0, 4)), 0.0, 0.1, "shape"),
+        (np.zeros((257, 4)), 0.0, 0.1, "shape"),
         (["a"], 0.0, 0.1, "shape"),
         (np.array([[0.0, 0.0, np.nan, 0.0]] * 2), 0.0, 0.1, "nan"),
         (np.zeros((5, 4)), np.nan, 0.1, "times"),
