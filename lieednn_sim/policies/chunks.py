@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -110,6 +111,8 @@ class ChunkPolicy(ReplanningPolicy):
         arm, rate, motion, options, feedback, seed: as of `ReplanningPolicy`.
 
     Attributes:
+        source: called in each period with `now` and the measured joints ``(n,)``, or the reference where nothing is
+            measured; returns None, or the arguments of `accept`. None at first; to be set.
         verdict: that of the last chunk.
         counts: number of findings of each kind since the reset, of motions ``unproved``, and of chunks ``accepted`` and
             ``refused``.
@@ -117,6 +120,7 @@ class ChunkPolicy(ReplanningPolicy):
 
     channel_units = MappingProxyType({**ReplanningPolicy.channel_units, "accepted": "1", "refused": "1", "proved": "s"})
     _taken_over, _used = 1.0, 1.0
+    source: Callable[[float, Floats], tuple[ArrayLike | RigidTransform, float, float] | None] | None = None
     _defaults = ChunkOptions
     _options: ChunkOptions
     _proof: ProofAhead | None
@@ -139,7 +143,7 @@ class ChunkPolicy(ReplanningPolicy):
         return self._periods * self.period
 
     def accept(self, chunk: ArrayLike | RigidTransform, t0: float, dt: float) -> ChunkVerdict:
-        """Follow a chunk from now on, or refuse it; call it between two steps.
+        """Follow a chunk from now on, or refuse it; call it between two steps, or let `source` give it.
 
         Args:
             chunk: ``(H, n)`` joint targets [rad, m], at most 256; or H poses of the end effector in the world, of which
@@ -305,6 +309,8 @@ class ChunkPolicy(ReplanningPolicy):
 
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""
+        if self.source and (given := self.source(self.now, self.q if measured is None else measured)):
+            self.accept(*given)
         inside, _ = super().act(measured, target)
         # At a limit the network may be beyond it by what its code lacks.
         qd = np.where(np.abs(inside - self.drawn) < self._options.tolerance, self._rate, 0.0)

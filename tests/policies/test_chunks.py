@@ -12,6 +12,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.planning.chunks import ChunkCurve, go_over, judge
 from lieednn_sim.planning.clearance import ProofAhead, proved_clearance
 from lieednn_sim.policies import ChunkOptions, ChunkPolicy, make_policy
+from lieednn_sim.simulation import follow
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 
 REPAIRED = ChunkOptions().repaired
@@ -52,6 +53,21 @@ def test_clean_chunks_are_followed_as_they_are_and_the_last_to_its_end(delay, ga
     assert policy.network.certificate is CurveEncoder(2).network.certificate
     np.testing.assert_allclose(policy.network.visible(policy.network.equilibrium().xi), gantry.encode(swing(t[-1])))
     assert policy.counts == {"accepted": 20}
+
+
+def test_a_source_gives_chunks_while_an_arm_follows(gantry):
+    policy, seen = made(gantry), []
+
+    def source(now, measured):
+        seen.append((now, measured.copy()))
+        return (swing(now - 0.1 + 0.02 * np.arange(50)), now - 0.1, 0.02) if len(seen) % 30 == 1 else None
+
+    policy.source = source
+    rollout = follow(policy, HOME, 2.0).rollout
+    assert (len(seen), policy.counts) == (201, {"accepted": 7})
+    np.testing.assert_allclose([now for now, _ in seen], 0.01 * np.arange(201), atol=1e-9)
+    np.testing.assert_allclose(rollout.q, swing(rollout.t), atol=2e-3)
+    np.testing.assert_allclose([measured for _, measured in seen], swing(0.01 * np.arange(201)), atol=2e-3)
 
 
 def test_a_long_chunk_is_coded_piece_by_piece(gantry):
