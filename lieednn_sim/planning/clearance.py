@@ -243,7 +243,7 @@ class ProofAhead:
     def __init__(self, arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats) -> None:
         self._arm, self._step, self._cubics = arm, float(t[1] - t[0]), Cubics(float(t[1] - t[0]), q, qd, off)
         # In the order of time, the next ones last.
-        self._left = list(zip(*(edge[::-1].tolist() for edge in _edges(q)), strict=True))
+        self._left = list(zip(*(edge[::-1].tolist() for edge in _edges(q, 4)), strict=True))
         self.pair: tuple[str, ...] = ()
 
     @property
@@ -272,10 +272,10 @@ class ProofAhead:
             self._left += zip(edges[1:].tolist(), edges[:-1].tolist(), strict=True)
 
 
-def _edges(q: Floats) -> tuple[Floats, Floats]:
-    """Begin and end of the first intervals of a motion ``(K, n)``, in steps."""
+def _edges(q: Floats, least: int = _FIRST) -> tuple[Floats, Floats]:
+    """Begin and end of the first intervals of a motion ``(K, n)``, at least so many, in steps."""
     way = float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
-    edges = np.unique(np.linspace(0, len(q) - 1, max(_FIRST, math.ceil(way / _WAY)) + 1).round())
+    edges = np.unique(np.linspace(0, len(q) - 1, max(least, math.ceil(way / _WAY)) + 1).round())
     return edges[:-1], edges[1:]
 
 
