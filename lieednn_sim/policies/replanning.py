@@ -228,7 +228,7 @@ class ReplanningPolicy(FeedbackPolicy):
         _, _, bend = self.course.transition(np.array([self.time]))
         limits = self._taken_over * self.arm.acceleration_limits
         qdd = ratio**2 * bend[0] + self._pace_rate / pace**2 * self._velocity
-        now = np.stack([self.drawn, ratio * self._velocity, np.clip(qdd, -limits, limits)])
+        now = np.array([self.drawn, ratio * self._velocity, np.minimum(np.maximum(qdd, -limits), limits)])
         try:
             course = TimedPath(self.arm, self._encoder, make(now), self.state, most)
         except InputError as error:
