@@ -270,7 +270,7 @@ class ChunkPolicy(ReplanningPolicy):
         for part, most in ((1.0, 0.5 * options.tolerance), (0.5, options.tolerance), (0.25, np.inf)):
             horizon, samples = part * share * options.horizon, list[tuple[Floats, Floats, Floats]]()
             try:
-                self.go_along(onto, most)
+                self._go_along(onto, most)
                 break
             except PlanError as refused:
                 error = str(refused)

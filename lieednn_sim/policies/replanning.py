@@ -215,9 +215,9 @@ class ReplanningPolicy(FeedbackPolicy):
 
     def take(self, base: PPoly, clear: Callable[[Floats], str | None]) -> None:
         """Turn to a base motion, see `transition`; raises `PlanError` if there is no clear transition or no code."""
-        self.go_along(lambda now: transition(self.arm, now, base, clear))
+        self._go_along(lambda now: transition(self.arm, now, base, clear))
 
-    def go_along(self, make: Callable[[Floats], Transition], most: float = math.inf) -> None:
+    def _go_along(self, make: Callable[[Floats], Transition], most: float = math.inf) -> None:
         """Go along the transition that is made for the present state ``(3, n)``, see `TimedPath`.
 
         Raises `PlanError` as `take` does.
