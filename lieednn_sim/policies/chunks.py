@@ -9,9 +9,9 @@ What is proved: a change makes another code of one certified network. After the 
 need not rest, it converges to the end of what is coded: the last target, or of a long chunk a point of its curve, from
 where the rest is coded. Along a motion, which was looked at for contact at samples, no contact is proved ahead of the
 arm, a few intervals in each period, and it rests before the first one that cannot be proved. The proof is for joints
-within a tolerance of the motion; if the network is further from it, another code is made. Nothing is proved of arms
-whose loops move parts (`Arm.dependents`), and among obstacles that were seen to move. The reference keeps the limits of
-velocity and acceleration by construction: it follows the network within them.
+within a tolerance of the motion, less at its beginning; where a look finds the network further off, another code is
+made. Nothing is proved of arms whose loops move parts (`Arm.dependents`), and among obstacles that were seen to move.
+The reference keeps the limits of velocity and acceleration by construction: it follows the network within them.
 """
 
 from __future__ import annotations
