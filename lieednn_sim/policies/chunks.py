@@ -282,7 +282,6 @@ class ChunkPolicy(ReplanningPolicy):
             # It begins where the state is.
             off = options.tolerance * np.minimum(t / options.fade, 1.0)[:, None] + np.zeros_like(q)
             self._proof = ProofAhead(self.arm, t, q, qd, off)
-            self._prove()
 
     def _require_clear(self, q: Floats, duration: float) -> None:
         """Raise `_RefusedError` where something is in the way at samples ``(K, n)`` of a motion."""
