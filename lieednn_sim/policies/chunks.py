@@ -292,10 +292,13 @@ class ChunkPolicy(ReplanningPolicy):
             raise _RefusedError(Finding("contact", text, value=distance, limit=self.arm.clearance))
 
     def _prove(self) -> None:
-        """Go on with the proof of the present motion."""
-        if self._proof is not None and not self._proof.pair:
-            self._proof.advance(2)
-            if self._proof.pair:
+        """Go on with the proof of the present motion, at least until the arm need not brake for want of it."""
+        proof, enough = self._proof, self.time + GENTLY / (2.0 * self._braking)
+        for k in range(8):
+            if proof is None or proof.pair or (k and proof.time > enough):
+                break
+            proof.advance(1)
+            if proof.pair:
                 self.counts["unproved"] += 1
 
     def _follow(self, course: TimedPath) -> None:
