@@ -346,6 +346,11 @@ _POLICIES = {
         "a certified network that takes new targets and new paths, among obstacles that move",
         "ReplanningOptions",
     ),
+    "lieednn-chunks": PolicyEntry(
+        "policies.chunks:chunks",
+        "a certified network that follows chunks of targets, as learned policies emit them, within the limits",
+        "ChunkOptions",
+    ),
     "linear-attractor": PolicyEntry("policies.network_policy:linear", "the network without weights: straight in se(3)"),
     "dmp": PolicyEntry("policies.planned:primitive", "a movement primitive that imitates a motion", "PrimitiveOptions"),
     "fabric": PolicyEntry("policies.fabric:fabric", "an attractor, and obstacles that repel", "FabricOptions"),

@@ -69,7 +69,7 @@ def _demonstration() -> Any:
 # A policy of each class.
 POLICY_CLASSES = {"Fabric": "fabric", "MotionTracker": "tracker", "MovementPrimitive": "dmp", "PathIntegral": "mppi"}
 POLICY_CLASSES |= {"Policy": "fabric", "JointPolicy": "fabric", "NetworkPolicy": "linear-attractor"}
-POLICY_CLASSES |= {"ReplanningPolicy": "lieednn-replanning"}
+POLICY_CLASSES |= {"ReplanningPolicy": "lieednn-replanning", "ChunkPolicy": "lieednn-chunks"}
 CHANGING |= {*POLICY_CLASSES}
 
 

@@ -230,10 +230,52 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
     return Clearance(bound, time, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved)
 
 
-def _edges(q: Floats) -> tuple[Floats, Floats]:
-    """Begin and end of the first intervals of a motion ``(K, n)``, in steps."""
+class ProofAhead:
+    """How far from its beginning a motion is proved to be clear of contact, found a few intervals at a time.
+
+    Args:
+        arm, t, q, qd, off: as of `proved_clearance`.
+
+    Attributes:
+        pair: names of the geoms that may touch where the proof ends for good; empty while it goes on.
+    """
+
+    def __init__(self, arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats) -> None:
+        self._arm, self._step, self._cubics = arm, float(t[1] - t[0]), Cubics(float(t[1] - t[0]), q, qd, off)
+        # In the order of time, the next ones last.
+        self._left = list(zip(*(edge[::-1].tolist() for edge in _edges(q, 4)), strict=True))
+        self.pair: tuple[str, ...] = ()
+
+    @property
+    def time(self) -> float:
+        """Time up to which no contact is proved [s]; infinite if that is all."""
+        return self._step * self._left[-1][0] if self._left else math.inf
+
+    def advance(self, count: int) -> None:
+        """Evaluate the bounds of some intervals."""
+        bounds = bounds_of(self._arm)
+        if self.pair or not self._left or isinstance(bounds, str):
+            return
+        chosen = self._left[-count:]
+        begin, end = np.array(chosen).T
+        least, pairs = bounds.least(*self._cubics.around(begin, end)[:3], NEAR)
+        del self._left[-count:]
+        for (a, b), bound, pair in zip(chosen, least, pairs, strict=True):
+            if bound > 0.0:
+                continue
+            if b - a < 1.0 / 64.0:
+                self._left.append((a, b))
+                self.pair = bounds.names(pair)
+                continue
+            self.pair = ()
+            edges = np.linspace(a, b, 5)[::-1]
+            self._left += zip(edges[1:].tolist(), edges[:-1].tolist(), strict=True)
+
+
+def _edges(q: Floats, least: int = _FIRST) -> tuple[Floats, Floats]:
+    """Begin and end of the first intervals of a motion ``(K, n)``, at least so many, in steps."""
     way = float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
-    edges = np.unique(np.linspace(0, len(q) - 1, max(_FIRST, math.ceil(way / _WAY)) + 1).round())
+    edges = np.unique(np.linspace(0, len(q) - 1, max(least, math.ceil(way / _WAY)) + 1).round())
     return edges[:-1], edges[1:]
 
 

@@ -81,16 +81,19 @@ class TimedPath:
         arm, encoder: the arm, and the encoder for its number of links.
         transition: the motion of the joints.
         visible: ``(N, 6)`` visible state, whose nearest configuration is the transition's first.
+        most: how far the network's states may be from those of the transition.
 
     Attributes:
         state: the network's state, from now on.
         clock: z as a function of time.
 
     Raises:
-        InputError: the code exceeds the encoder's range.
+        InputError: the code exceeds the encoder's range, or is further off.
     """
 
-    def __init__(self, arm: Arm, encoder: CurveEncoder, transition: Transition, visible: Floats) -> None:
+    def __init__(
+        self, arm: Arm, encoder: CurveEncoder, transition: Transition, visible: Floats, most: float = np.inf
+    ) -> None:
         self.transition, duration = transition, transition.duration
         self.clock = Clock(duration, np.sqrt(((transition.even[1] / joint_scale(arm)) ** 2).sum(axis=1)))
         # For differences at the start.
@@ -109,7 +112,7 @@ class TimedPath:
         along = velocity / rate
         bend = (acceleration - (after - rate) / h * along) / rate**2
         self._encoder, self._target = encoder, target
-        self._code = encoder.code_at(rest, visible, target, along, bend)
+        self._code = encoder.code_at(rest, visible, target, along, bend, most)
         self.state = encoder.still.begun(self._code, target, visible)
 
     @cached_property

@@ -78,8 +78,8 @@ class Transition:
         result = np.multiply.accumulate(powers, out=powers).T @ self._factors
         if not self._one:
             own = np.minimum(np.maximum(t / self.slower, 0.0), self.base.x[-1])
-            for order, part in enumerate(result):
-                part += self.base(own, nu=order) / self.slower**order
+            for order, part in enumerate(self._along(own)):
+                result[order] += part / self.slower**order
         q, qd, qdd = result
         return q, qd, qdd
 
@@ -97,6 +97,10 @@ class Transition:
             own = self.base.c[::-1, 0]
             factors[: len(own)] += own * self.base.x[-1] ** np.arange(float(len(own)))[:, None]
         return _DERIVATIVES @ factors / times[..., None]
+
+    def _along(self, own: Floats) -> Floats:
+        """The base and its first two derivatives ``(3, K, n)`` at its times ``(K,)``."""
+        return np.stack([self.base(own, nu=order) for order in range(3)])
 
 
 def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str | None] | None = None) -> Transition:

@@ -4,6 +4,7 @@
 """
 
 from lieednn_sim.policies.base import Policy
+from lieednn_sim.policies.chunks import ChunkOptions, ChunkPolicy, ChunkVerdict
 from lieednn_sim.policies.fabric import Fabric, FabricOptions
 from lieednn_sim.policies.feedback import Feedback, JointPolicy
 from lieednn_sim.policies.loop import LoopReport, control_loop
@@ -20,6 +21,9 @@ from lieednn_sim.typecheck import typecheck_public
 __all__ = [
     "POLICIES",
     "CertifiedPolicyOptions",
+    "ChunkOptions",
+    "ChunkPolicy",
+    "ChunkVerdict",
     "Fabric",
     "FabricOptions",
     "Feedback",

@@ -1,18 +1,4 @@
-"""A certified network along coded motions, which takes new targets and ways around moving obstacles at any time.
-
-With the universal network's time z, its field F, and the clock's rate r(t) of a coded motion, the visible state obeys
-
-    x_v' = p r(t) F_v(x) + k d (xi(q) - xi(q_r)),    x_h' = p r(t) F_h(x),    t' = p,
-
-with s, k and d of `feedback`, and a pace p <= s that keeps the joints' accelerations within their limits, both while
-speeding up and while slowing down. Another motion changes the code, that is the hidden state, and the bias. The visible
-state stays as it is, and the code is such that its velocity and acceleration do too (`transition`).
-
-What is proved: the certificate covers every code and every bias. After the last change, once the arm keeps up (s > 0
-and no pull) and need not rest (p > 0), x' = p r F(x) has the network's orbits, which all end at the target. That a
-transition keeps limits is only checked, at samples.
-
-Before a time t_r at which the arm must rest, p <= (2 c (t_r - t))^(1/2), with the deceleration c that limits allow.
+"""A certified network that goes to new targets, and around moving obstacles, at any time; see `coded_policy`.
 
 To a new target it goes straight if that is clear. Where something is in the way, on the path ahead or on the way to a
 new target, the arm slows down so as to rest before the first blocked sample, while RRT-Connect searches for a path from
@@ -38,32 +24,25 @@ import numpy as np
 from scipy.interpolate import PPoly
 
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.timed_path import TimedPath
-from lieednn_sim.planning.transition import along, straight, transition
+from lieednn_sim.planning.transition import along, straight
+from lieednn_sim.policies.coded_policy import RESTS, SOONEST, CodedPolicy
 from lieednn_sim.policies.evasion import evasion
-from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
+from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.searching import aside, found, ready
 from lieednn_sim.policies.surroundings import Surroundings, path_around
-from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
 
 # Configurations are one if they differ by less than this fraction of the ranges.
 _SAME = 1e-6
-# Below this pace the arm rests.
-_RESTS = 1e-3
 _NOT_FREE = "the target is not free"
 # For how long obstacles are foreseen to go on as they do at most [s].
 _FORESEEN = 3.0
-# Time in which the pace may fall to zero where no joint moves fast [s], and duration of the motion of rest at first.
-_SOONEST = 0.25
 
 
 @dataclass(frozen=True)
@@ -91,7 +70,7 @@ class ReplanningOptions(PlannerOptions):
     search: RrtConnectOptions = field(default=RrtConnectOptions(max_collision_checks=(20_000,), fastest=True))
 
 
-class ReplanningPolicy(FeedbackPolicy):
+class ReplanningPolicy(CodedPolicy):
     """A policy of one certified network, which plans again whenever the target or the obstacles move.
 
     It logs ``changes``, how often it took a new code, ``blocked``, 1 while a moving obstacle is in the way, and
@@ -103,24 +82,12 @@ class ReplanningPolicy(FeedbackPolicy):
         options: settings.
         seed: seed of the searches.
 
-    Attributes:
-        changes: number of codes taken since the reset.
-        course: the present motion.
-        time: time of the present motion [s].
-        rest_at: t_r, infinite while the arm need not rest.
-        pace: factor p of the last period.
-
     Raises:
         InputError: the motion is of another arm, or a value is malformed.
     """
 
-    certified = True
-    channel_units = MappingProxyType({**FeedbackPolicy.channel_units, "changes": "1", "blocked": "1", "evading": "1"})
-    # Set with every motion taken: t_r, the network's time z, c, and the velocity of the motion itself.
-    rest_at: float
-    _z: float
-    _braking: float
-    _velocity: Floats
+    channel_units = MappingProxyType({**CodedPolicy.channel_units, "blocked": "1", "evading": "1"})
+    _defaults: type[ReplanningOptions] = ReplanningOptions
 
     def __init__(
         self,
@@ -135,19 +102,12 @@ class ReplanningPolicy(FeedbackPolicy):
         super().__init__(arm, rate, feedback=feedback)
         if motion is not None and (n := motion.q.shape[1]) != arm.n_joints:
             raise InputError(f"the motion has {n} joint coordinates, arm {arm.name!r} has {arm.n_joints}")
-        self._encoder = CurveEncoder(arm.n_links)
         self._given, self._seed = motion, as_seed("seed", seed)
-        self._options = ReplanningOptions() if options is None else options
+        self._options = self._defaults() if options is None else options
 
     def begin(self, q: Floats) -> None:
         """See `Policy`; unchecked."""
         super().begin(q)
-        self._retraction = LocalRetraction(self.arm, q)
-        self.drawn, self._waiting, self._pace_rate = q, 1.0, 0.0
-        rest = np.stack([q, np.zeros_like(q), np.zeros_like(q)])
-        stay = transition(self.arm, rest, straight(self.arm, q, q, _SOONEST))
-        self.changes = -1
-        self._follow(TimedPath(self.arm, self._encoder, stay, self.arm.encode(q)))
         self._surroundings = Surroundings(self.arm, 0.5 * self._options.margin)
         self._periods = self._searches = 0
         self._goal: Floats | None = None
@@ -158,7 +118,7 @@ class ReplanningPolicy(FeedbackPolicy):
         self._evaded = ""
         lead = (self._options.search_periods + self._options.look_every) * self.period
         # In which the arm can have moved each joint by half its range; nobody knows how obstacles go on for longer.
-        half = float(straight(self.arm, q, q + 0.5 * self.range, _SOONEST).x[-1])
+        half = float(straight(self.arm, q, q + 0.5 * self.range, SOONEST).x[-1])
         self._horizon = min(lead + half, _FORESEEN)
         self._clear_way()
         aside(self.arm, ready)
@@ -176,98 +136,17 @@ class ReplanningPolicy(FeedbackPolicy):
             return f"{does} {self._evaded!r}{f': {self._reason}' if self._reason else ''}"
         if math.isinf(self.rest_at):
             return super().message
-        does = "waits" if self.pace < _RESTS else "slows down"
+        does = "waits" if self.pace < RESTS else "slows down"
         why = f" for {self._blocker!r}" if self._blocker else " to turn"
         return f"{does}{why}{f'; {self._reason}' if self._reason else ''}"
 
     def channels(self) -> Floats:
         """See `Policy`."""
         evading = 0.0 if not self._evaded else -1.0 if self._caught else 1.0
-        return np.array([self.pace, self.behind, self.changes, math.isfinite(self._blocked_at), evading])
-
-    # How it goes along its present motion.
-
-    @property
-    def network(self) -> LieEDNN:
-        """The certified network with its present code and bias."""
-        return self.course.network
-
-    @property
-    def state(self) -> Floats:
-        """``(N, 6)`` state of the visible neurons, one for each link."""
-        return self.course.state.x.reshape(-1, 6)
-
-    def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
-        """See `Policy`; unchecked."""
-        self._decide(target)
-        self._waiting, pulled = self._listen(measured, self.drawn)
-        pull, pull_rate = pulled or (0.0, np.zeros_like(self.drawn))
-        course, ahead = self.course, self.rest_at - self.time
-        wish = self._waiting * min(1.0, math.sqrt(2.0 * self._braking * max(ahead, 0.0)))
-        guess = self._within_acceleration(wish, pull_rate)
-        self.time += 0.5 * self.period * (self.pace + guess)
-        z, rate = course.clock(self.time)
-        course.state.x = course.state.x + self.period * pull
-        course.state.advance(z - self._z)
-        self._z = z
-        self._retraction.q = self.drawn + self.period * (guess * self._velocity + pull_rate)
-        drawn, slope = self._retraction(course.state.x.reshape(-1, 6), course.state.flow.reshape(-1, 6))
-        self._velocity = rate * slope
-        pace = self._within_acceleration(wish, pull_rate)
-        desired = pace * self._velocity + pull_rate
-        slower = 1.0 / max(1.0, float((np.abs(desired) / self.allowed()).max()))
-        self._limited = slower * pace < 0.99 * self._waiting
-        self._pace_rate, self.pace = (slower * pace - self.pace) / self.period, slower * pace
-        self.drawn, inside = drawn, self._within_limits(drawn)
-        return inside, np.where(inside == drawn, slower * desired, 0.0)
-
-    def _within_acceleration(self, wish: float, extra: Floats) -> float:
-        """The pace nearest to a wish with which no joint's velocity changes by more than its limit in a period."""
-        most, change, velocity = 0.85 * self._max_gain, extra - self.qd, self._velocity
-        moving = np.abs(velocity) > 1e-9
-        ends = (np.array([-most, most]) - change)[:, moving] / velocity[moving]
-        low = float(ends.min(axis=0).max(initial=0.0))
-        high = float(ends.max(axis=0).min(initial=math.inf))
-        # Where no pace keeps all limits, since the arm is pulled, one between those that keep some of them.
-        return max(min(wish, max(low, high)), min(low, high, self._waiting))
-
-    def take(self, base: PPoly, clear: Callable[[Floats], str | None]) -> None:
-        """Turn to a base motion, see `transition`; raises `PlanError` if there is no clear transition or no code."""
-        # The state of the joints in the time of a motion that begins now, at this pace.
-        pace = max(self._waiting, self.pace, _RESTS)
-        ratio = self.pace / pace
-        _, _, bend = self.course.transition(np.array([self.time]))
-        most = 0.5 * self.arm.acceleration_limits
-        qdd = ratio**2 * bend[0] + self._pace_rate / pace**2 * self._velocity
-        now = np.array([self.drawn, ratio * self._velocity, np.minimum(np.maximum(qdd, -most), most)])
-        result = transition(self.arm, now, base, clear)
-        try:
-            course = TimedPath(self.arm, self._encoder, result, self.state)
-        except InputError as error:
-            raise PlanError(f"the network cannot follow the motion: {error}") from None
-        self.pace, self._pace_rate = pace, 0.0
-        self._follow(course)
-
-    @property
-    def stopping(self) -> float:
-        """How far the present motion goes on, in its time, until the arm can rest [s]."""
-        return self.pace**2 / (2.0 * self._braking)
-
-    def _follow(self, course: TimedPath) -> None:
-        """Follow a course from its beginning."""
-        self.course = course
-        self.time, self._z, self.rest_at = 0.0, 0.0, math.inf
-        self.changes += 1
-        _, qd, _ = course.transition.even
-        self._velocity = qd[0]
-        swift = np.abs(qd).max(axis=0) / self.arm.acceleration_limits
-        # The pace falls by a fraction of the accelerations' limits.
-        self._braking = 0.35 / max(float(swift.max()), 0.35 * _SOONEST)
-
-    # Where it goes.
+        return np.append(super().channels(), [math.isfinite(self._blocked_at), evading])
 
     def _decide(self, target: Floats) -> None:
-        """Take another motion, or set when to rest, as the target ``(n,)`` requires; in each period."""
+        """See `CodedPolicy`."""
         self._surroundings.leave(self.drawn)
         if target is not self._goal:
             self._goal, self._search, self._path, self._reason = target, None, None, ""
@@ -362,7 +241,7 @@ class ReplanningPolicy(FeedbackPolicy):
                 self._turn_to(path)
                 self._path, self._evaded = None, ""
         except PlanError as error:
-            self._reason, passable = str(error), self.pace > _RESTS
+            self._reason, passable = str(error), self.pace > RESTS
         # A moving arm slows down, and tries again; otherwise only another path may help.
         if not passable:
             self._path = None
@@ -375,10 +254,6 @@ class ReplanningPolicy(FeedbackPolicy):
         step = 0.04 * max(1, math.ceil((end - begin) / (0.04 * 150)))
         times = np.clip(step * np.arange(math.floor(begin / step), math.ceil(end / step) + 1), begin, end)
         return times, np.asarray(motion(times))
-
-    def _at(self, times: Floats) -> Floats:
-        """Configurations ``(K, n)`` at times of the present motion."""
-        return self.course.transition(times)[0]
 
     def _look(self, goal: Floats) -> None:
         """Look whether the path ahead is clear, and what to do if it is not, or if the arm waits."""
@@ -408,9 +283,6 @@ class ReplanningPolicy(FeedbackPolicy):
                     self._ends_at, self._search, self._path, busy = math.inf, None, None, False
         if not busy and (self._may_return(goal) if self._evaded else math.isfinite(self._ends_at)):
             self._turn(goal)
-
-    def _leads_to(self, goal: Floats) -> bool:
-        return bool(np.abs(self.course.transition.end - goal).max() < _SAME)
 
     def _foresee(self, q: Callable[[Floats], Floats]) -> tuple[float, str] | None:
         """How long [s] an arm at ``q`` of the times from now on is clear of moving obstacles, and of which then not."""
@@ -461,10 +333,13 @@ class ReplanningPolicy(FeedbackPolicy):
             self._path = None
         return True
 
+    def _leads_to(self, goal: Floats) -> bool:
+        return bool(np.abs(self.course.transition.end - goal).max() < _SAME)
+
     def _may_return(self, goal: Floats) -> bool:
         """Whether the straight way to the goal stays free; only once the arm rests, if obstacles move or are near."""
         near = self._surroundings.velocities or self._surroundings.near
-        if near and self.time < self.course.transition.duration and self.pace > _RESTS:
+        if near and self.time < self.course.transition.duration and self.pace > RESTS:
             return False
         if self._surroundings.blocked(goal[None], only_moving=True):
             self._reason = _NOT_FREE

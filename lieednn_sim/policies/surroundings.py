@@ -70,8 +70,8 @@ class Surroundings:
     def blocked(self, q: Floats, *, only_moving: bool = False) -> tuple[int, str] | None:
         """Index of the first of the configurations ``(K, n)`` at which something is in the way, and its body's name."""
         for index, qpos in enumerate(self._arm.qpos(q)):
-            if name := self._in_the_way(qpos, only_moving):
-                return index, name
+            if (found := self._in_the_way(qpos, only_moving)) is not None:
+                return index, self._obstacle_of(found[1][0])
         return None
 
     def nearing(self, q: Floats, after: Floats) -> tuple[int, str] | None:
@@ -86,14 +86,22 @@ class Surroundings:
         try:
             for index, (qpos, time) in enumerate(zip(self._arm.qpos(q), after.tolist(), strict=True)):
                 self._near.put(bodies, now + time * velocity)
-                if name := self._in_the_way(qpos, only_moving=True):
-                    return index, name
+                if (found := self._in_the_way(qpos, only_moving=True)) is not None:
+                    return index, self._obstacle_of(found[1][0])
             return None
         finally:
             self._near.put(bodies, now)
 
-    def _in_the_way(self, qpos: Floats, only_moving: bool) -> str:
-        """The body that is in the way at positions ``(nq,)``; empty without one."""
+    def nearest(self, q: Floats) -> tuple[str, str, float]:
+        """Names of the two bodies nearest to each other at ``q`` ``(n,)``, something in the way, and their distance."""
+        found = self._in_the_way(self._arm.qpos(q), only_moving=False)
+        assert found is not None
+        distance, pairs = found
+        first, second = self._model.geom_bodyid[pairs[distance.argmin()]]
+        return self._model.body(first).name, self._model.body(second).name, float(distance.min())
+
+    def _in_the_way(self, qpos: Floats, only_moving: bool) -> tuple[Floats, NDArray[np.int_]] | None:
+        """Distances ``(C,)`` and pairs ``(C, 2)`` of geoms too near at positions ``(nq,)``; moving obstacles first."""
         for finder in (self._near, None if only_moving else self._all):
             if finder is None:
                 continue
@@ -101,12 +109,13 @@ class Surroundings:
             if not len(pairs):
                 continue
             if finder is self._near:
-                _, pairs = self._near_pairs(distance, pairs, self._kept)
+                distance, pairs = self._near_pairs(distance, pairs, self._kept)
             elif self._near is not None:
-                pairs = pairs[~self._moved[pairs].any(axis=1)]
+                other = ~self._moved[pairs].any(axis=1)
+                distance, pairs = distance[other], pairs[other]
             if len(pairs):
-                return self._obstacle_of(pairs[0])
-        return ""
+                return distance, pairs
+        return None
 
     def leave(self, q: Floats) -> None:
         """Let the arm, at ``q`` ``(n,)``, get away from a moving obstacle that is nearer than the margin already.

@@ -116,7 +116,9 @@ class CurveEncoder:
         """The network's state at rest at zero, from which others begin."""
         return UndrivenState(self.network, np.zeros((self.network.n_visible, 6)))
 
-    def code_at(self, states: Floats, start: Floats, target: Floats, rate: Floats, bend: Floats) -> Floats:
+    def code_at(
+        self, states: Floats, start: Floats, target: Floats, rate: Floats, bend: Floats, most: float = np.inf
+    ) -> Floats:
         """The hidden start ``(M, 6)`` of a motion in the network's time; unchecked but for the code's range.
 
         Args:
@@ -125,16 +127,19 @@ class CurveEncoder:
             target: ``(N, 6)`` visible equilibrium.
             rate: ``(N, 6)`` dx/dt at the beginning, which the network has up to terms of third order in the code.
             bend: ``(N, 6)`` its derivative there, likewise.
+            most: how far the code's states may be from the given ones, in any coordinate.
 
         Raises:
-            InputError: the code exceeds `LARGEST_CODE`.
+            InputError: the code exceeds `LARGEST_CODE`, or its states are further off.
         """
         basis, offset = self._basis, start - target
-        missing = states - target - basis.levels[:, None, None] * offset
-        code = basis.of_levels @ missing.reshape(len(basis.levels), -1)
+        missing = (states - target - basis.levels[:, None, None] * offset).reshape(len(basis.levels), -1)
+        code = basis.of_levels @ missing
         desired = np.array([(rate + offset).ravel(), (bend + rate).ravel()])  # x' = u - (x - x_d) and x'' = u' - x'
         code += basis.starting @ (desired - basis.start @ code)
         self._require_range(code)
+        if (off := float(np.abs(basis.at_levels @ code - missing).max())) > most:
+            raise InputError(f"its states would be {off:.3g} off the motion, {most:.3g} at most are allowed")
         return self._started(code)
 
     def path(self, network: LieEDNN, start: ArrayLike) -> CubicHermiteSpline:
@@ -188,6 +193,7 @@ class _Basis:
     solution: Floats  # (pairs, F) from a displacement there to the code
     levels: Floats  # (L,) those of them that are enough for a motion
     of_levels: Floats  # (pairs, L) from a displacement at these, cubic splines in between, to the code
+    at_levels: Floats  # (L, pairs) displacements there of unit codes
     start: Floats  # (2, pairs) the input u and its derivative in time at the beginning, of unit codes
     starting: Floats  # (pairs, 2) codes of unit u and u' there that change the rest of the motion least
 
@@ -247,7 +253,8 @@ def _basis(activation: str, strength: float) -> _Basis:
     of_levels = solution @ CubicSpline(-levels, np.eye(len(levels)))(-g[looks])
     bent = np.stack([shifts, inputs(g)]).transpose(0, 2, 1, 3).reshape(2, len(g), -1)
     starting = starting @ np.linalg.inv(start @ starting)
-    return _Basis(g, bent, g[looks], solution, levels, of_levels, start, starting)
+    at_levels = np.concatenate([bumps[:used:2], bumps[used:]])
+    return _Basis(g, bent, g[looks], solution, levels, of_levels, at_levels, start, starting)
 
 
 def _at_clock(curve: Floats, units: Floats, w: Floats) -> Floats:

@@ -1,0 +1,379 @@
+"""A certified network that follows chunks of joint targets, as learned policies emit them: late, and with faults.
+
+A chunk is judged before anything moves (`planning.chunks`): it is mended where that is safe, or refused, and then the
+old one goes on. The reference goes over to its curve at the time that it is now, with continuous velocity and
+acceleration: what has passed is dropped, and what the reference lacks is made up for as fast as the limits allow. When
+chunks run out, it rests at the last target.
+
+What is proved: a change makes another code of one certified network. After the last one, once the arm keeps up and
+need not rest, it converges to the end of what is coded: the last target, or of a long chunk a point of its curve, from
+where the rest is coded. Along a motion, which was looked at for contact at samples, no contact is proved ahead of the
+arm, a few intervals in each period, and it rests before the first one that cannot be proved. The proof is for joints
+within a tolerance of the motion, less at its beginning; where a look finds the network further off, another code is
+made. Nothing is proved of arms whose loops move parts (`Arm.dependents`), and among obstacles that were seen to move.
+The reference keeps the limits of velocity and acceleration by construction: it follows the network within them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lieednn_sim.arm import solve_ik
+from lieednn_sim.errors import InputError, NoSolutionError, PlanError
+from lieednn_sim.planning.chunks import MOST_TARGETS, ChunkCurve, ChunkMotion, Finding, go_over, judge
+from lieednn_sim.planning.clearance import ProofAhead, bounds_of
+from lieednn_sim.planning.timed_path import TimedPath
+from lieednn_sim.policies.coded_policy import GENTLY
+from lieednn_sim.policies.feedback import FeedbackPolicy
+from lieednn_sim.policies.making import PolicyTask
+from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
+from lieednn_sim.validation import as_choice, as_floats, as_positive
+from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
+
+# Kinds of findings that are repaired by default; and samples of a motion at which contact is looked for.
+_REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
+_LOOKS = 33
+# Rate at which the reference comes back to the network after limits held it back [1/s].
+_RETURN = 20.0
+
+
+@dataclass(frozen=True)
+class ChunkOptions(ReplanningOptions):
+    """Options of the policy ``lieednn-chunks``.
+
+    Attributes:
+        repaired: kinds of a `Finding` that are repaired; chunks with others are refused. With ``contact`` the arm goes
+            to the end of a chunk that touches something on another way, straight or searched for.
+        fade: least time in which the reference goes over to a chunk [s].
+        newest: weight of the newest chunk where an earlier one has targets too; the earlier one has the rest, as it
+            was blended itself (temporal ensembling with weights that fall exponentially with age).
+        horizon: longest part of a chunk that is coded at once [s].
+        tolerance: how far the network may be from the motion whose clearance is proved [rad, m].
+    """
+
+    repaired: tuple[str, ...] = _REPAIRED
+    fade: float = 0.2
+    newest: float = field(default=1.0, metadata={"range": (0.0, 1.0)})
+    horizon: float = 1.5
+    tolerance: float = 1e-3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for kind in self.repaired:
+            as_choice("repaired", kind, (*_REPAIRED, "contact"))
+
+
+@dataclass(frozen=True)
+class ChunkVerdict:
+    """What became of a chunk, and why.
+
+    Attributes:
+        accepted: whether it is followed; otherwise what went on before goes on.
+        findings: what is wrong with it.
+        dropped: number of targets whose time had passed.
+        slower: factor by which it takes longer, 1 if it is within the limits.
+        fade: time in which the reference goes over to it [s].
+    """
+
+    accepted: bool
+    findings: tuple[Finding, ...] = ()
+    dropped: int = 0
+    slower: float = 1.0
+    fade: float = 0.0
+
+    def __str__(self) -> str:
+        return "; ".join(["accepted" if self.accepted else "refused", *map(str, self.findings)])
+
+
+class _RefusedError(Exception):
+    def __init__(self, finding: Finding) -> None:
+        self.finding = finding
+
+
+class ChunkPolicy(ReplanningPolicy):
+    """A policy that follows chunks of joint targets; see the module.
+
+    Until the first chunk it goes to the target of its steps, as `ReplanningPolicy` does. Later the newest command
+    counts, whether it is a chunk or another target. It logs how many chunks it ``accepted`` and ``refused``, and for
+    how long ahead its motion is ``proved`` to be clear.
+
+    Args:
+        arm, rate, motion, options, feedback, seed: as of `ReplanningPolicy`.
+
+    Attributes:
+        source: called in each period with `now` and the measured joints ``(n,)``, or the reference where nothing is
+            measured; returns None, or the arguments of `accept`. None at first; to be set.
+        verdict: that of the last chunk.
+        counts: number of findings of each kind since the reset, of motions ``unproved``, and of chunks ``accepted`` and
+            ``refused``.
+    """
+
+    channel_units = MappingProxyType({**ReplanningPolicy.channel_units, "accepted": "1", "refused": "1", "proved": "s"})
+    _taken_over, _used = 1.0, 1.0
+    source: Callable[[float, Floats], tuple[ArrayLike | RigidTransform, float, float] | None] | None = None
+    _defaults = ChunkOptions
+    _options: ChunkOptions
+    _proof: ProofAhead | None
+
+    def begin(self, q: Floats) -> None:
+        """See `Policy`; unchecked."""
+        self.verdict, self.counts = ChunkVerdict(accepted=True), Counter[str]()
+        self._asked: Floats | None = None
+        # The curve of the newest chunk, in the policy's time, and later parts of it.
+        self._curve: tuple[float, ChunkCurve] | None = None
+        self._later: list[tuple[float, ChunkCurve]] = []
+        self._newest = -math.inf
+        super().begin(q)
+        # This takes long the first time.
+        bounds_of(self.arm)
+
+    @property
+    def now(self) -> float:
+        """The policy's time since its reset [s], in which the times of chunks are given."""
+        return self._periods * self.period
+
+    def accept(self, chunk: ArrayLike | RigidTransform, t0: float, dt: float) -> ChunkVerdict:
+        """Follow a chunk from now on, or refuse it; call it between two steps, or let `source` give it.
+
+        Args:
+            chunk: ``(H, n)`` joint targets [rad, m], at most 256; or H poses of the end effector in the world, of which
+                each becomes the joint target next to the one before (`solve_ik`), in about a millisecond.
+            t0: the time of `now` for which the first one is [s]. If that is yet to come, what goes on before goes on
+                until then.
+            dt: time between two targets [s].
+
+        Returns:
+            What was found. Malformed chunks are refused, too, without an error.
+
+        Raises:
+            InputError: the policy was never reset.
+        """
+        if "q" not in vars(self):
+            raise InputError("the policy was never reset: call reset(q), or step with measured joints, before accept")
+        findings, dropped, motion = list[Finding](), 0, None
+        try:
+            targets, begin, step = self._read(chunk, t0, dt)
+            passed = self.now - begin
+            dropped = int(np.clip(math.ceil(passed / step - 1e-9), 0, len(targets)))
+            blended, repaired = self._blended(targets, begin, step), self._options.repaired
+            parts, findings = judge(self.arm, blended, step, passed, self.drawn, repaired)
+            if all(finding.repaired for finding in findings):
+                findings += self._turn_onto([(begin + first, curve) for first, curve in parts])
+                self._newest, motion = begin, self.course.transition
+        except _RefusedError as refused:
+            findings.append(refused.finding)
+        more = (motion.base.slower, motion.fade) if isinstance(motion, ChunkMotion) else ()
+        self.verdict = ChunkVerdict(motion is not None, tuple(findings), dropped, *more)
+        self.counts.update([*(finding.kind for finding in findings), "accepted" if motion else "refused"])
+        return self.verdict
+
+    def _read(self, chunk: ArrayLike, t0: float, dt: float) -> tuple[Floats, float, float]:
+        """The targets, the time of the first one, and that between two; raises `_RefusedError`."""
+        kind, n = "reach", self.arm.n_joints
+        try:
+            if hasattr(chunk, "as_matrix"):
+                chunk = self._at_poses(chunk)
+            kind = "shape"
+            kind = "nan" if np.shape(chunk)[1:] == (n,) and np.size(chunk) else kind
+            targets = as_floats("chunk", chunk, ("H", n))
+            if not 1 <= len(targets) <= MOST_TARGETS:
+                kind = "shape"
+                raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")
+            kind = "times"
+            begin, step = float(as_floats("t0", t0, ())), as_positive("dt", dt)
+        except (InputError, NoSolutionError, TypeError, ValueError) as error:
+            raise _RefusedError(Finding(kind, str(error))) from None
+        last = begin + (len(targets) - 1) * step
+        if last < self.now - 1e-9:
+            raise _RefusedError(Finding("stale", f"its last target was for {last:.3f} s, it is {self.now:.3f} s"))
+        if begin < self._newest:
+            text = f"it begins at {begin:.3f} s, one that begins at {self._newest:.3f} s came before"
+            raise _RefusedError(Finding("stale", text))
+        return targets, begin, step
+
+    def _at_poses(self, poses: RigidTransform) -> Floats:
+        """Joint targets ``(H, n)`` for poses, each next to the one before."""
+        q = [self._within_limits(self.drawn)]
+        for k in range(len(poses)):
+            q.append(solve_ik(self.arm, poses[k].translation, poses[k].rotation, start=q[-1]))
+        return np.array(q[1:])
+
+    def _blended(self, targets: Floats, begin: float, step: float) -> Floats:
+        """Targets ``(H, n)`` where earlier ones have their weight."""
+        if self._curve is None or self._options.newest == 1.0:
+            return targets
+        then, curve = self._curve
+        u = begin - then + step * np.arange(len(targets))
+        # The weight of earlier ones falls to zero where they end.
+        left = np.clip((curve.duration - u) / max(curve.duration - (self.now - then), self._options.fade), 0.0, 1.0)
+        weight = (1.0 - self._options.newest) * (left * left * (3.0 - 2.0 * left))[:, None]
+        return (1.0 - weight) * targets + weight * curve(np.clip(u, 0.0, curve.duration))[0]
+
+    def _turn_onto(self, parts: list[tuple[float, ChunkCurve]]) -> list[Finding]:
+        """Follow parts, or go to their end on another way if they touch something and that is allowed."""
+        try:
+            self._begin_parts(parts)
+        except _RefusedError as refused:
+            end = parts[-1][1].end
+            asked = refused.finding.kind == "contact" and "contact" in self._options.repaired
+            if not asked or self._surroundings.blocked(end[None]):
+                raise
+            self._command(end, parts[-1], [])
+            self._turn(end)
+            return [replace(refused.finding, repaired=True)]
+        return []
+
+    def _command(
+        self, end: Floats, curve: tuple[float, ChunkCurve] | None, later: list[tuple[float, ChunkCurve]]
+    ) -> None:
+        """Take note of what is followed and where it ends."""
+        self._wanted = self._goal = end
+        self._curve, self._later = curve, later
+        self._search = self._path = None
+
+    def _begin_parts(self, parts: list[tuple[float, ChunkCurve]]) -> None:
+        """Follow the last part whose time has come, and the later ones then; raises `_RefusedError`."""
+        due = [part for part in parts if part[0] <= self.now + 1e-9]
+        later = parts[len(due) :]
+        for begin, curve in parts[max(len(due) - 1, 0) :]:
+            u = min(max(self.now - begin, 0.0), curve.duration)
+            if begin > self.now or curve.duration > u + self._options.horizon:
+                self._require_clear(curve(np.linspace(u, curve.duration, _LOOKS))[0], curve.duration - u)
+        if due:
+            begin, curve = due[-1]
+            self._join(curve, min(self.now - begin, curve.duration))
+            self._command(curve.end, due[-1], later)
+        self._later = later
+
+    def _join(self, curve: ChunkCurve, begin: float, share: float = 1.0) -> None:
+        """Go over to a curve at one of its times, for a share of the horizon; raises `_RefusedError`."""
+        options, error = self._options, ""
+
+        def onto(now: Floats) -> ChunkMotion:
+            motion = go_over(self.arm, now, curve, begin, min(begin + horizon, curve.duration), options.fade)
+            t = np.linspace(0.0, motion.duration, _LOOKS)
+            samples.append((t, *motion(t)[:2]))
+            self._require_clear(samples[-1][1], motion.duration)
+            return motion
+
+        # A shorter part has a smaller code, which is nearer to it. The rest comes back to it by further codes.
+        for part, most in ((1.0, 0.5 * options.tolerance), (0.5, options.tolerance), (0.25, np.inf)):
+            horizon, samples = part * share * options.horizon, list[tuple[Floats, Floats, Floats]]()
+            try:
+                self._go_along(onto, most)
+                break
+            except PlanError as refused:
+                error = str(refused)
+        else:
+            raise _RefusedError(Finding("motion", error))
+        self._clear_way()
+        if not self._surroundings.places and not isinstance(bounds_of(self.arm), str):
+            t, q, qd = samples[0]
+            # It begins where the state is.
+            off = options.tolerance * np.minimum(t / options.fade, 1.0)[:, None] + np.zeros_like(q)
+            self._proof = ProofAhead(self.arm, t, q, qd, off)
+
+    def _require_clear(self, q: Floats, duration: float) -> None:
+        """Raise `_RefusedError` where something is in the way at samples ``(K, n)`` of a motion."""
+        if (result := self._surroundings.blocked(q)) is not None:
+            first, second, distance = self._surroundings.nearest(q[result[0]])
+            time = duration * result[0] / (len(q) - 1)
+            text = f"{first!r} would be {1e3 * distance:.3g} mm from {second!r} {time:.2f} s from now"
+            raise _RefusedError(Finding("contact", text, value=distance, limit=self.arm.clearance))
+
+    def _prove(self) -> None:
+        """Go on with the proof of the present motion, at least until the arm need not brake for want of it."""
+        proof, enough = self._proof, self.time + GENTLY / (2.0 * self._braking)
+        for k in range(8):
+            if proof is None or proof.pair or (k and proof.time > enough):
+                break
+            proof.advance(1)
+            if proof.pair:
+                self.counts["unproved"] += 1
+
+    def _follow(self, course: TimedPath) -> None:
+        super()._follow(course)
+        self._proof = None
+
+    def _seek(self, goal: Floats) -> None:
+        if self._curve is None or "contact" in self._options.repaired:
+            super()._seek(goal)
+
+    def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
+        """See `Policy`; unchecked."""
+        if self.source and (given := self.source(self.now, self.q if measured is None else measured)):
+            self.accept(*given)
+        inside, _ = super().act(measured, target)
+        # At a limit the network may be beyond it by what its code lacks.
+        qd = np.where(np.abs(inside - self.drawn) < self._options.tolerance, self._rate, 0.0)
+        ahead = inside - (self.q + 0.5 * self.period * (self.qd + qd))
+        v, most = self.arm.velocity_limits, self._max_gain
+        rate = np.clip(qd + _RETURN * ahead, np.maximum(self.qd - most, -v), np.minimum(self.qd + most, v))
+        return self._within_limits(self.q + 0.5 * self.period * (self.qd + rate)), rate
+
+    def _decide(self, target: Floats) -> None:
+        """Follow the newest command; see `ReplanningPolicy`."""
+        if target is not self._asked:
+            # The first target after a reset is no newer than a chunk that came before it.
+            if self._asked is not None:
+                self._curve, self._later = None, []
+            if self._curve is None:
+                self._wanted = target
+            self._asked = target
+        try:
+            self._go_on()
+        except _RefusedError as refused:
+            # It rests at the end of what it follows.
+            self._command(self.course.transition.end, None, [])
+            self.counts[refused.finding.kind] += 1
+        super()._decide(self._wanted)
+        self._prove()
+        if self._proof is not None:
+            # Before that it brakes as hard as it can.
+            self.rest_at = min(self.rest_at, self.time + (self._proof.time - self.time) / GENTLY)
+
+    def _go_on(self) -> None:
+        """Begin a part whose time has come, code the rest of a long one, or code anew; raises `_RefusedError`."""
+        motion, options = self.course.transition, self._options
+        if self._later and self._later[0][0] <= self.now + 1e-9:
+            self._begin_parts(self._later)
+        elif self._curve is not None and isinstance(motion, ChunkMotion):
+            base, at = motion.base, np.array([self.time])
+            ends = base.end < base.curve.duration and self.time >= max(base.ramps_at, motion.fade)
+            looks = self._periods % options.look_every == 0 and self.time < motion.duration
+            # Once it slows down, another code would let it hurry again.
+            most = (0.5 if self.time < base.ramps_at else 1.0) * options.tolerance
+            # The code may not be near enough, or joints pull.
+            if ends or (looks and np.abs(motion(at)[0] - self.drawn).max() > most):
+                self._join(base.curve, float(base.clock(at)[0][0]), 1.0 if ends else 0.5)
+
+    @property
+    def message(self) -> str:
+        """See `Policy`."""
+        if self._proof is None:
+            return super().message
+        if self._proof.pair:
+            return "rests before {!r} may touch {!r}, which is not proved".format(*self._proof.pair)
+        # That it would rest where the proof is now is nothing to say.
+        return FeedbackPolicy.message.__get__(self)
+
+    def channels(self) -> Floats:
+        """See `Policy`."""
+        ahead = 0.0 if self._proof is None else min(self._proof.time, self.course.transition.duration) - self.time
+        return np.append(super().channels(), [self.counts["accepted"], self.counts["refused"], max(ahead, 0.0)])
+
+
+def chunks(task: PolicyTask, options: ChunkOptions) -> ChunkPolicy:
+    """The policy that begins with the task's motion, and follows chunks."""
+    return ChunkPolicy(task.arm, task.rate, motion=task.motion, options=options, feedback=task.feedback, seed=task.seed)
