@@ -4,6 +4,7 @@
 """
 
 from lieednn_sim.policies.base import Policy
+from lieednn_sim.policies.chunk_messages import ChunkStep, from_joint_trajectory, to_joint_trajectory
 from lieednn_sim.policies.chunks import ChunkOptions, ChunkPolicy, ChunkVerdict
 from lieednn_sim.policies.fabric import Fabric, FabricOptions
 from lieednn_sim.policies.feedback import Feedback, JointPolicy
@@ -23,6 +24,7 @@ __all__ = [
     "CertifiedPolicyOptions",
     "ChunkOptions",
     "ChunkPolicy",
+    "ChunkStep",
     "ChunkVerdict",
     "Fabric",
     "FabricOptions",
@@ -45,8 +47,10 @@ __all__ = [
     "ReplanningPolicy",
     "SafetyFilter",
     "control_loop",
+    "from_joint_trajectory",
     "make_policy",
     "register_policy",
+    "to_joint_trajectory",
 ]
 
 typecheck_public(globals())

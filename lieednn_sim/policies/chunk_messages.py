@@ -1,0 +1,152 @@
+"""Chunks as other software has them: a step of LeRobot's pipelines, and trajectory messages of ROS 2.
+
+Both are known by their attributes; neither ``lerobot`` nor ``rclpy`` is imported.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import sys
+from array import array
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline, make_interp_spline
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning.chunks import MOST_TARGETS
+from lieednn_sim.policies.chunks import ChunkPolicy
+from lieednn_sim.validation import as_floats, as_nonnegative, as_positive
+from lieednn_sim.values import Floats
+
+
+class ChunkStep:
+    """A step of a LeRobot pipeline between a learned policy and the robot; each call is one control period.
+
+    A transition's action is a new chunk ``(H, n)``, maybe in a batch of one, or None. It becomes the reference ``(n,)``
+    of the joints, as a tensor if chunks are tensors. What the observation has as ``observation.state`` are the measured
+    joints, where the policy starts, also after `reset`. Further columns of both, such as a gripper's, stay as they are.
+    The transition's info says what became of a chunk, as ``chunk``.
+
+    Args:
+        policy: the policy, whose rate is that of the calls.
+        dt: time between two targets of a chunk [s].
+        delay: age of the observation that a chunk was made from when it comes [s]; a transition may have its own in
+            its complementary data, as ``delay``.
+        degrees: whether hinges are in degrees there, not in radians.
+
+    Raises:
+        InputError: a time is not positive.
+    """
+
+    # The target before chunks; when the last chunk began, and its further columns.
+    _stay: Floats | None
+    _more: tuple[float, Floats]
+
+    def __init__(self, policy: ChunkPolicy, dt: float, *, delay: float = 0.0, degrees: bool = False) -> None:
+        self.policy, self._dt, self._delay = policy, as_positive("dt", dt), as_nonnegative("delay", delay)
+        units = [policy.arm.unit(joint) for joint in range(policy.arm.n_joints)]
+        self._scale = np.where(degrees & (np.array(units) == "rad"), np.pi / 180.0, 1.0)
+        self._like: Any = np.asarray
+        self.reset()
+        # Pipelines take instances of their own base class alone; as an abstract one it knows others.
+        if lerobot := sys.modules.get("lerobot.processor"):
+            lerobot.ProcessorStep.register(type(self))
+
+    def __call__(self, transition: dict[str, Any]) -> dict[str, Any]:
+        """The transition with the reference of this period as its action; raises `InputError` as the policy does."""
+        policy, n, result = self.policy, len(self._scale), dict(transition)
+        state = (transition.get("observation") or {}).get("observation.state")
+        measured = None if state is None else np.asarray(state, dtype=float).reshape(-1)[:n] * self._scale
+        if self._stay is None:
+            if measured is not None:
+                policy.reset(measured)
+            self._stay = policy.q if "q" in vars(policy) else np.zeros(n)
+        chunk = transition.get("action")
+        if chunk is not None:
+            self._like, targets = getattr(chunk, "new_tensor", np.asarray), np.asarray(chunk, dtype=float)
+            targets = targets[0] if targets.ndim == 3 else targets
+            delay = (transition.get("complementary_data") or {}).get("delay", self._delay)
+            begin = policy.now - float(delay)
+            verdict = policy.accept(targets[..., :n] * self._scale, begin, self._dt)
+            if verdict.accepted:
+                self._more = begin, targets[:, n:]
+            result["info"] = {**(transition.get("info") or {}), "chunk": str(verdict)}
+        q, _ = policy.step(measured, self._stay)
+        begin, more = self._more
+        row = min(max(int((policy.now - begin) / self._dt + 1e-6), 0), len(more) - 1)
+        result["action"] = self._like(np.append(q / self._scale, more[row]))
+        return result
+
+    def reset(self) -> None:
+        """Start again from the joints that are measured next."""
+        self._stay, self._more = None, (0.0, np.empty((1, 0)))
+
+    def transform_features(self, features: Any) -> Any:
+        """The features of the pipeline, which stay as they are."""
+        return features
+
+    def get_config(self) -> dict[str, Any]:
+        """Nothing that a pipeline could be saved with: a policy is given when one is loaded."""
+        return {}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing, likewise."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Does nothing."""
+
+
+def from_joint_trajectory(arm: Arm, message: Any, now: float = 0.0) -> tuple[Floats, float, float]:
+    """The arguments of `ChunkPolicy.accept` for a trajectory_msgs/JointTrajectory.
+
+    Its points need not be evenly spaced: between them joints go straight, or by cubics if the points have velocities.
+
+    Args:
+        arm: the arm, with the joints of the message, in any order, and maybe others that it holds.
+        message: the message, of any library.
+        now: the policy's time that ``time_from_start`` counts from [s].
+
+    Raises:
+        InputError: joints are missing, or times do not increase, or positions are not those of the joints.
+    """
+    names, points = list(message.joint_names), list(message.points)
+    if missing := [name for name in arm.joint_names if name not in names]:
+        raise InputError(f"the trajectory lacks the joints {', '.join(missing)}; it has {', '.join(names)}")
+    order, shape = [names.index(name) for name in arm.joint_names], (len(points), len(names))
+    t = np.array([point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in points])
+    if not len(t) or (np.diff(t) <= 0.0).any():
+        raise InputError(f"the times of a trajectory must increase from point to point, and it needs one; got {t}")
+    q = as_floats("positions of the points", [list(point.positions) for point in points], shape)[:, order]
+    if len(t) == 1:
+        return q, now + float(t[0]), 1.0
+    rates = [list(point.velocities) for point in points]
+    count = min(math.ceil((t[-1] - t[0]) / np.diff(t).min() - 1e-6) + 1, MOST_TARGETS)
+    times, step = np.linspace(t[0], t[-1], count, retstep=True)
+    if all(rates):
+        way = CubicHermiteSpline(t, q, as_floats("velocities of the points", rates, shape)[:, order])
+    else:
+        way = make_interp_spline(t, q, k=1)
+    return np.asarray(way(times)), now + float(t[0]), float(step)
+
+
+def to_joint_trajectory(arm: Arm, like: Any, q: ArrayLike, qd: ArrayLike, period: float) -> Any:
+    """A trajectory_msgs/JointTrajectory of one point: the reference at the end of a period, as `Policy.step` returns.
+
+    Args:
+        arm: the arm.
+        like: a message of the library wanted, with a point or more; it stays as it is.
+        q, qd: ``(n,)`` joint coordinates and rates.
+        period: time until then [s].
+    """
+    message, point = copy.deepcopy(like), copy.deepcopy(like.points[0])
+    make = np.array if isinstance(point.positions, np.ndarray) else lambda values: array("d", values)
+    for name, values in {"positions": q, "velocities": qd, "accelerations": (), "effort": ()}.items():
+        setattr(point, name, make(np.asarray(values, dtype=float)))
+    point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(1e9 * period), 10**9)
+    message.joint_names, message.points = list(arm.joint_names), [point]
+    return message
