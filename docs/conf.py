@@ -109,6 +109,7 @@ EXAMPLES = (
         "push_and_return",
         "moving_target",
         "moving_obstacle",
+        "action_chunks",
     ),
     *("task_boom", "task_harvester", "task_crane"),
     *("demonstrations_fan", "blending", "payload_and_friction", "batch_of_256", "planner_figure", "environment"),
