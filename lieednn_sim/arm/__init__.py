@@ -9,6 +9,7 @@ from lieednn_sim.arm.contacts import PLANNED_CLEARANCE
 from lieednn_sim.arm.importer.report import ImportReport
 from lieednn_sim.arm.inverse_kinematics import ik_candidates, solve_ik
 from lieednn_sim.arm.models import arm_names, models_directory, scene_path
+from lieednn_sim.arm.oscillation import Mode, PassiveJoints, with_load
 from lieednn_sim.arm.projection import Retraction
 from lieednn_sim.arm.regions import TaskSpaceRegion
 from lieednn_sim.typecheck import typecheck_public
@@ -17,6 +18,8 @@ __all__ = [
     "PLANNED_CLEARANCE",
     "Arm",
     "ImportReport",
+    "Mode",
+    "PassiveJoints",
     "Retraction",
     "TaskSpaceRegion",
     "arm_names",
@@ -24,6 +27,7 @@ __all__ = [
     "models_directory",
     "scene_path",
     "solve_ik",
+    "with_load",
 ]
 
 typecheck_public(globals())

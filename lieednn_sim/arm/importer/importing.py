@@ -24,8 +24,9 @@ from lieednn_sim.arm.importer.servos import SERVOS, add_servos, describe_servos
 from lieednn_sim.arm.importer.urdf import Joints, mend_joints, planar_joints, read_joints, velocities
 from lieednn_sim.arm.limits import check_rates
 from lieednn_sim.arm.model_arm import ModelArm
+from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.arm.view import View, read_view
-from lieednn_sim.errors import InputError
+from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
 
@@ -93,7 +94,13 @@ def import_model(
     arm = viewed()
     servos = tuple(describe_servos(arm, _closed(arm, home, samples), added))
     report = _report(arm, view, label, servos, notes)
-    return arm, replace(report, notes=(*notes, *arm.notes, *remarks(arm, report.groups, servos, samples)))
+    try:
+        modes = PassiveJoints(arm).modes(home)
+    except NoSolutionError as error:
+        modes = ()
+        notes.append(str(error))
+    notes += [*arm.notes, *remarks(arm, report.groups, servos, samples)]
+    return arm, replace(report, notes=tuple(notes), modes=modes)
 
 
 def _closed(arm: ModelArm, home: Floats, samples: Floats) -> Floats:

@@ -8,6 +8,8 @@ from typing import TypedDict
 
 import numpy as np
 
+from lieednn_sim.arm.oscillation import Mode
+
 
 class ImportOptions(TypedDict, total=False):
     """The options of an import.
@@ -102,9 +104,10 @@ class ImportReport:
         links: names of the bodies or sites of the link frames.
         groups: for each link, the joints of its compound joint, from the base outwards.
         couplings: joints of the chain that follow others.
-        others: joints that are not the arm's: they stay where they are, held by their own actuators or an added one.
+        others: joints that are not the arm's: their own actuators or added ones hold them, or they swing and bend.
         servos: what drives each independent coordinate.
         notes: everything else that was decided, and what to look at.
+        modes: free oscillations at home of what nothing drives (`oscillation.PassiveJoints`), slowest first.
     """
 
     configuration: str
@@ -115,12 +118,18 @@ class ImportReport:
     others: tuple[str, ...]
     servos: tuple[Servo, ...]
     notes: tuple[str, ...]
+    modes: tuple[Mode, ...] = ()
 
     def __str__(self) -> str:
         lines = [f"configuration: {self.configuration}", f"base: {self.base}"]
         for i, (link, group) in enumerate(zip(self.links, self.groups, strict=True), start=1):
             lines.append(f"link {i}: {link}, moved by {', '.join(group)}")
-        for title, entries in (("coupled", self.couplings), ("servo", self.servos), ("note", self.notes)):
+        for title, entries in (
+            ("coupled", self.couplings),
+            ("servo", self.servos),
+            ("oscillates", self.modes),
+            ("note", self.notes),
+        ):
             lines += [f"{title}: {entry}" for entry in entries]
         lines.append(f"other joints: {', '.join(self.others) or 'none'}")
         return "\n".join(lines)

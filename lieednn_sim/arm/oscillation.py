@@ -1,0 +1,214 @@
+"""What swings and bends: joints that nothing drives, where they rest, and their free oscillations, by MuJoCo's model.
+
+They are hinges, slides and balls of the model in one kinematic tree with the arm that no coordinate, actuator or
+equality moves: a hook on a link, an elastic stage, a springy base. Driven joints are taken as held where they are, and
+free bodies, ranges of passive joints and dry friction are left out.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lieednn_sim._mujoco import mujoco, scratch_data
+from lieednn_sim.arm.dependents import tied_joints
+from lieednn_sim.arm.forces import actuator_moments, required_forces
+from lieednn_sim.errors import NoSolutionError
+from lieednn_sim.validation import as_floats, as_positive
+from lieednn_sim.values import Floats
+
+if TYPE_CHECKING:
+    from lieednn_sim.arm.model_arm import ModelArm
+
+_Arm = TypeVar("_Arm", bound="ModelArm")
+
+_STEP = 1e-5  # of finite differences [rad, m]
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A free oscillation about the rest at a configuration, with the driven joints held.
+
+    Attributes:
+        joint: name of the passive joint with the largest part of the energy.
+        frequency: natural frequency [Hz].
+        damping: fraction of the critical damping.
+    """
+
+    joint: str
+    frequency: float
+    damping: float
+
+    def __str__(self) -> str:
+        return f"{self.joint} {self.frequency:.3g} Hz, damped by {self.damping:.2%}"
+
+
+@dataclass(frozen=True, eq=False)
+class PassiveJoints:
+    """The passive joints of an arm's model. Rows of positions ``(S, nq)`` are MuJoCo's, of the whole model.
+
+    Attributes:
+        arm: the arm.
+    """
+
+    arm: ModelArm
+
+    @cached_property
+    def dofs(self) -> NDArray[np.int_]:
+        """Their addresses in qvel ``(m,)``."""
+        model = self.arm.model
+        passive = np.isin(model.dof_treeid, model.dof_treeid[self.arm.dofs])
+        passive &= ~actuator_moments(model).any(axis=0)
+        passive &= model.jnt_type[model.dof_jntid] != int(mujoco.mjtJoint.mjJNT_FREE)
+        passive &= ~np.isin(model.dof_jntid, np.array(tied_joints(model)).ravel())
+        passive[self.arm.dofs] = False
+        return np.flatnonzero(passive)
+
+    @cached_property
+    def sprung(self) -> NDArray[np.bool_]:
+        """Which of them ``(m,)`` have a spring: they bend, the others swing."""
+        model = self.arm.model
+        return np.asarray(model.jnt_stiffness[model.dof_jntid[self.dofs]] > 0.0)
+
+    @cached_property
+    def bodies(self) -> NDArray[np.bool_]:
+        """Which bodies ``(nbody,)`` hang: those behind a passive joint without a spring."""
+        model, hanging = self.arm.model, np.zeros(self.arm.model.nbody, dtype=bool)
+        hanging[model.dof_bodyid[self.dofs[~self.sprung]]] = True
+        for body, parent in enumerate(model.body_parentid):  # parents come first
+            hanging[body] |= hanging[parent]
+        return hanging
+
+    def moved(self, qpos: Floats, by: Floats) -> Floats:
+        """Positions ``(S, nq)`` moved by displacements ``(S, m)`` of the passive joints."""
+        result, step = np.array(qpos), np.zeros(self.arm.model.nv)
+        for row, step[self.dofs] in zip(result, by, strict=True):
+            mujoco.mj_integratePos(self.arm.model, row, step, 1.0)
+        return result
+
+    def away(self, qpos: Floats, rest: Floats) -> Floats:
+        """Displacements ``(S, m)`` of the passive joints from where they rest, ``(nq,)`` or ``(S, nq)``."""
+        result, step = np.empty((len(qpos), len(self.dofs))), np.empty(self.arm.model.nv)
+        for k, (there, here) in enumerate(zip(np.broadcast_to(rest, qpos.shape), qpos, strict=True)):
+            mujoco.mj_differentiatePos(self.arm.model, step, 1.0, there, here)
+            result[k] = step[self.dofs]
+        return result
+
+    def forces(self, qpos: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
+        """Forces ``(S, m)`` that a motion would need at these joints, by inverse dynamics; in a free one, zero."""
+        return required_forces(self.arm.model, qpos, qvel, qacc)[:, self.dofs]
+
+    def stiffness(self, qpos: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
+        """Slopes ``(S, m, m)`` of `forces` over displacements."""
+        count, m = qpos.shape[0], len(self.dofs)
+        rates = [np.broadcast_to(each, (count, self.arm.model.nv)).repeat(2 * m, axis=0) for each in (qvel, qacc)]
+        shifts = np.tile(np.concatenate([np.eye(m), -np.eye(m)]) * _STEP, (count, 1))
+        forces = self.forces(self.moved(qpos.repeat(2 * m, axis=0), shifts), *rates).reshape(count, 2, m, m)
+        return np.swapaxes(forces[:, 0] - forces[:, 1], 1, 2) / (2.0 * _STEP)
+
+    def damping(self, qpos: Floats, qvel: Floats | float = 0.0) -> Floats:
+        """Slopes ``(S, m, m)`` of `forces` over the passive joints' velocities."""
+        count, m = qpos.shape[0], len(self.dofs)
+        rates = np.broadcast_to(qvel, (count, self.arm.model.nv)).repeat(2 * m, axis=0)
+        rates[:, self.dofs] += np.tile(np.concatenate([np.eye(m), -np.eye(m)]), (count, 1))
+        forces = self.forces(qpos.repeat(2 * m, axis=0), rates).reshape(count, 2, m, m)
+        return np.swapaxes(forces[:, 0] - forces[:, 1], 1, 2) / 2.0  # exact: forces are quadratic in velocities
+
+    def inertia(self, qpos: Floats) -> Floats:
+        """Mass matrices ``(S, m, m)``."""
+        count, m = qpos.shape[0], len(self.dofs)
+        unit = np.zeros((m + 1, self.arm.model.nv))
+        unit[np.arange(m), self.dofs] = 1.0
+        forces = self.forces(qpos.repeat(m + 1, axis=0), 0.0, np.tile(unit, (count, 1))).reshape(count, m + 1, m)
+        return forces[:, :-1] - forces[:, -1:]
+
+    def force_and_inertia(self, qpos: Floats, qvel: Floats, qacc: Floats) -> tuple[Floats, Floats]:
+        """As `forces` and `inertia`, ``(m,)`` and ``(m, m)``, of one row ``(nq,)``, for simulations."""
+        force, whole = self.forces(qpos[None], qvel, qacc)[0], np.empty((self.arm.model.nv, self.arm.model.nv))
+        # There are the mass matrix that the forces were found with.
+        mujoco.mj_fullM(self.arm.model, scratch_data(self.arm.model), whole)
+        return force, whole[np.ix_(self.dofs, self.dofs)]
+
+    def at_rest(self, qpos: Floats) -> Floats:
+        """Positions ``(S, nq)`` with the passive joints where they rest, stably: Newton's method on their energy.
+
+        Raises:
+            NoSolutionError: they rest nowhere, as a free slide on a slope does.
+        """
+        result = np.array(qpos)
+        if not len(self.dofs):
+            return result
+        for _ in range(50):
+            curvature, axes = np.linalg.eigh(self.stiffness(result))
+            pull = np.vecmat(self.forces(result), axes)
+            # Downhill, also near the unstable rest; along what moves freely there is neither force nor stiffness.
+            neutral = np.abs(curvature) < 1e-6 * np.abs(curvature).max(axis=1, keepdims=True) + 1e-9
+            if (neutral & (np.abs(pull) > 1e-3)).any():
+                break
+            step = -np.matvec(axes, np.where(neutral, 0.0, pull / np.where(neutral, 1.0, np.abs(curvature))))
+            largest = np.abs(step).max(axis=1, keepdims=True, initial=0.0)
+            result = self.moved(result, step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300)))
+            if largest.max(initial=0.0) < 1e-8:
+                return result
+        names = ", ".join(self.names)
+        raise NoSolutionError(f"no rest was found for what nothing drives: {names}; hang or spring it, or drive it")
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the joints."""
+        return [self.arm.model.joint(j).name for j in dict.fromkeys(self.arm.model.dof_jntid[self.dofs].tolist())]
+
+    def modes(self, q: ArrayLike) -> tuple[Mode, ...]:
+        """Free oscillations at a configuration ``(n,)``, slowest first; overdamped and neutral motions have none.
+
+        They are the eigenvalues of M x'' + D x' + K x = 0, with the matrices of `inertia`, `damping` and `stiffness`.
+
+        Raises:
+            InputError: q is malformed.
+            NoSolutionError: as of `at_rest`.
+        """
+        position, m = as_floats("q", q, (self.arm.n_joints,)), len(self.dofs)
+        if not m:
+            return ()
+        rest = self.at_rest(self.arm.qpos(position)[None])
+        inertia, damping, stiffness = self.inertia(rest)[0], self.damping(rest)[0], self.stiffness(rest)[0]
+        system = np.zeros((2 * m, 2 * m))
+        system[:m, m:], system[m:] = np.eye(m), -np.linalg.solve(inertia, np.hstack([stiffness, damping]))
+        values, shapes = np.linalg.eig(system)
+        joints, found = self.arm.model.dof_jntid[self.dofs], []
+        for k in np.flatnonzero(values.imag > 1e-3 * np.abs(values)):
+            energy = np.abs(shapes[:m, k]) ** 2 * np.diag(inertia)
+            size = float(abs(values[k]))
+            name = self.arm.model.joint(joints[int(energy.argmax())]).name
+            found.append(Mode(name, size / (2.0 * np.pi), float(-values[k].real / size)))
+        return tuple(sorted(found, key=lambda mode: mode.frequency))
+
+
+def with_load(arm: _Arm, mass: float = 1.0, length: float = 1.0) -> _Arm:
+    """An arm with another load than its model has: what hangs (`PassiveJoints.bodies`) is heavier, or hangs lower.
+
+    Args:
+        arm: the arm.
+        mass: factor of masses and moments of inertia.
+        length: factor of the distances from the joints at which it hangs, of its parts, sizes kept.
+
+    Raises:
+        InputError: a factor is not positive.
+    """
+    mass, length = as_positive("mass", mass), as_positive("length", length)
+    model, passive = copy.deepcopy(arm.model), PassiveJoints(arm)
+    model.body_mass[passive.bodies] *= mass
+    model.body_inertia[passive.bodies] *= mass
+    anchor = np.full((model.nbody, 3), np.nan)
+    swinging = passive.dofs[~passive.sprung]
+    anchor[model.dof_bodyid[swinging]] = model.jnt_pos[model.dof_jntid[swinging]]
+    parts = (model.body_ipos, np.arange(model.nbody)), (model.body_pos, model.body_parentid)
+    for places, bodies in (*parts, (model.geom_pos, model.geom_bodyid), (model.site_pos, model.site_bodyid)):
+        places += np.nan_to_num((length - 1.0) * (places - anchor[bodies]))
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return replace(arm, model=model)
