@@ -16,9 +16,10 @@ def gantry(hanging: str = PENDULUM, damping: float = 0.0, timestep: float = 0.00
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco model="gantry"><option timestep="{timestep}" integrator="implicitfast"/>
         <custom><numeric name="velocity_limit" data="2"/><numeric name="acceleration_limit" data="2"/></custom>
-        <worldbody><body name="cart" pos="0 0 5"><joint name="cart" type="slide" axis="1 0 0" range="-10 10"/>
+        <worldbody><body name="cart" pos="0 0 5"><joint name="cart" type="slide" axis="1 0 0" range="-10 10"
+            armature="1e4"/>
           <geom type="box" size="0.2 0.2 0.1" mass="100"/><site name="tip"/>
           {hanging.replace("DAMPING", str(damping))}</body></worldbody>
-        <actuator><position name="cart" joint="cart" kp="1e8" kv="2e5"/></actuator></mujoco>"""
+        <actuator><position name="cart" joint="cart" kp="4e7" kv="1.2e6"/></actuator></mujoco>"""
     )
     return ls.Arm.of(model, mujoco.MjData(model), ["cart"], tip="tip")

@@ -105,34 +105,35 @@ class PassiveJoints:
 
     def stiffness(self, qpos: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
         """Slopes ``(S, m, m)`` of `forces` over displacements."""
-        count, m = qpos.shape[0], len(self.dofs)
-        rates = [np.broadcast_to(each, (count, self.arm.model.nv)).repeat(2 * m, axis=0) for each in (qvel, qacc)]
-        shifts = np.tile(np.concatenate([np.eye(m), -np.eye(m)]) * _STEP, (count, 1))
-        forces = self.forces(self.moved(qpos.repeat(2 * m, axis=0), shifts), *rates).reshape(count, 2, m, m)
-        return np.swapaxes(forces[:, 0] - forces[:, 1], 1, 2) / (2.0 * _STEP)
+        return self._differences(qpos, qvel, qacc, _STEP, 0.0) / _STEP
 
     def damping(self, qpos: Floats, qvel: Floats | float = 0.0) -> Floats:
-        """Slopes ``(S, m, m)`` of `forces` over the passive joints' velocities."""
-        count, m = qpos.shape[0], len(self.dofs)
-        rates = np.broadcast_to(qvel, (count, self.arm.model.nv)).repeat(2 * m, axis=0)
-        rates[:, self.dofs] += np.tile(np.concatenate([np.eye(m), -np.eye(m)]), (count, 1))
-        forces = self.forces(qpos.repeat(2 * m, axis=0), rates).reshape(count, 2, m, m)
-        return np.swapaxes(forces[:, 0] - forces[:, 1], 1, 2) / 2.0  # exact: forces are quadratic in velocities
+        """Slopes ``(S, m, m)`` of `forces` over the passive joints' velocities, in which forces are quadratic."""
+        return self._differences(qpos, qvel, 0.0, 0.0, 1.0)
+
+    def _differences(
+        self, qpos: Floats, qvel: Floats | float, qacc: Floats | float, shift: float, rate: float
+    ) -> Floats:
+        """Half the differences ``(S, m, m)`` of `forces` as each joint is shifted, or moves, one way and the other."""
+        count, m, nv = len(qpos), len(self.dofs), self.arm.model.nv
+        sides = np.tile(np.concatenate([np.eye(m), -np.eye(m)]), (count, 1))
+        rates, bends = (np.broadcast_to(each, (count, nv)).repeat(2 * m, axis=0) for each in (qvel, qacc))
+        rates[:, self.dofs] += rate * sides
+        rows = qpos.repeat(2 * m, axis=0)
+        forces = self.forces(self.moved(rows, shift * sides) if shift else rows, rates, bends).reshape(count, 2, m, m)
+        return 0.5 * np.swapaxes(forces[:, 0] - forces[:, 1], 1, 2)
+
+    def force_and_inertia(self, qpos: Floats, qvel: Floats, qacc: Floats) -> tuple[Floats, Floats]:
+        """As `forces`, ``(m,)``, and the mass matrix ``(m, m)``, of one row ``(nq,)``: for simulations."""
+        force, whole = self.forces(qpos[None], qvel, qacc)[0], np.empty((self.arm.model.nv, self.arm.model.nv))
+        # There is the mass matrix that the forces were found with.
+        mujoco.mj_fullM(self.arm.model, scratch_data(self.arm.model), whole)
+        return force, whole[np.ix_(self.dofs, self.dofs)]
 
     def inertia(self, qpos: Floats) -> Floats:
         """Mass matrices ``(S, m, m)``."""
-        count, m = qpos.shape[0], len(self.dofs)
-        unit = np.zeros((m + 1, self.arm.model.nv))
-        unit[np.arange(m), self.dofs] = 1.0
-        forces = self.forces(qpos.repeat(m + 1, axis=0), 0.0, np.tile(unit, (count, 1))).reshape(count, m + 1, m)
-        return forces[:, :-1] - forces[:, -1:]
-
-    def force_and_inertia(self, qpos: Floats, qvel: Floats, qacc: Floats) -> tuple[Floats, Floats]:
-        """As `forces` and `inertia`, ``(m,)`` and ``(m, m)``, of one row ``(nq,)``, for simulations."""
-        force, whole = self.forces(qpos[None], qvel, qacc)[0], np.empty((self.arm.model.nv, self.arm.model.nv))
-        # There are the mass matrix that the forces were found with.
-        mujoco.mj_fullM(self.arm.model, scratch_data(self.arm.model), whole)
-        return force, whole[np.ix_(self.dofs, self.dofs)]
+        rest = np.zeros(self.arm.model.nv)
+        return np.array([self.force_and_inertia(row, rest, rest)[1] for row in qpos])
 
     def at_rest(self, qpos: Floats) -> Floats:
         """Positions ``(S, nq)`` with the passive joints where they rest, stably: Newton's method on their energy.

@@ -18,6 +18,7 @@ from lieednn_sim.planning.network_planners import RetargetedOptions, TrainedOpti
 from lieednn_sim.planning.planners import OBSTACLE_PLANNER, default_planner, plan, register_planner
 from lieednn_sim.planning.problem import Plan, PlanningProblem
 from lieednn_sim.planning.sequence import PlanSequence, SequencePart, plan_sequence
+from lieednn_sim.planning.settling import SettlingOptions, settled
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.planning.steps import Actuate, Move
 from lieednn_sim.planning.time_laws import retime
@@ -43,6 +44,7 @@ __all__ = [
     "RrtConnectOptions",
     "RrtStarOptions",
     "SequencePart",
+    "SettlingOptions",
     "ShapedOptions",
     "StompOptions",
     "TrainedOptions",
@@ -56,6 +58,7 @@ __all__ = [
     "reference_network",
     "register_planner",
     "retime",
+    "settled",
 ]
 
 typecheck_public(globals())

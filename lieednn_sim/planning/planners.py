@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,6 +21,7 @@ from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.options import PlannerOptions, given_options
 from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Duration, Plan, PlanningProblem, durations, in_time
+from lieednn_sim.planning.settling import SettlingOptions, settled
 from lieednn_sim.planning.statics import check_held
 from lieednn_sim.planning.time_laws import retime
 from lieednn_sim.registry import PLANNERS, PlannerEntry, optional_module
@@ -118,6 +120,7 @@ def plan(
     fastest: bool = False,
     path_constraint: TaskSpaceRegion | None = None,
     payload: float = 0.0,
+    settle: str | SettlingOptions | None = None,
 ) -> Plan:
     """Plan a motion from rest to rest within the arm's limits and free of contact.
 
@@ -148,10 +151,13 @@ def plan(
             some planners can keep one.
         payload: mass at the end effector [kg], as of `Arm.with_payload`, with which the plan's arm is returned. Motions
             that need more force than the actuators have take longer, with or without one.
+        settle: a name of `settling.METHODS` or `SettlingOptions`: another time law on the planned path, after which
+            little of what hangs or is elastic swings and bends (`settling.settled`). It keeps the duration where the
+            limits allow that; with ``fastest`` it takes half a period of the slowest oscillation longer.
 
     Raises:
-        InputError: a value is malformed, the planner is unknown, the options are those of another one, or start or
-            target cannot be used.
+        InputError: a value is malformed, the planner is unknown, the options are those of another one, start or target
+            cannot be used, or nothing of the model swings that is to settle.
         NoSolutionError: no goal can be reached.
         NotCertifiedError: no network could be certified.
         PlanError: the motion breaks a limit of the arm, or does not arrive; `TooFastError` if more time would suffice.
@@ -165,6 +171,7 @@ def plan(
         able = ", ".join(name for name, each in PLANNERS.items() if each.path_constraints)
         raise InputError(f"the planner {planner!r} cannot keep a region on the way; planners that can: {able}")
     given = given_options(f"the planner {planner!r}", entry.options, options)
+    settling = SettlingOptions(settle) if isinstance(settle, str) else settle
     if fastest:
         optional_module("toppra")  # before the work
     begin, number = cpu_time(), as_seed("seed", seed)
@@ -183,6 +190,8 @@ def plan(
                 check_held(arm, goal[None], ["the target"])
                 result = _solved(entry, replace(first, target=goal), *given)
                 motion = retime(free, result.motion) if fastest else result.motion
+                if settling is not None:
+                    motion = settled(free, motion, settling, math.inf if fastest else longest, 0.5 * fastest)
                 check_path_constraint(arm, path_constraint, motion)
             except (PlanError, NotCertifiedError) as error:
                 if leaves:

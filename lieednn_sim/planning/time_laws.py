@@ -144,46 +144,42 @@ def retime(arm: Arm, motion: Motion) -> Motion:
     """
     if np.ptp(motion.q, axis=0).max() <= _ROUNDING:
         return motion
-    path = _Path(arm, motion)
+    moving = np.ptp(motion.q, axis=0) > 0.0
+    if (free := np.flatnonzero(moving & np.isinf(arm.acceleration_limits))).size:
+        raise InputError(
+            f"joint {arm.joint_names[free[0]]!r} has no limit of acceleration, so that the fastest motion has no end; "
+            "name one: Arm.load(..., limits={...}), or the custom numeric acceleration_limit"
+        )
+    path = TimedCurve(arm, motion)
     law = path.fastest()
     duration = max(float(law.x[-1]), 2.0 * arm.timestep)
     count_steps(duration, arm.timestep)
-    for _ in range(20):
-        result = path.motion(law, math.ceil(duration / arm.timestep))
-        try:
-            check_motion(arm, result)
-        except TooFastError as error:
-            # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in the law.
-            duration = max(1.002 * duration, error.duration)
-            continue
-        return result
-    raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")
+    return path.kept(lambda _: law, duration)
 
 
-class _Path:
-    """A motion's path over its length, in units of the joints' limits."""
+class TimedCurve:
+    """A motion's path over its length, in units of the joints' limits.
+
+    Attributes:
+        q: spline from the fraction of the length to the joints ``(n,)``.
+        own: the motion's own law, from time to the fraction.
+    """
 
     def __init__(self, arm: Arm, motion: Motion) -> None:
         if motion.q.shape[1] != arm.n_joints:
             raise InputError(f"the motion has {motion.q.shape[1]} joints, arm {arm.name!r} has {arm.n_joints}")
         length = travelled(motion.q / joint_scale(arm))
         fraction = length / length[-1]
-        moving = np.ptp(motion.q, axis=0) > 0.0
-        if (free := np.flatnonzero(moving & np.isinf(arm.acceleration_limits))).size:
-            raise InputError(
-                f"joint {arm.joint_names[free[0]]!r} has no limit of acceleration, so that the fastest motion has no "
-                "end; name one: Arm.load(..., limits={...}), or the custom numeric acceleration_limit"
-            )
         # Samples are dense where the motion is slow; too dense ones would make noise of the second derivative.
         kept = np.unique(np.searchsorted(fraction, np.linspace(0.0, 1.0, _PIECES + 1)))
         self._arm, self._motion, self._kept, self._fraction = arm, motion, kept, fraction[kept]
-        self._q = CubicSpline(self._fraction, motion.q[kept])
+        self.q = CubicSpline(self._fraction, motion.q[kept])
         speed = np.linalg.norm(motion.qd[kept] / joint_scale(arm), axis=1)
-        self._own = CubicHermiteSpline(motion.t[kept], self._fraction, speed / length[-1])
+        self.own = CubicHermiteSpline(motion.t[kept], self._fraction, speed / length[-1])
         self._forces: CubicSpline | None = None
         # Half of the pieces are of equal length, the others as dense as the root of what bends take of the limits.
         even = np.linspace(0.0, 1.0, _PIECES + 1)
-        bend = np.sqrt(np.linalg.norm(self._q(even, 2) / arm.acceleration_limits, axis=1))
+        bend = np.sqrt(np.linalg.norm(self.q(even, 2) / arm.acceleration_limits, axis=1))
         density = even + cumulative_trapezoid(bend / max(bend.mean(), 1e-300), even, initial=0.0)
         self._grid = np.interp(np.linspace(0.0, density[-1], _GRID + 1), density, even)
 
@@ -192,15 +188,15 @@ class _Path:
         law, window = self._switching(), 0.002
         near = self._stretched(_averaged(law, window * law.x[-1]))
         t = np.linspace(0.0, near.x[-1], _LOOKS)
-        if check_forces(self._arm, t, self._q(near(t)), self._q(near(t), 1) * near(t, 1)[:, None]) is not None:
+        if check_forces(self._arm, t, self.q(near(t)), self.q(near(t), 1) * near(t, 1)[:, None]) is not None:
             some = self._grid[::2]
-            self._forces = CubicSpline(some, path_forces(self._arm, self._q, some), axis=1)
+            self._forces = CubicSpline(some, path_forces(self._arm, self.q, some), axis=1)
             near = self._stretched(near)
             with suppress(PlanError):
                 # Switches between forces are steeper.
                 law, window = self._switching(near), 0.007
         first, *more = law.x[-1] * np.geomspace(window, 1.0, 20)
-        laws = [near, self._stretched(self._own), self._stretched(_averaged(law, first))]
+        laws = [near, self._stretched(self.own), self._stretched(_averaged(law, first))]
         if min(each.x[-1] for each in laws) > 1.008 * law.x[-1] + first:  # else little could be gained
             for each in more:
                 laws.append(self._stretched(_averaged(law, each)))
@@ -258,7 +254,7 @@ class _Path:
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
         """The law, stretched or compressed to the least time in which it keeps all limits."""
         t = np.linspace(0.0, law.x[-1], max(_INSTANTS, round(law.x[-1] / self._arm.timestep)) + 1)
-        qd = self._q(law(t), 1) * law(t, 1)[:, None]
+        qd = self.q(law(t), 1) * law(t, 1)[:, None]
         rates = rates_and_limits(self._arm, qd, t[1])
         factor = max(float((np.abs(values) / limits).max()) ** power for values, limits, power in rates)
         if self._forces is not None:
@@ -268,13 +264,28 @@ class _Path:
             factor = max(factor, float(least_stretch(still, damped * speed[:-1], rest, 1.0).max()))
         return CubicHermiteSpline(law.x * factor, law(law.x), law(law.x, 1) / factor)
 
+    def kept(self, law_of: Callable[[float], CubicHermiteSpline], duration: float, longest: float = math.inf) -> Motion:
+        """The motion by a law for a duration [s], and for longer ones up to the longest until it keeps all limits."""
+        for _ in range(20):
+            result = self.motion(law_of(duration), math.ceil(round(duration / self._arm.timestep, 6)))
+            try:
+                check_motion(self._arm, result)
+            except TooFastError as error:
+                # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in it.
+                duration = max(1.002 * duration, error.duration)
+                if duration > longest:
+                    raise
+                continue
+            return result
+        raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")
+
     def motion(self, law: CubicHermiteSpline, steps: int) -> Motion:
         """The motion by a law, in a given number of time steps."""
         old, kept, arm = self._motion, self._kept, self._arm
         t = arm.timestep * np.arange(steps + 1, dtype=np.float64)
         pace = law.x[-1] / t[-1]
         fraction = np.clip(law(t * pace), 0.0, 1.0)
-        q, qd = self._q(fraction), self._q(fraction, 1) * (law(t * pace, 1) * pace)[:, None]
+        q, qd = self.q(fraction), self.q(fraction, 1) * (law(t * pace, 1) * pace)[:, None]
         q[[0, -1]], qd[[0, -1]] = old.q[[0, -1]], 0.0
         xi = CubicSpline(self._fraction, old.xi[kept])(fraction)
         xi[[0, -1]] = old.xi[[0, -1]]

@@ -1,0 +1,199 @@
+"""Time laws that leave little swinging and bending: input shapers, and laws of least energy left, on the same path.
+
+Shapers convolve a motion's time law with impulses: ZV and ZVD of Singer and Seering (J. Dyn. Sys., Meas., Control
+112(1), 1990), EI of Singhose, Seering and Singer (J. Mech. Des. 116(2), 1994). They would leave nothing of a mode that
+stays the same and is driven linearly; on a path that bends they leave a part. The law of least energy knows how the
+modes change along the path (`swing_model`): a cubic B-spline s'(t), found by Gauss and Newton's method as a sequence of
+quadratic programs within the limits of the joints, whose residuals the model's own dynamics correct. Where and how the
+arm moves stays as planned, and with it what is proved of its path; the motion's own limits are checked anew.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import daqp
+import numpy as np
+from scipy.interpolate import BSpline, CubicHermiteSpline
+
+from lieednn_sim.arm import Arm, Mode, PassiveJoints, with_load
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.options import PlannerOptions
+from lieednn_sim.planning.swing_model import SwingModel
+from lieednn_sim.planning.time_laws import TimedCurve
+from lieednn_sim.values import Floats
+
+METHODS = ("least-energy", "zv", "zvd", "ei")
+
+_SAMPLES = 2000  # of a law
+_LOOKS = 120  # instants at which a law's limits are kept
+_MARGIN = 0.995  # of the limits, between these instants
+_LINEAR, _SIMULATED = 3, 3  # laws looked at, by the linear model and by MuJoCo's
+_SMOOTH = 1e-4  # weight of jerk, in units of the planned motion's, against energies, in units of what that leaves
+
+
+@dataclass(frozen=True)
+class SettlingOptions(PlannerOptions):
+    """How `plan` lets a motion end with its load at rest.
+
+    Attributes:
+        method: a name of `METHODS`.
+        loads: masses of what hangs, as fractions of the model's, for which ``least-energy`` minimises the sum of the
+            energies left, besides the model's own.
+        lengths: the same for the lengths at which it hangs.
+        modes: how many of the slowest modes a shaper is made for.
+        tolerance: fraction of the swing that ``ei`` leaves of its mode, for the widest range of frequencies.
+    """
+
+    method: str = field(default=METHODS[0], metadata={"choices": METHODS})
+    loads: tuple[float, ...] = (0.8, 1.2)
+    lengths: tuple[float, ...] = (0.9, 1.1)
+    modes: int = 1
+    tolerance: float = field(default=0.05, metadata={"range": (0.0, 0.5)})
+
+
+def settled(
+    arm: Arm, motion: Motion, options: SettlingOptions, longest: float = math.inf, periods: float = 0.0
+) -> Motion:
+    """A motion along the path of another one, by a time law that leaves less swinging and bending.
+
+    It takes as long as the other one where the arm's limits allow that, else as much longer as they need.
+
+    Args:
+        arm: the motion's arm, in its scene.
+        motion: a motion from rest to rest.
+        options: the method, and for which loads.
+        longest: the longest duration that it may take [s].
+        periods: how many periods of the slowest oscillation it may take longer at once.
+
+    Raises:
+        InputError: the arm has no passive joints that oscillate.
+        NoSolutionError: these rest nowhere.
+        PlanError: the motion breaks a limit, see `check_motion`; `TooFastError` if it would take longer.
+    """
+    modes = PassiveJoints(arm).modes(motion.q[-1])
+    if not modes:
+        raise InputError(f"arm {arm.name!r} has nothing that swings or bends: all joints of its model are driven")
+    if np.ptp(motion.q, axis=0).max() == 0.0:
+        return motion
+    curve, duration = TimedCurve(arm, motion), float(motion.t[-1]) + periods / modes[0].frequency
+    if options.method != METHODS[0]:
+        delays, shares = shaper(options, modes)
+        return curve.kept(lambda whole: shaped(curve.own, delays, shares, whole), duration, longest)
+    search = _LeastEnergy(arm, curve, options)
+    return curve.kept(search.law, duration, longest)
+
+
+def shaper(options: SettlingOptions, modes: tuple[Mode, ...]) -> tuple[Floats, Floats]:
+    """Delays [s] and shares ``(k,)`` of a shaper's impulses, for the slowest of some modes.
+
+    Those of EI are its undamped ones, decayed by the damping, which is small here.
+    """
+    v = options.tolerance
+    undamped = {"zv": [1.0, 1.0], "zvd": [1.0, 2.0, 1.0], "ei": [1.0 + v, 2.0 - 2.0 * v, 1.0 + v]}[options.method]
+    delays, shares = np.zeros(1), np.ones(1)
+    for mode in modes[: options.modes]:
+        root = math.sqrt(1.0 - mode.damping**2)
+        count = np.arange(len(undamped))
+        decayed = undamped * np.exp(-mode.damping * math.pi / root) ** count
+        delays = np.add.outer(delays, count * 0.5 / (mode.frequency * root)).ravel()
+        shares = np.multiply.outer(shares, decayed / decayed.sum()).ravel()
+    return delays, shares
+
+
+def shaped(law: CubicHermiteSpline, delays: Floats, shares: Floats, duration: float) -> CubicHermiteSpline:
+    """A law convolved with impulses, so compressed before that it takes a duration [s] with them.
+
+    Where less than a quarter of the duration would be left for it, it takes that, and the whole longer.
+    """
+    own = max(duration - delays.max(), 0.25 * duration)
+    t = np.linspace(0.0, own + delays.max(), _SAMPLES)
+    pace = law.x[-1] / own
+    times = np.clip((t[:, None] - delays) * pace, 0.0, law.x[-1])
+    return CubicHermiteSpline(t, law(times) @ shares, pace * law(times, 1) @ shares)
+
+
+class _LeastEnergy:
+    """The law of least energy left on a path, for the loads of some options."""
+
+    def __init__(self, arm: Arm, curve: TimedCurve, options: SettlingOptions) -> None:
+        others = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
+        self._arm, self._curve = arm, curve
+        self._models = [SwingModel(with_load(arm, *load), curve.q) for load in [(1.0, 1.0), *others]]
+        self._weights = np.sqrt([1.0] + [1.0 / len(others)] * len(others))[:, None]
+
+    def law(self, duration: float) -> CubicHermiteSpline:
+        """The law for a duration [s]."""
+        own, slowest, fastest = self._curve.own, self._models[0].slowest, max(each.fastest for each in self._models)
+        # Three coefficients for a period of the slowest mode, within bounds.
+        count = int(np.clip(3.0 * duration * slowest / (2.0 * np.pi) + 10.0, 16, 60))
+        knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
+        # s' by fractions of the duration, from and to rest without a step of the acceleration.
+        spline = BSpline(knots, np.eye(count)[:, 2:-2], 3)
+        parts = spline.antiderivative(), spline, spline.derivative()
+        steps = math.ceil(duration / min(0.06 / slowest, 0.4 / fastest))
+        tau = np.linspace(0.0, 1.0, steps + 1)
+        basis = [part(tau) / duration**k for k, part in enumerate(parts)]
+        fitted, *_ = np.linalg.lstsq(basis[1], own(tau * own.x[-1], 1) * own.x[-1] / duration, rcond=None)
+        first = fitted / (basis[0][-1] @ fitted)
+        jerk = spline.derivative(2)(tau) / math.sqrt(steps)
+        best = self._search(first, basis, duration / steps, math.sqrt(_SMOOTH) * jerk / np.linalg.norm(jerk @ first))
+        tau = np.linspace(0.0, 1.0, _SAMPLES)
+        return CubicHermiteSpline(duration * tau, parts[0](tau) @ best, parts[1](tau) @ best / duration)
+
+    def _search(self, first: Floats, basis: list[Floats], step: float, roughness: Floats) -> Floats:
+        """The best coefficients found, from the first ones.
+
+        The ``basis`` of s, s' and s'' ``(K, N)`` has a time step [s]; ``roughness @ coefficients`` is kept small, too.
+        """
+        now, best = first, (math.inf, first)
+        for k in range(_LINEAR + _SIMULATED):
+            law = [part @ now for part in basis]
+            if k < _LINEAR:
+                changes = tuple(np.column_stack(pair) for pair in zip(law, basis, strict=True))
+                lefts, each = zip(*(model.left(step, changes) for model in self._models), strict=True)
+                left, slopes = self._weights * np.array(lefts), self._weights[..., None] * np.array(each)
+            else:
+                # What the model's own dynamics differ by with its own load, they do with others, nearly.
+                simulated = self._models[0].simulated(step, *law)
+                left = left + self._weights * (simulated - left[0])
+            if k == 0:
+                unit = max(float(np.linalg.norm(left)), 1e-9)
+            if k == 0 or k >= _LINEAR:
+                best = min(best, (float(np.linalg.norm(left)), now), key=lambda pair: pair[0])
+            over, rest = slopes.reshape(-1, len(now)) / unit, (left - slopes @ now).ravel() / unit
+            after = self._within_limits(
+                now, np.vstack([over, roughness]), np.append(rest, 0.0 * roughness[:, 0]), basis
+            )
+            left, now = left + slopes @ (after - now), after
+        return best[1]
+
+    def _within_limits(self, now: Floats, slopes: Floats, rest: Floats, basis: list[Floats]) -> Floats:
+        """The coefficients c that minimise ``|slopes c + rest|^2`` within the joints' limits, linearised at ``now``."""
+        looks = [part[np.linspace(0, len(part) - 1, _LOOKS).astype(int)] for part in basis]
+        s, rate, bend = (part @ now for part in looks)
+        path = [self._curve.q(s, k).T[:, :, None] for k in range(4)]
+        r, u = rate[:, None], bend[:, None]
+        velocity = path[1] * r, path[2] * r * looks[0] + path[1] * looks[1]
+        acceleration = (
+            path[2] * r**2 + path[1] * u,
+            (path[3] * r**2 + path[2] * u) * looks[0] + 2.0 * path[2] * r * looks[1] + path[1] * looks[2],
+        )
+        # It arrives, and goes nowhere back.
+        rows, low, high = [basis[0][-1:], looks[1]], [np.ones(1), np.zeros(_LOOKS)], [np.ones(1), np.full(_LOOKS, 1e6)]
+        limits = self._arm.velocity_limits, self._arm.acceleration_limits
+        for (values, changes), bounds in zip((velocity, acceleration), limits, strict=True):
+            for value, change, bound in zip(values[..., 0], changes, bounds, strict=True):
+                if np.isfinite(bound):
+                    known = value - change @ now
+                    rows.append(change / bound)
+                    low.append(-_MARGIN - known / bound)
+                    high.append(_MARGIN - known / bound)
+        # DAQP's marks of soft constraints, and of an equality. Where limits cannot be kept, the motion takes longer.
+        sense = np.full(sum(map(len, low)), 8, dtype=np.int32)
+        sense[0] = 5
+        upper, lower = np.concatenate(high), np.concatenate(low)
+        found = daqp.solve(slopes.T @ slopes, slopes.T @ rest, np.vstack(rows), upper, lower, sense, rho_soft=1e-6)
+        return np.asarray(found[0])

@@ -1,0 +1,148 @@
+"""What the passive joints of an arm do while the arm follows a path by a time law: linearised, and by MuJoCo's model.
+
+The arm's own joints are where the law s(t) has them. With x the passive joints' distance from where they rest at s,
+
+    M x'' + (D + G s') x' + (K + A s'' + C s'^2) x + a s'' + b s'^2 + d s' = 0,
+
+whose coefficients are functions of s alone: forces of inverse dynamics, which are linear in accelerations and
+quadratic in velocities, and their slopes. So all laws along one path share a table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from lieednn_sim.arm import Arm, PassiveJoints
+from lieednn_sim.values import Floats
+
+_STATIONS = 41  # of the table
+_STEP = 1e-5  # of slopes along the path, as a fraction of its length
+
+
+class SwingModel:
+    """The passive joints of an arm along a path.
+
+    Args:
+        arm: the arm, which may have another load than the one that was planned for.
+        path: the path's joints ``(K, n)`` at fractions ``(K,)`` of its length, called as ``path(s, order)``.
+
+    Attributes:
+        passive: the passive joints.
+        fastest: largest circular frequency of a free oscillation [rad/s].
+        slowest: the least one.
+
+    Raises:
+        NoSolutionError: as of `PassiveJoints.at_rest`.
+    """
+
+    def __init__(self, arm: Arm, path: Callable[..., Floats]) -> None:
+        self._arm, self._path, self.passive = arm, path, PassiveJoints(arm)
+        passive, s, m = self.passive, np.linspace(0.0, 1.0, _STATIONS), len(self.passive.dofs)
+        begun = arm.qpos(path(s))
+        rest = passive.at_rest(begun)
+        inertia, damping, stiffness = passive.inertia(rest), passive.damping(rest), passive.stiffness(rest)
+        # Where it rests moves along the path so that no force arises.
+        ahead, behind = (
+            passive.forces(passive.moved(arm.qpos(path(s + side)), passive.away(rest, begun)))
+            for side in (_STEP, -_STEP)
+        )
+        rates, bends = self._rates(s)
+        shift = -np.matvec(np.linalg.pinv(stiffness, rcond=1e-6), ahead - behind) / (2.0 * _STEP)
+        rates[:, passive.dofs], bends[:, passive.dofs] = shift, CubicSpline(s, shift)(s, 1)
+        still, along, back = (passive.forces(rest, sign * rates, sign**2 * bends) for sign in (0.0, 1.0, -1.0))
+        forced = passive.forces(rest, 0.0, rates) - still, 0.5 * (along + back) - still, 0.5 * (along - back)
+        pulled = passive.stiffness(rest, 0.0, rates) - stiffness
+        turned = passive.stiffness(rest, rates, bends) - stiffness
+        matrices = (inertia, damping, passive.damping(rest, rates) - damping, stiffness, pulled, turned)
+        columns = [matrix.reshape(_STATIONS, m * m) for matrix in matrices]
+        self._table, self._begin, self._end = CubicSpline(s, np.hstack([*columns, *forced])), rest[0], rest[-1]
+        values = np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real
+        moving = values[values > 1e-6 * values.max()]
+        self.slowest, self.fastest = np.sqrt(moving.min()), np.sqrt(moving.max())
+        # Half squares of these are the energies left at the end.
+        curvature, axes = np.linalg.eigh(0.5 * (stiffness[-1] + stiffness[-1].T))
+        self._scales = np.sqrt(np.maximum(curvature, 0.0))[:, None] * axes.T, np.linalg.cholesky(inertia[-1]).T
+
+    def _rates(self, s: Floats) -> tuple[Floats, Floats]:
+        """Velocities ``(K, nv)`` of the model at unit s', and their slopes over s."""
+        at, ahead, behind = (
+            self._arm.qvel(self._path(s + side), self._path(s + side, 1)) for side in (0.0, _STEP, -_STEP)
+        )
+        return at, (ahead - behind) / (2.0 * _STEP)
+
+    def _left(self, x: Floats, v: Floats) -> Floats:
+        """Displacements and velocities at the end, ``(m, ...)``, as ``(2 m, ...)`` whose squares are twice energies."""
+        return np.concatenate([scale @ part for scale, part in zip(self._scales, (x, v), strict=True)])
+
+    def left(self, step: float, law: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """What a law leaves by the linear model, by the rule of trapezoids.
+
+        Args:
+            step: time between samples [s].
+            law: s, s' and s'', each ``(K, 1 + N)``: of the law, and N changes of it.
+
+        Returns:
+            The root of twice the energies left ``(2 m,)``, and its slopes ``(2 m, N)`` over the changes.
+        """
+        (s, more), (rate, more_rate), (bend, more_bend) = ((part[:, 0], part[:, 1:]) for part in law)
+        m = len(self.passive.dofs)
+
+        def parts(rows: Floats) -> list[Floats]:
+            split = np.split(rows, [k * m * m for k in range(1, 7)] + [6 * m * m + m, 6 * m * m + 2 * m], axis=1)
+            return [part.reshape(-1, m, m) for part in split[:6]] + split[6:]
+
+        inertia, damping, turning, stiffness, pulled, turned, a, b, d = parts(self._table(s))
+        r, u = rate[:, None, None], bend[:, None, None]
+        damping = damping + turning * r
+        stiffness = stiffness + pulled * u + turned * r**2
+        force = -(a * bend[:, None] + b * rate[:, None] ** 2 + d * rate[:, None])
+        x, v, acceleration = _trapezoids(step, inertia, damping, stiffness, force[..., None])
+        x1, v1, a1 = (each[..., 0] for each in (x, v, acceleration))
+        m1, d1, g1, k1, p1, t1, f1, f2, f3 = parts(self._table(s, 1))
+        over_s = np.matvec(m1, a1) + np.matvec(d1 + g1 * r, v1) + np.matvec(k1 + p1 * u + t1 * r**2, x1)
+        over_s += f1 * bend[:, None] + f2 * rate[:, None] ** 2 + f3 * rate[:, None]
+        over_rate = np.matvec(turning, v1) + 2.0 * rate[:, None] * (np.matvec(turned, x1) + b) + d
+        over_bend = np.matvec(pulled, x1) + a
+        changes = ((over_s, more), (over_rate, more_rate), (over_bend, more_bend))
+        force = -sum(slope[:, :, None] * change[:, None, :] for slope, change in changes)
+        slopes = _trapezoids(step, inertia, damping, stiffness, force)
+        return self._left(x1[-1], v1[-1]), self._left(slopes[0][-1], slopes[1][-1])
+
+    def simulated(self, step: float, s: Floats, rate: Floats, bend: Floats) -> Floats:
+        """What a law leaves ``(2 m,)`` as of `left`, by MuJoCo's model.
+
+        The passive joints begin at rest; semi-implicit steps, as MuJoCo's own. The law is s, s', s'' ``(K,)``.
+        """
+        arm, passive, m = self._arm, self.passive, len(self.passive.dofs)
+        rates, bends = self._rates(s)
+        rates[:, passive.dofs] = bends[:, passive.dofs] = 0.0
+        qvel, qacc = rates * rate[:, None], rates * bend[:, None] + bends * rate[:, None] ** 2
+        qpos = arm.qpos(self._path(s))
+        damping = self._table(s)[:, m * m : 2 * m * m].reshape(-1, m, m)
+        y, v = passive.away(self._begin[None], qpos[0])[0], np.zeros(m)
+        for k in range(len(s)):
+            qpos[k], qvel[k, passive.dofs] = passive.moved(qpos[k, None], y[None])[0], v
+            if k < len(s) - 1:
+                force, inertia = passive.force_and_inertia(qpos[k], qvel[k], qacc[k])
+                v = v - step * np.linalg.solve(inertia + step * damping[k], force)
+                y = y + step * v
+        return self._left(passive.away(qpos[-1:], self._end)[0], v)
+
+
+def _trapezoids(
+    step: float, inertia: Floats, damping: Floats, stiffness: Floats, force: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Solutions x, x', x'' ``(K, m, N)`` from rest of M x'' + D x' + K x = F with matrices ``(K, m, m)``."""
+    inverse = np.linalg.inv(inertia + 0.5 * step * damping + 0.25 * step**2 * stiffness)
+    x, v, acceleration = (np.zeros_like(force) for _ in range(3))
+    acceleration[0] = np.linalg.solve(inertia[0], force[0])
+    for k in range(1, len(force)):
+        speed = v[k - 1] + 0.5 * step * acceleration[k - 1]
+        place = x[k - 1] + step * v[k - 1] + 0.25 * step**2 * acceleration[k - 1]
+        acceleration[k] = inverse[k] @ (force[k] - damping[k] @ speed - stiffness[k] @ place)
+        v[k] = speed + 0.5 * step * acceleration[k]
+        x[k] = place + 0.25 * step**2 * acceleration[k]
+    return x, v, acceleration
