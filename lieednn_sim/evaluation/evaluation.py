@@ -12,6 +12,7 @@ from rich.table import Table
 
 from lieednn_sim import io
 from lieednn_sim.evaluation.display import as_text, rounded, table
+from lieednn_sim.evaluation.load import LoadMetrics
 from lieednn_sim.simulation import Disturbances
 from lieednn_sim.values import set_fields
 from lieednn_sim.versions import versions
@@ -127,6 +128,7 @@ class Evaluation:
         recoveries: the effect of each push.
         planned_force_fraction: largest force that the plan needs of an actuator, in units of its limit, by inverse
             dynamics; None without a plan. That of the run is ``force_fraction``.
+        load: what the motion left swinging and bending; None for an arm on which nothing does.
         causes: if the arm does not end at its target, the reasons that its model gives, see `diagnosis.error_causes`.
     """
 
@@ -159,6 +161,7 @@ class Evaluation:
     causes: tuple[str, ...] = ()
     proof: str = ""
     proved: bool = False
+    load: LoadMetrics | None = None
     settling_s: float | None = field(init=False)
     final_effector_mm: float = field(init=False)
     final_effector_deg: float = field(init=False)
@@ -294,6 +297,8 @@ def _notes(evaluation: Evaluation) -> list[str]:
         notes.append("; ".join(extremes))
     if evaluation.proof:
         notes.append(f"distances from contact: {evaluation.proof}")
+    if evaluation.load:
+        notes.append(f"after the motion: {evaluation.load}")
     if evaluation.causes:
         notes.append(f"final error {evaluation.final_worst_mm:.3g} mm and {evaluation.final_worst_deg:.3g} degrees:")
     return notes + [f"- {cause}" for cause in evaluation.causes]

@@ -22,6 +22,7 @@ from lieednn_sim.evaluation.evaluation import (
     MotionMetrics,
     Recovery,
 )
+from lieednn_sim.evaluation.load import load_metrics
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, rms_jerk
 from lieednn_sim.planning.statics import force_use
 from lieednn_sim.simulation import Following, Rollout
@@ -78,6 +79,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         recoveries=_recoveries(rollout, tracking),
         planned_force_fraction=None if motion is None else force_use(arm, motion.t, motion.q, motion.qd),
         causes=() if all(frame.arrived for frame in frames) else error_causes(rollout),
+        load=load_metrics(rollout, clearance=clearance),
         **violations(rollout),
     )
 

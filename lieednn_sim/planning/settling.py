@@ -21,7 +21,7 @@ from lieednn_sim.arm import Arm, Mode, PassiveJoints, with_load
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.swing_model import SwingModel
+from lieednn_sim.planning.swing_model import SwingModel, along
 from lieednn_sim.planning.time_laws import TimedCurve
 from lieednn_sim.values import Floats
 
@@ -121,7 +121,8 @@ class _LeastEnergy:
     def __init__(self, arm: Arm, curve: TimedCurve, options: SettlingOptions) -> None:
         others = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
         self._arm, self._curve = arm, curve
-        self._models = [SwingModel(with_load(arm, *load), curve.q) for load in [(1.0, 1.0), *others]]
+        track = along(arm, curve.q)
+        self._models = [SwingModel(with_load(arm, *load), *track) for load in [(1.0, 1.0), *others]]
         self._weights = np.sqrt([1.0] + [1.0 / len(others)] * len(others))[:, None]
 
     def law(self, duration: float) -> CubicHermiteSpline:
@@ -133,7 +134,7 @@ class _LeastEnergy:
         # s' by fractions of the duration, from and to rest without a step of the acceleration.
         spline = BSpline(knots, np.eye(count)[:, 2:-2], 3)
         parts = spline.antiderivative(), spline, spline.derivative()
-        steps = math.ceil(duration / min(0.06 / slowest, 0.4 / fastest))
+        steps = math.ceil(duration / min(0.1 / slowest, 0.4 / fastest))
         tau = np.linspace(0.0, 1.0, steps + 1)
         basis = [part(tau) / duration**k for k, part in enumerate(parts)]
         fitted, *_ = np.linalg.lstsq(basis[1], own(tau * own.x[-1], 1) * own.x[-1] / duration, rcond=None)
@@ -174,26 +175,20 @@ class _LeastEnergy:
         """The coefficients c that minimise ``|slopes c + rest|^2`` within the joints' limits, linearised at ``now``."""
         looks = [part[np.linspace(0, len(part) - 1, _LOOKS).astype(int)] for part in basis]
         s, rate, bend = (part @ now for part in looks)
-        path = [self._curve.q(s, k).T[:, :, None] for k in range(4)]
-        r, u = rate[:, None], bend[:, None]
-        velocity = path[1] * r, path[2] * r * looks[0] + path[1] * looks[1]
-        acceleration = (
-            path[2] * r**2 + path[1] * u,
-            (path[3] * r**2 + path[2] * u) * looks[0] + 2.0 * path[2] * r * looks[1] + path[1] * looks[2],
-        )
+        path, r, u = [self._curve.q(s, k).T[:, :, None] for k in range(4)], rate[:, None], bend[:, None]
+        values = path[1] * r, path[2] * r**2 + path[1] * u
+        over_s = path[2] * r * looks[0], (path[3] * r**2 + path[2] * u) * looks[0]
+        over_rates = path[1] * looks[1], 2.0 * path[2] * r * looks[1] + path[1] * looks[2]
+        # Velocities and accelerations in units of their limits; without a limit, zero.
+        limits = np.concatenate([self._arm.velocity_limits, self._arm.acceleration_limits])[:, None, None]
+        value, change, more = (np.concatenate(pair) / limits for pair in (values, over_s, over_rates))
+        change = (change + more).reshape(-1, len(now))
+        known = value.ravel() - change @ now
         # It arrives, and goes nowhere back.
-        rows, low, high = [basis[0][-1:], looks[1]], [np.ones(1), np.zeros(_LOOKS)], [np.ones(1), np.full(_LOOKS, 1e6)]
-        limits = self._arm.velocity_limits, self._arm.acceleration_limits
-        for (values, changes), bounds in zip((velocity, acceleration), limits, strict=True):
-            for value, change, bound in zip(values[..., 0], changes, bounds, strict=True):
-                if np.isfinite(bound):
-                    known = value - change @ now
-                    rows.append(change / bound)
-                    low.append(-_MARGIN - known / bound)
-                    high.append(_MARGIN - known / bound)
+        rows = np.vstack([basis[0][-1:], looks[1], change])
+        lower = np.concatenate([[1.0], np.zeros(_LOOKS), -_MARGIN - known])
+        upper = np.concatenate([[1.0], np.full(_LOOKS, 1e6), _MARGIN - known])
         # DAQP's marks of soft constraints, and of an equality. Where limits cannot be kept, the motion takes longer.
-        sense = np.full(sum(map(len, low)), 8, dtype=np.int32)
+        sense = np.full(len(rows), 8, dtype=np.int32)
         sense[0] = 5
-        upper, lower = np.concatenate(high), np.concatenate(low)
-        found = daqp.solve(slopes.T @ slopes, slopes.T @ rest, np.vstack(rows), upper, lower, sense, rho_soft=1e-6)
-        return np.asarray(found[0])
+        return np.asarray(daqp.solve(slopes.T @ slopes, slopes.T @ rest, rows, upper, lower, sense, rho_soft=1e-6)[0])

@@ -19,7 +19,15 @@ from lieednn_sim.arm import Arm, PassiveJoints
 from lieednn_sim.values import Floats
 
 _STATIONS = 41  # of the table
-_STEP = 1e-5  # of slopes along the path, as a fraction of its length
+
+
+def along(arm: Arm, path: Callable[[Floats, int], Floats]) -> tuple[CubicSpline, CubicSpline]:
+    """Positions ``(nq,)`` of an arm's model along a path, and velocities ``(nv,)`` at unit s', over s.
+
+    The path has joints ``(K, n)`` at fractions ``(K,)`` of its length, called as ``path(s, order)``.
+    """
+    s = np.linspace(0.0, 1.0, _STATIONS)
+    return CubicSpline(s, arm.qpos(path(s, 0))), CubicSpline(s, arm.qvel(path(s, 0), path(s, 1)))
 
 
 class SwingModel:
@@ -27,51 +35,40 @@ class SwingModel:
 
     Args:
         arm: the arm, which may have another load than the one that was planned for.
-        path: the path's joints ``(K, n)`` at fractions ``(K,)`` of its length, called as ``path(s, order)``.
+        qpos, rates: its path, as of `along`.
 
     Attributes:
         passive: the passive joints.
-        fastest: largest circular frequency of a free oscillation [rad/s].
-        slowest: the least one.
+        slowest, fastest: bounds of the circular frequencies of free oscillations [rad/s].
 
     Raises:
         NoSolutionError: as of `PassiveJoints.at_rest`.
     """
 
-    def __init__(self, arm: Arm, path: Callable[..., Floats]) -> None:
-        self._arm, self._path, self.passive = arm, path, PassiveJoints(arm)
+    def __init__(self, arm: Arm, qpos: CubicSpline, rates: CubicSpline) -> None:
+        self._qpos, self._rates, self.passive = qpos, rates, PassiveJoints(arm)
         passive, s, m = self.passive, np.linspace(0.0, 1.0, _STATIONS), len(self.passive.dofs)
-        begun = arm.qpos(path(s))
-        rest = passive.at_rest(begun)
+        rest = passive.at_rest(qpos(s))
         inertia, damping, stiffness = passive.inertia(rest), passive.damping(rest), passive.stiffness(rest)
         # Where it rests moves along the path so that no force arises.
-        ahead, behind = (
-            passive.forces(passive.moved(arm.qpos(path(s + side)), passive.away(rest, begun)))
-            for side in (_STEP, -_STEP)
-        )
-        rates, bends = self._rates(s)
-        shift = -np.matvec(np.linalg.pinv(stiffness, rcond=1e-6), ahead - behind) / (2.0 * _STEP)
-        rates[:, passive.dofs], bends[:, passive.dofs] = shift, CubicSpline(s, shift)(s, 1)
-        still, along, back = (passive.forces(rest, sign * rates, sign**2 * bends) for sign in (0.0, 1.0, -1.0))
-        forced = passive.forces(rest, 0.0, rates) - still, 0.5 * (along + back) - still, 0.5 * (along - back)
-        pulled = passive.stiffness(rest, 0.0, rates) - stiffness
-        turned = passive.stiffness(rest, rates, bends) - stiffness
-        matrices = (inertia, damping, passive.damping(rest, rates) - damping, stiffness, pulled, turned)
+        hanging, step = passive.away(rest, qpos(s)), 1e-5
+        ahead, behind = (passive.forces(passive.moved(qpos(s + side), hanging)) for side in (step, -step))
+        shift = -np.matvec(np.linalg.pinv(stiffness, rcond=1e-6), ahead - behind) / (2.0 * step)
+        speeds, bends = rates(s), rates(s, 1)
+        speeds[:, passive.dofs], bends[:, passive.dofs] = shift, CubicSpline(s, shift)(s, 1)
+        still, along, back = (passive.forces(rest, sign * speeds, sign**2 * bends) for sign in (0.0, 1.0, -1.0))
+        forced = passive.forces(rest, 0.0, speeds) - still, 0.5 * (along + back) - still, 0.5 * (along - back)
+        pulled = passive.stiffness(rest, 0.0, speeds) - stiffness
+        turned = passive.stiffness(rest, speeds, bends) - stiffness
+        matrices = (inertia, damping, passive.damping(rest, speeds) - damping, stiffness, pulled, turned)
         columns = [matrix.reshape(_STATIONS, m * m) for matrix in matrices]
-        self._table, self._begin, self._end = CubicSpline(s, np.hstack([*columns, *forced])), rest[0], rest[-1]
-        values = np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real
-        moving = values[values > 1e-6 * values.max()]
+        self._table, self._begin, self._end = CubicSpline(s, np.hstack([*columns, *forced])), hanging[0], rest[-1]
+        squares = np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real
+        moving = squares[squares > 1e-6 * squares.max()]
         self.slowest, self.fastest = np.sqrt(moving.min()), np.sqrt(moving.max())
         # Half squares of these are the energies left at the end.
         curvature, axes = np.linalg.eigh(0.5 * (stiffness[-1] + stiffness[-1].T))
         self._scales = np.sqrt(np.maximum(curvature, 0.0))[:, None] * axes.T, np.linalg.cholesky(inertia[-1]).T
-
-    def _rates(self, s: Floats) -> tuple[Floats, Floats]:
-        """Velocities ``(K, nv)`` of the model at unit s', and their slopes over s."""
-        at, ahead, behind = (
-            self._arm.qvel(self._path(s + side), self._path(s + side, 1)) for side in (0.0, _STEP, -_STEP)
-        )
-        return at, (ahead - behind) / (2.0 * _STEP)
 
     def _left(self, x: Floats, v: Floats) -> Floats:
         """Displacements and velocities at the end, ``(m, ...)``, as ``(2 m, ...)`` whose squares are twice energies."""
@@ -116,13 +113,12 @@ class SwingModel:
 
         The passive joints begin at rest; semi-implicit steps, as MuJoCo's own. The law is s, s', s'' ``(K,)``.
         """
-        arm, passive, m = self._arm, self.passive, len(self.passive.dofs)
-        rates, bends = self._rates(s)
-        rates[:, passive.dofs] = bends[:, passive.dofs] = 0.0
-        qvel, qacc = rates * rate[:, None], rates * bend[:, None] + bends * rate[:, None] ** 2
-        qpos = arm.qpos(self._path(s))
+        passive, m = self.passive, len(self.passive.dofs)
+        qpos, speeds, bends = self._qpos(s), self._rates(s), self._rates(s, 1)
+        qvel, qacc = speeds * rate[:, None], speeds * bend[:, None] + bends * rate[:, None] ** 2
+        qacc[:, passive.dofs] = 0.0
         damping = self._table(s)[:, m * m : 2 * m * m].reshape(-1, m, m)
-        y, v = passive.away(self._begin[None], qpos[0])[0], np.zeros(m)
+        y, v = self._begin, np.zeros(m)
         for k in range(len(s)):
             qpos[k], qvel[k, passive.dofs] = passive.moved(qpos[k, None], y[None])[0], v
             if k < len(s) - 1:

@@ -11,7 +11,7 @@ from lieednn_sim.arm import Mode, with_load
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.planning import SettlingOptions, settled
 from lieednn_sim.planning.settling import shaper
-from lieednn_sim.planning.swing_model import SwingModel
+from lieednn_sim.planning.swing_model import SwingModel, along
 from lieednn_sim.planning.time_laws import TimedCurve
 
 OMEGA = np.sqrt(9.81 / gantries.LENGTH)
@@ -57,7 +57,7 @@ def test_the_linear_model_leaves_of_a_pendulum_what_its_integral_says():
     motion = ls.plan(arm, [2.0], planner="minimum-jerk", duration=4.0).motion
     curve, t = TimedCurve(arm, motion), np.linspace(0.0, 4.0, 2001)
     law = [np.asarray(curve.own(t, k))[:, None] for k in range(3)]
-    left, _ = SwingModel(arm, curve.q).left(t[1], tuple(law))
+    left, _ = SwingModel(arm, *along(arm, curve.q)).left(t[1], tuple(law))
     driven = np.trapezoid(2.0 * law[2][:, 0] * np.exp(1j * OMEGA * t), t)
     assert left @ left == pytest.approx(5.0 * abs(driven) ** 2, rel=1e-3)
 
@@ -88,7 +88,7 @@ def crane():
 def test_the_slopes_of_the_linear_model_are_its_differences(crane):
     _, arm, plan = crane
     curve, t = TimedCurve(arm, plan.motion), np.linspace(0.0, 8.0, 400)
-    model, law = SwingModel(arm, curve.q), [np.asarray(curve.own(t, k))[:, None] for k in range(3)]
+    model, law = SwingModel(arm, *along(arm, curve.q)), [np.asarray(curve.own(t, k))[:, None] for k in range(3)]
     sine = (
         np.sin(np.pi * t / 8.0) ** 2,
         np.pi / 8.0 * np.sin(np.pi * t / 4.0),
@@ -108,7 +108,7 @@ def test_both_models_leave_what_mujoco_leaves(crane):
     for duration, tolerance in ((8.0, 0.2), (12.0, 0.1)):
         motion = ls.plan(arm, plan.target, planner="lieednn-shaped", duration=duration).motion
         curve = TimedCurve(arm, motion)
-        model, t = SwingModel(arm, curve.q), np.linspace(0.0, duration, 1000)
+        model, t = SwingModel(arm, *along(arm, curve.q)), np.linspace(0.0, duration, 1000)
         law = [np.asarray(curve.own(t, k)) for k in range(3)]
         run = ls.simulate(arm, motion, hold=0.0)
         there = model.passive.away(run.qpos[-3:], model.passive.at_rest(arm.qpos(motion.q[-1:]))[0])
