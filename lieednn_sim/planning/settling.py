@@ -164,10 +164,9 @@ class _LeastEnergy:
                 unit = max(float(np.linalg.norm(left)), 1e-9)
             if k == 0 or k >= _LINEAR:
                 best = min(best, (float(np.linalg.norm(left)), now), key=lambda pair: pair[0])
-            over, rest = slopes.reshape(-1, len(now)) / unit, (left - slopes @ now).ravel() / unit
-            after = self._within_limits(
-                now, np.vstack([over, roughness]), np.append(rest, 0.0 * roughness[:, 0]), basis
-            )
+            rows = np.vstack([slopes.reshape(-1, len(now)) / unit, roughness])
+            rest = np.append((left - slopes @ now).ravel() / unit, np.zeros(len(roughness)))
+            after = self._within_limits(now, rows, rest, basis)
             left, now = left + slopes @ (after - now), after
         return best[1]
 

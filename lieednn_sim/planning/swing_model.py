@@ -56,13 +56,17 @@ class SwingModel:
         shift = -np.matvec(np.linalg.pinv(stiffness, rcond=1e-6), ahead - behind) / (2.0 * step)
         speeds, bends = rates(s), rates(s, 1)
         speeds[:, passive.dofs], bends[:, passive.dofs] = shift, CubicSpline(s, shift)(s, 1)
-        still, along, back = (passive.forces(rest, sign * speeds, sign**2 * bends) for sign in (0.0, 1.0, -1.0))
-        forced = passive.forces(rest, 0.0, speeds) - still, 0.5 * (along + back) - still, 0.5 * (along - back)
-        pulled = passive.stiffness(rest, 0.0, speeds) - stiffness
-        turned = passive.stiffness(rest, speeds, bends) - stiffness
-        matrices = (inertia, damping, passive.damping(rest, speeds) - damping, stiffness, pulled, turned)
-        columns = [matrix.reshape(_STATIONS, m * m) for matrix in matrices]
-        self._table, self._begin, self._end = CubicSpline(s, np.hstack([*columns, *forced])), hanging[0], rest[-1]
+        still, ahead, behind = (passive.forces(rest, sign * speeds, sign**2 * bends) for sign in (0.0, 1.0, -1.0))
+        # Slopes over x and x', and the forces at rest, of what is constant, and of what grows with s', s'^2 and s''.
+        table = np.zeros((_STATIONS, 4, m, 2 * m + 1))
+        table[:, 0, :, :m], table[:, 0, :, m:-1] = stiffness, damping
+        table[:, 1, :, m:-1], table[:, 1, :, -1] = passive.damping(rest, speeds) - damping, 0.5 * (ahead - behind)
+        table[:, 2, :, :m] = passive.stiffness(rest, speeds, bends) - stiffness
+        table[:, 2, :, -1] = 0.5 * (ahead + behind) - still
+        table[:, 3, :, :m] = passive.stiffness(rest, 0.0, speeds) - stiffness
+        table[:, 3, :, -1] = passive.forces(rest, 0.0, speeds) - still
+        self._table, self._inertia = CubicSpline(s, table), CubicSpline(s, inertia)
+        self._begin, self._end = hanging[0], rest[-1]
         squares = np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real
         moving = squares[squares > 1e-6 * squares.max()]
         self.slowest, self.fastest = np.sqrt(moving.min()), np.sqrt(moving.max())
@@ -85,28 +89,24 @@ class SwingModel:
             The root of twice the energies left ``(2 m,)``, and its slopes ``(2 m, N)`` over the changes.
         """
         (s, more), (rate, more_rate), (bend, more_bend) = ((part[:, 0], part[:, 1:]) for part in law)
-        m = len(self.passive.dofs)
+        one, none, m = np.ones_like(s), np.zeros_like(s), len(self.passive.dofs)
+        table, inertia = self._table(s), self._inertia(s)
 
-        def parts(rows: Floats) -> list[Floats]:
-            split = np.split(rows, [k * m * m for k in range(1, 7)] + [6 * m * m + m, 6 * m * m + 2 * m], axis=1)
-            return [part.reshape(-1, m, m) for part in split[:6]] + split[6:]
+        def sums(*drives: Floats, of: Floats = table) -> Floats:
+            return np.einsum("kj,kjab->kab", np.stack(drives, axis=1), of)
 
-        inertia, damping, turning, stiffness, pulled, turned, a, b, d = parts(self._table(s))
-        r, u = rate[:, None, None], bend[:, None, None]
-        damping = damping + turning * r
-        stiffness = stiffness + pulled * u + turned * r**2
-        force = -(a * bend[:, None] + b * rate[:, None] ** 2 + d * rate[:, None])
-        x, v, acceleration = _trapezoids(step, inertia, damping, stiffness, force[..., None])
-        x1, v1, a1 = (each[..., 0] for each in (x, v, acceleration))
-        m1, d1, g1, k1, p1, t1, f1, f2, f3 = parts(self._table(s, 1))
-        over_s = np.matvec(m1, a1) + np.matvec(d1 + g1 * r, v1) + np.matvec(k1 + p1 * u + t1 * r**2, x1)
-        over_s += f1 * bend[:, None] + f2 * rate[:, None] ** 2 + f3 * rate[:, None]
-        over_rate = np.matvec(turning, v1) + 2.0 * rate[:, None] * (np.matvec(turned, x1) + b) + d
-        over_bend = np.matvec(pulled, x1) + a
+        whole = sums(one, rate, rate**2, bend)
+        equation = step, inertia, whole[..., m:-1], whole[..., :m]
+        x, v, acceleration = (each[..., 0] for each in _trapezoids(*equation, -whole[..., -1:]))
+        state = np.concatenate([x, v, one[:, None]], axis=1)
+        over_s = np.matvec(sums(one, rate, rate**2, bend, of=self._table(s, 1)), state)
+        over_s += np.matvec(self._inertia(s, 1), acceleration)
+        over_rate = np.matvec(sums(none, one, 2.0 * rate, none), state)
+        over_bend = np.matvec(sums(none, none, none, one), state)
         changes = ((over_s, more), (over_rate, more_rate), (over_bend, more_bend))
         force = -sum(slope[:, :, None] * change[:, None, :] for slope, change in changes)
-        slopes = _trapezoids(step, inertia, damping, stiffness, force)
-        return self._left(x1[-1], v1[-1]), self._left(slopes[0][-1], slopes[1][-1])
+        slopes = _trapezoids(*equation, force)
+        return self._left(x[-1], v[-1]), self._left(slopes[0][-1], slopes[1][-1])
 
     def simulated(self, step: float, s: Floats, rate: Floats, bend: Floats) -> Floats:
         """What a law leaves ``(2 m,)`` as of `left`, by MuJoCo's model.
@@ -117,7 +117,7 @@ class SwingModel:
         qpos, speeds, bends = self._qpos(s), self._rates(s), self._rates(s, 1)
         qvel, qacc = speeds * rate[:, None], speeds * bend[:, None] + bends * rate[:, None] ** 2
         qacc[:, passive.dofs] = 0.0
-        damping = self._table(s)[:, m * m : 2 * m * m].reshape(-1, m, m)
+        damping = self._table(s)[:, 0, :, m:-1]
         y, v = self._begin, np.zeros(m)
         for k in range(len(s)):
             qpos[k], qvel[k, passive.dofs] = passive.moved(qpos[k, None], y[None])[0], v

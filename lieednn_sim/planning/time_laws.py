@@ -270,13 +270,12 @@ class TimedCurve:
             result = self.motion(law_of(duration), math.ceil(round(duration / self._arm.timestep, 6)))
             try:
                 check_motion(self._arm, result)
+                return result
             except TooFastError as error:
                 # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in it.
                 duration = max(1.002 * duration, error.duration)
                 if duration > longest:
                     raise
-                continue
-            return result
         raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")
 
     def motion(self, law: CubicHermiteSpline, steps: int) -> Motion:
