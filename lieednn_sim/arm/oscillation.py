@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 _Arm = TypeVar("_Arm", bound="ModelArm")
 
-_STEP = 1e-5  # of finite differences [rad, m]
-
 
 @dataclass(frozen=True)
 class Mode:
@@ -50,11 +48,7 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class PassiveJoints:
-    """The passive joints of an arm's model. Rows of positions ``(S, nq)`` are MuJoCo's, of the whole model.
-
-    Attributes:
-        arm: the arm.
-    """
+    """The passive joints of an arm's model. Rows of positions ``(S, nq)`` are MuJoCo's, of the whole model."""
 
     arm: ModelArm
 
@@ -103,25 +97,22 @@ class PassiveJoints:
         """Forces ``(S, m)`` that a motion would need at these joints, by inverse dynamics; in a free one, zero."""
         return required_forces(self.arm.model, qpos, qvel, qacc)[:, self.dofs]
 
-    def stiffness(self, qpos: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
-        """Slopes ``(S, m, m)`` of `forces` over displacements."""
-        return self._differences(qpos, qvel, qacc, _STEP, 0.0) / _STEP
+    def slopes(self, over: str, qpos: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
+        """Slopes ``(S, m, m)`` of `forces` over the passive joints' ``position``, ``velocity`` or ``acceleration``.
 
-    def damping(self, qpos: Floats, qvel: Floats | float = 0.0) -> Floats:
-        """Slopes ``(S, m, m)`` of `forces` over the passive joints' velocities, in which forces are quadratic."""
-        return self._differences(qpos, qvel, 0.0, 0.0, 1.0)
-
-    def _differences(
-        self, qpos: Floats, qvel: Floats | float, qacc: Floats | float, shift: float, rate: float
-    ) -> Floats:
-        """Half the differences ``(S, m, m)`` of `forces` as each joint is shifted, or moves, one way and the other."""
-        count, m, nv = len(qpos), len(self.dofs), self.arm.model.nv
-        sides = np.tile(np.concatenate([np.eye(m), -np.eye(m)]), (count, 1))
-        rates, bends = (np.broadcast_to(each, (count, nv)).repeat(2 * m, axis=0) for each in (qvel, qacc))
-        rates[:, self.dofs] += rate * sides
+        They are stiffness, damping and inertia, by central differences.
+        """
+        count, m, which = len(qpos), len(self.dofs), ("position", "velocity", "acceleration").index(over)
+        step = (1e-5, 1.0, 1.0)[which]  # forces are at most quadratic in velocities
+        sides = np.tile(step * np.concatenate([np.eye(m), -np.eye(m)]), (count, 1))
+        rates = [np.broadcast_to(part, (count, self.arm.model.nv)).repeat(2 * m, axis=0) for part in (qvel, qacc)]
         rows = qpos.repeat(2 * m, axis=0)
-        forces = self.forces(self.moved(rows, shift * sides) if shift else rows, rates, bends).reshape(count, 2, m, m)
-        return 0.5 * np.swapaxes(forces[:, 0] - forces[:, 1], 1, 2)
+        if which == 0:
+            rows = self.moved(rows, sides)
+        else:
+            rates[which - 1][:, self.dofs] += sides
+        forces = self.forces(rows, *rates).reshape(count, 2, m, m)
+        return np.swapaxes(forces[:, 0] - forces[:, 1], 1, 2) / (2.0 * step)
 
     def force_and_inertia(self, qpos: Floats, qvel: Floats, qacc: Floats) -> tuple[Floats, Floats]:
         """As `forces`, ``(m,)``, and the mass matrix ``(m, m)``, of one row ``(nq,)``: for simulations."""
@@ -129,11 +120,6 @@ class PassiveJoints:
         # There is the mass matrix that the forces were found with.
         mujoco.mj_fullM(self.arm.model, scratch_data(self.arm.model), whole)
         return force, whole[np.ix_(self.dofs, self.dofs)]
-
-    def inertia(self, qpos: Floats) -> Floats:
-        """Mass matrices ``(S, m, m)``."""
-        rest = np.zeros(self.arm.model.nv)
-        return np.array([self.force_and_inertia(row, rest, rest)[1] for row in qpos])
 
     def at_rest(self, qpos: Floats) -> Floats:
         """Positions ``(S, nq)`` with the passive joints where they rest, stably: Newton's method on their energy.
@@ -145,7 +131,7 @@ class PassiveJoints:
         if not len(self.dofs):
             return result
         for _ in range(50):
-            curvature, axes = np.linalg.eigh(self.stiffness(result))
+            curvature, axes = np.linalg.eigh(self.slopes("position", result))
             pull = np.vecmat(self.forces(result), axes)
             # Downhill, also near the unstable rest; along what moves freely there is neither force nor stiffness.
             neutral = np.abs(curvature) < 1e-6 * np.abs(curvature).max(axis=1, keepdims=True) + 1e-9
@@ -156,8 +142,7 @@ class PassiveJoints:
             result = self.moved(result, step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300)))
             if largest.max(initial=0.0) < 1e-8:
                 return result
-        names = ", ".join(self.names)
-        raise NoSolutionError(f"no rest was found for what nothing drives: {names}; hang or spring it, or drive it")
+        raise NoSolutionError(f"nothing drives {', '.join(self.names)}, which rest nowhere: hang, spring or drive them")
 
     @property
     def names(self) -> list[str]:
@@ -167,7 +152,7 @@ class PassiveJoints:
     def modes(self, q: ArrayLike) -> tuple[Mode, ...]:
         """Free oscillations at a configuration ``(n,)``, slowest first; overdamped and neutral motions have none.
 
-        They are the eigenvalues of M x'' + D x' + K x = 0, with the matrices of `inertia`, `damping` and `stiffness`.
+        They are the eigenvalues of M x'' + D x' + K x = 0, with the matrices of `slopes`.
 
         Raises:
             InputError: q is malformed.
@@ -177,15 +162,14 @@ class PassiveJoints:
         if not m:
             return ()
         rest = self.at_rest(self.arm.qpos(position)[None])
-        inertia, damping, stiffness = self.inertia(rest)[0], self.damping(rest)[0], self.stiffness(rest)[0]
-        system = np.zeros((2 * m, 2 * m))
-        system[:m, m:], system[m:] = np.eye(m), -np.linalg.solve(inertia, np.hstack([stiffness, damping]))
+        stiffness, damping, inertia = (self.slopes(kind, rest)[0] for kind in ("position", "velocity", "acceleration"))
+        system = np.eye(2 * m, k=m)
+        system[m:] = -np.linalg.solve(inertia, np.hstack([stiffness, damping]))
         values, shapes = np.linalg.eig(system)
-        joints, found = self.arm.model.dof_jntid[self.dofs], []
+        found = []
         for k in np.flatnonzero(values.imag > 1e-3 * np.abs(values)):
-            energy = np.abs(shapes[:m, k]) ** 2 * np.diag(inertia)
-            size = float(abs(values[k]))
-            name = self.arm.model.joint(joints[int(energy.argmax())]).name
+            dof = self.dofs[int((np.abs(shapes[:m, k]) ** 2 * np.diag(inertia)).argmax())]
+            size, name = float(abs(values[k])), self.arm.model.joint(self.arm.model.dof_jntid[dof]).name
             found.append(Mode(name, size / (2.0 * np.pi), float(-values[k].real / size)))
         return tuple(sorted(found, key=lambda mode: mode.frequency))
 

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import PassiveJoints
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.simulation import Rollout
 
-_DRAWN = 3  # geom groups below it are drawn by default
-_FAR = 10.0  # distances beyond it are not told apart [m]
-_LOOKS = 100  # instants at which distances are measured
-_SETTLED = np.deg2rad(1.0), 5e-3  # of swing [rad] and bending [m]
+_SETTLED = np.deg2rad(1.0), 5e-3  # swing [rad] and bending [m]
 
 
 @dataclass(frozen=True)
@@ -23,12 +21,11 @@ class LoadMetrics:
     """What the passive joints of an arm (`arm.PassiveJoints`) did in a run.
 
     Attributes:
-        swing_deg: largest angle after the motion by which joints without a spring are off their rest.
-        bending_mm: largest distance after the motion by which joints with a spring move the end effector from its rest.
-        settling_s: time after the motion from which these stay below 1 degree and 5 mm, for a period at least;
-            None if they do not.
-        clearance_mm: least distance of what hangs from what the arm does not move, at 100 instants of the simulation,
-            between geoms of the groups that MuJoCo draws, whether or not they collide; None without one.
+        swing_deg: largest angle after the motion of joints without a spring from where they rest.
+        bending_mm: how far joints with a spring move the end effector at most after the motion from where it rests.
+        settling_s: time after the motion from which these stay below 1 degree and 5 mm for a period at least, if any.
+        clearance_mm: least distance of what hangs from what does not move, at 100 instants of the simulation, between
+            geoms of the groups 0 to 2, which MuJoCo draws, also if they do not collide; None if it was not computed.
     """
 
     swing_deg: float
@@ -45,44 +42,41 @@ class LoadMetrics:
 def load_metrics(rollout: Rollout, *, clearance: bool = True) -> LoadMetrics | None:
     """The metrics of a run, None for an arm whose passive joints rest nowhere, or that has none."""
     arm, passive = rollout.arm, PassiveJoints(rollout.arm)
-    if not len(passive.dofs):
-        return None
     try:
+        modes = passive.modes(rollout.q[-1])
         rest = passive.at_rest(arm.qpos(rollout.q[-1:]))[0]
     except NoSolutionError:
+        return None
+    if not len(passive.dofs):
         return None
     after = rollout.t >= rollout.motion_end - 0.5 * rollout.timestep
     off = passive.away(rollout.qpos[after], rest)
     turning = arm.model.jnt_type[arm.model.dof_jntid[passive.dofs]] != int(mujoco.mjtJoint.mjJNT_SLIDE)
     swing = np.linalg.norm(off[:, ~passive.sprung & turning], axis=1)
-    data = mujoco.MjData(arm.model)
-    data.qpos[:] = rest
-    mujoco.mj_kinematics(arm.model, data)
+    data = kinematics_at(arm.model, rest)
     mujoco.mj_comPos(arm.model, data)
     slopes, _ = arm.frames.jacobian(arm.model, data, -1)
     bending = np.linalg.norm(off[:, passive.sprung] @ slopes[:, passive.dofs[passive.sprung]].T, axis=1)
     late = np.flatnonzero((swing > _SETTLED[0]) | (bending > _SETTLED[1]))
-    calm = rollout.t[after][int(late[-1])] - rollout.motion_end if len(late) else 0.0
+    calm = float(rollout.t[after][late[-1]] - rollout.motion_end) if len(late) else 0.0
     # What swings through its rest has not settled there.
-    periods = [1.0 / mode.frequency for mode in passive.modes(rollout.q[-1])[:1]]
-    settled = not len(late) or calm + sum(periods) < rollout.hold
+    settled = not len(late) or calm + sum(1.0 / mode.frequency for mode in modes[:1]) < rollout.hold
     return LoadMetrics(
         swing_deg=float(np.rad2deg(swing.max(initial=0.0))),
         bending_mm=float(1e3 * bending.max(initial=0.0)),
-        settling_s=float(calm) if settled else None,
+        settling_s=calm if settled else None,
         clearance_mm=_clearance(rollout, passive) if clearance else None,
     )
 
 
 def _clearance(rollout: Rollout, passive: PassiveJoints) -> float | None:
-    model = rollout.arm.model
-    drawn, body = model.geom_group < _DRAWN, model.geom_bodyid
-    load = np.flatnonzero(drawn & passive.bodies[body])
+    """The attribute of `LoadMetrics`, if there are geoms within 10 m of each other."""
+    model, far, least = rollout.arm.model, 10.0, 10.0
+    drawn, body = model.geom_group < 3, model.geom_bodyid
     still = moved_together(model, np.append(rollout.arm.dofs, passive.dofs))[body] == 0
-    others, data, least = np.flatnonzero(drawn & still), mujoco.MjData(model), _FAR
-    for row in np.unique(np.linspace(0, len(rollout.t) - 1, _LOOKS).astype(int)):
-        data.qpos[:] = rollout.qpos[row]
-        mujoco.mj_kinematics(model, data)
-        for pair in ((int(one), int(other)) for one in load for other in others):
-            least = min(least, mujoco.mj_geomDistance(model, data, *pair, _FAR, None))
-    return 1e3 * least if least < _FAR else None
+    load, others = np.flatnonzero(drawn & passive.bodies[body]).tolist(), np.flatnonzero(drawn & still).tolist()
+    for row in np.unique(np.linspace(0, len(rollout.t) - 1, 100).astype(int)):
+        data = kinematics_at(model, rollout.qpos[row])
+        for one, other in product(load, others):
+            least = min(least, mujoco.mj_geomDistance(model, data, one, other, far, None))
+    return 1e3 * least if least < far else None

@@ -49,7 +49,7 @@ class SwingModel:
         self._qpos, self._rates, self.passive = qpos, rates, PassiveJoints(arm)
         passive, s, m = self.passive, np.linspace(0.0, 1.0, _STATIONS), len(self.passive.dofs)
         rest = passive.at_rest(qpos(s))
-        inertia, damping, stiffness = passive.inertia(rest), passive.damping(rest), passive.stiffness(rest)
+        stiffness, damping, inertia = (passive.slopes(of, rest) for of in ("position", "velocity", "acceleration"))
         # Where it rests moves along the path so that no force arises.
         hanging, step = passive.away(rest, qpos(s)), 1e-5
         ahead, behind = (passive.forces(passive.moved(qpos(s + side), hanging)) for side in (step, -step))
@@ -60,10 +60,13 @@ class SwingModel:
         # Slopes over x and x', and the forces at rest, of what is constant, and of what grows with s', s'^2 and s''.
         table = np.zeros((_STATIONS, 4, m, 2 * m + 1))
         table[:, 0, :, :m], table[:, 0, :, m:-1] = stiffness, damping
-        table[:, 1, :, m:-1], table[:, 1, :, -1] = passive.damping(rest, speeds) - damping, 0.5 * (ahead - behind)
-        table[:, 2, :, :m] = passive.stiffness(rest, speeds, bends) - stiffness
+        table[:, 1, :, m:-1], table[:, 1, :, -1] = (
+            passive.slopes("velocity", rest, speeds) - damping,
+            0.5 * (ahead - behind),
+        )
+        table[:, 2, :, :m] = passive.slopes("position", rest, speeds, bends) - stiffness
         table[:, 2, :, -1] = 0.5 * (ahead + behind) - still
-        table[:, 3, :, :m] = passive.stiffness(rest, 0.0, speeds) - stiffness
+        table[:, 3, :, :m] = passive.slopes("position", rest, 0.0, speeds) - stiffness
         table[:, 3, :, -1] = passive.forces(rest, 0.0, speeds) - still
         self._table, self._inertia = CubicSpline(s, table), CubicSpline(s, inertia)
         self._begin, self._end = hanging[0], rest[-1]
