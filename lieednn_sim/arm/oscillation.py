@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lieednn_sim._mujoco import mujoco, scratch_data
+from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.dependents import tied_joints
+from lieednn_sim.arm.equalities import names
 from lieednn_sim.arm.forces import actuator_moments, required_forces
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.validation import as_floats, as_positive
@@ -98,10 +99,7 @@ class PassiveJoints:
         return required_forces(self.arm.model, qpos, qvel, qacc)[:, self.dofs]
 
     def slopes(self, over: str, qpos: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
-        """Slopes ``(S, m, m)`` of `forces` over the passive joints' ``position``, ``velocity`` or ``acceleration``.
-
-        They are stiffness, damping and inertia, by central differences.
-        """
+        """Slopes ``(S, m, m)`` of `forces` over passive ``position``, ``velocity`` or ``acceleration``: differences."""
         count, m, which = len(qpos), len(self.dofs), ("position", "velocity", "acceleration").index(over)
         step = (1e-5, 1.0, 1.0)[which]  # forces are at most quadratic in velocities
         sides = np.tile(step * np.concatenate([np.eye(m), -np.eye(m)]), (count, 1))
@@ -113,13 +111,6 @@ class PassiveJoints:
             rates[which - 1][:, self.dofs] += sides
         forces = self.forces(rows, *rates).reshape(count, 2, m, m)
         return np.swapaxes(forces[:, 0] - forces[:, 1], 1, 2) / (2.0 * step)
-
-    def force_and_inertia(self, qpos: Floats, qvel: Floats, qacc: Floats) -> tuple[Floats, Floats]:
-        """As `forces`, ``(m,)``, and the mass matrix ``(m, m)``, of one row ``(nq,)``: for simulations."""
-        force, whole = self.forces(qpos[None], qvel, qacc)[0], np.empty((self.arm.model.nv, self.arm.model.nv))
-        # There is the mass matrix that the forces were found with.
-        mujoco.mj_fullM(self.arm.model, scratch_data(self.arm.model), whole)
-        return force, whole[np.ix_(self.dofs, self.dofs)]
 
     def at_rest(self, qpos: Floats) -> Floats:
         """Positions ``(S, nq)`` with the passive joints where they rest, stably: Newton's method on their energy.
@@ -142,12 +133,8 @@ class PassiveJoints:
             result = self.moved(result, step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300)))
             if largest.max(initial=0.0) < 1e-8:
                 return result
-        raise NoSolutionError(f"nothing drives {', '.join(self.names)}, which rest nowhere: hang, spring or drive them")
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the joints."""
-        return [self.arm.model.joint(j).name for j in dict.fromkeys(self.arm.model.dof_jntid[self.dofs].tolist())]
+        joints = names(self.arm.model, dict.fromkeys(self.arm.model.dof_jntid[self.dofs].tolist()))
+        raise NoSolutionError(f"nothing drives {joints}, which rest nowhere: hang, spring or drive them")
 
     def modes(self, q: ArrayLike) -> tuple[Mode, ...]:
         """Free oscillations at a configuration ``(n,)``, slowest first; overdamped and neutral motions have none.
@@ -175,12 +162,9 @@ class PassiveJoints:
 
 
 def with_load(arm: _Arm, mass: float = 1.0, length: float = 1.0) -> _Arm:
-    """An arm with another load than its model has: what hangs (`PassiveJoints.bodies`) is heavier, or hangs lower.
+    """An arm with another load: factors of the mass of what hangs (`PassiveJoints.bodies`), and of how far it hangs.
 
-    Args:
-        arm: the arm.
-        mass: factor of masses and moments of inertia.
-        length: factor of the distances from the joints at which it hangs, of its parts, sizes kept.
+    Distances from the joints at which it hangs change, sizes do not.
 
     Raises:
         InputError: a factor is not positive.

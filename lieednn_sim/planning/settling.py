@@ -4,8 +4,8 @@ Shapers convolve a motion's time law with impulses: ZV and ZVD of Singer and See
 112(1), 1990), EI of Singhose, Seering and Singer (J. Mech. Des. 116(2), 1994). They would leave nothing of a mode that
 stays the same and is driven linearly; on a path that bends they leave a part. The law of least energy knows how the
 modes change along the path (`swing_model`): a cubic B-spline s'(t), found by Gauss and Newton's method as a sequence of
-quadratic programs within the limits of the joints, whose residuals the model's own dynamics correct. Where and how the
-arm moves stays as planned, and with it what is proved of its path; the motion's own limits are checked anew.
+quadratic programs within the limits of the joints. Where the arm moves stays as planned, and with it what is proved of
+its path; the limits are checked anew.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ METHODS = ("least-energy", "zv", "zvd", "ei")
 _SAMPLES = 2000  # of a law
 _LOOKS = 120  # instants at which a law's limits are kept
 _MARGIN = 0.995  # of the limits, between these instants
-_LINEAR, _SIMULATED = 3, 3  # laws looked at, by the linear model and by MuJoCo's
+_LAWS = 4  # looked at
 _SMOOTH = 1e-4  # weight of jerk, in units of the planned motion's, against energies, in units of what that leaves
 
 
@@ -44,19 +44,15 @@ class SettlingOptions(PlannerOptions):
             energies left, besides the model's own.
         lengths: the same for the lengths at which it hangs.
         modes: how many of the slowest modes a shaper is made for.
-        tolerance: fraction of the swing that ``ei`` leaves of its mode, for the widest range of frequencies.
     """
 
     method: str = field(default=METHODS[0], metadata={"choices": METHODS})
     loads: tuple[float, ...] = (0.8, 1.2)
     lengths: tuple[float, ...] = (0.9, 1.1)
     modes: int = 1
-    tolerance: float = field(default=0.05, metadata={"range": (0.0, 0.5)})
 
 
-def settled(
-    arm: Arm, motion: Motion, options: SettlingOptions, longest: float = math.inf, periods: float = 0.0
-) -> Motion:
+def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float = math.inf, more: float = 0.0) -> Motion:
     """A motion along the path of another one, by a time law that leaves less swinging and bending.
 
     It takes as long as the other one where the arm's limits allow that, else as much longer as they need.
@@ -66,7 +62,7 @@ def settled(
         motion: a motion from rest to rest.
         options: the method, and for which loads.
         longest: the longest duration that it may take [s].
-        periods: how many periods of the slowest oscillation it may take longer at once.
+        more: how many periods of the slowest oscillation it takes longer at least.
 
     Raises:
         InputError: the arm has no passive joints that oscillate.
@@ -78,20 +74,19 @@ def settled(
         raise InputError(f"arm {arm.name!r} has nothing that swings or bends: all joints of its model are driven")
     if np.ptp(motion.q, axis=0).max() == 0.0:
         return motion
-    curve, duration = TimedCurve(arm, motion), float(motion.t[-1]) + periods / modes[0].frequency
+    curve, duration = TimedCurve(arm, motion), float(motion.t[-1]) + more / modes[0].frequency
     if options.method != METHODS[0]:
         delays, shares = shaper(options, modes)
         return curve.kept(lambda whole: shaped(curve.own, delays, shares, whole), duration, longest)
-    search = _LeastEnergy(arm, curve, options)
-    return curve.kept(search.law, duration, longest)
+    return curve.kept(_LeastEnergy(arm, curve, options, modes).law, duration, longest)
 
 
 def shaper(options: SettlingOptions, modes: tuple[Mode, ...]) -> tuple[Floats, Floats]:
     """Delays [s] and shares ``(k,)`` of a shaper's impulses, for the slowest of some modes.
 
-    Those of EI are its undamped ones, decayed by the damping, which is small here.
+    EI leaves 5 % of its mode, for a wider range of frequencies; its undamped impulses decay with the mode's damping.
     """
-    v = options.tolerance
+    v = 0.05
     undamped = {"zv": [1.0, 1.0], "zvd": [1.0, 2.0, 1.0], "ei": [1.0 + v, 2.0 - 2.0 * v, 1.0 + v]}[options.method]
     delays, shares = np.zeros(1), np.ones(1)
     for mode in modes[: options.modes]:
@@ -118,57 +113,41 @@ def shaped(law: CubicHermiteSpline, delays: Floats, shares: Floats, duration: fl
 class _LeastEnergy:
     """The law of least energy left on a path, for the loads of some options."""
 
-    def __init__(self, arm: Arm, curve: TimedCurve, options: SettlingOptions) -> None:
+    def __init__(self, arm: Arm, curve: TimedCurve, options: SettlingOptions, modes: tuple[Mode, ...]) -> None:
         others = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
-        self._arm, self._curve = arm, curve
+        self._arm, self._curve, self._omegas = arm, curve, [2.0 * math.pi * mode.frequency for mode in modes]
         track = along(arm, curve.q)
         self._models = [SwingModel(with_load(arm, *load), *track) for load in [(1.0, 1.0), *others]]
-        self._weights = np.sqrt([1.0] + [1.0 / len(others)] * len(others))[:, None]
+        self._weights = np.sqrt([1.0] + [1.0 / len(others)] * len(others))
 
     def law(self, duration: float) -> CubicHermiteSpline:
         """The law for a duration [s]."""
-        own, slowest, fastest = self._curve.own, self._models[0].slowest, max(each.fastest for each in self._models)
+        own, slowest, fastest = self._curve.own, self._omegas[0], self._omegas[-1]
         # Three coefficients for a period of the slowest mode, within bounds.
         count = int(np.clip(3.0 * duration * slowest / (2.0 * np.pi) + 10.0, 16, 60))
         knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
         # s' by fractions of the duration, from and to rest without a step of the acceleration.
         spline = BSpline(knots, np.eye(count)[:, 2:-2], 3)
         parts = spline.antiderivative(), spline, spline.derivative()
-        steps = math.ceil(duration / min(0.1 / slowest, 0.4 / fastest))
+        steps = math.ceil(duration / min(0.1 / slowest, 0.3 / fastest))
         tau = np.linspace(0.0, 1.0, steps + 1)
         basis = [part(tau) / duration**k for k, part in enumerate(parts)]
         fitted, *_ = np.linalg.lstsq(basis[1], own(tau * own.x[-1], 1) * own.x[-1] / duration, rcond=None)
-        first = fitted / (basis[0][-1] @ fitted)
+        now = fitted / (basis[0][-1] @ fitted)
         jerk = spline.derivative(2)(tau) / math.sqrt(steps)
-        best = self._search(first, basis, duration / steps, math.sqrt(_SMOOTH) * jerk / np.linalg.norm(jerk @ first))
+        rough = math.sqrt(_SMOOTH) * jerk / np.linalg.norm(jerk @ now)
+        best, unit = (math.inf, now), 0.0
+        for _ in range(_LAWS):
+            changes = [np.column_stack([part @ now, part]) for part in basis]
+            lefts, each = zip(*(model.left(duration / steps, changes) for model in self._models), strict=True)
+            left = (self._weights[:, None] * lefts).ravel()
+            slopes = (self._weights[:, None, None] * each).reshape(len(left), -1)
+            size = float(np.linalg.norm(left))
+            best, unit = min(best, (size, now), key=lambda pair: pair[0]), unit or max(size, 1e-9)
+            rest = np.append((left - slopes @ now) / unit, np.zeros(len(rough)))
+            now = self._within_limits(now, np.vstack([slopes / unit, rough]), rest, basis)
         tau = np.linspace(0.0, 1.0, _SAMPLES)
-        return CubicHermiteSpline(duration * tau, parts[0](tau) @ best, parts[1](tau) @ best / duration)
-
-    def _search(self, first: Floats, basis: list[Floats], step: float, roughness: Floats) -> Floats:
-        """The best coefficients found, from the first ones.
-
-        The ``basis`` of s, s' and s'' ``(K, N)`` has a time step [s]; ``roughness @ coefficients`` is kept small, too.
-        """
-        now, best = first, (math.inf, first)
-        for k in range(_LINEAR + _SIMULATED):
-            law = [part @ now for part in basis]
-            if k < _LINEAR:
-                changes = tuple(np.column_stack(pair) for pair in zip(law, basis, strict=True))
-                lefts, each = zip(*(model.left(step, changes) for model in self._models), strict=True)
-                left, slopes = self._weights * np.array(lefts), self._weights[..., None] * np.array(each)
-            else:
-                # What the model's own dynamics differ by with its own load, they do with others, nearly.
-                simulated = self._models[0].simulated(step, *law)
-                left = left + self._weights * (simulated - left[0])
-            if k == 0:
-                unit = max(float(np.linalg.norm(left)), 1e-9)
-            if k == 0 or k >= _LINEAR:
-                best = min(best, (float(np.linalg.norm(left)), now), key=lambda pair: pair[0])
-            rows = np.vstack([slopes.reshape(-1, len(now)) / unit, roughness])
-            rest = np.append((left - slopes @ now).ravel() / unit, np.zeros(len(roughness)))
-            after = self._within_limits(now, rows, rest, basis)
-            left, now = left + slopes @ (after - now), after
-        return best[1]
+        return CubicHermiteSpline(duration * tau, parts[0](tau) @ best[1], parts[1](tau) @ best[1] / duration)
 
     def _within_limits(self, now: Floats, slopes: Floats, rest: Floats, basis: list[Floats]) -> Floats:
         """The coefficients c that minimise ``|slopes c + rest|^2`` within the joints' limits, linearised at ``now``."""

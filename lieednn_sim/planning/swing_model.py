@@ -1,4 +1,4 @@
-"""What the passive joints of an arm do while the arm follows a path by a time law: linearised, and by MuJoCo's model.
+"""What the passive joints of an arm do while the arm follows a path by a time law, linearised.
 
 The arm's own joints are where the law s(t) has them. With x the passive joints' distance from where they rest at s,
 
@@ -37,17 +37,13 @@ class SwingModel:
         arm: the arm, which may have another load than the one that was planned for.
         qpos, rates: its path, as of `along`.
 
-    Attributes:
-        passive: the passive joints.
-        slowest, fastest: bounds of the circular frequencies of free oscillations [rad/s].
-
     Raises:
         NoSolutionError: as of `PassiveJoints.at_rest`.
     """
 
     def __init__(self, arm: Arm, qpos: CubicSpline, rates: CubicSpline) -> None:
-        self._qpos, self._rates, self.passive = qpos, rates, PassiveJoints(arm)
-        passive, s, m = self.passive, np.linspace(0.0, 1.0, _STATIONS), len(self.passive.dofs)
+        passive, s = PassiveJoints(arm), np.linspace(0.0, 1.0, _STATIONS)
+        self._m = m = len(passive.dofs)
         rest = passive.at_rest(qpos(s))
         stiffness, damping, inertia = (passive.slopes(of, rest) for of in ("position", "velocity", "acceleration"))
         # Where it rests moves along the path so that no force arises.
@@ -69,30 +65,21 @@ class SwingModel:
         table[:, 3, :, :m] = passive.slopes("position", rest, 0.0, speeds) - stiffness
         table[:, 3, :, -1] = passive.forces(rest, 0.0, speeds) - still
         self._table, self._inertia = CubicSpline(s, table), CubicSpline(s, inertia)
-        self._begin, self._end = hanging[0], rest[-1]
-        squares = np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real
-        moving = squares[squares > 1e-6 * squares.max()]
-        self.slowest, self.fastest = np.sqrt(moving.min()), np.sqrt(moving.max())
         # Half squares of these are the energies left at the end.
         curvature, axes = np.linalg.eigh(0.5 * (stiffness[-1] + stiffness[-1].T))
         self._scales = np.sqrt(np.maximum(curvature, 0.0))[:, None] * axes.T, np.linalg.cholesky(inertia[-1]).T
 
     def _left(self, x: Floats, v: Floats) -> Floats:
-        """Displacements and velocities at the end, ``(m, ...)``, as ``(2 m, ...)`` whose squares are twice energies."""
+        """Displacements and velocities ``(m, ...)`` at the end as of `left`."""
         return np.concatenate([scale @ part for scale, part in zip(self._scales, (x, v), strict=True)])
 
     def left(self, step: float, law: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """What a law leaves by the linear model, by the rule of trapezoids.
+        """What a law leaves ``(2 m,)``, whose squares are twice energies, and its slopes ``(2 m, N)`` over N changes.
 
-        Args:
-            step: time between samples [s].
-            law: s, s' and s'', each ``(K, 1 + N)``: of the law, and N changes of it.
-
-        Returns:
-            The root of twice the energies left ``(2 m,)``, and its slopes ``(2 m, N)`` over the changes.
+        The law is s, s' and s'', each ``(K, 1 + N)`` with the changes, at a time step [s]; by the rule of trapezoids.
         """
         (s, more), (rate, more_rate), (bend, more_bend) = ((part[:, 0], part[:, 1:]) for part in law)
-        one, none, m = np.ones_like(s), np.zeros_like(s), len(self.passive.dofs)
+        one, none, m = np.ones_like(s), np.zeros_like(s), self._m
         table, inertia = self._table(s), self._inertia(s)
 
         def sums(*drives: Floats, of: Floats = table) -> Floats:
@@ -110,25 +97,6 @@ class SwingModel:
         force = -sum(slope[:, :, None] * change[:, None, :] for slope, change in changes)
         slopes = _trapezoids(*equation, force)
         return self._left(x[-1], v[-1]), self._left(slopes[0][-1], slopes[1][-1])
-
-    def simulated(self, step: float, s: Floats, rate: Floats, bend: Floats) -> Floats:
-        """What a law leaves ``(2 m,)`` as of `left`, by MuJoCo's model.
-
-        The passive joints begin at rest; semi-implicit steps, as MuJoCo's own. The law is s, s', s'' ``(K,)``.
-        """
-        passive, m = self.passive, len(self.passive.dofs)
-        qpos, speeds, bends = self._qpos(s), self._rates(s), self._rates(s, 1)
-        qvel, qacc = speeds * rate[:, None], speeds * bend[:, None] + bends * rate[:, None] ** 2
-        qacc[:, passive.dofs] = 0.0
-        damping = self._table(s)[:, 0, :, m:-1]
-        y, v = self._begin, np.zeros(m)
-        for k in range(len(s)):
-            qpos[k], qvel[k, passive.dofs] = passive.moved(qpos[k, None], y[None])[0], v
-            if k < len(s) - 1:
-                force, inertia = passive.force_and_inertia(qpos[k], qvel[k], qacc[k])
-                v = v - step * np.linalg.solve(inertia + step * damping[k], force)
-                y = y + step * v
-        return self._left(passive.away(qpos[-1:], self._end)[0], v)
 
 
 def _trapezoids(

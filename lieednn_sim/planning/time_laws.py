@@ -158,12 +158,7 @@ def retime(arm: Arm, motion: Motion) -> Motion:
 
 
 class TimedCurve:
-    """A motion's path over its length, in units of the joints' limits.
-
-    Attributes:
-        q: spline from the fraction of the length to the joints ``(n,)``.
-        own: the motion's own law, from time to the fraction.
-    """
+    """A motion's path ``q`` over its length, in units of the joints' limits, and its ``own`` law of time."""
 
     def __init__(self, arm: Arm, motion: Motion) -> None:
         if motion.q.shape[1] != arm.n_joints:

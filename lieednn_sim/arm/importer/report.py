@@ -124,12 +124,8 @@ class ImportReport:
         lines = [f"configuration: {self.configuration}", f"base: {self.base}"]
         for i, (link, group) in enumerate(zip(self.links, self.groups, strict=True), start=1):
             lines.append(f"link {i}: {link}, moved by {', '.join(group)}")
-        for title, entries in (
-            ("coupled", self.couplings),
-            ("servo", self.servos),
-            ("oscillates", self.modes),
-            ("note", self.notes),
-        ):
+        found = {"coupled": self.couplings, "servo": self.servos, "oscillates": self.modes, "note": self.notes}
+        for title, entries in found.items():
             lines += [f"{title}: {entry}" for entry in entries]
         lines.append(f"other joints: {', '.join(self.others) or 'none'}")
         return "\n".join(lines)
