@@ -43,11 +43,15 @@ class Outcome:
     cpu_time: float = 0.0
 
     def move(self, arm: ls.Arm, goal: Any, hold: float, riding: str = "", **options: Any) -> None:
-        """Plan for a view in the present state, simulate the plan and some time at rest, and go on from there."""
+        """Plan for a view in the present state, simulate the plan and some time at rest, and go on from there.
+
+        The planner may be followed by ``+`` and the way to settle the load, as in ``lieednn-shaped+least-energy``.
+        """
+        options["planner"], _, settle = options["planner"].partition("+")
         begun = time.process_time()
         try:
             with ls.time_limit(_TIME):
-                found = ls.plan(arm, goal, **options)
+                found = ls.plan(arm, goal, settle=settle or None, **options)
         finally:
             self.cpu_time += time.process_time() - begun
         run = ls.simulate(arm, found, hold=hold)
@@ -263,7 +267,7 @@ class Crane(Task):
 
     def judge(self, done: Outcome, case: int) -> dict[str, float]:
         (found,), (run,) = done.plans, done.runs
-        uninformed = ls.simulate(run.arm, _trapezoidal(found.motion), hold=10.0)
+        uninformed = ls.simulate(run.arm, trapezoidal(found.motion), hold=10.0)
         swing, theirs = self._swing(run), self._swing(uninformed)
         rest = run.t >= run.motion_end
         return {
@@ -313,7 +317,7 @@ def _at_home(name: str) -> Outcome:
     return Outcome(model, data)
 
 
-def _trapezoidal(motion: Any, ramp: float = 0.25) -> Any:
+def trapezoidal(motion: Any, ramp: float = 0.25) -> Any:
     """The same path in the same time with a trapezoidal speed, whose ramps each take a fraction of the time."""
     step = np.linalg.norm(np.diff(motion.q, axis=0), axis=1)
     far, passed = np.unique(np.append(0.0, np.cumsum(step)), return_index=True)

@@ -102,7 +102,7 @@ def test_a_load_at_rest_hangs_below_the_hook_and_a_trapezoid_is_one():
     t = np.linspace(0.0, 2.0, 401)
     s = 7.0 * (t / 2.0) ** 2
     q = np.stack([np.minimum(s, 3.0), np.maximum(s - 3.0, 0.0)], axis=1)
-    timed = task_cases._trapezoidal(Found(t, q, q), ramp=0.25)
+    timed = task_cases.trapezoidal(Found(t, q, q), ramp=0.25)
     speed = np.abs(np.diff(timed.q, axis=0)).sum(axis=1) / 0.005
     np.testing.assert_allclose(timed.q[[0, -1]], q[[0, -1]], atol=1e-9)
     assert speed[105:150] == pytest.approx(3.5 / 0.75, rel=1e-2)

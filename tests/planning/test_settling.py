@@ -135,7 +135,7 @@ def test_least_energy_takes_the_swing_from_the_crane_on_its_path(crane):
         (1.0, 1.2, 0.15),
     ):
         loaded = with_load(arm, mass, length)
-        uninformed = ls.simulate(loaded, task_cases._trapezoidal(plan.motion), hold=10.0)
+        uninformed = ls.simulate(loaded, task_cases.trapezoidal(plan.motion), hold=10.0)
         assert task._swing(ls.simulate(loaded, calm, hold=10.0)) < most * task._swing(uninformed)
 
 

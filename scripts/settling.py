@@ -1,0 +1,156 @@
+"""Loads that swing: planners with and without time laws that settle, on two cranes, with other loads than planned for.
+
+    python scripts/settling.py [--tasks NAME,...] [--planners NAME,...] [--output results/settling]
+
+On the crane of ``assets/tasks/crane`` in 8 and in 12 s, and on the luffing `telescopic_crane` in 16 s: five motions for
+each planner and each of no law, ZV, ZVD, EI and least energy (`planning.SettlingOptions`). Each plan, made for the
+model's load, is simulated with masses and lengths from -20 to +20 % of it; its swing in ten seconds after the motion is
+compared with that after a trapezoidal speed along the path as planned without a law, in the same time. Writes a JSON
+file for each task, so that interrupted runs can be continued, and the table `settling.md`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from task_cases import Crane, SlowCrane, trapezoidal
+from tasks import PLANNERS
+
+import lieednn_sim as ls
+from lieednn_sim import io
+from lieednn_sim.arm import with_load
+from lieednn_sim.studies.markdown import table
+
+METHODS = (None, "zv", "zvd", "ei", "least-energy")
+LOADS = (
+    *(("as planned", 1.0, 1.0), ("-20 % mass", 0.8, 1.0), ("+20 % mass", 1.2, 1.0)),
+    *(("-20 % length", 1.0, 0.8), ("+20 % length", 1.0, 1.2)),
+)
+CASES = 5
+_HOLD = 10.0  # [s]
+
+
+class LuffingCrane:
+    """The luffing crane with its hook on a link, from home to random targets between poles."""
+
+    title = "Luffing telescopic_crane, hook on a link, in 16 s"
+    duration = 16.0
+
+    def arm_and_goal(self, case: int) -> tuple[ls.Arm, Any]:
+        """The arm and the goal of a case."""
+        arm = ls.Arm.load("telescopic_crane").with_scene("poles", seed=case)
+        return arm, ls.draw_target(arm, seed=case)
+
+
+class TimberCrane(LuffingCrane):
+    """The crane of the task, with its bending last stage."""
+
+    title = "Timber crane with an elastic last stage, in 8 s"
+    task = Crane()
+    duration = Crane.duration
+
+    def arm_and_goal(self, case: int) -> tuple[ls.Arm, Any]:
+        """The arm and the goal of a case."""
+        done = self.task.start(case)
+        return ls.Arm.of(done.model, done.data, self.task.joints, tip="tip"), np.array(self.task.goals[case])
+
+
+class SlowTimberCrane(TimberCrane):
+    """The same in 12 s."""
+
+    title = "Timber crane with an elastic last stage, in 12 s"
+    duration = SlowCrane.duration
+
+
+TASKS: dict[str, type[LuffingCrane]] = {"crane": TimberCrane, "slow_crane": SlowTimberCrane, "luffing": LuffingCrane}
+
+
+def attempt(task: LuffingCrane, case: int, planner: str, method: str | None) -> dict[str, Any]:
+    """The row of a planner with a method in a case: swing left in degrees, and fractions of a trapezoid's, by load."""
+    arm, goal = task.arm_and_goal(case)
+    options: dict[str, Any] = {"planner": planner, "seed": case, "duration": task.duration}
+    begun = time.process_time()
+    try:
+        with ls.time_limit(60.0):
+            plain = ls.plan(arm, goal, **options)
+            halfway = time.process_time()
+            found = plain if method is None else ls.plan(arm, goal, settle=method, **options)
+    except ls.LieEDNNError as error:
+        return {"failure": str(error)}
+    added = 0.0 if method is None else time.process_time() - halfway - (halfway - begun)
+    row: dict[str, Any] = {"time_s": float(found.t[-1]), "added_cpu_s": added, "swing_deg": {}, "ratio": {}}
+    for name, mass, length in LOADS:
+        loaded = with_load(arm, mass, length)
+        run = ls.simulate(loaded, found, hold=_HOLD)
+        left = ls.evaluate(run, clearance=False).load
+        theirs = ls.evaluate(ls.simulate(loaded, trapezoidal(plain.motion), hold=_HOLD), clearance=False).load
+        row["swing_deg"][name], row["ratio"][name] = left.swing_deg, left.swing_deg / theirs.swing_deg
+        if mass == length == 1.0:
+            missed = np.linalg.norm(run.link_position[-1, -1] - loaded.tip(run.q_ref[-1]))
+            row |= {"tip_mm": float(1e3 * missed), "bend_mm": left.bending_mm, "settling_s": left.settling_s}
+    return row
+
+
+def as_markdown(results: dict[str, dict[str, Any]]) -> str:
+    """The table: a section for each task, a row for each planner and method, means over the cases planned."""
+    lines = [
+        "# Loads that swing",
+        "",
+        "Swing left in ten seconds after the motion, as a fraction of what a trapezoidal speed leaves with the same "
+        "load on the path as planned without a law, in that plan's time: means over the cases planned, with masses and "
+        "lengths of the load that the planner does not know. Added CPU: what the time law adds to planning.",
+    ]
+    for name, rows in results.items():
+        cells = []
+        for planner, method in dict.fromkeys((row["planner"], row["method"]) for row in rows.values()):
+            cases = [row for row in rows.values() if (row["planner"], row["method"]) == (planner, method)]
+            done = [row for row in cases if "ratio" in row]
+            figures = ["-"] * (len(LOADS) + 6)
+            if done:
+                few = [np.mean([row[key] for row in done]) for key in ("time_s", "bend_mm", "tip_mm", "added_cpu_s")]
+                swing = np.mean([row["swing_deg"]["as planned"] for row in done])
+                ratios = [np.mean([row["ratio"][load] for row in done]) for load, _, _ in LOADS]
+                calm = sum(row["settling_s"] is not None and row["settling_s"] < 1.0 for row in done)
+                numbers = [*few[:1], swing, *ratios, *few[1:3]]
+                figures = [f"{number:.2f}" for number in numbers] + [f"{calm} of {len(done)}", f"{few[3]:.2f}"]
+            cells.append([planner, method or "-", f"{len(done)} of {len(cases)}", *figures])
+        heads = ["planner", "law", "planned", "time [s]", "swing [deg]", *(load for load, _, _ in LOADS)]
+        heads += ["bending [mm]", "tip [mm]", "settled within 1 s", "added CPU [s]"]
+        lines += ["", f"## {TASKS[name].title}", "", *table(heads, cells)]
+    return "\n".join(lines) + "\n"
+
+
+def main(words: list[str] | None = None) -> None:
+    """Do the cases that are not done yet; the table is written after each task."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tasks", default=",".join(TASKS))
+    parser.add_argument("--planners", default=",".join(PLANNERS))
+    parser.add_argument("--cases", type=int, default=CASES)
+    parser.add_argument("--output", type=Path, default=Path("results/settling"))
+    arguments = parser.parse_args(words)
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    results = {}
+    for name in arguments.tasks.split(","):
+        path = arguments.output / f"{name}.json"
+        rows = json.loads(path.read_text()) if path.is_file() else {}
+        for planner in arguments.planners.split(","):
+            for method in METHODS:
+                for case in range(arguments.cases):
+                    key = f"{planner} {method} {case}"
+                    if key not in rows:
+                        about = {"planner": planner, "method": method, "case": case}
+                        rows[key] = about | attempt(TASKS[name](), case, planner, method)
+                        io.save_json(path, rows)
+                        print(name, rows[key], flush=True)
+        results[name] = rows
+        with io.atomic_text(arguments.output / "settling.md") as stream:
+            stream.write(as_markdown(results))
+
+
+if __name__ == "__main__":
+    main()
