@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from tasks import PLANNERS
 import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim.arm import with_load
+from lieednn_sim.evaluation.load import LoadMetrics, load_metrics
 from lieednn_sim.studies.markdown import table
 
 METHODS = (None, "zv", "zvd", "ei", "least-energy")
@@ -70,30 +72,40 @@ class SlowTimberCrane(TimberCrane):
 TASKS: dict[str, type[LuffingCrane]] = {"crane": TimberCrane, "slow_crane": SlowTimberCrane, "luffing": LuffingCrane}
 
 
-def attempt(task: LuffingCrane, case: int, planner: str, method: str | None) -> dict[str, Any]:
-    """The row of a planner with a method in a case: swing left in degrees, and fractions of a trapezoid's, by load."""
+def attempt(task: LuffingCrane, case: int, planner: str) -> dict[str | None, dict[str, Any]]:
+    """A planner's row in a case by method: swing left in degrees, and fractions of a trapezoid's, by load."""
     arm, goal = task.arm_and_goal(case)
-    options: dict[str, Any] = {"planner": planner, "seed": case, "duration": task.duration}
-    begun = time.process_time()
-    try:
-        with ls.time_limit(60.0):
-            plain = ls.plan(arm, goal, **options)
-            halfway = time.process_time()
-            found = plain if method is None else ls.plan(arm, goal, settle=method, **options)
-    except ls.LieEDNNError as error:
-        return {"failure": str(error)}
-    added = 0.0 if method is None else time.process_time() - halfway - (halfway - begun)
-    row: dict[str, Any] = {"time_s": float(found.t[-1]), "added_cpu_s": added, "swing_deg": {}, "ratio": {}}
-    for name, mass, length in LOADS:
-        loaded = with_load(arm, mass, length)
-        run = ls.simulate(loaded, found, hold=_HOLD)
-        left = ls.evaluate(run, clearance=False).load
-        theirs = ls.evaluate(ls.simulate(loaded, trapezoidal(plain.motion), hold=_HOLD), clearance=False).load
-        row["swing_deg"][name], row["ratio"][name] = left.swing_deg, left.swing_deg / theirs.swing_deg
-        if mass == length == 1.0:
-            missed = np.linalg.norm(run.link_position[-1, -1] - loaded.tip(run.q_ref[-1]))
-            row |= {"tip_mm": float(1e3 * missed), "bend_mm": left.bending_mm, "settling_s": left.settling_s}
-    return row
+    rows: dict[str | None, dict[str, Any]] = {}
+    theirs: dict[str, float] = {}
+    for method in METHODS:
+        begun = time.process_time()
+        try:
+            with ls.time_limit(60.0):
+                found = ls.plan(arm, goal, planner=planner, seed=case, duration=task.duration, settle=method)
+        except ls.LieEDNNError as error:
+            rows[method] = {"failure": str(error)}
+            if method is None:
+                return dict.fromkeys(METHODS, rows[method])
+            continue
+        row: dict[str, Any] = {"time_s": float(found.t[-1]), "cpu_s": time.process_time() - begun}
+        row |= {"swing_deg": {}, "ratio": {}}
+        for name, mass, length in LOADS:
+            loaded = with_load(arm, mass, length)
+            if method is None:
+                theirs[name] = left_by(loaded, trapezoidal(found.motion)).swing_deg
+            left = left_by(loaded, found)
+            row["swing_deg"][name], row["ratio"][name] = left.swing_deg, left.swing_deg / theirs[name]
+            if mass == length == 1.0:
+                row |= {"bend_mm": left.bending_mm, "settling_s": left.settling_s}
+        rows[method] = row
+    return rows
+
+
+def left_by(arm: ls.Arm, motion: Any) -> LoadMetrics:
+    """What a motion of an arm leaves in simulation."""
+    left = load_metrics(ls.simulate(arm, motion, hold=_HOLD), clearance=False)
+    assert left is not None
+    return left
 
 
 def as_markdown(results: dict[str, dict[str, Any]]) -> str:
@@ -103,24 +115,24 @@ def as_markdown(results: dict[str, dict[str, Any]]) -> str:
         "",
         "Swing left in ten seconds after the motion, as a fraction of what a trapezoidal speed leaves with the same "
         "load on the path as planned without a law, in that plan's time: means over the cases planned, with masses and "
-        "lengths of the load that the planner does not know. Added CPU: what the time law adds to planning.",
+        "lengths of the load that the planner does not know. CPU: time of planning.",
     ]
     for name, rows in results.items():
         cells = []
         for planner, method in dict.fromkeys((row["planner"], row["method"]) for row in rows.values()):
             cases = [row for row in rows.values() if (row["planner"], row["method"]) == (planner, method)]
             done = [row for row in cases if "ratio" in row]
-            figures = ["-"] * (len(LOADS) + 6)
+            figures = ["-"] * (len(LOADS) + 5)
             if done:
-                few = [np.mean([row[key] for row in done]) for key in ("time_s", "bend_mm", "tip_mm", "added_cpu_s")]
+                few = [np.mean([row[key] for row in done]) for key in ("time_s", "bend_mm", "cpu_s")]
                 swing = np.mean([row["swing_deg"]["as planned"] for row in done])
                 ratios = [np.mean([row["ratio"][load] for row in done]) for load, _, _ in LOADS]
                 calm = sum(row["settling_s"] is not None and row["settling_s"] < 1.0 for row in done)
-                numbers = [*few[:1], swing, *ratios, *few[1:3]]
-                figures = [f"{number:.2f}" for number in numbers] + [f"{calm} of {len(done)}", f"{few[3]:.2f}"]
+                numbers = [*few[:1], swing, *ratios, few[1]]
+                figures = [f"{number:.2f}" for number in numbers] + [f"{calm} of {len(done)}", f"{few[2]:.2f}"]
             cells.append([planner, method or "-", f"{len(done)} of {len(cases)}", *figures])
         heads = ["planner", "law", "planned", "time [s]", "swing [deg]", *(load for load, _, _ in LOADS)]
-        heads += ["bending [mm]", "tip [mm]", "settled within 1 s", "added CPU [s]"]
+        heads += ["bending [mm]", "settled within 1 s", "CPU [s]"]
         lines += ["", f"## {TASKS[name].title}", "", *table(heads, cells)]
     return "\n".join(lines) + "\n"
 
@@ -138,15 +150,13 @@ def main(words: list[str] | None = None) -> None:
     for name in arguments.tasks.split(","):
         path = arguments.output / f"{name}.json"
         rows = json.loads(path.read_text()) if path.is_file() else {}
-        for planner in arguments.planners.split(","):
-            for method in METHODS:
-                for case in range(arguments.cases):
-                    key = f"{planner} {method} {case}"
-                    if key not in rows:
-                        about = {"planner": planner, "method": method, "case": case}
-                        rows[key] = about | attempt(TASKS[name](), case, planner, method)
-                        io.save_json(path, rows)
-                        print(name, rows[key], flush=True)
+        for planner, case in product(arguments.planners.split(","), range(arguments.cases)):
+            if f"{planner} None {case}" in rows:
+                continue
+            for method, row in attempt(TASKS[name](), case, planner).items():
+                rows[f"{planner} {method} {case}"] = {"planner": planner, "method": method, "case": case} | row
+                print(name, planner, case + 1, method, row, flush=True)
+            io.save_json(path, rows)
         results[name] = rows
         with io.atomic_text(arguments.output / "settling.md") as stream:
             stream.write(as_markdown(results))

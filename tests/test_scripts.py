@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import cost_over_time
 import evaluate_demonstrations
 import numpy as np
@@ -10,6 +12,7 @@ import picture_arms
 import pytest
 import real_robots
 import robustness
+import settling
 import shaped
 from PIL import Image
 from saved_rows import saved_rows
@@ -30,6 +33,20 @@ def test_the_picture_of_the_arms(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out == f"{path}\n"
     with Image.open(path) as picture:
         assert picture.size == (64, 96)
+
+
+def test_the_table_of_loads_that_swing_goes_on_where_it_was(tmp_path, monkeypatch):
+    monkeypatch.setattr(settling, "METHODS", (None, "least-energy"))
+    words = ["--tasks", "crane", "--planners", "lieednn-shaped", "--cases", "1", "--output", str(tmp_path)]
+    settling.main(words)
+    rows = json.loads((tmp_path / "crane.json").read_text())
+    plain, calm = rows["lieednn-shaped None 0"], rows["lieednn-shaped least-energy 0"]
+    assert calm["ratio"]["as planned"] < 0.05 < 0.4 < plain["ratio"]["as planned"]
+    table = (tmp_path / "settling.md").read_text()
+    assert "| lieednn-shaped | least-energy | 1 of 1 | 8.00 |" in table
+    monkeypatch.setattr(settling, "attempt", None)
+    settling.main(words)
+    assert (tmp_path / "settling.md").read_text() == table
 
 
 def test_bounds_are_measured_and_a_broken_one_is_told(tmp_path, monkeypatch, capsys):
