@@ -179,7 +179,11 @@ def episode(name: str, policy: str, delay: float, way: str, seed: int, folder: P
 
 def run(job: tuple[Any, ...], count: int, folder: Path) -> None:
     """Do what a row is made of, and keep it."""
-    rows = [episode(*job, seed=seed, folder=folder) if len(job) > 1 else judged(job[0], seed) for seed in range(count)]
+    if len(job) == 1:
+        rows = [judged(job[0], seed) for seed in range(count)]
+    else:
+        name, policy, delay, way = job
+        rows = [episode(name, policy, delay, way, seed, folder) for seed in range(count)]
     io.save_json(kept(job, folder), {"rows": rows})
 
 

@@ -111,6 +111,11 @@ class ChunkCurve:
         weights = (s @ _SEGMENT).reshape(-1, 3, 4) / self.step ** np.arange(3.0)[:, None]
         return (weights @ self._windows[segment].swapaxes(1, 2)).swapaxes(0, 1)
 
+    def nearest(self, q: Floats, latest: float) -> float:
+        """The time of the curve, of 65 up to a latest one, at which it is nearest to a configuration ``(n,)``."""
+        u = np.linspace(0.0, latest, 65)
+        return float(u[np.square(self(u)[0] - q).sum(axis=1).argmin()])
+
     def excess(self, arm: Arm, begin: float) -> list[tuple[float, int, int]]:
         """Largest parts of the limits of velocity and acceleration from its time ``begin`` on, joints and rows."""
         first = min(int(begin / self.step), len(self._windows) - 1)
