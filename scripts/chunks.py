@@ -215,7 +215,8 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
         f"one, on {', '.join(DEFAULT_ARMS)} in turn, among {SCENE}. Found: the verdict names something. Safe: "
         "until a second after its end the reference keeps the limits of position, velocity and acceleration, "
         "and MuJoCo finds no contact there, every 20 ms. Off: how far at most the reference is from the clean "
-        "chunk, once it has gone over; of outliers and noise, from the chunk without them.",
+        "chunk, once it has gone over, or lacks if it rests before what is not proved to be clear; of outliers and "
+        "noise, from the chunk without them.",
         *table(("chunks", "all", "found", "refused", "safe", "off, median [mm, mrad]", "off, worst"), single),
         "",
         f"In closed loop at {1.0 / PERIOD:.0f} Hz, on the same episodes of `TelescopicReach` and "
