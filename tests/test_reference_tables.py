@@ -219,6 +219,21 @@ def test_the_speeds_on_the_site_are_those_of_the_benchmark():
         assert re.search(rf"(^|[ ,]){re.escape(f'{median:.{digits}f}')}\b", said[row]), f"{row}: {median}"
 
 
+def test_what_is_said_of_chunks_is_in_their_table():
+    root = Path(benchmark.__file__).parents[1]
+    lines = (root / "results/reference/chunks.md").read_text(encoding="utf-8").splitlines()
+    rows = [cells(line) for line in lines if line.startswith("| ")]
+    single, closed = [row for row in rows if len(row) == 7][2:], [row for row in rows if len(row) == 10]
+    clean, wrong = ([row for row in single if row[0].startswith("clean") == kind] for kind in (True, False))
+    assert (sum(int(row[1]) for row in clean), sum(int(row[3]) for row in clean)) == (600, 0)
+    assert sum(int(row[1]) for row in wrong) == sum(int(row[4]) for row in wrong) == 2200
+    rates = {row[2]: row[3] for row in closed if row[:2] == ["reach, clone", "800"]}
+    said = (root / "docs/results/index.md").read_text(encoding="utf-8")
+    assert f"in {rates['lieednn-chunks']} % of its episodes, with raw chunks in {rates['raw']} %" in said
+    ours = [row for row in closed if row[2] == "lieednn-chunks"]
+    assert all(float(row[5]) <= 1.0 and row[4] == "0" for row in ours)
+
+
 def test_the_answers_on_the_site_are_in_the_tables():
     root = Path(benchmark.__file__).parents[1]
     answers = (root / "docs/results/index.md").read_text(encoding="utf-8").replace("10,000", "10000").replace(",", "")
