@@ -44,8 +44,12 @@ def found(search: Future[_T]) -> _T:
         raise PlanError("the process that searched has ended") from None
 
 
-def ready(_: Arm) -> None:
-    """To be called `aside` ahead of the first search: the process starts, and imports what searches take."""
+def get_ready(arm: Arm) -> None:
+    """Ahead of the first search: the process starts, and imports what searches take."""
+    aside(arm, _import)
+
+
+def _import(_: Arm) -> None:
     optional_module("ompl.geometric")
 
 
