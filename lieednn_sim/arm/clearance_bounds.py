@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.arm.collision import Collisions, Pairs
+from lieednn_sim.arm.collision import AT_ONCE, Collisions, Pairs
 from lieednn_sim.arm.deviations import Group
 from lieednn_sim.arm.equalities import dof_addresses
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -34,8 +34,6 @@ from lieednn_sim.values import Floats
 
 # Distance below which normals are lost in rounding, so that nothing is proved [m].
 _TOUCHING = 1e-6
-# Configurations whose pairs of geoms are in memory at once.
-_AT_ONCE = 32
 
 
 class ClearanceBounds:
@@ -96,7 +94,7 @@ class ClearanceBounds:
         Returns:
             The scales ``(I,)``, those without the path (c = 0), and the geoms ``(I, 2)`` that limit the latter, or -1.
         """
-        if len(q) > _AT_ONCE:
+        if len(q) > AT_ONCE:
             return _in_parts(partial(self, most=most), q, path, rest, spread)
         each = spread @ self._members
         # Displacements of joints: along the path, without it, and by the deviation.
@@ -122,7 +120,7 @@ class ClearanceBounds:
             rest: ``(I, n)`` bounds.
             cutoff: distance beyond which geoms do not count [m].
         """
-        if len(q) > _AT_ONCE:
+        if len(q) > AT_ONCE:
             return _in_parts(partial(self.least, cutoff=cutoff), q, path, rest)
         steps = self._displacements(np.stack([np.abs(path) + rest, 0.0 * rest, 0.0 * rest]))
         rests, still = np.stack([rest, 0.0 * rest], axis=1), np.zeros((len(q), len(self._members)))
@@ -151,7 +149,7 @@ class ClearanceBounds:
         table += np.swapaxes(table, 1, 2)
         moved = table.reshape(len(q), -1).take(self._first * table.shape[1] + self._second, axis=1)
         at, index, gaps, points = self._collisions.separations(
-            qpos, place.geoms, place.turns, moved + (cutoff + self._margin)
+            place.geoms, place.turns, moved + (cutoff + self._margin)
         )
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
         margin = self._margin + self._collisions.offsets(pairs)
@@ -298,8 +296,8 @@ class _Places:
 
 def _in_parts(bound: Callable[..., tuple[NDArray[Any], ...]], *rows: Floats) -> Any:
     """The arrays that a function makes of rows ``(I, ...)``, of which it is given at most so many at once."""
-    parts = range(0, len(rows[0]), _AT_ONCE)
-    made = [bound(*(values[k : k + _AT_ONCE] for values in rows)) for k in parts]
+    parts = range(0, len(rows[0]), AT_ONCE)
+    made = [bound(*(values[k : k + AT_ONCE] for values in rows)) for k in parts]
     return tuple(map(np.concatenate, zip(*made, strict=True)))
 
 
