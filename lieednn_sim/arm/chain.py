@@ -8,12 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.checks import ancestry, joints_of
+from lieednn_sim.arm.checks import FREE, ancestry, joints_of
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame, listed
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice
-
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def named_frames(model: mujoco.MjModel, links: Sequence[str], base: str | None) -> tuple[Frame, ...]:
@@ -55,7 +53,7 @@ def joint_groups(model: mujoco.MjModel, frames: Sequence[Frame]) -> tuple[tuple[
         if not group:
             raise InputError(f"no joint is between {inner.name!r} and {outer.name!r}; leave one of them out")
         for joint in group:
-            if model.jnt_type[joint] == _FREE:
+            if model.jnt_type[joint] == FREE:
                 raise InputError(
                     f"joint {model.joint(joint).name!r} between {inner.name!r} and {outer.name!r} is free; "
                     f"choose a base beyond it, such as {model.body(model.jnt_bodyid[joint]).name!r}"
@@ -66,7 +64,7 @@ def joint_groups(model: mujoco.MjModel, frames: Sequence[Frame]) -> tuple[tuple[
 
 def chosen_joints(model: mujoco.MjModel, joints: Sequence[str]) -> list[int]:
     """Ids of the named hinges, slides and ball joints; `InputError` where a name is unknown or comes twice."""
-    known = {model.joint(joint).name: joint for joint in range(model.njnt) if model.jnt_type[joint] != _FREE}
+    known = {model.joint(joint).name: joint for joint in range(model.njnt) if model.jnt_type[joint] != FREE}
     chosen = [known[as_choice("joint of the arm", name, known)] for name in joints]
     if len(set(chosen)) < len(chosen):
         raise InputError(f"joints must differ, got {listed(joints)}")
@@ -86,24 +84,6 @@ def common_path(model: mujoco.MjModel, joints: Sequence[int]) -> list[int]:
     return path
 
 
-def chain_base(model: mujoco.MjModel, path: Sequence[int], chain: Sequence[int], base: str | None) -> Frame:
-    """The frame of the base that is named, or that a chain's first joint moves its body against."""
-    if base is None:
-        return body_frame(model, int(model.body_parentid[model.jnt_bodyid[chain[0]]]))
-    start = find_frame(model, base)
-    if start.body not in path or path.index(start.body) >= path.index(int(model.jnt_bodyid[chain[0]])):
-        raise InputError(f"joint {model.joint(chain[0]).name!r} does not move against the base {base!r}")
-    return start
-
-
-def tip_frame(model: mujoco.MjModel, name: str, last: Frame) -> Frame:
-    """The frame of the end effector by its name, on the last link or beyond it."""
-    tip = find_frame(model, name)
-    if last.body not in ancestry(model, tip.body):
-        raise InputError(f"the tip {name!r} is not carried by the last link, {last.name!r}")
-    return tip
-
-
 def chain_joints(model: mujoco.MjModel, body: int) -> list[int]:
     """The hinges, slides and ball joints of a body."""
-    return [joint for joint in joints_of(model, body) if model.jnt_type[joint] != _FREE]
+    return [joint for joint in joints_of(model, body) if model.jnt_type[joint] != FREE]

@@ -166,8 +166,9 @@ class ClearanceBounds:
         constant, linear = constant + (also * taken[:2]).sum(axis=-1), linear + (also * taken[2]).sum(axis=-1)
         slope = deviated + linear[..., None]
         # Each corner against the plane at the other geom, or all of them against the measured gap.
-        support = (self._support(place, at, fixed, normals) + margin)[:, None]
-        free = places - come - support - constant[..., None]
+        within = np.matvec(self._points(fixed), np.vecmat(normals, place.turns[at, fixed])).max(axis=1)
+        support = np.vecdot(place.geoms[at, fixed], normals) + within + self._round[fixed] + margin
+        free = places - come - support[:, None] - constant[..., None]
         gap = gaps - margin - come.max(axis=-1, initial=0.0) - constant
         # No plane separates what is not convex; and where geoms touch, there is no normal.
         touching = gaps - margin <= _TOUCHING
@@ -203,11 +204,6 @@ class ClearanceBounds:
     def _points(self, geoms: NDArray[np.int_]) -> Floats:
         """Corners ``(P, V, 3)`` of the hulls of geoms in their frames, as many as the one with the most has."""
         return self._hulls[geoms, : self._counts[geoms].max(initial=1)]
-
-    def _support(self, place: _Places, at: NDArray[np.int_], geoms: NDArray[np.int_], normals: Floats) -> Floats:
-        """How far geoms reach along normals, ``(P,)``."""
-        within = np.matvec(self._points(geoms), np.vecmat(normals, place.turns[at, geoms])).max(axis=1)
-        return np.asarray(np.vecdot(place.geoms[at, geoms], normals) + within + self._round[geoms])
 
     def _corners(
         self,

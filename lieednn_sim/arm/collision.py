@@ -208,11 +208,10 @@ class Collisions:
 
     def names(self, pair: ArrayLike) -> tuple[str, str]:
         """Names of two geoms by id; an unnamed geom is called after its body."""
-        first, second = as_floats("pair", pair, (2,))
-        return self._name(int(first)), self._name(int(second))
-
-    def _name(self, geom: int) -> str:
-        return geom_name(self.arm.model, as_count("geom", geom, 0, self.arm.model.ngeom - 1))
+        model = self.arm.model
+        ids = (as_count("geom", int(geom), 0, model.ngeom - 1) for geom in as_floats("pair", pair, (2,)))
+        first, second = (geom_name(model, geom) for geom in ids)
+        return first, second
 
     def _move(self, q: ArrayLike) -> None:
         self._move_to(self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))))

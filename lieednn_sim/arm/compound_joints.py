@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import BALL, JOINT_KINDS, SLIDE
 from lieednn_sim.arm.coupled_joints import Couplings
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
-
-_BALL, _SLIDE, _HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("BALL", "SLIDE", "HINGE"))
 
 
 def cut(
@@ -75,13 +74,13 @@ def _units(
     units = []
     for run in runs:
         kinds = {int(model.jnt_type[joint]) for joint in run}
-        kind = {_SLIDE: "slide", _HINGE: "hinge", _BALL: "ball"}[kinds.pop()] if len(kinds) == 1 else "mixed"
+        kind = JOINT_KINDS[kinds.pop()] if len(kinds) == 1 else "mixed"
         turns, columns = 0.0, {lead: np.zeros((6, 1)) for joint in run for lead in couplings.ratios(joint)}
         mujoco.mj_jac(model, data, screws[1], screws[0], anchors[0], int(bodies[run[-1]]))
         moving = np.concatenate([screws[0], screws[1] / size])
         for joint in run:
-            dof, ball = int(model.jnt_dofadr[joint]), model.jnt_type[joint] == _BALL
-            if model.jnt_type[joint] != _SLIDE:
+            dof, ball = int(model.jnt_dofadr[joint]), model.jnt_type[joint] == BALL
+            if model.jnt_type[joint] != SLIDE:
                 reference = 0.0 if ball else model.qpos0[model.jnt_qposadr[joint]]
                 turns += float(np.abs(ranges[joint] - reference).max())
             for lead, ratio in couplings.ratios(joint).items():

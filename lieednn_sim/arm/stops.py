@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import BALL, FREE, SLIDE
 from lieednn_sim.arm.equalities import free_ranges, joint_range, names, tendon_joints
 from lieednn_sim.values import Floats
 
 # How far beyond a range rounding may lead [rad, m].
 _ROUNDING = 1e-6
-_FREE, _BALL, _SLIDE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL", "SLIDE"))
 
 
 class Stops:
@@ -27,7 +27,7 @@ class Stops:
 
     def __init__(self, model: mujoco.MjModel, joints: Sequence[int], moving: Sequence[int], *, loops: bool) -> None:
         self._model, self._loops = model, loops
-        self._joints = [joint for joint in joints if model.jnt_limited[joint] and model.jnt_type[joint] != _FREE]
+        self._joints = [joint for joint in joints if model.jnt_limited[joint] and model.jnt_type[joint] != FREE]
         self._tendons = [
             tendon
             for tendon in np.flatnonzero(model.tendon_limited).tolist()
@@ -60,7 +60,7 @@ class Stops:
             tendon = self._model.tendon(self._tendons[index - len(self._joints)])
             return f"tendon {tendon.name!r} would be at {value:.4g}, its range is [{low:.4g}, {high:.4g}]"
         joint = self._joints[index]
-        unit = "m" if self._model.jnt_type[joint] == _SLIDE else "rad"
+        unit = "m" if self._model.jnt_type[joint] == SLIDE else "rad"
         return (
             f"joint {names(self._model, [joint])}, which the arm's joints move, would be at {value:.4g} {unit}, its "
             f"range is [{low:.4g}, {high:.4g}]"
@@ -71,7 +71,7 @@ class Stops:
         model, data, values = self._model, self._data, np.empty((len(rows), len(self._low)))
         for column, joint in zip(values.T, self._joints, strict=False):
             first = model.jnt_qposadr[joint]
-            if model.jnt_type[joint] == _BALL:
+            if model.jnt_type[joint] == BALL:
                 turn = np.linalg.norm(rows[:, first + 1 : first + 4], axis=1)
                 column[:] = 2.0 * np.arctan2(turn, np.abs(rows[:, first]))
             else:

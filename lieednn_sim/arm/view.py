@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.chain import chain_base, chosen_joints, common_path, joint_groups, named_frames, tip_frame
+from lieednn_sim.arm.chain import chosen_joints, common_path, joint_groups, named_frames
 from lieednn_sim.arm.checks import ancestry, check_numbers, joints_of
 from lieednn_sim.arm.compound_joints import cut
 from lieednn_sim.arm.contacts import without_clearance
@@ -86,7 +86,9 @@ def read_view(
     else:
         inner, path, joints_of_chain = _chain(own, dependents, qpos, chosen, tip, base)
         last = body_frame(own, path[-1])
-        end = last if tip is None else tip_frame(own, tip, last)
+        end = last if tip is None else find_frame(own, tip)
+        if last.body not in ancestry(own, end.body):
+            raise InputError(f"the tip {tip!r} is not carried by the last link, {last.name!r}")
     held, weld = _welded(own, data, dependents, end.body)
     if held is not None:
         # It is carried: a rigid part of the hand, without any iterations.
@@ -154,7 +156,13 @@ def _chain(
     path = max((paths[joint] for joint in paths if paths[joint][: len(path)] == path), key=len)
     arm = {*dependents.independent, *dependents.lines, *dependents.sums}
     chain = tuple(joint for body in path for joint in joints_of(model, body) if joint in arm)
-    return chain_base(model, path, chain, base), path, chain
+    first = int(model.jnt_bodyid[chain[0]])
+    if base is None:
+        return body_frame(model, int(model.body_parentid[first])), path, chain
+    start = find_frame(model, base)
+    if start.body not in path or path.index(start.body) >= path.index(first):
+        raise InputError(f"joint {model.joint(chain[0]).name!r} does not move against the base {base!r}")
+    return start, path, chain
 
 
 def _check_chain(model: mujoco.MjModel, dependents: Dependents, bodies: Sequence[int], chain: Sequence[int]) -> None:

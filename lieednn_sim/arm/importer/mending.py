@@ -6,13 +6,12 @@ import numpy as np
 import scipy
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.checks import ancestry
+from lieednn_sim.arm.checks import FREE, ancestry
 from lieednn_sim.arm.contacts import colliding_geoms
 from lieednn_sim.arm.coupled_joints import Couplings
 from lieednn_sim.values import Floats
 
 _LEAST_INERTIA = 1e-6  # of the largest moment of a body, or [kg m^2]
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
@@ -62,7 +61,7 @@ def fix_base(spec: mujoco.MjSpec, model: mujoco.MjModel, carried: int, qpos: Flo
 
     ``model`` is what the spec compiles to, ``carried`` the first moving body of the arm. Returns the new ``qpos``.
     """
-    free = [j for j in np.flatnonzero(model.jnt_type == _FREE) if model.jnt_bodyid[j] in ancestry(model, carried)]
+    free = [j for j in np.flatnonzero(model.jnt_type == FREE) if model.jnt_bodyid[j] in ancestry(model, carried)]
     if not free:
         return qpos
     (joint,) = free

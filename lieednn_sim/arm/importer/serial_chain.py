@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.chain import chain_joints, joint_groups
-from lieednn_sim.arm.checks import ancestry, joints_of
+from lieednn_sim.arm.checks import FREE, ancestry, joints_of
 from lieednn_sim.arm.coupled_joints import coefficients, driven_directly, driven_tendons
 from lieednn_sim.arm.dependents import freely_moving, tied_joints
 from lieednn_sim.arm.equalities import involved_joints, loop_closures
@@ -21,7 +21,6 @@ from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _TOOL = re.compile(r"tcp|tool|(^|_)ee($|_)|end.?effector|flange|grasp|pinch|attachment", re.IGNORECASE)
 _FINGER = re.compile(r"jaw|finger|fngr|claw|pincer", re.IGNORECASE)
 _GRIPPER = re.compile(_FINGER.pattern + r"|grip", re.IGNORECASE)  # a body of that name may be the one it is fixed to
@@ -142,7 +141,7 @@ def is_gripper(model: mujoco.MjModel, joint: int) -> bool:
 
 
 def _driven_joints(model: mujoco.MjModel) -> set[int]:
-    usable = {joint for joint in range(model.njnt) if model.jnt_type[joint] != _FREE}
+    usable = {joint for joint in range(model.njnt) if model.jnt_type[joint] != FREE}
     driven = usable & driven_directly(model).union(*(coefficients(model, t) for t in driven_tendons(model)))
     if not driven:
         return usable
