@@ -19,6 +19,7 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, fixed_body, grow_bodies, move_bodies, without_clearance
 from lieednn_sim.arm.equalities import loop_closures
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
+from lieednn_sim.arm.grasp import add_payload, load_body
 from lieednn_sim.arm.importer.importing import import_model
 from lieednn_sim.arm.importer.loading import compile_spec, read_model
 from lieednn_sim.arm.importer.report import ImportOptions, ImportReport
@@ -26,7 +27,6 @@ from lieednn_sim.arm.model_arm import LIMITS, ModelArm
 from lieednn_sim.arm.models import chosen, find_model, has_frames, label_of
 from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.parsing import read_arm, read_chain
-from lieednn_sim.arm.payload import add_payload, load_body
 from lieednn_sim.arm.scenes import add_obstacles
 from lieednn_sim.arm.surroundings import check_data, home_data, name_of, state_of
 from lieednn_sim.errors import FileError, InputError

@@ -8,8 +8,8 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import BALL, SLIDE, joint_kind
+from lieednn_sim.arm.compound_joints import Couplings
 from lieednn_sim.arm.coordinates import Coordinates
-from lieednn_sim.arm.coupled_joints import Couplings
 from lieednn_sim.arm.equalities import joint_range
 from lieednn_sim.arm.forces import affine_actuators, constant_moments, control_ranges, tangent_basis
 from lieednn_sim.errors import InputError

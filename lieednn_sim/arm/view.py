@@ -11,18 +11,16 @@ import numpy as np
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.chain import chosen_joints, common_path, joint_groups, named_frames
 from lieednn_sim.arm.checks import ancestry, check_numbers, joints_of
-from lieednn_sim.arm.compound_joints import cut
+from lieednn_sim.arm.compound_joints import Couplings, along_tendons, cut
 from lieednn_sim.arm.contacts import without_clearance
 from lieednn_sim.arm.coordinates import Coordinates
-from lieednn_sim.arm.coupled_joints import Couplings, along_tendons
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import dof_addresses, names
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame
 from lieednn_sim.arm.joint_ranges import drop_endless_ranges, joint_ranges
-from lieednn_sim.arm.limits import check_rates, spare_acceleration
+from lieednn_sim.arm.limits import Stops, check_rates, spare_acceleration
 from lieednn_sim.arm.parsing import Chain, read_arm
-from lieednn_sim.arm.stops import Stops
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import log

@@ -7,8 +7,8 @@ import scipy
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.checks import FREE, ancestry
+from lieednn_sim.arm.compound_joints import Couplings
 from lieednn_sim.arm.contacts import colliding_geoms
-from lieednn_sim.arm.coupled_joints import Couplings
 from lieednn_sim.values import Floats
 
 _LEAST_INERTIA = 1e-6  # of the largest moment of a body, or [kg m^2]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.chain import chain_joints, joint_groups
 from lieednn_sim.arm.checks import FREE, ancestry, joints_of
-from lieednn_sim.arm.coupled_joints import coefficients, driven_directly, driven_tendons
+from lieednn_sim.arm.compound_joints import coefficients, driven_directly, driven_tendons
 from lieednn_sim.arm.dependents import freely_moving, tied_joints
 from lieednn_sim.arm.equalities import involved_joints, loop_closures
 from lieednn_sim.arm.frames import Frame, body_frame, find_frame, listed
