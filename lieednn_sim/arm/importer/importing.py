@@ -22,10 +22,8 @@ from lieednn_sim.arm.importer.report import Coupling, ImportOptions, ImportRepor
 from lieednn_sim.arm.importer.serial_chain import choose_chain
 from lieednn_sim.arm.importer.servos import SERVOS, add_servos, describe_servos
 from lieednn_sim.arm.importer.urdf import Joints, mend_joints, planar_joints, read_joints, velocities
-from lieednn_sim.arm.limits import check_rates
 from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.view import View, read_view
-from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
 
@@ -56,9 +54,6 @@ def import_model(
     rule = as_choice("choice of servos", given.get("servos", "keep"), SERVOS)
     overlaps = as_choice("choice of overlaps", given.get("overlaps", "ignore"), ("ignore", "keep"))
     floor = as_floor(given.get("floor", AUTO))
-    check_rates(given.get("limits"))
-    if "links" in given and ("joints" in given or "tip" in given):
-        raise InputError("name either the links, of which the last one is the tip, or the joints and the tip")
     notes: list[str] = []
     spec = load_spec(model, notes)
     joints = read_joints(source, notes)
