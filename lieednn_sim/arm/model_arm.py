@@ -15,13 +15,13 @@ from lieednn_sim.arm.checks import SCALAR
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moved_by
 from lieednn_sim.arm.dependents import Dependents
 from lieednn_sim.arm.equalities import dof_addresses
+from lieednn_sim.arm.fingerprint import discard_visuals, moves_alike
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.grasp import Grasp, find_grasp
 from lieednn_sim.arm.limits import Stops
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.arm.surroundings import home_data, rigid_groups, standing
 from lieednn_sim.arm.view import read_view
-from lieednn_sim.arm.visuals import discard_visuals, moves_alike
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie import rotations
 from lieednn_sim.validation import as_choice, as_count, as_floats

@@ -12,7 +12,6 @@ import scipy
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.chain import joint_groups
 from lieednn_sim.arm.checks import (
     check_independent,
     check_integrator,
@@ -25,7 +24,7 @@ from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import joint_range
 from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, drivable, force_ranges, tangent_basis
-from lieednn_sim.arm.frames import BodyFrames, Frame, site_frame
+from lieednn_sim.arm.frames import BodyFrames, Frame, joint_groups, site_frame
 from lieednn_sim.arm.joint_ranges import narrow_to_servos
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.arm.limits import read_numeric

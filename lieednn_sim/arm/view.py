@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.chain import chosen_joints, common_path, joint_groups, named_frames
 from lieednn_sim.arm.checks import ancestry, check_numbers, joints_of
 from lieednn_sim.arm.compound_joints import Couplings, along_tendons, cut
 from lieednn_sim.arm.contacts import without_clearance
@@ -17,7 +16,7 @@ from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import dof_addresses, names
 from lieednn_sim.arm.forces import tangent_basis
-from lieednn_sim.arm.frames import Frame, body_frame, find_frame
+from lieednn_sim.arm.frames import Frame, body_frame, chosen_joints, common_path, find_frame, joint_groups, named_frames
 from lieednn_sim.arm.joint_ranges import drop_endless_ranges, joint_ranges
 from lieednn_sim.arm.limits import Stops, check_rates, spare_acceleration
 from lieednn_sim.arm.parsing import Chain, read_arm
