@@ -106,16 +106,12 @@ def _first_body(model: mujoco.MjModel, named: dict[str, Any]) -> int:
 
 
 def _limits(
-    view: View,
-    model: mujoco.MjModel,
-    known: dict[str, float],
-    given: Mapping[str, Mapping[str, float]],
-    notes: list[str],
+    view: View, model: Any, urdf: Mapping[str, float], given: Mapping[str, Mapping[str, float]], notes: list[str]
 ) -> dict[str, dict[str, float]]:
-    """Limits of rates by coordinate: those given, else the known velocities of a URDF, of all joints that it moves."""
+    """Limits of rates by coordinate: those given, else the velocities of a URDF, of all joints that it moves."""
     space = view.fields["space"]
     most = np.full(len(space), np.inf)
-    for name, velocity in known.items():
+    for name, velocity in urdf.items():
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         rates = np.abs(space.rates[model.jnt_dofadr[joint]]) if joint >= 0 else np.zeros(len(space))
         most = np.minimum(most, np.divide(velocity, rates, out=np.full(len(space), np.inf), where=rates > 0.0))
