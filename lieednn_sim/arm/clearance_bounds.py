@@ -226,8 +226,9 @@ class ClearanceBounds:
         turned = self._points(geoms) @ np.swapaxes(place.turns[at, geoms], -1, -2)
         points, ahead = place.geoms[at, geoms][:, None] + turned, normals[:, None]
         axes, anchors = place.axes[:, self._joints], place.anchors[:, self._joints]
-        if self._is_ball.any():
-            axes = place.ball_axes(self._arm.model, axes)
+        for joint in np.flatnonzero(self._is_ball):
+            turns = place.bodies[:, self._arm.model.jnt_bodyid[joint]].reshape(-1, 3, 3)
+            axes[:, self._joints == joint] = np.swapaxes(turns, -1, -2)
         # n . (z x (x - o)) = z . (x x n) - (z x o) . n
         turn = np.swapaxes(axes * self._dof_turns[:, None], -1, -2)
         shift = np.swapaxes(np.where(self._dof_turns[:, None], -np.cross(axes, anchors), axes), -1, -2)
@@ -267,27 +268,19 @@ class _Places:
         turns: ``(I, ngeom, 3, 3)``.
         anchors: ``(I, njnt, 3)``.
         axes: ``(I, njnt, 3)``.
+        bodies: ``(I, nbody, 9)`` rotations of the bodies.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats) -> None:
         count = len(qpos)
         self.geoms, self.turns = np.empty((count, model.ngeom, 3)), np.empty((count, model.ngeom, 9))
         self.anchors, self.axes = np.empty((count, model.njnt, 3)), np.empty((count, model.njnt, 3))
-        self._bodies = np.empty((count, model.nbody, 9))
+        self.bodies = np.empty((count, model.nbody, 9))
         for k, data.qpos[:] in enumerate(qpos):
             mujoco.mj_kinematics(model, data)
             self.geoms[k], self.turns[k] = data.geom_xpos, data.geom_xmat
-            self.anchors[k], self.axes[k], self._bodies[k] = data.xanchor, data.xaxis, data.xmat
+            self.anchors[k], self.axes[k], self.bodies[k] = data.xanchor, data.xaxis, data.xmat
         self.turns = self.turns.reshape(count, model.ngeom, 3, 3)
-
-    def ball_axes(self, model: mujoco.MjModel, axes: Floats) -> Floats:
-        """Axes ``(I, nv, 3)`` of all degrees of freedom, from those of scalar joints."""
-        axes = axes.copy()
-        for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_BALL):
-            first = model.jnt_dofadr[joint]
-            turn = self._bodies[:, model.jnt_bodyid[joint]].reshape(-1, 3, 3)
-            axes[:, first : first + 3] = np.swapaxes(turn, -1, -2)
-        return axes
 
 
 def _in_parts(bound: Callable[..., tuple[NDArray[Any], ...]], *rows: Floats) -> Any:

@@ -186,19 +186,6 @@ def chosen_joints(model: mujoco.MjModel, joints: Sequence[str]) -> list[int]:
     return chosen
 
 
-def common_path(model: mujoco.MjModel, joints: Sequence[int]) -> list[int]:
-    """The bodies from the world to the one that all of some joints move; `InputError` where they are on branches."""
-    paths = {joint: ancestry(model, int(model.jnt_bodyid[joint])) for joint in joints}
-    path = max(paths.values(), key=len)
-    for joint in joints:
-        if paths[joint] != path[: len(paths[joint])]:
-            raise InputError(
-                f"joint {model.joint(joint).name!r} is not on the way to body {model.body(path[-1]).name!r}: an arm is "
-                "one chain; leave out the joints of its hand"
-            )
-    return path
-
-
 def chain_joints(model: mujoco.MjModel, body: int) -> list[int]:
     """The hinges, slides and ball joints of a body."""
     return [joint for joint in joints_of(model, body) if model.jnt_type[joint] != FREE]

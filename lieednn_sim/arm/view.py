@@ -16,7 +16,7 @@ from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import dof_addresses, names
 from lieednn_sim.arm.forces import tangent_basis
-from lieednn_sim.arm.frames import Frame, body_frame, chosen_joints, common_path, find_frame, joint_groups, named_frames
+from lieednn_sim.arm.frames import Frame, body_frame, chosen_joints, find_frame, joint_groups, named_frames
 from lieednn_sim.arm.joint_ranges import drop_endless_ranges, joint_ranges
 from lieednn_sim.arm.limits import Stops, check_rates, spare_acceleration
 from lieednn_sim.arm.parsing import Chain, read_arm
@@ -148,9 +148,14 @@ def _chain(
                 f"moves {names(model, moved)} there, so name that in its place: coordinates are joints of the chain, "
                 "but targets may be given by others, see `coordinates_at`"
             )
-    path = common_path(model, chosen)
+    for joint in chosen:
+        if paths[joint] != longest[: len(paths[joint])]:
+            raise InputError(
+                f"joint {model.joint(joint).name!r} is not on the way to body {model.body(longest[-1]).name!r}: an arm "
+                "is one chain; leave out the joints of its hand"
+            )
     # A telescope's last stages may follow the one that is named.
-    path = max((paths[joint] for joint in paths if paths[joint][: len(path)] == path), key=len)
+    path = max((paths[joint] for joint in paths if paths[joint][: len(longest)] == longest), key=len)
     arm = {*dependents.independent, *dependents.lines, *dependents.sums}
     chain = tuple(joint for body in path for joint in joints_of(model, body) if joint in arm)
     first = int(model.jnt_bodyid[chain[0]])
