@@ -171,12 +171,9 @@ class Collisions:
         return at[kept], index[kept], distance[kept], segments[kept].reshape(-1, 2, 3)
 
     def clearance(self, q: ArrayLike) -> float:
-        """The smallest signed distance at ``q`` ``(n,)`` [m]; negative in penetration, infinite without pairs."""
-        return self.least_clearance(as_floats("q", q, (self.arm.n_joints,))[None])
-
-    def least_clearance(self, q: ArrayLike) -> float:
-        """The smallest `clearance` at configurations ``(K, n)`` [m]."""
-        return self.least_clearance_at(self.arm.qpos(as_floats("q", q, ("K", self.arm.n_joints))))
+        """Smallest signed distance at all ``q`` ``(..., n)`` [m]; negative in penetration, infinite without pairs."""
+        rows = as_floats("q", q, (self.arm.n_joints,), batched=True).reshape(-1, self.arm.n_joints)
+        return self.least_clearance_at(self.arm.qpos(rows))
 
     def least_clearance_at(self, qpos: ArrayLike) -> float:
         """The same at positions ``(K, nq)`` of everything in the model."""

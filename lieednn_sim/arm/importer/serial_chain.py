@@ -47,7 +47,10 @@ def choose_chain(
     if hands := [model.joint(joint).name for joint in behind if is_gripper(model, joint)]:
         notes.append(f"taken for a gripper, and no part of the arm: {', '.join(hands)}; name the links to move it")
     (chain,) = joint_groups(model, (inner, body_frame(model, last)))
-    if tip is None and (tools := _tools(model, last)):
+    fixed = np.flatnonzero(model.body_weldid == model.body_weldid[last])
+    names = [model.body(body).name for body in fixed if body != last]
+    names += [model.site(site).name for site in np.flatnonzero(np.isin(model.site_bodyid, fixed))]
+    if tip is None and (tools := [name for name in names if _TOOL.search(name)]):
         notes.append(
             f"the end effector is {body_frame(model, last).name!r}; tip={tools[0]!r} (--tip) would choose that, of the "
             f"frames named like a tool: {', '.join(tools)}"
@@ -61,14 +64,6 @@ def choose_chain(
             "and give its slides ranges"
         )
     return {**named, "joints": moving}
-
-
-def _tools(model: mujoco.MjModel, last: int) -> list[str]:
-    """Names of the bodies and sites that are fixed to the last link and named like a tool."""
-    fixed = np.flatnonzero(model.body_weldid == model.body_weldid[last])
-    names = [model.body(body).name for body in fixed if body != last]
-    names += [model.site(site).name for site in np.flatnonzero(np.isin(model.site_bodyid, fixed))]
-    return [name for name in names if _TOOL.search(name)]
 
 
 def longest_chain(model: mujoco.MjModel, base: str | None, tip: int | None = None) -> tuple[Frame, int]:
