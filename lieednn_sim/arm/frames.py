@@ -78,18 +78,12 @@ class BodyFrames:
         place = xpos.take(self.bodies, axis=-2) + np.matvec(turn, self.positions)
         return place, turn @ self.rotations
 
-    def jacobian(
-        self, model: mujoco.MjModel, data: mujoco.MjData, k: int, out: Floats | None = None
-    ) -> tuple[Floats, Floats]:
-        """Jacobians ``(3, nv)`` of position and rotation of frame k; data holds the kinematics, with ``mj_comPos``.
-
-        They are written to ``out`` ``(2, 3, nv)``, if that is given.
-        """
-        linear, angular = np.empty((2, 3, model.nv)) if out is None else out
-        body = int(self.bodies[k])
+    def jacobian(self, model: mujoco.MjModel, data: mujoco.MjData, k: int) -> Floats:
+        """Jacobians ``(2, 3, nv)`` of position and rotation of frame k; data holds the kinematics and ``mj_comPos``."""
+        result, body = np.empty((2, 3, model.nv)), int(self.bodies[k])
         point = data.xpos[body] + data.xmat[body].reshape(3, 3) @ self.positions[k]
-        mujoco.mj_jac(model, data, linear, angular, point, body)
-        return linear, angular
+        mujoco.mj_jac(model, data, *result, point, body)
+        return result
 
 
 def find_frame(model: mujoco.MjModel, name: str) -> Frame:
