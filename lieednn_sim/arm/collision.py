@@ -119,8 +119,8 @@ class Collisions:
         limits = np.broadcast_to(as_floats("cutoff", limits, self.pairs.shape[: limits.ndim]), len(self.pairs))
         if (limits <= 0.0).any():
             raise InputError(f"cutoff must be positive, got {limits.min():g}")
-        data, turns = self._data, self._data.geom_xmat.reshape(1, -1, 3, 3).copy()
-        _, index, distance, points = self.separations(data.geom_xpos[None].copy(), turns, limits)
+        places, turns = self._data.geom_xpos[None], self._data.geom_xmat.reshape(1, -1, 3, 3)
+        _, index, distance, points = self.separations(places, turns, limits)
         apart = distance - self._offset[index]
         order = np.argsort(apart, kind="stable")
         pairs = self.pairs[index[order]]
@@ -154,7 +154,7 @@ class Collisions:
         between = center[at, other] - center[at, one]
         beyond = np.abs(np.vecmat(between, used[at, one])) - self._half[one]
         near = beyond.max(axis=1) - self._radius[other] < limits[at, index] + _SLACK
-        at, index, one, other, between, beyond = (x[near] for x in (at, index, one, other, between, beyond))
+        at, index, one, other, between, beyond = (part[near] for part in (at, index, one, other, between, beyond))
         back = np.abs(np.vecmat(between, used[at, other])) - self._half[other]
         cosines = np.abs(np.swapaxes(used[at, one], -1, -2) @ used[at, other])
         beyond -= np.matvec(cosines, self._half[other])
@@ -182,9 +182,10 @@ class Collisions:
         # At a few of them first, further and further out, so that only what is nearer is measured at the others.
         while len(rows) and least == np.inf and cutoff < 2.0 * _PLANE_SIZE:
             least, cutoff = self._nearer(rows[:: len(rows) // AT_ONCE + 1], cutoff).min(initial=np.inf), 4.0 * cutoff
+        # Boxes do not bound depths as MuJoCo measures them: whatever overlaps is measured.
+        deep = np.where(np.isfinite(self._offset), np.maximum(-self._offset, 0.0), 0.0)
         for k in range(0, len(rows) if least < np.inf else 0, AT_ONCE):
-            # Boxes do not bound depths as MuJoCo measures them.
-            least = self._nearer(rows[k : k + AT_ONCE], max(least, 0.0)).min(initial=least)
+            least = self._nearer(rows[k : k + AT_ONCE], np.maximum(deep, least)).min(initial=least)
         return float(least)
 
     def is_free(self, q: ArrayLike, margin: float = 0.0, *, own: float | None = None) -> bool:
