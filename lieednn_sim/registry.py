@@ -110,8 +110,6 @@ class PolicyEntry(Entry):
     ended" at the end of a motion; anything else says what keeps it from moving on.
     """
 
-    arrives: bool = True  # whether it comes to rest at a target that rests, where nothing is in its way
-
 
 @dataclass(frozen=True)
 class FormatEntry(Entry):

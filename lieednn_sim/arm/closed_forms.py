@@ -212,11 +212,6 @@ class OneScrew:
         dual = joint.screw / np.repeat([1.0, length**2], 3)
         self._dual = dual / (dual @ joint.screw)
 
-    @staticmethod
-    def fits(joint: CompoundJoint) -> bool:
-        """Whether the joint is of this kind."""
-        return joint.screw is not None
-
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., 1)`` and their rates."""
         offset = poses.twist[..., self._link, :] @ self._dual[:, None]

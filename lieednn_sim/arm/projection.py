@@ -164,7 +164,7 @@ def _solvers(joints: CompoundJoints, length: float) -> list[OneScrew | HingeSlid
     searched: dict[Hashable, list[tuple[int, ...]]] = {}
     for links in _sharing(joints):
         joint = joints.joints[links[0]]
-        if len(links) == 1 and OneScrew.fits(joint):
+        if len(links) == 1 and joint.screw is not None:
             solvers.append(OneScrew(joint, links[0], length))
         elif len(links) == 1 and HingeSlide.fits(joint):
             solvers.append(HingeSlide(joint, links[0], length))

@@ -10,7 +10,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.arm.payload import load_body
+from lieednn_sim.arm.grasp import load_body
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.simulation.disturbances import Disturbances
 

@@ -8,8 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.arm.contact_slopes import ContactSlopes
+from lieednn_sim.arm.collision import Collisions, ContactSlopes
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.evaluation.metrics import motion_metrics
@@ -104,12 +103,12 @@ def test_a_optimised_motion_is_no_worse_than_its_start_and_keeps_limits_and_clea
     assert clear
     motion = one.motion(poles, free)
     check_motion(poles.arm, motion)
-    least = Collisions(poles.arm).least_clearance(motion.q)
+    least = Collisions(poles.arm).clearance(motion.q)
     assert measure == pytest.approx(one.measure(free, least), abs=0.05)
     # A larger weight of clearance gives more of it, at the cost of length and jerk.
     wide = optimisation(poles, weight=1.0)
     wider = wide.motion(poles, wide.descend(free, 12)[1])
-    assert Collisions(poles.arm).least_clearance(wider.q) > 1.1 * least
+    assert Collisions(poles.arm).clearance(wider.q) > 1.1 * least
     assert wide.cost(wide.descend(free, 12)[1]) > one.cost(free)
 
 
