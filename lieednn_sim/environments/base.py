@@ -96,7 +96,7 @@ class ArmTask(ABC):
     """Base class of tasks in which joint velocities bring an arm to target positions that are observed.
 
     An object has two parts. The definition of the task is in `commands`, `draw`, `judge` and `look`, which work on
-    arrays with any leading axes, so that `vector.VectorEnvironment` can use them for many episodes. With `begin` and
+    arrays with any leading axes, so that `gymnasium.VectorEnvironment` can use them for many episodes. With `begin` and
     `step` it runs one episode in its simulation.
 
     An action a in [-1, 1]^n gives the joint velocities a |a|, as fractions of their limits, so that slow motions, which
