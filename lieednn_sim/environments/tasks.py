@@ -44,22 +44,18 @@ class Closeness:
     """
 
     def __init__(self, task: ArmTask, *more: tuple[float, float]) -> None:
-        self._position, self._rotation = task.position_tolerance, task.rotation_tolerance
         self._farthest = np.array([reach(task.arm), np.pi])
-        allowed = 2 * (self._position, self._rotation)
+        allowed = 2 * (task.position_tolerance, task.rotation_tolerance)
         self._allowed, self._margins = np.array([*zip(allowed, (*_NEAR, *_FINE), strict=True), *more]).T
 
-    def __call__(self, distance: Floats, angle: Floats, *more: Floats) -> Floats:
-        """Closeness ``(...)`` at distances [m], angles [rad] and further errors ``(...)``."""
+    def __call__(self, distance: Floats, angle: Floats, *more: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Closeness at distances [m], angles [rad] and further errors, and whether all are allowed; all ``(...)``."""
         errors = np.array([distance, angle, distance, angle, *more]).T
         beyond = np.maximum(errors - self._allowed, 0.0)
         far, far_turn = np.minimum(beyond[..., :2] / self._farthest, 1.0).T
         near, near_turn, *fine = tail(beyond / self._margins).T
-        return np.asarray(0.25 * (2.0 - far - far_turn + near * near_turn + math.prod(fine)))
-
-    def within(self, distance: Floats, angle: Floats) -> NDArray[np.bool_]:
-        """Whether both are within their tolerances."""
-        return np.asarray((distance <= self._position) & (angle <= self._rotation))
+        closeness = np.asarray(0.25 * (2.0 - far - far_turn + near * near_turn + math.prod(fine)))
+        return closeness, np.asarray((errors <= self._allowed).all(axis=-1)).T
 
 
 def tail(margins: Floats | float) -> Floats:
@@ -95,7 +91,7 @@ class Reach(ArmTask):
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """See `ArmTask`; unchecked."""
         speed = np.maximum.reduce(np.abs(qd / self.arm.velocity_limits), axis=-1)
-        return self._closeness(distance, angle, speed), self._closeness.within(distance, angle) & (speed <= REST)
+        return self._closeness(distance, angle, speed)
 
 
 class Track(ArmTask):
@@ -141,7 +137,7 @@ class Track(ArmTask):
 
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """See `ArmTask`; unchecked."""
-        return self._closeness(distance, angle), self._closeness.within(distance, angle)
+        return self._closeness(distance, angle)
 
 
 #: Tasks by name.

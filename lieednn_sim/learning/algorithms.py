@@ -110,7 +110,7 @@ class ProjectedTraining(Training[TrainingOptions]):
 
     def advance(self, before: Iterate, end: int) -> tuple[Iterate, StopReason | None]:
         """The epochs from one projection to the next."""
-        options, rows, first = self.options, len(self.recorder), self.epoch
+        options, rows, first = self.options, len(self.rows), self.epoch
         if first >= end:
             return before, StopReason.EPOCHS_SPENT
         now, arrived = before, False
@@ -126,7 +126,7 @@ class ProjectedTraining(Training[TrainingOptions]):
         tracked = options.step_control == "tracked"
         lost = not now.equilibrium.success
         if lost or (tracked and np.abs(now.equilibrium.x - before.equilibrium.x).max() > options.max_jump):
-            self.recorder.cut(rows)  # back to the last weights that have the equilibrium
+            del self.rows[rows:]  # back to the last weights that have the equilibrium
             if not tracked:
                 return before, StopReason.LOST_EQUILIBRIUM
             rate = before.rate * options.shrink
@@ -168,7 +168,7 @@ class ProjectedTraining(Training[TrainingOptions]):
         if options.step_control == "adaptive":
             factor = options.grow if error < now.error else options.shrink
             rate = min(max(rate * factor, options.min_rate), options.max_rate)
-        self.recorder.add(self.epoch, equilibrium.x, rate, now.weight)
+        self.record(self.epoch, now, rate)
         self.epoch += 1
         # The length is at most sqrt(n) times the largest coordinate, so this is computed only when it may hold.
         arrived = error < options.tolerance * math.sqrt(delta.size) and self.arrived(now)

@@ -162,7 +162,7 @@ class RiemannianTraining(Training[RiemannianOptions]):
         row = self.epoch
         self.epoch += 1
         if self._followed(before, trial, decrease) and (not due or self.stable(trial)):
-            self.recorder.add(row, before.equilibrium.x, before.rate, before.weight)
+            self.record(row, before, before.rate)
             if due:
                 self._checked_at = self.epoch
             return trial._replace(rate=min(options.max_rate, before.rate * options.grow)), None
