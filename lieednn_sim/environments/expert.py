@@ -10,8 +10,8 @@ from scipy.interpolate import CubicHermiteSpline
 from lieednn_sim.arm import Arm
 from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.tasks import Track, pace
-from lieednn_sim.errors import InputError, NotCertifiedError, PlanError
-from lieednn_sim.planning import OBSTACLE_PLANNER, CertifiedOptions, plan
+from lieednn_sim.errors import InputError
+from lieednn_sim.planning import plan
 from lieednn_sim.policies import MotionTracker, Policy, make_policy
 from lieednn_sim.registry import PLANNERS, POLICIES
 from lieednn_sim.typecheck import typecheck_public
@@ -27,15 +27,15 @@ _PLANNING_DURATION = 10.0
 class Expert:
     """An expert policy for imitation learning, which has access to the arm and the task.
 
-    In `Reach` it plans a certified network's motion from ``home`` to each episode's target, around obstacles if there
-    are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands the target's next
-    position. With ``policy`` it follows that policy, made anew for each episode, which sees the measured joints and the
-    target. Its actions are within [-1, 1].
+    In `Reach` it plans a motion from ``home`` to each episode's target, by default that of a certified network, around
+    obstacles if there are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands
+    the target's next position. With ``policy`` it follows that policy, made anew for each episode, which sees the
+    measured joints and the target. Its actions are within [-1, 1].
 
     Args:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
         policy: a name of `policies.POLICIES`.
-        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, and among obstacles `OBSTACLE_PLANNER`.
+        planner: a name of `planning.PLANNERS`; by default the `default_planner` of the task's arm.
         seed: seed of the draws.
 
     Attributes:
@@ -62,8 +62,6 @@ class Expert:
             if planner is not None:
                 raise InputError(f"give a policy or a planner, got {policy!r} and {planner!r}")
             POLICIES.find(policy)
-        elif planner is None and task.arm.scene != "free":
-            planner = OBSTACLE_PLANNER
         if planner is not None:
             PLANNERS.require(planner)
         self._task, self._kind, self._planner, self._seed = task, policy, planner, as_seed("seed", seed)
@@ -111,22 +109,9 @@ def planned(
 ) -> tuple[CubicHermiteSpline, str]:
     """A planned motion from the keyframe ``home``, as fast as 90 % of the velocity and acceleration limits allow.
 
-    Besides, the proof of stability of the network that it comes from, in words; empty without one. The planner is by
-    default a certified LieEDNN, of which two networks are drawn at first; if their motions break limits, four times as
-    many are drawn, and then sixteen times as many. Raises as `plan`.
+    Besides, the proof of stability of the network that it comes from, in words; empty without one. Raises as `plan`.
     """
-    if planner is not None:
-        result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
-    else:
-        # Few networks suffice for most targets, and each takes time.
-        for count in (2, 8, 32):
-            options = CertifiedOptions(n_networks=count)
-            try:
-                result = plan(arm, target, duration=(_PLANNING_DURATION,) * 2, options=options, seed=seed)
-                break
-            except (PlanError, NotCertifiedError):
-                if count == 32:
-                    raise
+    result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
     motion, certificate = result.motion, "" if result.network is None else str(result.network.certificate)
     # The rest of the limits is left to the servos. Nothing moves if it is already there.
     factor = pace(arm, motion.t, motion.qd, 0.9) or 1.0

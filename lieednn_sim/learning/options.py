@@ -147,25 +147,18 @@ class RiemannianOptions(LearningOptions):
     Attributes:
         certified: learn a certificate of global stability along with the weights, and give up a start that ends
             without one; Gauss-Newton only.
-        barrier: fraction of gamma/mu, below 1, at which the certificate starts to push back.
-        damping: Levenberg damping of the Gauss-Newton equations.
     """
 
     certified: bool = False
-    barrier: float = 0.8
-    damping: float = 1e-6
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_fields(self, lambda _, flag: bool(flag), "certified")
-        check_fields(self, as_positive, "barrier", "damping")
         largest = 1.0 if self.direction == "gauss-newton" else 1e6  # gradient steps could overflow beyond theirs
         if self.max_rate > largest:
             raise InputError(f"max_rate must be at most {largest:g} for {self.direction}, got {self.max_rate:g}")
         if self.certified and self.direction != "gauss-newton":
             raise InputError(f"certified training needs the direction 'gauss-newton', got {self.direction!r}")
-        if self.barrier >= 1.0:
-            raise InputError(f"barrier must lie below 1, where the certificate ends, got {self.barrier:g}")
 
     @classmethod
     def stability_aware(cls, **changes: Any) -> RiemannianOptions:

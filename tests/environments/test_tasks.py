@@ -11,7 +11,7 @@ from lieednn_sim.environments import expert as experts
 from lieednn_sim.environments import tasks
 from lieednn_sim.environments.expert import Expert, planned
 from lieednn_sim.environments.tasks import REST, TASKS, band_limited, make_task
-from lieednn_sim.errors import InputError, PlanError
+from lieednn_sim.errors import InputError
 from lieednn_sim.lie import exp
 from lieednn_sim.registry import DEFAULT_ARMS
 
@@ -225,19 +225,6 @@ def test_plans_are_as_fast_as_the_limits_allow(planner):
     acceleration = np.abs(np.gradient(motion(t, 1), t, axis=0)) / arm.acceleration_limits
     assert max(velocity.max(), acceleration.max()) == pytest.approx(0.9, abs=0.02)
     assert_allclose(motion(t[[0, -1]]), [arm.keyframe("home"), arm.keyframe("extended")], atol=1e-6)
-
-
-def test_more_networks_are_drawn_where_few_keep_the_limits(gantry, monkeypatch):
-    counts = []
-
-    def refuse(*_, options, **__):
-        counts.append(options.n_networks)
-        raise PlanError("too fast")
-
-    monkeypatch.setattr(experts, "plan", refuse)
-    with pytest.raises(PlanError, match="too fast"):
-        planned(gantry, "home")
-    assert counts == [2, 8, 32]
 
 
 def test_a_policy_by_name_is_an_expert(arm):
