@@ -53,14 +53,11 @@ class Closeness:
         errors = np.array([distance, angle, distance, angle, *more]).T
         beyond = np.maximum(errors - self._allowed, 0.0)
         far, far_turn = np.minimum(beyond[..., :2] / self._farthest, 1.0).T
-        near, near_turn, *fine = tail(beyond / self._margins).T
+        # Such tails are those of dm_control's ``tolerance``.
+        margins = beyond / self._margins
+        near, near_turn, *fine = (1.0 / (1.0 + 9.0 * margins * margins)).T
         closeness = np.asarray(0.25 * (2.0 - far - far_turn + near * near_turn + math.prod(fine)))
         return closeness, np.asarray((errors <= self._allowed).all(axis=-1)).T
-
-
-def tail(margins: Floats | float) -> Floats:
-    """1 at the tolerance, 1 / (1 + 9 x^2) at x margins beyond it, as dm_control's ``tolerance``."""
-    return np.asarray(1.0 / (1.0 + 9.0 * margins * margins))
 
 
 class Reach(ArmTask):

@@ -1,7 +1,7 @@
 """The catalogue of matrix Lie groups, and the affine group over each real one.
 
 In the adjoint of ``affine(C^x)`` and ``affine(H^x)`` the block that acts on the translations is complex, and left
-quaternion, multiplication: see `group_network`.
+quaternion, multiplication: see `networks`.
 """
 
 from __future__ import annotations
