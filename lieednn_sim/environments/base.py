@@ -21,8 +21,6 @@ from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats
 
-# Which frames must reach their targets.
-GOALS = ("end-effector", "links")
 # Longest episode [s]; targets that move are drawn for all of it.
 _MAX_TIME_LIMIT = 1000.0
 
@@ -165,7 +163,7 @@ class ArmTask(ABC):
                 f"{_MAX_TIME_LIMIT:g} s, got {time_limit:g} s"
             )
         self.steps = int(np.ceil(self.time_limit / self.control_timestep - 1e-6))
-        self.goal = as_choice("goal", goal, GOALS)
+        self.goal = as_choice("goal", goal, ("end-effector", "links"))
         self.commands = Commands(self.arm, self.substeps)
         self.frames = slice(-1, None) if self.goal == "end-effector" else slice(None)
         frames = len(range(self.arm.n_links)[self.frames])

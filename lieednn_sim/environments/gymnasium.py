@@ -139,12 +139,9 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
 
     Args:
         num_envs: number of environments, B.
-        task: a name of `tasks.TASKS`.
-        arm: name of an arm of the package, or an arm.
-        scene: as for `Environment`.
+        task, arm, scene, options: as of `Environment`.
         autoreset_mode: when the next episode begins, see Gymnasium.
         threads: number of threads; by default, the number of processors.
-        options: further options of the task, see `ArmTask`, `Reach` and `Track`.
 
     Attributes:
         task: the definition of the task; its own episode is not used.
