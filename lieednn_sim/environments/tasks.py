@@ -53,7 +53,7 @@ class Closeness:
         errors = np.array([distance, angle, distance, angle, *more]).T
         beyond = np.maximum(errors - self._allowed, 0.0)
         far, far_turn = np.minimum(beyond[..., :2] / self._farthest, 1.0).T
-        # Such tails are those of dm_control's ``tolerance``.
+        # A term is 1 / (1 + 9 x^2) at x margins beyond the tolerance, as that of dm_control.
         margins = beyond / self._margins
         near, near_turn, *fine = (1.0 / (1.0 + 9.0 * margins * margins)).T
         closeness = np.asarray(0.25 * (2.0 - far - far_turn + near * near_turn + math.prod(fine)))

@@ -230,7 +230,7 @@ class Training(ABC, Generic[_Options]):
         *scalars, states = zip(*self.rows, strict=True)
         epoch, rate, one_norm, infinity_norm = (np.array(column, dtype=np.float64) for column in scalars)
         equilibrium = np.array(states).reshape(-1, *self.problem.target.shape)
-        delta = np.array(states) - self.goal
+        delta = equilibrium.reshape(len(epoch), -1) - self.goal
         accuracy = (np.abs(delta) < self.options.tolerance).mean(axis=1)
         return History(epoch, np.linalg.norm(delta, axis=1), accuracy, rate, one_norm, infinity_norm, equilibrium)
 
