@@ -95,7 +95,7 @@ def at_times(states: Floats, grid: Floats, t: Floats) -> Floats:
 
 @frozen
 class StableMixture:
-    """A fitted mixture of linear laws, in d coordinates scaled to the extent of the demonstrations and in units of their duration."""
+    """A fitted mixture of laws, in d coordinates scaled to the demonstrations' extent, in units of their duration."""
 
     prior: Floats  # (k,) priors of the components
     mean: Floats  # (k, d) means of the components
