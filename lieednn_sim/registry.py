@@ -469,7 +469,7 @@ _RIVALS = {
     "promp": Entry(
         "learning.demonstrations.primitives:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"
     ),
-    "lpv-ds": Entry("learning.demonstrations.stable_mixture:StableMixture.fit", "a stable mixture of linear ones"),
+    "lpv-ds": Entry("learning.demonstrations.models:StableMixture.fit", "a stable mixture of linear ones"),
     "linear-attractor": Entry("learning.demonstrations.models:LinearAttractor.fit", "the same rate everywhere"),
 }
 #: Models of demonstrations with which a shaped network is compared: functions of demonstrations and of the number of

@@ -14,7 +14,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time, report
 from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.network.batch_integration import integrate_batch
+from lieednn_sim.network.stepping import integrate_batch
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, least_duration
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion

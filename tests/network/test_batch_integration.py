@@ -5,9 +5,8 @@ import pytest
 
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.network.batch_integration import integrate_batch
 from lieednn_sim.network.dynamics import runge_kutta_step
-from lieednn_sim.network.stepping import RungeKuttaStepper
+from lieednn_sim.network.stepping import RungeKuttaStepper, integrate_batch
 
 
 def drawn(rng: np.random.Generator, size: float, **rates) -> LieEDNN:
