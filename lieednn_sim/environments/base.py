@@ -117,10 +117,10 @@ class ArmTask(ABC):
         control_timestep: time between actions [s], a whole number of physics steps.
         time_limit: duration of an episode [s].
         goal: ``"end-effector"``: its frame is the goal frame; ``"links"``: all link frames are, and the worst counts.
+        position_tolerance, rotation_tolerance: tolerances of success [m, rad]; by default those of a settled frame in
+            an `Evaluation`, unless a subclass has others.
 
     Attributes:
-        position_tolerance, rotation_tolerance: tolerances of success [m, rad]; those of a settled frame in an
-            `Evaluation`, unless a subclass has others.
         arm, simulation: the arm, and its simulation.
         substeps: number of physics steps in a control step.
         control_timestep: time between actions [s].
@@ -146,6 +146,8 @@ class ArmTask(ABC):
         control_timestep: float = 0.02,
         time_limit: float = 6.0,
         goal: str = "end-effector",
+        position_tolerance: float | None = None,
+        rotation_tolerance: float | None = None,
     ) -> None:
         if isinstance(arm, Arm):
             self.arm = arm.with_scene(scene, scene_seed)
@@ -164,6 +166,9 @@ class ArmTask(ABC):
             )
         self.steps = int(np.ceil(self.time_limit / self.control_timestep - 1e-6))
         self.goal = as_choice("goal", goal, ("end-effector", "links"))
+        for name, value in {"position_tolerance": position_tolerance, "rotation_tolerance": rotation_tolerance}.items():
+            if value is not None:
+                setattr(self, name, as_positive(name, value))
         self.commands = Commands(self.arm, self.substeps)
         self.frames = slice(-1, None) if self.goal == "end-effector" else slice(None)
         frames = len(range(self.arm.n_links)[self.frames])
