@@ -20,7 +20,7 @@ from rich.console import Console
 
 from lieednn_sim import io
 from lieednn_sim.studies import markdown
-from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.rows import grouped
 from lieednn_sim.studies.study import compute
 
 STARTS = 1000

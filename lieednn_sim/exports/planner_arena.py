@@ -11,7 +11,7 @@ from pathlib import Path
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.comparison.study import Comparison, settings_of
-from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.rows import grouped
 
 # Names and SQL types of what each run tells; OMPL's own names for the first two.
 _PROPERTIES = (

@@ -25,10 +25,9 @@ from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.log import ChannelSource, Log
-from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.simulation.rollout import Rollout
-from lieednn_sim.simulation.simulation import Simulation
+from lieednn_sim.simulation.simulation import Simulation, make_plant
 from lieednn_sim.validation import as_nonnegative, as_positive
 from lieednn_sim.values import Floats
 

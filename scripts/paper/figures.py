@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from lieednn_sim.studies.statistics import wilson
+from lieednn_sim.studies.rows import wilson
 from paper import network_figures, style
 from paper.plan import INSIDE, OUTSIDE, PERIODS, TOLERANCE
 from paper.results import Results, column, curves

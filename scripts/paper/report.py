@@ -10,7 +10,7 @@ import numpy as np
 
 from lieednn_sim import io
 from lieednn_sim.studies.markdown import table
-from lieednn_sim.studies.statistics import wilson
+from lieednn_sim.studies.rows import wilson
 from paper.checks import CHECKS
 from paper.claims import judge
 from paper.measures import FAILS, FEW, HOLDS, MOST, PART, UNKNOWN

@@ -15,7 +15,7 @@ from rich.console import Console
 from lieednn_sim import io
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import FileError
-from lieednn_sim.studies.workers import run_each
+from lieednn_sim.studies.study import run_each
 from paper import experiments
 from paper.plan import INSIDE, Job, Plan
 

@@ -18,7 +18,7 @@ from lieednn_sim.studies import Case, Comparison, Settings, compute, run_case, w
 from lieednn_sim.studies.comparison import study
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
 from lieednn_sim.studies.comparison.summary import failures
-from lieednn_sim.studies.statistics import numbers, wilson
+from lieednn_sim.studies.rows import numbers, wilson
 
 CASE = Case("telescopic_pr", "free", "minimum-jerk", 0)
 SMALL = Comparison(("minimum-jerk", "se3-geodesic"), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1)

@@ -14,7 +14,7 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import load_description
 from lieednn_sim.studies import Case, Comparison, Settings, compute, replay
 from lieednn_sim.studies.comparison.study import Shard, merge
-from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.rows import grouped
 from lieednn_sim.studies.user_files import SCENE, load, resolve
 
 POST = {"shape": "box", "name": "post", "size": [0.1, 0.1, 2.0], "position": [0.0, 0.0, 1.2]}

@@ -16,8 +16,7 @@ from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.comparison.study import settings_of
 from lieednn_sim.studies.markdown import escaped
 from lieednn_sim.studies.markdown import table as markdown_table
-from lieednn_sim.studies.rows import Column
-from lieednn_sim.studies.statistics import Group, grouped, motions, pattern_of
+from lieednn_sim.studies.rows import Column, Group, grouped, motions, pattern_of
 from lieednn_sim.studies.table import Table
 
 _NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")

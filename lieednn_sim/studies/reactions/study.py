@@ -30,8 +30,7 @@ from lieednn_sim.simulation import Disturbances, Following, Push, follow
 from lieednn_sim.studies import markdown
 from lieednn_sim.studies.comparison.study import FREE, arm_and_target
 from lieednn_sim.studies.reactions.disturbing import PUSH_TIME, UndisturbedPath, pushing_force, walking_pole
-from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
-from lieednn_sim.studies.statistics import Group, grouped
+from lieednn_sim.studies.rows import Group, TableRow, column, columns_of, grouped, outcome
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
 from lieednn_sim.studies.user_files import UserFiles

@@ -18,8 +18,7 @@ from lieednn_sim.evaluation.figure_layout import COLOURS, fix_layout
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
 from lieednn_sim.studies.comparison.summary import in_order
-from lieednn_sim.studies.rows import Column
-from lieednn_sim.studies.statistics import grouped, numbers
+from lieednn_sim.studies.rows import Column, grouped, numbers
 
 # Placeholders that `_svg` replaces by the page's colours, so that figures are readable in light and dark mode.
 _INK, _FAINT = "#010203", "#040506"

@@ -19,8 +19,7 @@ from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Case, Row
 from lieednn_sim.studies.comparison.study import replay, settings_of
 from lieednn_sim.studies.reactions.study import MEASURED, METHOD, Reaction, groups
 from lieednn_sim.studies.report.figures import marks, plots
-from lieednn_sim.studies.rows import Column
-from lieednn_sim.studies.statistics import Group, grouped
+from lieednn_sim.studies.rows import Column, Group, grouped
 from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_count
 
