@@ -20,8 +20,7 @@ import robustness
 import shaped
 from demonstration_sets import scored
 
-from lieednn_sim.evaluation.paths import PathErrors
-from lieednn_sim.studies.demonstrations.models import Attraction, ModelRow
+from lieednn_sim.studies.demonstrations.models import Attraction, ModelRow, PathErrors
 from lieednn_sim.studies.problems.study import Solution
 
 

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Entry
-from lieednn_sim.studies import workers
+from lieednn_sim.studies import study as workers
 from lieednn_sim.studies.study import run_each, worker_pool
 
 

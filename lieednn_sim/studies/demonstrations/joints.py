@@ -13,11 +13,10 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.budget import report
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.display import table
-from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstration
 from lieednn_sim.learning.demonstrations.alignment import warp
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
-from lieednn_sim.studies.demonstrations.models import mean_of
+from lieednn_sim.studies.demonstrations.models import PathErrors, mean_of, path_errors
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:

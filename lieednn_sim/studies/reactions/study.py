@@ -318,11 +318,6 @@ class ReactionGroup(Group[Reaction]):
         """Number of rows that were back on their path."""
         return sum(row.back_s is not None for row in self.rows)
 
-    @property
-    def medians(self) -> list[float | None]:
-        """Medians of the measured columns, None for empty ones."""
-        return [self.median(column.name) for column in MEASURED]
-
 
 def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
     """Groups of `posed` rows over arms and seeds, sorted by their keys: scene, disturbance and policy."""
@@ -341,7 +336,8 @@ def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> Non
     for group in groups(rows):
         counts = [f"{group.successes} of {group.total}", str(group.touched)]
         counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
-        cells = ["-" if value is None else f"{value:.3g}" for value in group.medians]
+        found = (group.median(column.name) for column in MEASURED)
+        cells = ["-" if value is None else f"{value:.3g}" for value in found]
         medians.append([*map(markdown.escaped, group.key), *counts, *cells])
     heads = ["scene", "disturbance", "policy", "arrived", "touched", "back", *(column.heading for column in MEASURED)]
     lines += markdown.table(heads, medians)

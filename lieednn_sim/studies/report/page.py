@@ -162,6 +162,7 @@ def write_page(
         # What ends a script element must not be in the text of one.
         player=json.dumps(player("RECORDING")).replace("</", "<\\/") if views else "",
         reactions=groups(reacted) if reacted else [],
+        measured=MEASURED,
         reaction_heads=[
             *((name, "", False) for name in ("policy", "scene", "disturbance")),
             *((name, "", True) for name in ("arrived", "touched", "back")),
