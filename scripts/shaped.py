@@ -47,12 +47,6 @@ def effort(arm: ls.Arm, motion: Motion) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def clearance(arm: ls.Arm, motion: Motion) -> float:
-    """Least clearance along the motion [mm]."""
-    collisions = Collisions(arm)
-    return 1e3 * min(collisions.clearance(q) for q in motion.q[::STRIDE])
-
-
 def verified_after_loading(network: ls.LieEDNN) -> bool:
     """Whether the network is certified after saving and loading, which verifies the certificate again."""
     with tempfile.TemporaryDirectory() as directory:
@@ -69,6 +63,7 @@ def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
     assert plan.guide is not None
     motion, guide = plan.motion, plan.guide.motion
     mine, given = motion_metrics(room, motion), motion_metrics(room, guide)
+    near = [1e3 * Collisions(room).least_clearance(each.q[::STRIDE]) for each in (motion, guide)]
     return {
         "guide": plan.guide.planner,
         "hidden": plan.network.n_hidden,
@@ -80,8 +75,8 @@ def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
         "effector_jerk": mine.jerk_effector / given.jerk_effector,
         "path": mine.path_ranges / given.path_ranges,
         "effort": effort(room, motion) / effort(room, guide),
-        "clearance_mm": clearance(room, motion),
-        "guide_clearance_mm": clearance(room, guide),
+        "clearance_mm": near[0],
+        "guide_clearance_mm": near[1],
         "motion_s": mine.motion_s,
         "fit_ms": 1e3 * plan.details.fit_time,
         "guide_s": plan.guide.cpu_time,

@@ -18,7 +18,7 @@ import provers
 import pytest
 import robustness
 import shaped
-from demonstration_sets import scored
+from evaluate_demonstrations import scored
 
 from lieednn_sim.studies.demonstrations.models import Attraction, ModelRow, PathErrors
 from lieednn_sim.studies.problems.study import Solution

@@ -165,4 +165,4 @@ def curves(records: list[Record], name: str, grid: np.ndarray) -> np.ndarray:
     for record in records:
         epoch = record.arrays["epoch"]
         rows.append(record.arrays[name][np.clip(np.searchsorted(epoch, grid, side="right") - 1, 0, None)])
-    return np.array(rows).reshape(len(rows), *np.shape(grid), *np.shape(records[0].arrays[name])[1:])
+    return np.array(rows)
