@@ -21,10 +21,10 @@ import numpy as np
 from rich.console import Console
 
 from lieednn_sim import io
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.learning.demonstrations import align, load_demonstrations
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.registry import RIVALS
-from lieednn_sim.studies import markdown
 from lieednn_sim.studies.demonstrations.models import ModelRow, compare_models
 from lieednn_sim.studies.rows import TableRow, column, grouped, outcome
 from lieednn_sim.studies.study import Study, compute
@@ -165,7 +165,7 @@ def table(found: Sequence[ModelScore], kind: str) -> list[str]:
     for group in grouped(found, ("model",)):
         means = [_number(float(np.mean(group.values(name)))) for name in shown]
         lines.append(["**mean**", group.key[0], "", *means, "", "", ""])
-    return markdown.table(["set", "model", "parameters", *heads, "goal mm", "arrived", "spurious", "fit s"], lines)
+    return markdown_table(["set", "model", "parameters", *heads, "goal mm", "arrived", "spurious", "fit s"], lines)
 
 
 def verdicts(found: Sequence[ModelScore], kind: str) -> list[str]:

@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 
 from lieednn_sim import io
-from lieednn_sim.studies.markdown import table
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.problems.study import PublishedProblems, Solution
 from lieednn_sim.studies.study import compute
@@ -65,7 +65,7 @@ def report(rows: dict[str, Sequence[Solution]]) -> str:
         METHOD.format(budget=BUDGET)
         + " Four numbers are mean / median / 75 % / 98 %. [How the problems are posed, and "
         "what others publish](../../docs/howto/published_problems.md).",
-        *table(HEADINGS, cells),
+        *markdown_table(HEADINGS, cells),
         *("", "What searching planners did not solve:", ""),
         *(failures or ["- nothing that could be posed"]),
     ]

@@ -21,10 +21,10 @@ import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.evaluation.metrics import motion_metrics
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.registry import DEFAULT_ARMS
-from lieednn_sim.studies.markdown import table
 
 HEADINGS = (
     *("arm", "scene", "motions", "certified", "off the path [mm]", "gap [mm]", "joint jerk", "effector jerk", "path"),
@@ -104,7 +104,7 @@ def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
         cells[-1] += [worst[name] for name in ("deviation_mm", "gap_mm", "jerk", "effector_jerk", "path", "effort")]
         cells[-1] += [worst["clearance_mm"], worst["guide_clearance_mm"]]
         cells[-1] += [worst[name] for name in ("fit_ms", "planning_s")]
-    yield from table(HEADINGS, cells)
+    yield from markdown_table(HEADINGS, cells)
     obstacles = [row for row in groups["all", "obstacles"] if not row["reason"]]
     if obstacles:
         off = np.array([row["deviation_mm"] for row in obstacles])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.manifold import GroupWeights, QuaternionWeights, SE3Weights, WeightManifold
 from lieednn_sim.learning.options import RiemannianOptions, TrainingOptions

@@ -13,9 +13,9 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, TypeVar
 
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim._processes import LoneWorkerProcess, WorkerContext
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.registry import optional_module
 

@@ -92,7 +92,7 @@ def render_page(rollout: Rollout, path: str | os.PathLike[str], *, camera: str |
         colour = f"rgb({255 * red:.0f} {255 * green:.0f} {255 * blue:.0f})"
         texts.append(f'<i style="background:{colour}"></i>{word} path')
     page = player(
-        base64.b64encode(recording.content).decode("ascii"),
+        recording.base64,
         title=f"{title or 'Motion'} on {place}",
         style=_STYLE.replace("RATIO", f"{recording.ratio:.3f}"),
         header="<header>" + "".join(f"<span>{text}</span>" for text in texts) + "</header>",
@@ -111,6 +111,11 @@ class Recording(NamedTuple):
 
     content: bytes
     ratio: float
+
+    @property
+    def base64(self) -> str:
+        """The content as text, for `player`."""
+        return base64.b64encode(self.content).decode("ascii")
 
 
 def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: str | None = None) -> Recording:

@@ -9,10 +9,9 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import imageio_ffmpeg
 import numpy as np
@@ -35,8 +34,7 @@ __all__ = ["PRESETS", "Camera", "render_video"]
 Image = NDArray[np.uint8]
 
 
-@dataclass(frozen=True)
-class Preset:
+class Preset(NamedTuple):
     """Rendering quality: the settings that take most of a software renderer's time."""
 
     shadows: bool

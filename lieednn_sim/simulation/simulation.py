@@ -42,6 +42,7 @@ class Simulation:
         model: the plant.
         data: its state.
         pushes: applies the pushes of the disturbances.
+        sensors: draws the measurement errors.
         steps: number of steps since the last reset.
         noise: measurement errors at the present time, to be added to qpos (by `mj_integratePos`) and qvel.
     """
@@ -60,7 +61,7 @@ class Simulation:
         names = [each.body for each in self.disturbances.obstacles]
         if twice := {name for name in names if names.count(name) > 1}:
             raise InputError(f"an obstacle can move in one way only, got more than one for {', '.join(sorted(twice))}")
-        self._sensors = Sensors(arm, self.disturbances)
+        self.sensors = Sensors(arm, self.disturbances)
         self.steps = 0
         self.noise: Noise
         self.reset(arm.coordinates(arm.model.qpos0 if arm.qpos_home is None else arm.qpos_home))
@@ -96,10 +97,6 @@ class Simulation:
         q = self.arm.coordinates(qpos)
         return q, self.arm.rates(q, self.data.qvel + self.noise.velocity)
 
-    def first_noise(self, count: int) -> Noise:
-        """Errors ``(m, nv)`` of the first measurements after a reset."""
-        return self._sensors.first(count)
-
     def move_obstacles(self) -> dict[str, Floats]:
         """Put moving obstacles where they are at the present time; returns positions ``(3,)`` by names of bodies."""
         places = {obstacle.body: obstacle.at(self.time) for obstacle, _ in self._moving}
@@ -127,8 +124,8 @@ class Simulation:
         self.data.qpos[:] = self._begin = self.arm.qpos(position)
         self.steps = 0
         self.move_obstacles()
-        self._sensors.reset()
-        self.noise = self._sensors.draw()
+        self.sensors.reset()
+        self.noise = self.sensors.draw()
 
     def advance(self, steps: int = 1, controls: Floats | None = None) -> None:
         """Do steps without logging them.
@@ -162,8 +159,8 @@ class Simulation:
         if not finite or any(self._warnings.tolist()):
             raise failure(self.data, repr(self.arm.name), self.time, step_remedy(self.model, self._begin))
         self.steps += 1
-        if self._sensors.noisy:
-            self.noise = self._sensors.draw()
+        if self.sensors.noisy:
+            self.noise = self.sensors.draw()
 
 
 def failure(data: mujoco.MjData, what: str, time: float, remedy: str = "") -> SimulationError:

@@ -240,7 +240,7 @@ class _Play:
 def _drive(driver: Controller, simulation: Simulation, total: int | None) -> Callable[[int], None]:
     """A function that sets the controls of a step after a reset; if they follow from known steps, beforehand."""
     model, data = simulation.model, simulation.data
-    inputs = None if total is None else driver.inputs(range(total), simulation.first_noise(total))
+    inputs = None if total is None else driver.inputs(range(total), simulation.sensors.first(total))
     if inputs is None:
         return lambda k: driver.act(data, k, simulation.noise)
     kind, rows = joined(inputs)

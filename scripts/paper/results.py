@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from lieednn_sim import io
-from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import FileError
 from lieednn_sim.studies.study import run_each
 from paper import experiments

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.budget import cpu_time, report
+from lieednn_sim.budget import cpu_time, one_blas_thread, report
 from lieednn_sim.evaluation.display import table
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.alignment import LEVER, displacement, twist_of, warp

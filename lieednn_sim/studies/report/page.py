@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import jinja2
 
@@ -24,8 +24,7 @@ from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_count
 
 
-@dataclass(frozen=True)
-class View:
+class View(NamedTuple):
     """One problem solved by several planners.
 
     Attributes:
@@ -35,11 +34,6 @@ class View:
 
     rows: tuple[Row, ...]
     recording: Recording
-
-    @property
-    def base64(self) -> str:
-        """The recording as text for the page."""
-        return base64.b64encode(self.recording.content).decode("ascii")
 
 
 def choose_problems(table: Table[Row], count: int, controller: str) -> list[list[Case]]:
