@@ -34,7 +34,7 @@ COMMANDS = {
         "evaluate": "commands",
         "render": "commands",
     },
-    "many motions": {"compare": "comparison", "export": "exporting"},
+    "many motions": {"compare": "comparison", "export": "commands"},
     "robots and this installation": {"arms": "arms", "view": "live", "doctor": "doctor"},
 }
 

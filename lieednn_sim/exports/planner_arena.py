@@ -39,7 +39,7 @@ def write(comparisons: Mapping[str, str | os.PathLike[str]], folder: Path) -> No
             "setup": json.dumps({"settings": table.settings, "versions": table.versions}),
             "limit": f"{settings_of(table).time_budget:g}",
         }
-        for part in grouped(table.sorted_rows(), ("arm", "scene", "controller")):
+        for part in grouped(table.rows.values(), ("arm", "scene", "controller")):
             experiment = "-".join("_".join(str(word).split()) for word in part.key)
             lines = _log(experiment, part.rows, **head)
             (folder / f"{name}-{experiment}.log").write_text("\n".join(lines) + "\n", encoding="utf-8")

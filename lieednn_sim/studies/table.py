@@ -116,10 +116,6 @@ class Table(Generic[R]):
                 self._rows = {row.key: row for row in rows}
         return self._rows
 
-    def sorted_rows(self) -> list[R]:
-        """All rows in the order of their keys."""
-        return list(self.rows.values())
-
     def add(self, rows: Sequence[R]) -> None:
         """Add rows, or put them in the place of those with the same keys, all at once or none."""
         names = [entry.name for entry in fields(self._kind)]

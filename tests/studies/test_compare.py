@@ -127,10 +127,10 @@ def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_p
     shutil.copy(finished / "comparison.sqlite", tmp_path)
     # A mark in a row survives only where the row is not computed again.
     table = Comparison(common=QUICK).open(tmp_path)
-    table.add([replace(row, reason="contact: marked") for row in table.sorted_rows()])
+    table.add([replace(row, reason="contact: marked") for row in table.rows.values()])
     larger = Comparison(("minimum-jerk",), ("telescopic_pr",), ("free",), ("position-servo", "mocap"), seeds=1)
     table = compute(replace(larger, common=QUICK), tmp_path)
-    assert [(row.planner, row.controller, row.reason) for row in table.sorted_rows()] == [
+    assert [(row.planner, row.controller, row.reason) for row in table.rows.values()] == [
         ("minimum-jerk", "mocap", ""),
         ("minimum-jerk", "position-servo", "contact: marked"),
         ("se3-geodesic", "position-servo", "contact: marked"),

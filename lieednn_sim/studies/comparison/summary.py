@@ -28,7 +28,7 @@ def write_summary(path: str | os.PathLike[str], table: Table[Row], missing: Mapp
         table: table of the comparison.
         missing: planners that could not be compared, with the reason.
     """
-    rows = table.sorted_rows()
+    rows = list(table.rows.values())
     of_motion = [column for column in COLUMNS if column.of_motion and column.name not in _NOT_SUMMARISED]
     of_rollout = [column for column in COLUMNS if not column.of_motion and column.name not in _NOT_SUMMARISED]
     lines = ["# Planners and controllers compared", "", method(table), ""]

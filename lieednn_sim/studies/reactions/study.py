@@ -329,7 +329,7 @@ def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
 
 def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> None:
     """Write the summary in Markdown: arrival, contact, and medians over arms and seeds."""
-    rows = table.sorted_rows()
+    rows = list(table.rows.values())
     arms, seeds = sorted({row.arm for row in rows}), len({row.seed for row in rows})
     head = f"Arms: {escaped(', '.join(arms))}; {seeds} seed{'s' if seeds != 1 else ''}; medians."
     lines, medians = ["# Policies, disturbed", "", METHOD, "", head], []

@@ -43,7 +43,7 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
     successes in the whole table is the first of every problem where it succeeded; the others take turns.
     """
     most = as_count("the number of problems", count, least=0)
-    solved = [row for row in table.sorted_rows() if row.success and row.controller == controller]
+    solved = [row for row in table.rows.values() if row.success and row.controller == controller]
     names = summary.in_order((row.planner for row in solved), PLANNERS)
     totals = {name: sum(row.planner == name for row in solved) for name in names}
     best = max((name for name in totals if name.startswith("lieednn")), key=lambda name: totals[name], default=None)
@@ -107,7 +107,7 @@ def write_page(
         InputError: the table is empty, or ``reactions`` is of another kind.
         FileError: the file cannot be written.
     """
-    rows, reacted = table.sorted_rows(), [] if reactions is None else reactions.sorted_rows()
+    rows, reacted = list(table.rows.values()), [] if reactions is None else list(reactions.rows.values())
     if not rows:
         raise InputError(f"the table {table.path} is empty; there is nothing to show")
     if not all(isinstance(row, Reaction) for row in reacted):
