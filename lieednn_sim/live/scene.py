@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim._mujoco import kinematics_at
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.contacts import moving_geoms
@@ -109,7 +109,6 @@ class ArmScene:
         server.on_client_connect(self._make_room)
         viser_scene.add_floor(scene, shapes)
         self._nodes = viser_scene.ModelNodes(scene, shapes, "/arm")
-        self._data = mujoco.MjData(model)
         marked = int(np.flatnonzero(model.body_mocapid == self._marker)[0])
         self._glass = [(node, node.color) for node in self._nodes.surfaces.get(marked, [])]
         moving = set(model.geom_bodyid[moving_geoms(model)].tolist()) - {marked}
@@ -152,10 +151,9 @@ class ArmScene:
     def show(self, snapshot: Snapshot, path: Floats | None) -> None:
         """Move everything to an instant, with the path ahead ``(P, 3)``, or None if it is not known."""
         tick, aimed = snapshot.tick, snapshot.aimed
-        self._data.mocap_pos[self._marker], self._data.mocap_quat[self._marker] = aimed.position, aimed.quaternion
-        self._data.qpos[:] = self._arm.qpos(tick.q)
-        mujoco.mj_kinematics(self._nodes.model, self._data)
-        self._nodes.show(self._data)
+        data = self._nodes.data
+        data.mocap_pos[self._marker], data.mocap_quat[self._marker] = aimed.position, aimed.quaternion
+        self._nodes.show(self._arm.qpos(tick.q))
         refused = bool(aimed.problem)
         if refused != self._refusal.visible:
             for node, colour in self._glass:

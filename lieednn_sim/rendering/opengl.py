@@ -3,8 +3,7 @@
 MuJoCo reads ``MUJOCO_GL`` when it is imported; if unset it takes GLFW, which needs a display. `configure` finds a
 backend by drawing a frame in a child process, and lets MuJoCo choose again. Until then nothing is probed or set.
 
-``python -m lieednn_sim.rendering.opengl`` prints the backend; if there is none, it prints the packages to install and
-fails. This module needs only the standard library.
+``lieednn-sim doctor`` prints the backend and the packages to install. This module needs only the standard library.
 """
 
 from __future__ import annotations
@@ -153,18 +152,6 @@ def require() -> Backend:
     return backend
 
 
-def main() -> int:
-    """Print the backend and succeed, or print the packages to install and fail; the reason goes to stderr."""
-    backend = configure()
-    print(f"OpenGL: {backend.name}, by {backend.source}: {backend.detail}", file=sys.stderr)
-    packages = backend.missing_packages
-    if backend.renders or packages:
-        print(*(packages or [backend.name]))
-    else:
-        print(backend.remedy, file=sys.stderr)
-    return 0 if backend.renders else 1
-
-
 def _variables(name: str) -> dict[str, str]:
     """Environment variables of a backend; MuJoCo refuses a PyOpenGL with another platform than its own.
 
@@ -195,7 +182,3 @@ def _probe(name: str) -> tuple[str, str]:
     if done.returncode < 0:
         return "", f"crashed (signal {-done.returncode})"
     return "", (done.stderr.strip().splitlines() or [f"failed (exit status {done.returncode})"])[-1]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -211,16 +212,6 @@ def test_missing_packages(working, monkeypatch, requested, expected):
 
 
 @pytest.mark.parametrize(
-    ("libraries", "status", "line"), [(("egl",), 0, "egl"), ((), 1, "libegl1 libgl1")], ids=["works", "nothing"]
-)
-def test_command_answers_in_one_line(working, monkeypatch, capsys, libraries, status, line):
-    working(*libraries)
-    monkeypatch.setattr(sys, "platform", "linux")
-    assert opengl.main() == status
-    assert capsys.readouterr().out == line + "\n"
-
-
-@pytest.mark.parametrize(
     ("code", "expected"),
     [
         ("print('a GPU')", ("a GPU", "")),
@@ -263,7 +254,9 @@ print(os.environ["MUJOCO_GL"])
 
 
 @pytest.mark.rendering
-def test_command_as_the_makefile_runs_it():
-    done = run_python("-m", "lieednn_sim.rendering.opengl")
-    assert (done.returncode, done.stdout.strip()) in [(0, "egl"), (0, "osmesa")], done.stderr
+def test_the_doctor_is_asked_as_by_the_makefile():
+    done = run_python("-m", "lieednn_sim", "doctor", "--json")
+    found = json.loads(done.stdout)
+    assert found["opengl"]["backend"] in ("egl", "osmesa"), done.stderr
+    assert found["debian_packages_to_install"] == []
     assert "Warning" not in done.stderr
