@@ -35,7 +35,7 @@ COMMANDS = {
         "render": "commands",
     },
     "many motions": {"compare": "comparison", "export": "commands"},
-    "robots and this installation": {"arms": "arms", "view": "live", "doctor": "doctor"},
+    "robots and this installation": {"arms": "arms", "view": "arms", "doctor": "doctor"},
 }
 
 

@@ -9,8 +9,7 @@ from typing import Annotated, Any
 
 from lieednn_sim import io
 from lieednn_sim.arm.obstacles import describe, load_obstacles
-from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, progress, to_stderr, wrote
+from lieednn_sim.cli.console import console, print_import_report, progress, to_stderr, wrote
 from lieednn_sim.cli.kinds import CommandLine, Directory, File
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS

@@ -12,8 +12,7 @@ import numpy as np
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import time_limit
 from lieednn_sim.cli.arguments import RANDOM, Planning, joint_position, read_options
-from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
+from lieednn_sim.cli.console import console, one_norm, print_import_report, print_stability, progress, wrote
 from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory, Task
 from lieednn_sim.errors import InputError

@@ -174,12 +174,11 @@ def simulate(
                     shown = time.monotonic()
                     report(min(len(seen), total), total)
     except SimulationError as error:
-        if len(record) > 1:
-            ended = {"motion_end": len(record) * arm.timestep, **({} if play is None else {"steps": tuple(play.begun)})}
+        if len(seen) > 1:
+            ended = {"motion_end": len(seen) * arm.timestep, **({} if play is None else {"steps": tuple(play.begun)})}
             # What was logged may be out of range before the state is.
             with contextlib.suppress(InputError):
-                rows_done = seen[: len(record)]
-                error.rollout = record.rollout(reference.q[rows_done], reference.qd[rows_done], **ended, **meta)
+                error.rollout = record.rollout(reference.q[seen], reference.qd[seen], **ended, **meta)
         raise
     if play is not None:
         end, meta["steps"] = play.end, tuple(play.begun)
