@@ -151,12 +151,10 @@ def print_plan(result: Plan) -> None:
         rows.add_row("off its path", f"{1e3 * details.deviation:.2g} mm at the end effector")
     if network is None:
         rows.add_row("proof", "none, as this planner makes no network")
-        console.print(rows)
-        console.print(f"clearance: {result.clearance}")
-        return
-    goal = network.goal(motion.xi_target)
-    rows.add_row("largest bias", f"{np.abs(network.bias).max():.3g}")
-    rows.add_row("1-norm of W", one_norm(network, goal))
+    else:
+        rows.add_row("largest bias", f"{np.abs(network.bias).max():.3g}")
+        rows.add_row("1-norm of W", one_norm(network, goal := network.goal(motion.xi_target)))
     console.print(rows)
     console.print(f"clearance: {result.clearance}")
-    print_stability(network, goal)
+    if network is not None:
+        print_stability(network, goal)

@@ -80,13 +80,6 @@ class Backend:
             return []
         return list(_PACKAGES.get(_SYNONYMS.get(self.requested.lower(), "") if self.requested else "egl", []))
 
-    @property
-    def remedy(self) -> str:
-        """What the user can do about a backend that does not render."""
-        packages = self.missing_packages
-        install = [f"On Debian or Ubuntu: apt-get install {' '.join(packages)}"] if packages else []
-        return ". ".join(install + (["Unset MUJOCO_GL to let lieednn_sim choose"] if self.requested else []))
-
 
 def choose_backend() -> Backend:
     """Find a backend that works by trying each once, without importing MuJoCo or changing the environment.
@@ -148,7 +141,10 @@ def require() -> Backend:
     """
     backend = configure()
     if not backend.renders:
-        raise RenderingUnavailableError(f"cannot render: {backend.detail}. {backend.remedy}")
+        packages = backend.missing_packages
+        remedy = [f"On Debian or Ubuntu: apt-get install {' '.join(packages)}"] if packages else []
+        remedy += ["Unset MUJOCO_GL to let lieednn_sim choose"] if backend.requested else []
+        raise RenderingUnavailableError(f"cannot render: {backend.detail}. {'. '.join(remedy)}")
     return backend
 
 
