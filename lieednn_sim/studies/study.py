@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
 from functools import partial
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -21,12 +21,11 @@ from lieednn_sim import io
 from lieednn_sim._processes import WorkerContext
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Registry
-from lieednn_sim.studies.rows import TableRow
+from lieednn_sim.studies.rows import R
 from lieednn_sim.studies.table import SUFFIX, Table
 from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.validation import as_workers
 
-R = TypeVar("R", bound=TableRow)
 _OF_USERS: tuple[Registry[Any], ...] = PLANNERS, POLICIES, CONTROLLERS  # kinds to which users add
 
 

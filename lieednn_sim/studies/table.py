@@ -10,16 +10,15 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, Self
 
 from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.studies.rows import TableRow, columns_of
+from lieednn_sim.studies.rows import R, TableRow, columns_of
 from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.validation import as_path
 from lieednn_sim.versions import commit, versions
 
-R = TypeVar("R", bound=TableRow)
 SUFFIX = ".sqlite"
 # Types of columns by the annotations of a row's fields.
 _TYPES = {"str": "TEXT", "bool": "INTEGER", "int": "INTEGER", "float": "REAL"}
