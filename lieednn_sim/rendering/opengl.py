@@ -15,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 
 from lieednn_sim.errors import RenderingUnavailableError
 
@@ -45,8 +46,6 @@ _PROBE_TIMEOUT = 60.0  # [s]; takes about 1 s, or more with a cold disk or a sle
 
 # Passes the result of `configure` to child processes, so that they neither probe again nor take it for the user's own.
 _INHERITED = "LIEEDNN_SIM_GL"
-
-_configured: Backend | None = None
 
 
 @dataclass(frozen=True)
@@ -111,26 +110,25 @@ def choose_backend() -> Backend:
     return Backend("disable", f"{verdict} ({'; '.join(failures)})", requested)
 
 
+@cache
 def configure() -> Backend:
     """Set ``MUJOCO_GL`` (and ``PYOPENGL_PLATFORM`` to match) for this process and its children, and tell MuJoCo.
 
     Later calls change nothing. It never fails: without OpenGL it turns rendering off.
     """
-    global _configured
-    if _configured is None:
-        _configured = choose_backend()
-        os.environ.update(_variables(_configured.name))
-        os.environ[_INHERITED] = json.dumps(asdict(_configured))
-        # The module in which MuJoCo decides which OpenGL context its renderer makes.
-        contexts = sys.modules.get("mujoco.rendering.classic.gl_context")
-        if contexts is not None and _configured.renders:
-            # It was imported before, with other settings.
-            importlib.reload(contexts)
-        mujoco = sys.modules.get("mujoco")
-        if mujoco is not None and _configured.renders and not hasattr(mujoco, "Renderer"):
-            # It was imported with a PYOPENGL_PLATFORM other than MUJOCO_GL, and went on without its renderer.
-            vars(mujoco)["Renderer"] = importlib.import_module("mujoco.rendering.classic.renderer").Renderer
-    return _configured
+    backend = choose_backend()
+    os.environ.update(_variables(backend.name))
+    os.environ[_INHERITED] = json.dumps(asdict(backend))
+    # The module in which MuJoCo decides which OpenGL context its renderer makes.
+    contexts = sys.modules.get("mujoco.rendering.classic.gl_context")
+    if contexts is not None and backend.renders:
+        # It was imported before, with other settings.
+        importlib.reload(contexts)
+    mujoco = sys.modules.get("mujoco")
+    if mujoco is not None and backend.renders and not hasattr(mujoco, "Renderer"):
+        # It was imported with a PYOPENGL_PLATFORM other than MUJOCO_GL, and went on without its renderer.
+        vars(mujoco)["Renderer"] = importlib.import_module("mujoco.rendering.classic.renderer").Renderer
+    return backend
 
 
 def require() -> Backend:

@@ -93,8 +93,10 @@ class Group(Generic[R]):
         return wilson(self.successes, self.total)
 
     def values(self, column: str) -> list[float]:
-        """The numbers in a column, without missing ones."""
-        return numbers(self.rows, column)
+        """The numbers in a column, without missing ones; one for each motion if the column belongs to the plan."""
+        of_motion = next(entry.metadata["of_motion"] for entry in fields(self.rows[0]) if entry.name == column)
+        result = (getattr(row, column) for row in (motions(self.rows) if of_motion else self.rows))
+        return [float(value) for value in result if value is not None]
 
     def median(self, column: str) -> float | None:
         """Median of `values`, or None."""
@@ -125,15 +127,6 @@ def motions(rows: Iterable[R]) -> list[R]:
     for row in rows:
         first.setdefault(row.motion, row)
     return list(first.values())
-
-
-def numbers(rows: Sequence[R], column: str) -> list[float]:
-    """The numbers in a column, without missing ones; one for each motion if the column belongs to the plan."""
-    if not rows:
-        return []
-    of_motion = next(entry.metadata["of_motion"] for entry in fields(rows[0]) if entry.name == column)
-    result = (getattr(row, column) for row in (motions(rows) if of_motion else rows))
-    return [float(value) for value in result if value is not None]
 
 
 def pattern_of(reason: str) -> str:

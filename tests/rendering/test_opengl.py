@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import cache
 
 import pytest
 
@@ -20,7 +21,7 @@ def fresh(monkeypatch):
         # Set before deleting, so that what `configure` writes is undone too.
         monkeypatch.setenv(variable, "")
         monkeypatch.delenv(variable)
-    monkeypatch.setattr(opengl, "_configured", None)
+    monkeypatch.setattr(opengl, "configure", cache(opengl.configure.__wrapped__))
     monkeypatch.delitem(sys.modules, "mujoco.rendering.classic.gl_context", raising=False)
 
 
@@ -136,7 +137,7 @@ def test_child_process_inherits_the_answer(working, monkeypatch, libraries):
     asked = working(*libraries)
     parent = opengl.configure()
     asked.clear()
-    monkeypatch.setattr(opengl, "_configured", None)
+    monkeypatch.setattr(opengl, "configure", cache(opengl.configure.__wrapped__))
     assert opengl.configure() == parent  # the reason too, and not taken for the user's choice
     assert asked == []
 
@@ -144,7 +145,7 @@ def test_child_process_inherits_the_answer(working, monkeypatch, libraries):
 def test_users_later_choice_beats_the_inherited(working, monkeypatch):
     working("egl", "osmesa")
     opengl.configure()
-    monkeypatch.setattr(opengl, "_configured", None)
+    monkeypatch.setattr(opengl, "configure", cache(opengl.configure.__wrapped__))
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     assert opengl.configure().requested == "osmesa"
 

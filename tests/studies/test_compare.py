@@ -18,7 +18,7 @@ from lieednn_sim.studies import Case, Comparison, Settings, compute, run_case, w
 from lieednn_sim.studies.comparison import study
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
 from lieednn_sim.studies.comparison.summary import failures
-from lieednn_sim.studies.rows import numbers, wilson
+from lieednn_sim.studies.rows import Group, wilson
 
 CASE = Case("telescopic_pr", "free", "minimum-jerk", 0)
 SMALL = Comparison(("minimum-jerk", "se3-geodesic"), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1)
@@ -193,7 +193,7 @@ def test_failures_that_differ_in_names_and_numbers_are_counted_together():
     assert (plan.step, plan.total, plan.counts) == ("plan", 3, (("r", 2), ("p", 1)))
     assert (arrival.step, arrival.total) == ("arrival", 2)
     # A plan's number counts once, whatever the number of controllers.
-    assert numbers(rows, "planning_s") == [1.0, 1.0, 1.0, 1.0]
+    assert Group((), tuple(rows)).values("planning_s") == [1.0, 1.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize(
