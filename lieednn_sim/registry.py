@@ -420,7 +420,7 @@ SCENES = Registry("scene", _SCENES)
 
 _FORMATS = {
     "csv": FormatEntry(
-        "exports.csv_table:write", "a table of time, joints and end effector, for a spreadsheet, MATLAB, R or pandas"
+        "exports.formats:write_csv", "a table of time, joints and end effector, for a spreadsheet, MATLAB, R or pandas"
     ),
     "ros2": FormatEntry(
         "exports.ros2:write",

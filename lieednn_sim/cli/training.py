@@ -10,8 +10,7 @@ import numpy as np
 
 from lieednn_sim import io
 from lieednn_sim.cli.arguments import Goal
-from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
+from lieednn_sim.cli.console import console, one_norm, print_import_report, print_stability, progress, wrote
 from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, PlanError

@@ -17,7 +17,7 @@ from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLAT
 from lieednn_sim.planning.motion import steps_in
 from lieednn_sim.simulation import Simulation
 from lieednn_sim.simulation.actuators import Actuators
-from lieednn_sim.simulation.plant import make_plant
+from lieednn_sim.simulation.simulation import make_plant
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats
 

@@ -7,8 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.budget import check_time
+from lieednn_sim.budget import check_time, one_blas_thread
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.manifold import GroupWeights, Network, QuaternionWeights, SE3Weights, WeightManifold
 from lieednn_sim.learning.options import RiemannianOptions, TrainingOptions

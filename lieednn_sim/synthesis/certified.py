@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.budget import cpu_time
+from lieednn_sim.budget import cpu_time, one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.base import as_rates

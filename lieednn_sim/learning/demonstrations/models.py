@@ -17,8 +17,7 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 from scipy.optimize import least_squares
 
-from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.budget import check_time
+from lieednn_sim.budget import check_time, one_blas_thread
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations, shown_part
 from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.values import Floats, frozen
