@@ -85,21 +85,24 @@ class Factor:
             unmoved = np.concatenate([frames, slopes], axis=1)
             spun, shifted = _compose(unmoved[..., :3], unmoved[..., 3], rotation[:, None], shift[:, None])
             return np.concatenate([spun, shifted[..., None]], axis=-1), omega @ np.swapaxes(before[:, 0], -1, -2)
-        angle = self.ratio * offset[:, self.indices, None, None]
-        once = _times(frames, self._generator)
+        angle = self.ratio * offset[:, self.indices[0]].reshape(-1, 1, 1, 1)
+        generator, square, axis = self._generators
+        # In a fifth of the time of a stacked product.
+        flat = frames.reshape(-1, 4)
+        once = (flat @ generator).reshape(frames.shape)
         if self.kind == "slide":
             moved, slopes = frames + angle * once, once[:, :1]
         else:
             # Rodrigues' formula: Exp(q G) = I + sin(q) G + (1 - cos(q)) G^2.
-            twice, sin, cos = _times(once, self._generator), np.sin(angle), np.cos(angle)
+            twice, sin, cos = (flat @ square).reshape(frames.shape), np.sin(angle), np.cos(angle)
             moved, slopes = frames + sin * once + (1.0 - cos) * twice, cos * once[:, :1] + sin * twice[:, :1]
-        omega = _times(frames[:, :1], np.append(self._constant[0], 0.0)[:, None])
-        return np.concatenate([moved, self.ratio * slopes], axis=1), omega[..., 0]
+        return np.concatenate([moved, self.ratio * slopes], axis=1), frames[:, :1, :, :3] @ axis
 
     @cached_property
-    def _generator(self) -> Floats:
-        """G ``(4, 4)``: the pose of a hinge or a slide is Exp(q G)."""
-        return hat(np.concatenate(self._constant, axis=-1)[0] / self.ratio)
+    def _generators(self) -> tuple[Floats, Floats, Floats]:
+        """G ``(4, 4)``, where the pose of a hinge or a slide is Exp(q G), its square, and the angular velocity."""
+        once = hat(np.concatenate(self._constant, axis=-1)[0] / self.ratio)
+        return once, once @ once, self._constant[0][0]
 
     @cached_property
     def _scaled(self) -> Floats:
@@ -181,11 +184,6 @@ class CompoundJoint:
 def _compose(rotation: Floats, translation: Floats, turn: Floats, shift: Floats) -> tuple[Floats, Floats]:
     # A slide does not turn.
     return rotation if turn is _ONE else rotation @ turn, translation + (rotation @ shift[..., None])[..., 0]
-
-
-def _times(frames: Floats, matrix: Floats) -> Floats:
-    """Frames ``(B, k, 3, 4)`` times a matrix ``(4, m)``, in a fifth of the time of a stacked product."""
-    return (frames.reshape(-1, 4) @ matrix).reshape(*frames.shape[:-1], matrix.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
