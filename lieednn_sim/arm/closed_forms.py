@@ -12,7 +12,7 @@ import numpy as np
 
 from lieednn_sim.arm.deviations import Deviations, Group
 from lieednn_sim.arm.kinematics import CompoundJoint
-from lieednn_sim.lie import exp, hat, left_jacobian_so3, rotations, spatial_twist
+from lieednn_sim.lie import exp, hat, left_jacobian_so3, rotation_vectors, rotations, spatial_twist
 from lieednn_sim.values import Floats
 
 
@@ -256,7 +256,7 @@ class SixDof:
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., 6)`` and their rates."""
         link = self._link
-        rotvec = rotations(poses.rotation[..., link, :, :]).as_rotvec()
+        rotvec = rotation_vectors(rotations(poses.rotation[..., link, :, :]))
         offset = np.concatenate([poses.translation[..., link, :] @ self._inverse.T, rotvec @ self._ball], axis=-1)
         if poses.rates is None:
             return offset, None
