@@ -1,10 +1,12 @@
 """Closed forms of the nearest configuration: one screw, a hinge and a slide, three slides below a ball joint.
 
-Except for the first, the distance is that of `nearest.NearestPose`, 4 sin^2(angle / 2) + ||shift||^2 / length^2.
+Each is solved for all links with the same geometry at once. Except for the first, the distance is that of
+`nearest.NearestPose`, 4 sin^2(angle / 2) + ||shift||^2 / length^2.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -65,16 +67,17 @@ class HingeSlide:
     There the configuration jumps; `motion.check_motion` rejects motions that cross it.
     """
 
-    def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:
-        hinge = next(factor for factor in joint.factors if factor.kind == "hinge")
-        slides = [factor for factor in joint.factors if factor.kind == "slide"]
-        self._link = link
-        self.indices = np.concatenate([hinge.indices, slides[0].indices])
+    def __init__(self, joints: Sequence[CompoundJoint], links: list[int], length: float) -> None:
+        factors = joints[0].factors
+        hinge = next(factor for factor in factors if factor.kind == "hinge")
+        slides = [factor for factor in factors if factor.kind == "slide"]
+        self._links, places = links, [factors.index(hinge), factors.index(slides[0])]
+        self.indices = np.array([joint.coordinates[places] for joint in joints])
         n = hinge.axes[:, 0]
         direction = np.sum([slide.ratio * slide.axes[:, 0] for slide in slides], axis=0)
         self._stretch = float(np.linalg.norm(direction))
         e = direction / self._stretch
-        along = (n @ e) * n if joint.factors[0] is hinge else e
+        along = (n @ e) * n if factors[0] is hinge else e
         # x, y, a, b, c are linear in the pose: rows for R, flattened, and for p.
         self._of_rotation = np.stack([np.eye(3) - np.outer(n, n), hat(n)]).reshape(2, 9)
         self._of_translation = np.stack([along, e - along, np.cross(n, e - along)]) / length
@@ -95,13 +98,13 @@ class HingeSlide:
         )
 
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
-        """Displacements ``(..., 2)`` (angle, slide) and their rates by the implicit function theorem.
+        """Displacements ``(..., L, 2)`` (angle, slide) and their rates by the implicit function theorem.
 
         Angles that the pose does not determine get a rate of zero.
         """
-        link = self._link
-        rotation = poses.rotation[..., link, :, :]
-        x, y, a, b, c = self._coefficients(rotation, poses.translation[..., link, :])
+        links = self._links
+        rotation = poses.rotation[..., links, :, :]
+        x, y, a, b, c = self._coefficients(rotation, poses.translation[..., links, :])
         angle = _highest(x + 2.0 * a * b, y + 2.0 * a * c, b, c)
         cos, sin = np.cos(angle), np.sin(angle)
         m, slope, bend = a + b * cos + c * sin, c * cos - b * sin, -(b * cos + c * sin)
@@ -110,8 +113,8 @@ class HingeSlide:
         if poses.rates is None:
             return offset, None
         omega, velocity = poses.rates
-        spin = hat(omega[..., link, :]) @ rotation
-        x_rate, y_rate, a_rate, b_rate, c_rate = self._coefficients(spin, velocity[..., link, :])
+        spin = hat(omega[..., links, :]) @ rotation
+        x_rate, y_rate, a_rate, b_rate, c_rate = self._coefficients(spin, velocity[..., links, :])
         m_rate, slope_rate = a_rate + b_rate * cos + c_rate * sin, c_rate * cos - b_rate * sin
         curvature = x * cos + y * sin - 2.0 * (slope**2 + m * bend)
         pull = y_rate * cos - x_rate * sin + 2.0 * (m_rate * slope + m * slope_rate)
@@ -121,11 +124,11 @@ class HingeSlide:
 
     @property
     def groups(self) -> list[Group]:
-        """Angle and slide."""
-        return [(self.indices[:1], np.ones(1)), (self.indices[1:], np.ones(1))]
+        """Angle and slide of each link."""
+        return [(index, np.ones(1)) for index in self.indices.reshape(-1, 1)]
 
     def spread(self, deviations: Deviations) -> Floats:
-        """Bounds ``(K, 2)`` of the changes of angle and slide.
+        """Bounds ``(K, 2 L)`` of the changes of angles and slides.
 
         At the highest point u = (cos theta, sin theta) is parallel to the gradient of g, of length lambda, and unique
         where lambda > 2 (b^2 + c^2) (More and Sorensen). With h = (b, c), its parts h_u along u and h_t across, and
@@ -135,15 +138,15 @@ class HingeSlide:
 
         f being the part of the slide that turns with the hinge, and |dm| <= |dp| / length + |h_t d theta|.
         """
-        link, length = self._link, self._length
+        links, length = self._links, self._length
         poses = MovingPoses(deviations.twist, None)
-        x, y, a, b, c = self._coefficients(poses.rotation[..., link, :, :], poses.translation[..., link, :])
+        x, y, a, b, c = self._coefficients(poses.rotation[..., links, :, :], poses.translation[..., links, :])
         angle = _highest(x + 2.0 * a * b, y + 2.0 * a * c, b, c)
         cos, sin = np.cos(angle), np.sin(angle)
         along, across, size = b * cos + c * sin, np.abs(c * cos - b * sin), np.hypot(b, c)
         m, level, beside = a + along, x * cos + y * sin, np.abs(y * cos - x * sin)
         f = float(np.linalg.norm(self._of_translation[1])) * length
-        wide, far = deviations.wide[:, link], deviations.far[:, link] / length
+        wide, far = deviations.wide[:, links], deviations.far[:, links] / length
 
         def turned(most: Floats, turn: Floats, shift: Floats) -> tuple[Floats, Floats]:
             """Bounds of |h_t| and |d theta| for angles that change by up to ``most``; infinite where u may jump."""
@@ -158,10 +161,10 @@ class HingeSlide:
 
         most = np.minimum(1.5 * turned(np.zeros_like(wide), wide, far)[1], np.pi)
         kept = (turned(most, wide, far)[1] <= most) & (np.abs(angle) + most < np.pi)
-        shift = deviations.shift[:, link] / length
-        off, turn = turned(most, np.broadcast_to(deviations.turn[link], wide.shape), shift)
+        shift = deviations.shift[:, links] / length
+        off, turn = turned(most, np.broadcast_to(deviations.turn[links], wide.shape), shift)
         slide = (shift + off * np.where(kept, turn, 0.0)) * length / self._stretch
-        return np.where(kept[:, None], np.stack([turn, slide], axis=-1), np.inf)
+        return np.where(kept[..., None], np.stack([turn, slide], axis=-1), np.inf).reshape(len(kept), -1)
 
     def _coefficients(self, rotation: Floats, translation: Floats) -> tuple[Floats, ...]:
         """x, y and, in units of ``length``, a, b, c, each ``(...)``; linear in ``(..., 3, 3)`` and ``(..., 3)``."""
@@ -205,12 +208,13 @@ class OneScrew:
     agrees with the nearest pose to second order in the residual.
     """
 
-    def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:
-        assert joint.screw is not None
-        self._link = link
-        self.indices = joint.indices
-        dual = joint.screw / np.repeat([1.0, length**2], 3)
-        self._dual = dual / (dual @ joint.screw)
+    def __init__(self, joints: Sequence[CompoundJoint], links: list[int], length: float) -> None:
+        screw = joints[0].screw
+        assert screw is not None
+        self._links = links
+        self.indices = np.array([joint.indices for joint in joints])
+        dual = screw / np.repeat([1.0, length**2], 3)
+        self._dual = dual / (dual @ screw)
 
     @staticmethod
     def fits(joint: CompoundJoint) -> bool:
@@ -218,28 +222,28 @@ class OneScrew:
         return joint.screw is not None
 
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
-        """Displacements ``(..., 1)`` and their rates."""
-        offset = poses.twist[..., self._link, :] @ self._dual[:, None]
-        return offset, None if poses.twist_rate is None else poses.twist_rate[..., self._link, :] @ self._dual[:, None]
+        """Displacements ``(..., L, 1)`` and their rates."""
+        offset, rate = poses.twist[..., self._links, :] @ self._dual[:, None], poses.twist_rate
+        return offset, None if rate is None else rate[..., self._links, :] @ self._dual[:, None]
 
     @property
     def groups(self) -> list[Group]:
-        """Its one coordinate."""
-        return [(self.indices, np.ones(1))]
+        """Each coordinate."""
+        return [(index, np.ones(1)) for index in self.indices]
 
     def spread(self, deviations: Deviations) -> Floats:
-        """Bound ``(K, 1)`` of its change, which is linear in that of the twist."""
-        lengths = np.linalg.norm(self._dual.reshape(2, 3), axis=1)
-        return np.full((len(deviations.twist), 1), lengths @ deviations.size[self._link])
+        """Bounds ``(K, L)`` of their changes, which are linear in those of the twists."""
+        bounds = deviations.size[self._links] @ np.linalg.norm(self._dual.reshape(2, 3), axis=1)
+        return np.tile(bounds, (len(deviations.twist), 1))
 
 
 class SixDof:
     """Trans(S s) Rot(A w), three slides below a ball joint: every pose is met exactly."""
 
-    def __init__(self, joint: CompoundJoint, link: int) -> None:
-        *slides, ball = joint.factors
-        self._link = link
-        self.indices = np.concatenate([factor.indices for factor in joint.factors])
+    def __init__(self, joints: Sequence[CompoundJoint], links: list[int], _: float) -> None:
+        *slides, ball = joints[0].factors
+        self._links = links
+        self.indices = np.array([joint.coordinates for joint in joints])
         self._inverse = np.linalg.inv(np.column_stack([slide.ratio * slide.axes[:, 0] for slide in slides]))
         self._ball = ball.axes
 
@@ -254,24 +258,24 @@ class SixDof:
         return abs(float(np.linalg.det(axes))) > 1e-3
 
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
-        """Displacements ``(..., 6)`` and their rates."""
-        link = self._link
-        rotvec = rotation_vectors(rotations(poses.rotation[..., link, :, :]))
-        offset = np.concatenate([poses.translation[..., link, :] @ self._inverse.T, rotvec @ self._ball], axis=-1)
+        """Displacements ``(..., L, 6)`` and their rates."""
+        links = self._links
+        rotvec = rotation_vectors(rotations(poses.rotation[..., links, :, :]))
+        offset = np.concatenate([poses.translation[..., links, :] @ self._inverse.T, rotvec @ self._ball], axis=-1)
         if poses.rates is None:
             return offset, None
         omega, velocity = poses.rates
-        turning = np.linalg.solve(left_jacobian_so3(rotvec), omega[..., link, :, None])[..., 0]
-        return offset, np.concatenate([velocity[..., link, :] @ self._inverse.T, turning @ self._ball], axis=-1)
+        turning = np.linalg.solve(left_jacobian_so3(rotvec), omega[..., links, :, None])[..., 0]
+        return offset, np.concatenate([velocity[..., links, :] @ self._inverse.T, turning @ self._ball], axis=-1)
 
     @property
     def groups(self) -> list[Group]:
-        """The three slides and the ball joint."""
-        return [(self.indices[:3], np.ones(3)), (self.indices[3:], np.ones(3))]
+        """The three slides and the ball joint of each link."""
+        return [(indices, np.ones(3)) for indices in self.indices.reshape(-1, 3)]
 
     def spread(self, deviations: Deviations) -> Floats:
-        """Bounds ``(K, 2)`` of the changes of the slides and of the rotation vector, omega below half a turn."""
-        link = self._link
-        slide = float(np.linalg.norm(self._inverse, 2)) * deviations.shift[:, link]
-        turn = np.where(deviations.angle[:, link] < np.pi, deviations.turn[link], np.inf)
-        return np.stack([slide, turn], axis=-1)
+        """Bounds ``(K, 2 L)`` of the changes of slides and of rotation vectors, omega below half a turn."""
+        links = self._links
+        slide = float(np.linalg.norm(self._inverse, 2)) * deviations.shift[:, links]
+        turn = np.where(deviations.angle[:, links] < np.pi, deviations.turn[links], np.inf)
+        return np.stack([slide, turn], axis=-1).reshape(len(slide), -1)

@@ -160,21 +160,23 @@ class _Nearest:
 
 
 def _solvers(joints: CompoundJoints, length: float) -> list[OneScrew | HingeSlide | SixDof | _Nearest]:
-    solvers: list[OneScrew | HingeSlide | SixDof | _Nearest] = []
-    searched: dict[Hashable, list[tuple[int, ...]]] = {}
+    """The solvers, each for all groups of links with the same geometry."""
+    alike: dict[Hashable, list[tuple[int, ...]]] = {}
     for links in _sharing(joints):
-        joint = joints.joints[links[0]]
-        if len(links) == 1 and OneScrew.fits(joint):
-            solvers.append(OneScrew(joint, links[0], length))
-        elif len(links) == 1 and HingeSlide.fits(joint):
-            solvers.append(HingeSlide(joint, links[0], length))
-        elif len(links) == 1 and SixDof.fits(joint):
-            solvers.append(SixDof(joint, links[0]))
+        members = [joints.joints[link] for link in links]
+        indices = np.unique(np.concatenate([joint.indices for joint in members]))
+        alike.setdefault(tuple(joint.geometry(indices) for joint in members), []).append(links)
+    solvers: list[OneScrew | HingeSlide | SixDof | _Nearest] = []
+    for groups in alike.values():
+        first = [links[0] for links in groups]
+        members = [joints.joints[link] for link in first]
+        for kind in (OneScrew, HingeSlide, SixDof) if len(groups[0]) == 1 else ():
+            if kind.fits(members[0]):
+                solvers.append(kind(members, first, length))
+                break
         else:
-            group = [joints.joints[link] for link in links]
-            indices = np.unique(np.concatenate([joint.indices for joint in group]))
-            searched.setdefault(tuple(each.geometry(indices) for each in group), []).append(links)
-    return [*solvers, *(_Nearest(joints, groups, length) for groups in searched.values())]
+            solvers.append(_Nearest(joints, groups, length))
+    return solvers
 
 
 def _sharing(joints: CompoundJoints) -> list[tuple[int, ...]]:
