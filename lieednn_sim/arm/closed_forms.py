@@ -1,6 +1,6 @@
 """Closed forms of the nearest configuration: one screw, a hinge and a slide, three slides below a ball joint.
 
-Each is solved for all links with the same geometry at once. Except for the first, the distance is that of
+Each is solved for all of its links at once. Except for the first, the distance is that of
 `nearest.NearestPose`, 4 sin^2(angle / 2) + ||shift||^2 / length^2.
 """
 
@@ -68,20 +68,21 @@ class HingeSlide:
     """
 
     def __init__(self, joints: Sequence[CompoundJoint], links: list[int], length: float) -> None:
-        factors = joints[0].factors
-        hinge = next(factor for factor in factors if factor.kind == "hinge")
-        slides = [factor for factor in factors if factor.kind == "slide"]
-        self._links, places = links, [factors.index(hinge), factors.index(slides[0])]
-        self.indices = np.array([joint.coordinates[places] for joint in joints])
-        n = hinge.axes[:, 0]
-        direction = np.sum([slide.ratio * slide.axes[:, 0] for slide in slides], axis=0)
-        self._stretch = float(np.linalg.norm(direction))
-        e = direction / self._stretch
-        along = (n @ e) * n if factors[0] is hinge else e
+        self._links, self._length = links, length
+        self.indices, self._stretch = np.empty((len(links), 2), int), np.empty(len(links))
         # x, y, a, b, c are linear in the pose: rows for R, flattened, and for p.
-        self._of_rotation = np.stack([np.eye(3) - np.outer(n, n), hat(n)]).reshape(2, 9)
-        self._of_translation = np.stack([along, e - along, np.cross(n, e - along)]) / length
-        self._length = length
+        self._rows = np.zeros((len(links), 5, 12))
+        for k, joint in enumerate(joints):
+            hinge = next(factor for factor in joint.factors if factor.kind == "hinge")
+            slides = [factor for factor in joint.factors if factor.kind == "slide"]
+            self.indices[k] = np.concatenate([hinge.indices, slides[0].indices])
+            n = hinge.axes[:, 0]
+            direction = np.sum([slide.ratio * slide.axes[:, 0] for slide in slides], axis=0)
+            self._stretch[k] = np.linalg.norm(direction)
+            e = direction / self._stretch[k]
+            along = (n @ e) * n if joint.factors[0] is hinge else e
+            self._rows[k, :2, :9] = np.stack([np.eye(3) - np.outer(n, n), hat(n)]).reshape(2, 9)
+            self._rows[k, 2:, 9:] = np.stack([along, e - along, np.cross(n, e - along)]) / length
 
     @staticmethod
     def fits(joint: CompoundJoint) -> bool:
@@ -145,7 +146,7 @@ class HingeSlide:
         cos, sin = np.cos(angle), np.sin(angle)
         along, across, size = b * cos + c * sin, np.abs(c * cos - b * sin), np.hypot(b, c)
         m, level, beside = a + along, x * cos + y * sin, np.abs(y * cos - x * sin)
-        f = float(np.linalg.norm(self._of_translation[1])) * length
+        f = np.linalg.norm(self._rows[:, 3], axis=1) * length
         wide, far = deviations.wide[:, links], deviations.far[:, links] / length
 
         def turned(most: Floats, turn: Floats, shift: Floats) -> tuple[Floats, Floats]:
@@ -168,9 +169,8 @@ class HingeSlide:
 
     def _coefficients(self, rotation: Floats, translation: Floats) -> tuple[Floats, ...]:
         """x, y and, in units of ``length``, a, b, c, each ``(...)``; linear in ``(..., 3, 3)`` and ``(..., 3)``."""
-        flat = rotation.reshape(*rotation.shape[:-2], 9)
-        rows = np.concatenate([flat @ self._of_rotation.T, translation @ self._of_translation.T], axis=-1)
-        return tuple(np.moveaxis(rows, -1, 0))
+        pose = np.concatenate([rotation.reshape(*rotation.shape[:-2], 9), translation], axis=-1)
+        return tuple(np.moveaxis(np.matvec(self._rows, pose), -1, 0))
 
 
 def _highest(p: Floats, q: Floats, b: Floats, c: Floats) -> Floats:
@@ -209,12 +209,11 @@ class OneScrew:
     """
 
     def __init__(self, joints: Sequence[CompoundJoint], links: list[int], length: float) -> None:
-        screw = joints[0].screw
-        assert screw is not None
         self._links = links
         self.indices = np.array([joint.indices for joint in joints])
-        dual = screw / np.repeat([1.0, length**2], 3)
-        self._dual = dual / (dual @ screw)
+        screws = np.array([joint.screw for joint in joints])
+        dual = screws / np.repeat([1.0, length**2], 3)
+        self._dual = dual / np.vecdot(dual, screws)[:, None]
 
     @staticmethod
     def fits(joint: CompoundJoint) -> bool:
@@ -223,8 +222,9 @@ class OneScrew:
 
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
         """Displacements ``(..., L, 1)`` and their rates."""
-        offset, rate = poses.twist[..., self._links, :] @ self._dual[:, None], poses.twist_rate
-        return offset, None if rate is None else rate[..., self._links, :] @ self._dual[:, None]
+        given = [poses.twist] if poses.twist_rate is None else [poses.twist, poses.twist_rate]
+        offset, *rate = (np.vecdot(twist[..., self._links, :], self._dual)[..., None] for twist in given)
+        return offset, rate[0] if rate else None
 
     @property
     def groups(self) -> list[Group]:
@@ -233,19 +233,19 @@ class OneScrew:
 
     def spread(self, deviations: Deviations) -> Floats:
         """Bounds ``(K, L)`` of their changes, which are linear in those of the twists."""
-        bounds = deviations.size[self._links] @ np.linalg.norm(self._dual.reshape(2, 3), axis=1)
-        return np.tile(bounds, (len(deviations.twist), 1))
+        lengths = np.linalg.norm(self._dual.reshape(-1, 2, 3), axis=2)
+        return np.tile(np.vecdot(lengths, deviations.size[self._links]), (len(deviations.twist), 1))
 
 
 class SixDof:
     """Trans(S s) Rot(A w), three slides below a ball joint: every pose is met exactly."""
 
     def __init__(self, joints: Sequence[CompoundJoint], links: list[int], _: float) -> None:
-        *slides, ball = joints[0].factors
         self._links = links
         self.indices = np.array([joint.coordinates for joint in joints])
-        self._inverse = np.linalg.inv(np.column_stack([slide.ratio * slide.axes[:, 0] for slide in slides]))
-        self._ball = ball.axes
+        slides = [[slide.ratio * slide.axes[:, 0] for slide in joint.factors[:3]] for joint in joints]
+        self._inverse = np.linalg.inv(np.swapaxes(slides, 1, 2))
+        self._ball = np.array([joint.factors[3].axes.T for joint in joints])
 
     @staticmethod
     def fits(joint: CompoundJoint) -> bool:
@@ -261,12 +261,14 @@ class SixDof:
         """Displacements ``(..., L, 6)`` and their rates."""
         links = self._links
         rotvec = rotation_vectors(rotations(poses.rotation[..., links, :, :]))
-        offset = np.concatenate([poses.translation[..., links, :] @ self._inverse.T, rotvec @ self._ball], axis=-1)
+        parts = np.matvec(self._inverse, poses.translation[..., links, :]), np.matvec(self._ball, rotvec)
+        offset = np.concatenate(parts, axis=-1)
         if poses.rates is None:
             return offset, None
         omega, velocity = poses.rates
         turning = np.linalg.solve(left_jacobian_so3(rotvec), omega[..., links, :, None])[..., 0]
-        return offset, np.concatenate([velocity[..., links, :] @ self._inverse.T, turning @ self._ball], axis=-1)
+        parts = np.matvec(self._inverse, velocity[..., links, :]), np.matvec(self._ball, turning)
+        return offset, np.concatenate(parts, axis=-1)
 
     @property
     def groups(self) -> list[Group]:
@@ -276,6 +278,6 @@ class SixDof:
     def spread(self, deviations: Deviations) -> Floats:
         """Bounds ``(K, 2 L)`` of the changes of slides and of rotation vectors, omega below half a turn."""
         links = self._links
-        slide = float(np.linalg.norm(self._inverse, 2)) * deviations.shift[:, links]
+        slide = np.linalg.norm(self._inverse, 2, axis=(1, 2)) * deviations.shift[:, links]
         turn = np.where(deviations.angle[:, links] < np.pi, deviations.turn[links], np.inf)
         return np.stack([slide, turn], axis=-1).reshape(len(slide), -1)

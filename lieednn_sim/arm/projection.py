@@ -160,23 +160,19 @@ class _Nearest:
 
 
 def _solvers(joints: CompoundJoints, length: float) -> list[OneScrew | HingeSlide | SixDof | _Nearest]:
-    """The solvers, each for all groups of links with the same geometry."""
-    alike: dict[Hashable, list[tuple[int, ...]]] = {}
+    """The solvers: closed forms, and others for all groups of links with the same geometry."""
+    closed: dict[type[OneScrew | HingeSlide | SixDof], list[int]] = {OneScrew: [], HingeSlide: [], SixDof: []}
+    searched: dict[Hashable, list[tuple[int, ...]]] = {}
     for links in _sharing(joints):
         members = [joints.joints[link] for link in links]
-        indices = np.unique(np.concatenate([joint.indices for joint in members]))
-        alike.setdefault(tuple(joint.geometry(indices) for joint in members), []).append(links)
-    solvers: list[OneScrew | HingeSlide | SixDof | _Nearest] = []
-    for groups in alike.values():
-        first = [links[0] for links in groups]
-        members = [joints.joints[link] for link in first]
-        for kind in (OneScrew, HingeSlide, SixDof) if len(groups[0]) == 1 else ():
-            if kind.fits(members[0]):
-                solvers.append(kind(members, first, length))
-                break
+        kind = next((kind for kind in closed if kind.fits(members[0])), None) if len(links) == 1 else None
+        if kind is not None:
+            closed[kind].append(links[0])
         else:
-            solvers.append(_Nearest(joints, groups, length))
-    return solvers
+            indices = np.unique(np.concatenate([joint.indices for joint in members]))
+            searched.setdefault(tuple(joint.geometry(indices) for joint in members), []).append(links)
+    made = [kind([joints.joints[link] for link in links], links, length) for kind, links in closed.items() if links]
+    return [*made, *(_Nearest(joints, groups, length) for groups in searched.values())]
 
 
 def _sharing(joints: CompoundJoints) -> list[tuple[int, ...]]:
