@@ -106,7 +106,7 @@ class NearestPose:
             check_time()
             last = known[-1]
             stride = min(stride, len(goal) - 1 - last)
-            trial, there = self._approach(q[last], goal[last + stride], steps, evaluated)
+            trial, there = self._approach(q[last], goal[last + stride], steps, evaluated, enough=0.02)
             clear = float(least_singular_value(there[1]).min())
             if stride > longest and clear < _CLEAR:
                 stride = longest
@@ -161,11 +161,16 @@ class NearestPose:
         return q
 
     def _approach(
-        self, q: Floats, goal: Floats, steps: int = 40, known: tuple[Floats, Floats] | None = None
+        self,
+        q: Floats,
+        goal: Floats,
+        steps: int = 40,
+        known: tuple[Floats, Floats] | None = None,
+        enough: float = 1e-3,  # near enough for Newton's method
     ) -> tuple[Floats, tuple[Floats, Floats]]:
         """Configurations close to these minima, by Levenberg-Marquardt steps, and the result of `_evaluate` there.
 
-        ``known`` is its result at ``q``, if available.
+        ``known`` is its result at ``q``, if available. It ends after a step of at most ``enough``.
         """
         damping, one = np.full(len(goal), 1e-3), np.eye(q.shape[-1])
         values, jacobian = self._evaluate(q) if known is None else known
@@ -186,8 +191,7 @@ class NearestPose:
                 q, values = np.where(better[:, None], trial, q), np.where(better[:, None], new_values, values)
                 jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
             damping = np.minimum(np.maximum(np.where(better, 0.2, 5.0) * damping, 1e-12), 1e6)
-            # Near enough for Newton's method.
-            if np.abs(step).max() < 1e-3:
+            if np.abs(step).max() < enough:
                 break
         return q, (values, jacobian)
 

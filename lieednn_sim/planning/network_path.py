@@ -169,9 +169,11 @@ class NetworkPath:
         states = self.states(position)
         tau, xi = (-np.log1p(-position), states) if self.universal else (position, self.network.visible(states))
         n, values = self.arm.n_joints, self.joints(position)
+        # Copied, since checks are quicker where rows are next to each other.
+        q, gaps = values[:, :n].copy(), np.maximum(values[:, n:], 0.0)
         qd = self.joints(position, 1)[:, :n] * rate[:, None]
         qd[[0, -1]] = 0.0
-        return Motion(t, tau, xi, self.target, values[:, :n], qd, *np.split(np.maximum(values[:, n:], 0.0), 2, axis=1))
+        return Motion(t, tau, xi, self.target, q, qd, *np.split(gaps, 2, axis=1))
 
 
 def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> None:
