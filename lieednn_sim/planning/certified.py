@@ -57,8 +57,6 @@ class CertifiedOptions(CandidateOptions):
         attempts: number of starts of `synthesize` for a network.
         last_attempts: number of starts for a last network if no other could be certified.
         tried: largest number of networks whose exact motion is made and checked before the planner gives up.
-        hopeless_excess: after a refusal, networks whose roughly integrated path exceeds the limits by more than this
-            [rad, m] are not tried.
 
     Raises:
         InputError: a value is out of range.
@@ -71,7 +69,6 @@ class CertifiedOptions(CandidateOptions):
     attempts: int = 3
     last_attempts: int = 16
     tried: int = 8
-    hopeless_excess: float = 0.01
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -189,7 +186,8 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Can
     hurried = problem.duration <= 0.99 * least_duration(arm, problem.start, problem.target)
     refusals = list[tuple[str, float | None]]()
     for candidate in _promising(result):
-        if refusals and (candidate.touches or candidate.excess > options.hopeless_excess):
+        # After a refusal, networks whose rough path exceeds the limits by more than this [rad, m] are not tried.
+        if refusals and (candidate.touches or candidate.excess > 0.01):
             break
         try:
             motion = timed_motion(problem, candidate.path)

@@ -154,7 +154,7 @@ class NetworkPath:
         if law is not None:
             return self._timed(duration, timestep, law)
         motion = self._timed(duration, timestep, minimum_jerk_law)
-        eased = eased_law(motion, minimum_jerk_law, joint_scale(self.arm))
+        eased = eased_law(motion, joint_scale(self.arm))
         return motion if eased is None else self._timed(duration, timestep, eased)
 
     def _timed(self, duration: float, timestep: float, law: Law) -> Motion:

@@ -91,8 +91,8 @@ def recorded_law(t: Floats, fraction: Floats) -> Law:
     return law_of_times((s - s[0])[kept], smooth[kept])
 
 
-def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
-    """A law that slows down where a motion by another law turns sharply; None if it does so nowhere.
+def eased_law(motion: Motion, units: Floats) -> Law | None:
+    """A law that slows down where a motion by `minimum_jerk_law` turns sharply; None if it does so nowhere.
 
     With a law that ignores the curvature kappa, the acceleration across the path, v^2 kappa, is unbounded. Here time is
     stretched around every instant at which it exceeds a bound, by the square root of their ratio. The path's length has
@@ -117,7 +117,7 @@ def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
     slower = maximum_filter1d(np.sqrt(np.maximum(sharpness, 1.0)), len(window), mode="nearest")
     slower = convolve1d(slower, window / window.sum(), mode="nearest")
     s = motion.t / duration
-    return law_of_times(cumulative_trapezoid(slower, s, initial=0.0), law(s)[0])
+    return law_of_times(cumulative_trapezoid(slower, s, initial=0.0), minimum_jerk_law(s)[0])
 
 
 def _through(s: Floats, fraction: Floats, slope: Floats) -> Law:
