@@ -56,7 +56,6 @@ class CertifiedOptions(CandidateOptions):
         n_first: number of networks to begin with; the others are made only if none of these can be used.
         attempts: number of starts of `synthesize` for a network.
         last_attempts: number of starts for a last network if no other could be certified.
-        tried: largest number of networks whose exact motion is made and checked before the planner gives up.
 
     Raises:
         InputError: a value is out of range.
@@ -68,7 +67,6 @@ class CertifiedOptions(CandidateOptions):
     n_first: int = 1
     attempts: int = 3
     last_attempts: int = 16
-    tried: int = 8
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -193,7 +191,8 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Can
             motion = timed_motion(problem, candidate.path)
         except PlanError as error:
             refusals.append((str(error), getattr(error, "duration", None)))
-            if hurried or len(refusals) == options.tried:
+            # Exact motions of so many networks are made and checked.
+            if hurried or len(refusals) == 8:
                 break
             continue
         return candidate.network, motion

@@ -22,10 +22,10 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.projection import Retraction
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
-from lieednn_sim.planning.joint_space import joint_scale
+from lieednn_sim.planning.joint_space import joint_scale, travelled
 from lieednn_sim.planning.motion import JUMP, Motion, check_motion, count_steps, unexplained_steps
 from lieednn_sim.planning.problem import PlanningProblem
-from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law, step_lengths
+from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law
 from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.values import Floats
 
@@ -62,10 +62,14 @@ class NetworkPath:
     def integrate(
         cls, arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, units: Floats | None = None
     ) -> NetworkPath:
-        """Integrate the network from joint position ``start`` ``(n,)``; raises as `make_motion`.
+        """Integrate the network from joint position ``start`` ``(n,)``.
 
         If ``units`` ``(N, 6)`` of the visible neurons' coordinates are given, the path's length is that of the states
         in these units, as in `law_of`.
+
+        Raises:
+            InputError: the start is out of limits, or network and arm differ in size.
+            PlanError: the network has no equilibrium or does not arrive there.
         """
         require_fit(arm, network)
         begin = arm.check_position(start, "start")
@@ -140,13 +144,13 @@ class NetworkPath:
         some = w[(np.arange(len(w)) % 3 == 0) | ((w > 0.95) & (w < 0.9999)) | (w == w[-1])]
         # Both paths have about the same length; guesses are taken from some samples of the motion's.
         known = np.append(np.arange(0, len(given.t) - 1, 4), len(given.t) - 1)
-        passed, length = np.append(0.0, np.cumsum(step_lengths(given.xi[known], units))), speed.antiderivative()(some)
+        passed, length = travelled(given.xi[known] * units), speed.antiderivative()(some)
         near = np.stack([np.interp(length, passed, joint) for joint in given.q[known].T], axis=1)
         joints = _through(some, arm.decode(visible(some), start=near))
         return cls(arm, network, network.bias[: network.n_visible], visible, speed, joints, universal=True)
 
     def timed(self, duration: float, timestep: float, law: Law | None = None) -> Motion:
-        """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`.
+        """The motion along the path in ``duration``, sampled every ``timestep`` [s].
 
         The law maps fractions of the duration to fractions of the path's length. By default it is minimum jerk, slowed
         down where the path turns sharply.
@@ -184,24 +188,6 @@ def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> 
         )
     if certified and not network.certified:
         raise InputError("only a certified network follows every target; see network.certify()")
-
-
-def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, duration: float, timestep: float) -> Motion:
-    """Decode the network's trajectory from joint position ``start`` ``(n,)`` and time it to ``duration`` [s].
-
-    Args:
-        arm: decodes states to joint positions.
-        network: a network with as many visible neurons as the arm has links.
-        start: joint position at rest.
-        duration: duration of the motion [s], rounded to a whole number of time steps.
-        timestep: sampling period [s], the simulation's step.
-
-    Raises:
-        InputError: the start is out of limits, or network and arm differ in size.
-        PlanError: the network has no equilibrium or does not arrive there.
-    """
-    count_steps(duration, timestep)
-    return NetworkPath.integrate(arm, network, start).timed(duration, timestep)
 
 
 def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Motion:

@@ -53,14 +53,9 @@ def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
 
 
-def step_lengths(xi: Floats, units: Floats) -> Floats:
-    """Lengths ``(K - 1,)`` of the steps of states ``(K, N, 6)`` in ``units`` ``(N, 6)`` [m]."""
-    return np.asarray(np.linalg.norm(np.diff(xi, axis=0) * units, axis=(-2, -1)))
-
-
 def law_of(motion: Motion, units: Floats) -> Law:
     """The law by which a motion follows its path, whose length is that of its states in ``units`` ``(N, 6)``."""
-    length = np.append(0.0, np.cumsum(step_lengths(motion.xi, units)))
+    length = travelled(motion.xi * units)
     s, fraction = motion.t / motion.t[-1], length / length[-1]
     slope = np.gradient(fraction, s, edge_order=2)
     return _through(s, fraction, np.maximum(slope, 0.0))

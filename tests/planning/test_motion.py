@@ -17,11 +17,15 @@ from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import CertifiedOptions, certified, network_path, plan
 from lieednn_sim.planning.motion import Motion, check_limits, check_motion, count_steps
-from lieednn_sim.planning.network_path import RESIDUAL, _invert, make_motion
+from lieednn_sim.planning.network_path import RESIDUAL, NetworkPath, _invert
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.synthesis import synthesize, synthesize_many
 
 from .arms import coarse
+
+
+def make_motion(arm, network, start, duration, timestep):
+    return NetworkPath.integrate(arm, network, start).timed(duration, timestep)
 
 
 @pytest.fixture(scope="module")

@@ -25,11 +25,9 @@ class DmpOptions(PlannerOptions):
 
     Attributes:
         basis_functions: number of radial basis functions of the forcing term, from 2 to 1000.
-        least_fraction: fraction of its range that a joint must move in the demonstration to be imitated in shape.
     """
 
     basis_functions: int = field(default=20, metadata={"range": (2, 1000)})
-    least_fraction: float = 0.01
 
 
 def minimum_jerk(problem: PlanningProblem, *, guiding: bool = False) -> Motion:
@@ -89,7 +87,7 @@ def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
 
     The forcing f is scaled by the joint's displacement over that in the demonstration, which keeps the demonstrated
     shape at every amplitude; an unscaled forcing of a long demonstration would throw a joint with a short displacement
-    over its limits. A joint that moves less than ``least_fraction`` of its range in the demonstration gets no forcing:
+    over its limits. A joint that moves less than a hundredth of its range in the demonstration gets no forcing:
     the spring alone takes it from start to target. All joints follow the same time law in the demonstration, so one
     row of weights, times a joint's displacement, serves them all.
 
@@ -107,7 +105,7 @@ def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
     # Responses to neighbouring functions are similar, so small singular values are not inverted.
     weights = np.linalg.pinv(fractions[:, 1:], rcond=1e-6) @ (sigma - fractions[:, 0])
     shown = reference_configuration(problem.arm) - problem.arm.keyframe("home")
-    imitates = np.abs(shown) > options.least_fraction * problem.arm.ranges
+    imitates = np.abs(shown) > 0.01 * problem.arm.ranges
     law = np.where(imitates, (fractions @ np.append(1.0, weights))[:, None], fractions[:, :1])
     q = problem.start + law * (problem.target - problem.start)
     qd = np.gradient(q, problem.timestep, axis=0, edge_order=2)
