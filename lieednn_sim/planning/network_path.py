@@ -87,7 +87,7 @@ class NetworkPath:
         arrived = False
         # Where a slow clock ends the path, the speed is low, and the integrator's error must be small beside it. That
         # may keep it from a target with large entries, too; then a smaller tolerance is used.
-        usual = max(1e-8 * min(1.0, pace / network.gamma) ** 2, 1e-12)
+        usual = max(1e-8 * min(1.0, pace / network.gamma) ** 4, 1e-12)
         # An equilibrium that does not attract is not tried.
         for rtol in (usual, 1e-2 * usual) if equilibrium.spectral_abscissa < 0.0 else ():
             trajectory = network.trajectory(
@@ -105,10 +105,9 @@ class NetworkPath:
         between = trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * (np.arange(24) / 24)
         grid = np.append(between, trajectory.t[-1])
         states = trajectory(grid)
-        field = network.visible(network.vector_field(states))
         some = np.append(np.arange(0, len(grid) - 1, 4), len(grid) - 1)
-        decoded = arm.decode(network.visible(states[some]), field[some], begin)
-        known = grid[some]
+        known, field = grid[some], network.visible(network.vector_field(states[some]))
+        decoded = arm.decode(network.visible(states[some]), field, begin)
         # Where a link's joints are exactly singular, nothing bounds their rates.
         if not (np.abs(decoded.qd) < 1e100).all() or unexplained_steps(known, decoded.q, decoded.qd)[1].max() > JUMP:
             raise PlanError("the joint positions nearest to the network's path jump; use another network")
@@ -118,7 +117,7 @@ class NetworkPath:
             rates = np.linalg.norm(joints(grid, 1)[:, : arm.n_joints] / weights, axis=-1)
             rates = np.hypot(rates, pace * np.linalg.norm(network.visible(states - target), axis=(-2, -1)))
         else:
-            rates = np.linalg.norm(field * units, axis=(-2, -1))
+            rates = np.linalg.norm(network.visible(network.vector_field(states)) * units, axis=(-2, -1))
         # Shape-preserving, so that the speed stays positive between its samples.
         speed = PchipInterpolator(grid, rates)
         return cls(arm, network, network.visible(target), trajectory, speed, joints)
