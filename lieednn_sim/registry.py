@@ -276,7 +276,7 @@ def optional_module(name: str) -> Any:
 _PLANNERS = {
     "minimum-jerk": PlannerEntry("planning.baselines.interpolation:minimum_jerk", "straight in joint space"),
     "se3-geodesic": PlannerEntry("planning.baselines.interpolation:se3_geodesic", "compound joints on SE(3) geodesics"),
-    "dmp": PlannerEntry("planning.baselines.interpolation:dmp", "a dynamic movement primitive", "DmpOptions"),
+    "dmp": PlannerEntry("planning.baselines.interpolation:dmp", "a dynamic movement primitive"),
     "rrt-connect": PlannerEntry(
         "planning.baselines.sampling:rrt_connect", "OMPL's RRT-Connect", "RrtConnectOptions", "ompl"
     ),

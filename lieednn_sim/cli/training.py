@@ -21,7 +21,7 @@ from lieednn_sim.learning import train as learn
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.motion import check_motion
-from lieednn_sim.planning.network_path import make_motion
+from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.registry import ALGORITHMS
 from lieednn_sim.synthesis import bias_for
 from lieednn_sim.validation import as_count, as_positive
@@ -88,7 +88,7 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
         motion = refusal = None
         if network is not None:
             try:
-                motion = make_motion(arm, network, task.start, task.duration, arm.timestep)
+                motion = NetworkPath.integrate(arm, network, task.start).timed(task.duration, arm.timestep)
                 check_motion(arm, motion)
             except PlanError as error:
                 refusal = str(error)

@@ -86,8 +86,15 @@ def log(pose: RigidTransform) -> Floats:
 def logarithm(rotation: Floats, translation: Floats) -> Floats:
     """`log` of rotations ``(..., 3, 3)`` and translations ``(..., 3)``: unchecked, in half of the time of SciPy's."""
     turn = scipy.spatial.transform.Rotation.from_matrix(rotation.reshape(-1, 3, 3), assume_valid=True)
-    omega, p = turn.as_rotvec().T.copy(), translation.reshape(-1, 3).T.copy()
+    omega, p = rotation_vectors(turn).T.copy(), translation.reshape(-1, 3).T.copy()
     return np.concatenate([omega, moving(omega, p, p)]).T.reshape(*translation.shape[:-1], 6)
+
+
+def rotation_vectors(rotation: Rotation) -> Floats:
+    """`Rotation.as_rotvec`, ``(..., 3)`` [rad], in a tenth of its time, by modified Rodrigues parameters n tan(a/4)."""
+    parameters = rotation.as_mrp()
+    size = np.sqrt(np.vecdot(parameters, parameters))
+    return np.asarray(parameters * (4.0 * np.arctan(size) / np.maximum(size, 1e-150))[..., None])
 
 
 def moving(omega: Floats, total: Floats, difference: Floats) -> Floats:

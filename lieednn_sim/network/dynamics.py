@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import BDF, DOP853, LSODA, RK45, DenseOutput, OdeSolution, OdeSolver, Radau
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
+from scipy.special import binom
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, LieEDNNError
@@ -21,6 +22,10 @@ VectorField = Callable[[Floats], Floats]
 
 # Evaluations of the vector field in one integration, which take some seconds; a usual one needs a thousand.
 _MAX_EVALUATIONS = 200_000
+
+# Coefficients of s to s^7 in the polynomials s^a (1 - s)^b of DOP853's interpolants, one row for each.
+_A, _B = np.arange(2, 9)[:, None] // 2, np.arange(1, 8)[:, None] // 2
+_ALTERNATING = (-1.0) ** (np.arange(1, 8) - _A) * binom(_B, np.arange(1, 8) - _A)
 
 _OVERFLOW = "the equilibrium cannot be found in double precision: weights, bias or start are too large"
 
@@ -182,16 +187,21 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
         # SciPy's solvers refer to themselves, and so keep what their vector field refers to: a network, and its memory.
         vars(solver).clear()
     times = np.array(t)
-    dense = _polynomials(times, pieces) if isinstance(solver, RK45) else OdeSolution(times, pieces)
+    dense = _polynomials(times, pieces) if isinstance(solver, RK45 | DOP853) else OdeSolution(times, pieces)
     return times, np.array(x), dense
 
 
 def _polynomials(t: Floats, pieces: list[DenseOutput]) -> PPoly:
-    """The interpolants of RK45's steps as one object, which evaluates many times at once.
+    """The interpolants of the steps of RK45 or DOP853 as one object, which evaluates many times at once.
 
-    In a step h from time t they are y + h sum_k Q_k s^(k+1) with s = (time - t) / h.
+    In a step h from time t they are, with s = (time - t) / h, y + h sum_k Q_k s^(k+1) or y + sum_k F_k b_k, where b_0,
+    b_1, ... are s, s (1 - s), s^2 (1 - s), and so on, in turn.
     """
     steps = np.array([step.h for step in pieces])
-    slopes = np.array([step.Q for step in pieces]) / (steps[:, None] ** np.arange(4))[:, None]
+    if hasattr(pieces[0], "Q"):
+        slopes = np.array([step.Q for step in pieces]) * steps[:, None, None]
+    else:
+        slopes = np.swapaxes(np.array([step.F for step in pieces]), 1, 2) @ _ALTERNATING
+    slopes /= (steps[:, None] ** np.arange(1.0, 1.0 + slopes.shape[-1]))[:, None]
     states = np.array([step.y_old for step in pieces])
     return PPoly(np.concatenate([slopes[..., ::-1], states[..., None]], axis=-1).transpose(1, 2, 0), t, axis=1)
