@@ -3,13 +3,14 @@
 A motion is a quintic B-spline in time with control points C, from rest to rest. In units of the joints' ranges and of
 the straight motion by minimum jerk, J is its squared jerk and E a bound on its squared length, the integral of
 |q'|^2 / s' over the fraction u of the duration, with s(u) the minimum-jerk law. The straight motion has J = E = 1, the
-least of all. Both are quadratic in C. With the least distance d from everything on the way, the measure is
+least of all. Both are quadratic in C. With the end effector's squared jerk F, in units of a straight metre by minimum
+jerk, and the least distance d from everything on the way, the measure is
 
-    log(J + E) - kappa log(d),
+    log(J + E) + beta log(F) - kappa log(d),
 
 where d counts up to that of start and target, which no motion exceeds. It is minimised by sequential quadratic
 programming: at every step MuJoCo's contacts give the distances of all pairs and their slopes, a quadratic program in C
-and d is solved within a trust region, and the step is taken if it lowers the measure.
+and d is solved within a trust region, with F by Gauss and Newton, and the step is taken if it lowers the measure.
 
 If the end effector is to stay in a region, the program has its bounds, linearised, at a few more instants, and what the
 motion is outside counts in the measure. The samples of the final motion are projected onto the region.
@@ -34,6 +35,7 @@ from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
 _TOUCHING = 2.5e-3  # clearance [m] below which a steep line continues the logarithm, so that contact is left first
+_SHORT = 0.05  # way of the end effector whose jerk is added to F, so that less than that is worth little [m]
 # Bounds on distances that may be broken where a step begins: the solver takes up all of them, in cubic time. Of more,
 # as when whole links are inside of obstacles, the deepest count.
 _DEEPEST = 600
@@ -47,6 +49,7 @@ class GuideOptimisation:
         sweep: ``(n,)`` largest distance that a unit of each joint moves a link frame (`joint_space.sweeps`).
         ends: least distance of start and target from everything [m], the largest clearance that counts.
         weight: kappa, the weight of clearance.
+        effector: beta, the weight of the end effector's jerk.
         intervals: number of intervals of the spline.
         instants: number of instants at which distances are measured.
         own: whether distances of the arm from itself count; without them a step takes a fraction of the time.
@@ -62,12 +65,13 @@ class GuideOptimisation:
         ends: float,
         *,
         weight: float,
+        effector: float,
         intervals: int,
         instants: int,
         own: bool = False,
     ) -> None:
         arm = problem.arm
-        self._problem, self._scale, self._weight = problem, arm.ranges, weight
+        self._problem, self._scale, self._weight, self._effector = problem, arm.ranges, weight, effector
         # Distances between instants are less; 0.15 m is ample.
         self._enough = max(min(1.1 * ends, 0.15), _TOUCHING)
         # A step may bring a pair nearer by 3 cm.
@@ -80,6 +84,9 @@ class GuideOptimisation:
         self._rows = self._basis(np.interp((np.arange(instants) + 0.5) / instants, spacing, u))
         # Three control points at each end are fixed by its position and zero velocity and acceleration.
         self._free = slice(3, -3)
+        # Three times for each interval, whose third differences with this factor are jerks in the unit of F.
+        self._even_rows = self._basis(np.linspace(0.0, 1.0, 3 * intervals + 1))
+        self._thirds = (3 * intervals) ** 3 / math.sqrt(720.0 * (3 * intervals - 2))
         # As many instants as free control points, which can then keep all bounds there.
         self._kept_rows = self._basis(np.arange(1.0, count - 5.0) / (count - 5.0))
         start, target = problem.start / arm.ranges, problem.target / arm.ranges
@@ -131,33 +138,40 @@ class GuideOptimisation:
         control = self._control(free)
         return float(np.sum(control * (self._quadratic @ control)))
 
-    def measure(self, free: Floats, clearance: float) -> float:
-        """The measure of a motion with this clearance [m]."""
+    def measure(self, free: Floats, clearance: float, jerk: Floats) -> float:
+        """The measure of a motion with this clearance [m] and jerks of the end effector."""
         far = min(max(clearance, _TOUCHING), self._enough)
         touching = 100.0 * max(_TOUCHING - clearance, 0.0)
-        return math.log(self.cost(free)) - self._weight * math.log(far) + touching + 30.0 * self._beyond(free)
+        smooth = math.log(self.cost(free)) + self._effector * math.log(_SHORT**2 + jerk @ jerk)
+        return smooth - self._weight * math.log(far) + touching + 30.0 * self._beyond(free)
 
-    def descend(self, free: Floats, steps: int) -> tuple[float, Floats, bool]:
-        """The measure, the control points and whether they can be used after up to this many steps from a guess."""
-        distances = self._distances(free)
-        # The trust region is the largest distance that a joint may move a link [m].
-        clearance, trust = self._least(distances), 0.1
-        measure = self.measure(free, clearance)
+    def descend(
+        self, free: Floats, steps: int, *, trust: float = 0.1, rough: bool = False
+    ) -> tuple[float, Floats, bool]:
+        """The measure, the control points and whether they can be used after up to this many steps from a guess.
+
+        No joint moves a link further than ``trust`` [m] in the first one. Rough ones have every second instant alone,
+        and end earlier.
+        """
+        every, enough, least = (2, 0.02, 0.02) if rough else (1, 1e-3, 5e-3)
+        distances, jerk = self._distances(free, every), self._effector_jerk(free)
+        clearance = self._least(distances)
+        measure = self.measure(free, clearance, jerk[0])
         for _ in range(steps):
             check_time()
-            new = self._step(free, distances, clearance, trust)
-            ahead = self._distances(new)
+            new = self._step(free, distances, jerk, clearance, trust)
+            ahead, smooth = self._distances(new, every), self._effector_jerk(new)
             near = self._least(ahead)
-            lower = self.measure(new, near)
+            lower = self.measure(new, near, smooth[0])
             if lower < measure:
                 gain = measure - lower
-                free, distances, clearance, measure = new, ahead, near, lower
-                if gain < 1e-3:
+                free, distances, jerk, clearance, measure = new, ahead, smooth, near, lower
+                if gain < enough:
                     break
                 trust *= 1.5
             else:
                 trust *= 0.4
-                if trust < 5e-3:
+                if trust < least:
                     break
         # The projection of a motion that leaves the region by less on average is near it [m, rad].
         return measure, free, clearance >= _TOUCHING and self._beyond(free) < 0.01
@@ -198,16 +212,31 @@ class GuideOptimisation:
         control[self._free] = free
         return control
 
-    def _distances(self, free: Floats) -> tuple[NDArray[np.int_], Floats, Floats]:
+    def _effector_jerk(self, free: Floats) -> tuple[Floats, Floats]:
+        """Jerks ``(R,)``, whose squares add up to F, and their slopes in the free points, one joint after another."""
+        q, h = self._scale * (self._even_rows @ self._control(free)), 1e-5
+        # At the instants, and with each joint moved by a little of its range.
+        tip = self._problem.arm.tip(q[:, None] + h * np.pad(np.diag(self._scale), ((1, 0), (0, 0))))
+        slope = (tip[:, 1:] - tip[:, :1])[..., None] / h * self._even_rows[:, None, None, self._free]
+        jerk, slope = (self._thirds * np.diff(each, n=3, axis=0) for each in (tip[:, 0], slope.swapaxes(1, 2)))
+        return jerk.ravel(), slope.reshape(jerk.size, free.size)
+
+    def _distances(self, free: Floats, every: int = 1) -> tuple[NDArray[np.int_], Floats, Floats]:
         """Instants ``(C,)``, distances [m] and slopes ``(C, n)`` in units of the ranges of near pairs."""
-        instant, distance, slope = self._slopes.along(self._scale * (self._rows @ self._control(free)))
-        return instant, distance, slope * self._scale
+        rows = self._rows[::every]
+        instant, distance, slope = self._slopes.along(self._scale * (rows @ self._control(free)))
+        return every * instant, distance, slope * self._scale
 
     def _least(self, distances: tuple[NDArray[np.int_], Floats, Floats]) -> float:
         return float(distances[1].min(initial=self._enough))
 
     def _step(
-        self, free: Floats, distances: tuple[NDArray[np.int_], Floats, Floats], clearance: float, trust: float
+        self,
+        free: Floats,
+        distances: tuple[NDArray[np.int_], Floats, Floats],
+        jerk: tuple[Floats, Floats],
+        clearance: float,
+        trust: float,
     ) -> Floats:
         """The control points after the quadratic program's step within the trust region."""
         n, count = free.shape[1], len(free)
@@ -221,10 +250,14 @@ class GuideOptimisation:
             reached &= (distance >= known) | (distance < np.partition(distance, _DEEPEST)[_DEEPEST])
         instant, distance, slope = instant[reached], distance[reached], slope[reached]
         x = free.T.ravel()
-        value = self._weight * self.cost(free) / 2.0
+        control, cost = self._control(free), self.cost(free)
+        value = self._weight * cost / 2.0
+        size, size_slope = jerk
+        share = self._effector * cost / (_SHORT**2 + size @ size)
         hessian = self._program.copy()
+        hessian[:-1, :-1] += share * (size_slope.T @ size_slope)
         hessian[-1, -1] = value
-        pull = (self._quadratic[self._free] @ self._control(free)).T.ravel()
+        pull = (self._quadratic[self._free] @ control).T.ravel() + share * (size @ size_slope)
         rows = np.empty((len(instant), n * count + 1))
         each = slope[:, :, None] * self._rows[instant][:, None, self._free]
         rows[:, :-1] = each.reshape(len(instant), n * count)

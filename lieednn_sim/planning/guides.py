@@ -40,6 +40,8 @@ class GuideOptions(PlannerOptions):
         optimised: whether to optimise candidates; otherwise RRT-Connect's motion is taken if minimum jerk is not free.
         clearance_weight: kappa, the weight of clearance in the measure of `guide_optimisation`: twice the clearance is
             worth 0.7 kappa of the sum of jerk and path length.
+        effector_weight: beta, the weight of the end effector's jerk there: half of it is worth 1.4 beta of that sum.
+            Where a region is kept, it does not count, and clearance counts 0.6 times.
         searches: number of paths searched for.
         collision_checks: largest number of configurations tested in a search.
         margin: clearance of paths, reduced where start or target is closer to something [m].
@@ -53,13 +55,14 @@ class GuideOptions(PlannerOptions):
     """
 
     optimised: bool = True
-    clearance_weight: float = 0.15
+    clearance_weight: float = 0.25
+    effector_weight: float = 0.1
     searches: int = field(default=2, metadata={"range": (1, 100)})
     collision_checks: int = 20_000
     margin: float = 0.01
     spacing: float = field(default=0.06, metadata={"range": (1e-3, 1.0)})
     longest_edge: float = field(default=0.1, metadata={"range": (1e-3, 1.0)})
-    shortcuts: int = 40
+    shortcuts: int = 20
     intervals: int = field(default=8, metadata={"range": (2, 1000)})
     instants: int = field(default=96, metadata={"range": (1, 10_000)})
     steps: int = 12
@@ -105,7 +108,8 @@ def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[
     yield "minimum-jerk", partial(_straight, problem)
     if options.optimised or problem.path_constraint is not None:
         search = _Search(problem, options)
-        for _, name, optimisation, free in sorted(search.optimised(), key=itemgetter(0)):
+        for _, name, optimisation, guess in sorted(search.optimised(), key=itemgetter(0)):
+            free = guess if search.constrained else optimisation.descend(guess, options.steps // 2, trust=0.03)[1]
             yield f"{name}, optimised", partial(in_time, optimisation.motion, problem, free)
             # A finer optimisation from there keeps clear where the former does not.
             yield f"{name}, optimised", partial(search.finer, free)
@@ -134,11 +138,14 @@ class _Search:
 
     def optimisation(self, *, own: bool) -> GuideOptimisation:
         """With the arm's distances from itself, at twice the instants; without them, at a fraction of the cost."""
+        # Where a region is kept, the effector's way is given, and room is scarce.
+        clearance, effector = (0.6, 0.0) if self.constrained else (1.0, 1.0)
         return GuideOptimisation(
             self.problem,
             self.edges.swept / self.edges.scale,
             self.ends,
-            weight=self.options.clearance_weight,
+            weight=clearance * self.options.clearance_weight,
+            effector=effector * self.options.effector_weight,
             intervals=24 if self.constrained else self.options.intervals,
             instants=(1 + own) * self.options.instants,
             own=own,
@@ -148,11 +155,13 @@ class _Search:
         """Measure, name, optimisation and control points of each candidate that is clear."""
         optimisation = self.optimisation(own=False)
         for name, guess in self.guesses(optimisation):
-            measure, free, clear = optimisation.descend(optimisation.near_constraint(guess), self.options.steps)
+            guess = optimisation.near_constraint(guess)
+            # Roughly, until it is clear which is best.
+            measure, free, clear = optimisation.descend(guess, self.options.steps, rough=not self.constrained)
             if clear:
                 yield measure, name, optimisation, free
                 # The straight motion, which none is below, costs 2. Where a region is kept, any clear motion will do.
-                if self.constrained or optimisation.cost(free) <= 1.05 * 2.0:
+                if self.constrained or optimisation.cost(free) <= 1.1 * 2.0:
                     break
 
     def finer(self, free: Floats) -> Motion:

@@ -52,7 +52,7 @@ def best_guide(problem, options):
 
 def optimisation(problem, **options):
     ends = min(map(Collisions(problem.arm).clearance, (problem.start, problem.target)))
-    settings = {"weight": 0.1, "intervals": 8, "instants": 96, **options}
+    settings = {"weight": 0.1, "effector": 0.1, "intervals": 8, "instants": 96, **options}
     return GuideOptimisation(problem, sweeps(problem.arm), ends, **settings)
 
 
@@ -105,12 +105,25 @@ def test_a_optimised_motion_is_no_worse_than_its_start_and_keeps_limits_and_clea
     motion = one.motion(poles, free)
     check_motion(poles.arm, motion)
     least = Collisions(poles.arm).least_clearance(motion.q)
-    assert measure == pytest.approx(one.measure(free, least), abs=0.05)
+    assert measure == pytest.approx(one.measure(free, least, one._effector_jerk(free)[0]), abs=0.05)
     # A larger weight of clearance gives more of it, at the cost of length and jerk.
     wide = optimisation(poles, weight=1.0)
     wider = wide.motion(poles, wide.descend(free, 12)[1])
     assert Collisions(poles.arm).least_clearance(wider.q) > 1.1 * least
     assert wide.cost(wide.descend(free, 12)[1]) > one.cost(free)
+
+
+def test_the_effectors_jerk_is_that_of_the_motion_and_a_larger_weight_gives_less(poles):
+    one = optimisation(poles)
+    guess = one.near(guides._Search(poles, GuideOptions()).path(0))
+    jerk, slope = one._effector_jerk(guess)
+    metres = motion_metrics(poles.arm, one.motion(replace(poles, duration=20.0), guess)).jerk_effector * 20.0**3
+    assert np.linalg.norm(jerk) == pytest.approx(metres / np.sqrt(720.0), rel=0.1)
+    step = 1e-4 * np.random.default_rng(0).normal(size=guess.shape)
+    ahead, behind = (one._effector_jerk(guess + side * step)[0] for side in (1.0, -1.0))
+    np.testing.assert_allclose(slope @ step.T.ravel(), 0.5 * (ahead - behind), atol=1e-4 * np.abs(ahead - behind).max())
+    less, more = (optimisation(poles, effector=weight).descend(guess, 12)[1] for weight in (0.0, 0.3))
+    assert np.linalg.norm(one._effector_jerk(more)[0]) < 0.95 * np.linalg.norm(one._effector_jerk(less)[0])
 
 
 def test_of_very_many_broken_bounds_the_deepest_count_and_all_that_hold(poles, monkeypatch):
@@ -126,7 +139,7 @@ def test_of_very_many_broken_bounds_the_deepest_count_and_all_that_hold(poles, m
         return solve(hessian, pull, rows, upper, lower, sense, **settings)
 
     monkeypatch.setattr(guide_optimisation.daqp, "solve", noted)
-    assert np.isfinite(one._step(one.straight, given, float(deep.min()), 0.1)).all()
+    assert np.isfinite(one._step(one.straight, given, one._effector_jerk(one.straight), float(deep.min()), 0.1)).all()
     kept = np.sort(guide_optimisation._TOUCHING - taken[0])
     np.testing.assert_allclose(kept, np.sort(np.concatenate([np.sort(deep)[: guide_optimisation._DEEPEST], near])))
 
@@ -134,7 +147,7 @@ def test_of_very_many_broken_bounds_the_deepest_count_and_all_that_hold(poles, m
 def test_the_winner_has_the_least_measure_whatever_the_order(poles, monkeypatch):
     one = optimisation(poles, weight=GuideOptions().clearance_weight)
     guesses = [one.near(guides._Search(poles, GuideOptions()).path(k)) for k in range(2)]
-    found = [one.descend(guess, steps) for guess, steps in zip(guesses, (12, 2), strict=True)]
+    found = [one.descend(guess, steps) for guess, steps in zip(guesses, (12, 4), strict=True)]
     assert all(clear for _, _, clear in found)
     better, worse = (one.motion(poles, free) for _, free, _ in sorted(found, key=lambda each: each[0]))
     assert motion_metrics(poles.arm, better).jerk_joints < motion_metrics(poles.arm, worse).jerk_joints
