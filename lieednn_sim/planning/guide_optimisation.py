@@ -6,14 +6,16 @@ the straight motion by minimum jerk, J is its squared jerk and E a bound on its 
 least of all. Both are quadratic in C. With the end effector's squared jerk F, in units of a straight metre by minimum
 jerk, and the least distance d from everything on the way, the measure is
 
-    log(J + E) + beta log(F) - kappa log(d),
+    log(J + E) + beta log(F) + 2 kappa (d_0 / d)^(1/2),
 
-where d counts up to that of start and target, which no motion exceeds. It is minimised by sequential quadratic
+where d counts up to that of start and target, which no motion exceeds. The last term is as steep as -kappa log(d) at
+d_0, steeper where something is nearer, and less steep further away. It is minimised by sequential quadratic
 programming: at every step MuJoCo's contacts give the distances of all pairs and their slopes, a quadratic program in C
 and d is solved within a trust region, with F by Gauss and Newton, and the step is taken if it lowers the measure.
 
-If the end effector is to stay in a region, the program has its bounds, linearised, at a few more instants, and what the
-motion is outside counts in the measure. The samples of the final motion are projected onto the region.
+If the end effector is to stay in a region, F does not count and the last term is -kappa log(d). The program has the
+region's bounds, linearised, at a few more instants, and what the motion is outside counts in the measure. The samples
+of the final motion are projected onto the region.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline
+from scipy.special import boxcox
 
 from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.budget import check_time
@@ -34,7 +37,8 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
-_TOUCHING = 2.5e-3  # clearance [m] below which a steep line continues the logarithm, so that contact is left first
+_TOUCHING = 2.5e-3  # clearance [m] below which a steep line continues its term, so that contact is left first
+_FAR = 0.11  # the clearance d_0 [m]
 _SHORT = 0.05  # way of the end effector whose jerk is added to F, so that less than that is worth little [m]
 # Bounds on distances that may be broken where a step begins: the solver takes up all of them, in cubic time. Of more,
 # as when whole links are inside of obstacles, the deepest count.
@@ -71,7 +75,8 @@ class GuideOptimisation:
         own: bool = False,
     ) -> None:
         arm = problem.arm
-        self._problem, self._scale, self._weight, self._effector = problem, arm.ranges, weight, effector
+        self._problem, self._scale, self._weight = problem, arm.ranges, weight
+        self._effector, self._power = (effector, 0.5) if problem.path_constraint is None else (0.0, 0.0)
         # Distances between instants are less; 0.15 m is ample.
         self._enough = max(min(1.1 * ends, 0.15), _TOUCHING)
         # A step may bring a pair nearer by 3 cm.
@@ -141,9 +146,12 @@ class GuideOptimisation:
     def measure(self, free: Floats, clearance: float, jerk: Floats) -> float:
         """The measure of a motion with this clearance [m] and jerks of the end effector."""
         far = min(max(clearance, _TOUCHING), self._enough)
-        touching = 100.0 * max(_TOUCHING - clearance, 0.0)
+        # A Box-Cox transform is the logarithm for a power of 0.
+        away = boxcox(far / _FAR, -self._power)
+        steep = self._weight * (_FAR / _TOUCHING) ** self._power / (0.6 * _TOUCHING)
+        touching = steep * max(_TOUCHING - clearance, 0.0)
         smooth = math.log(self.cost(free)) + self._effector * math.log(_SHORT**2 + jerk @ jerk)
-        return smooth - self._weight * math.log(far) + touching + 30.0 * self._beyond(free)
+        return smooth - self._weight * float(away) + touching + 30.0 * self._beyond(free)
 
     def descend(
         self, free: Floats, steps: int, *, trust: float = 0.1, rough: bool = False
@@ -242,7 +250,8 @@ class GuideOptimisation:
         n, count = free.shape[1], len(free)
         radius = trust / self._sweep
         instant, distance, slope = distances
-        # The last variable is the change of the clearance, relative to it: -log(1 + y) is about y^2 / 2 - y.
+        # The last variable is the change of the clearance, relative to it: -log(1 + y) is about y^2 / 2 - y,
+        # and the other term, with its power p, has 1 + p of the square.
         known = min(max(clearance, _TOUCHING), self._enough)
         most = min(1.0, self._enough / known - 1.0)
         reached = distance - known * (1.0 + most) < np.abs(slope) @ radius
@@ -251,12 +260,12 @@ class GuideOptimisation:
         instant, distance, slope = instant[reached], distance[reached], slope[reached]
         x = free.T.ravel()
         control, cost = self._control(free), self.cost(free)
-        value = self._weight * cost / 2.0
+        value = self._weight * (_FAR / known) ** self._power * cost / 2.0
         size, size_slope = jerk
         share = self._effector * cost / (_SHORT**2 + size @ size)
         hessian = self._program.copy()
         hessian[:-1, :-1] += share * (size_slope.T @ size_slope)
-        hessian[-1, -1] = value
+        hessian[-1, -1] = (1.0 + self._power) * value
         pull = (self._quadratic[self._free] @ control).T.ravel() + share * (size @ size_slope)
         rows = np.empty((len(instant), n * count + 1))
         each = slope[:, :, None] * self._rows[instant][:, None, self._free]

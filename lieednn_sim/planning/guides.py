@@ -39,9 +39,8 @@ class GuideOptions(PlannerOptions):
     Attributes:
         optimised: whether to optimise candidates; otherwise RRT-Connect's motion is taken if minimum jerk is not free.
         clearance_weight: kappa, the weight of clearance in the measure of `guide_optimisation`: twice the clearance is
-            worth 0.7 kappa of the sum of jerk and path length.
+            worth 0.7 kappa of the sum of jerk and path length where it is about 11 cm, and more where it is less.
         effector_weight: beta, the weight of the end effector's jerk there: half of it is worth 1.4 beta of that sum.
-            Where a region is kept, it does not count, and clearance counts 0.6 times.
         searches: number of paths searched for.
         collision_checks: largest number of configurations tested in a search.
         margin: clearance of paths, reduced where start or target is closer to something [m].
@@ -55,7 +54,7 @@ class GuideOptions(PlannerOptions):
     """
 
     optimised: bool = True
-    clearance_weight: float = 0.25
+    clearance_weight: float = 0.15
     effector_weight: float = 0.1
     searches: int = field(default=2, metadata={"range": (1, 100)})
     collision_checks: int = 20_000
@@ -138,14 +137,12 @@ class _Search:
 
     def optimisation(self, *, own: bool) -> GuideOptimisation:
         """With the arm's distances from itself, at twice the instants; without them, at a fraction of the cost."""
-        # Where a region is kept, the effector's way is given, and room is scarce.
-        clearance, effector = (0.6, 0.0) if self.constrained else (1.0, 1.0)
         return GuideOptimisation(
             self.problem,
             self.edges.swept / self.edges.scale,
             self.ends,
-            weight=clearance * self.options.clearance_weight,
-            effector=effector * self.options.effector_weight,
+            weight=self.options.clearance_weight,
+            effector=self.options.effector_weight,
             intervals=24 if self.constrained else self.options.intervals,
             instants=(1 + own) * self.options.instants,
             own=own,
