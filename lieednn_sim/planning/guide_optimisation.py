@@ -8,14 +8,13 @@ jerk, and the least distance d from everything on the way, the measure is
 
     log(J + E) + beta log(F) + 2 kappa (d_0 / d)^(1/2),
 
-where d counts up to that of start and target, which no motion exceeds. The last term is as steep as -kappa log(d) at
-d_0, steeper where something is nearer, and less steep further away. It is minimised by sequential quadratic
+where d counts up to that of start and target, which no motion exceeds. It is minimised by sequential quadratic
 programming: at every step MuJoCo's contacts give the distances of all pairs and their slopes, a quadratic program in C
 and d is solved within a trust region, with F by Gauss and Newton, and the step is taken if it lowers the measure.
 
-If the end effector is to stay in a region, F does not count and the last term is -kappa log(d). The program has the
-region's bounds, linearised, at a few more instants, and what the motion is outside counts in the measure. The samples
-of the final motion are projected onto the region.
+If the end effector is to stay in a region, beta is 0 and the last term -kappa log(d). The program has the region's
+bounds, linearised, at a few more instants, and what the motion is outside counts in the measure. The samples of the
+final motion are projected onto the region.
 """
 
 from __future__ import annotations
@@ -38,11 +37,15 @@ from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
 _TOUCHING = 2.5e-3  # clearance [m] below which a steep line continues its term, so that contact is left first
-_FAR = 0.11  # the clearance d_0 [m]
+_FAR = 0.11  # the clearance d_0 [m], at which the measure is as steep as with -kappa log(d)
+_EFFECTOR = 0.1  # beta, the weight of the end effector's jerk
 _SHORT = 0.05  # way of the end effector whose jerk is added to F, so that less than that is worth little [m]
 # Bounds on distances that may be broken where a step begins: the solver takes up all of them, in cubic time. Of more,
 # as when whole links are inside of obstacles, the deepest count.
 _DEEPEST = 600
+
+# Instants ``(C,)``, distances [m] and slopes ``(C, n)`` in units of the ranges of near pairs.
+_Near = tuple[NDArray[np.int_], Floats, Floats]
 
 
 class GuideOptimisation:
@@ -53,7 +56,6 @@ class GuideOptimisation:
         sweep: ``(n,)`` largest distance that a unit of each joint moves a link frame (`joint_space.sweeps`).
         ends: least distance of start and target from everything [m], the largest clearance that counts.
         weight: kappa, the weight of clearance.
-        effector: beta, the weight of the end effector's jerk.
         intervals: number of intervals of the spline.
         instants: number of instants at which distances are measured.
         own: whether distances of the arm from itself count; without them a step takes a fraction of the time.
@@ -69,14 +71,13 @@ class GuideOptimisation:
         ends: float,
         *,
         weight: float,
-        effector: float,
         intervals: int,
         instants: int,
         own: bool = False,
     ) -> None:
         arm = problem.arm
         self._problem, self._scale, self._weight = problem, arm.ranges, weight
-        self._effector, self._power = (effector, 0.5) if problem.path_constraint is None else (0.0, 0.0)
+        self._effector, self._power = (_EFFECTOR, 0.5) if problem.path_constraint is None else (0.0, 0.0)
         # Distances between instants are less; 0.15 m is ample.
         self._enough = max(min(1.1 * ends, 0.15), _TOUCHING)
         # A step may bring a pair nearer by 3 cm.
@@ -143,33 +144,27 @@ class GuideOptimisation:
         control = self._control(free)
         return float(np.sum(control * (self._quadratic @ control)))
 
-    def measure(self, free: Floats, clearance: float, jerk: Floats) -> float:
-        """The measure of a motion with this clearance [m] and jerks of the end effector."""
+    def measure(self, free: Floats, clearance: float, effector: float) -> float:
+        """The measure of a motion with this clearance [m] and F."""
         far = min(max(clearance, _TOUCHING), self._enough)
         # A Box-Cox transform is the logarithm for a power of 0.
-        away = boxcox(far / _FAR, -self._power)
-        steep = self._weight * (_FAR / _TOUCHING) ** self._power / (0.6 * _TOUCHING)
-        touching = steep * max(_TOUCHING - clearance, 0.0)
-        smooth = math.log(self.cost(free)) + self._effector * math.log(_SHORT**2 + jerk @ jerk)
-        return smooth - self._weight * float(away) + touching + 30.0 * self._beyond(free)
+        away = float(boxcox(far / _FAR, -self._power))
+        away -= (_FAR / _TOUCHING) ** self._power * max(1.0 - clearance / _TOUCHING, 0.0) / 0.6
+        smooth = math.log(self.cost(free)) + self._effector * math.log(effector)
+        return smooth - self._weight * away + 30.0 * self._beyond(free)
 
-    def descend(
-        self, free: Floats, steps: int, *, trust: float = 0.1, rough: bool = False
-    ) -> tuple[float, Floats, bool]:
-        """The measure, the control points and whether they can be used after up to this many steps from a guess.
-
-        No joint moves a link further than ``trust`` [m] in the first one. Rough ones have every second instant alone,
-        and end earlier.
-        """
+    def descend(self, free: Floats, steps: int, trust: float = 0.1, rough: bool = False) -> tuple[float, Floats, bool]:
+        """The measure, the control points and whether they can be used after up to this many steps from a guess."""
+        # Rough ones have half of the instants. The trust region is the largest distance that a joint moves a link [m].
         every, enough, least = (2, 0.02, 0.02) if rough else (1, 1e-3, 5e-3)
         distances, jerk = self._distances(free, every), self._effector_jerk(free)
-        clearance = self._least(distances)
+        clearance = distances[1].min(initial=self._enough)
         measure = self.measure(free, clearance, jerk[0])
         for _ in range(steps):
             check_time()
             new = self._step(free, distances, jerk, clearance, trust)
             ahead, smooth = self._distances(new, every), self._effector_jerk(new)
-            near = self._least(ahead)
+            near = ahead[1].min(initial=self._enough)
             lower = self.measure(new, near, smooth[0])
             if lower < measure:
                 gain = measure - lower
@@ -220,38 +215,29 @@ class GuideOptimisation:
         control[self._free] = free
         return control
 
-    def _effector_jerk(self, free: Floats) -> tuple[Floats, Floats]:
-        """Jerks ``(R,)``, whose squares add up to F, and their slopes in the free points, one joint after another."""
+    def _effector_jerk(self, free: Floats) -> tuple[float, Floats, Floats]:
+        """F, half its gradient and half its Hessian by Gauss and Newton in the free points, one joint after another."""
         q, h = self._scale * (self._even_rows @ self._control(free)), 1e-5
         # At the instants, and with each joint moved by a little of its range.
         tip = self._problem.arm.tip(q[:, None] + h * np.pad(np.diag(self._scale), ((1, 0), (0, 0))))
         slope = (tip[:, 1:] - tip[:, :1])[..., None] / h * self._even_rows[:, None, None, self._free]
         jerk, slope = (self._thirds * np.diff(each, n=3, axis=0) for each in (tip[:, 0], slope.swapaxes(1, 2)))
-        return jerk.ravel(), slope.reshape(jerk.size, free.size)
+        jerk, slope = jerk.ravel(), slope.reshape(jerk.size, free.size)
+        return _SHORT**2 + float(jerk @ jerk), jerk @ slope, slope.T @ slope
 
-    def _distances(self, free: Floats, every: int = 1) -> tuple[NDArray[np.int_], Floats, Floats]:
-        """Instants ``(C,)``, distances [m] and slopes ``(C, n)`` in units of the ranges of near pairs."""
-        rows = self._rows[::every]
-        instant, distance, slope = self._slopes.along(self._scale * (rows @ self._control(free)))
+    def _distances(self, free: Floats, every: int = 1) -> _Near:
+        q = self._scale * (self._rows[::every] @ self._control(free))
+        instant, distance, slope = self._slopes.along(q)
         return every * instant, distance, slope * self._scale
 
-    def _least(self, distances: tuple[NDArray[np.int_], Floats, Floats]) -> float:
-        return float(distances[1].min(initial=self._enough))
-
     def _step(
-        self,
-        free: Floats,
-        distances: tuple[NDArray[np.int_], Floats, Floats],
-        jerk: tuple[Floats, Floats],
-        clearance: float,
-        trust: float,
+        self, free: Floats, near: _Near, jerk: tuple[float, Floats, Floats], clearance: float, trust: float
     ) -> Floats:
         """The control points after the quadratic program's step within the trust region."""
         n, count = free.shape[1], len(free)
         radius = trust / self._sweep
-        instant, distance, slope = distances
-        # The last variable is the change of the clearance, relative to it: -log(1 + y) is about y^2 / 2 - y,
-        # and the other term, with its power p, has 1 + p of the square.
+        instant, distance, slope = near
+        # The last variable is the change of the clearance, relative to it: -log(1 + y) is about y^2 / 2 - y.
         known = min(max(clearance, _TOUCHING), self._enough)
         most = min(1.0, self._enough / known - 1.0)
         reached = distance - known * (1.0 + most) < np.abs(slope) @ radius
@@ -261,12 +247,11 @@ class GuideOptimisation:
         x = free.T.ravel()
         control, cost = self._control(free), self.cost(free)
         value = self._weight * (_FAR / known) ** self._power * cost / 2.0
-        size, size_slope = jerk
-        share = self._effector * cost / (_SHORT**2 + size @ size)
+        share = self._effector * cost / jerk[0]
         hessian = self._program.copy()
-        hessian[:-1, :-1] += share * (size_slope.T @ size_slope)
+        hessian[:-1, :-1] += share * jerk[2]
         hessian[-1, -1] = (1.0 + self._power) * value
-        pull = (self._quadratic[self._free] @ control).T.ravel() + share * (size @ size_slope)
+        pull = (self._quadratic[self._free] @ control).T.ravel() + share * jerk[1]
         rows = np.empty((len(instant), n * count + 1))
         each = slope[:, :, None] * self._rows[instant][:, None, self._free]
         rows[:, :-1] = each.reshape(len(instant), n * count)

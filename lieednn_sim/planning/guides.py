@@ -39,8 +39,7 @@ class GuideOptions(PlannerOptions):
     Attributes:
         optimised: whether to optimise candidates; otherwise RRT-Connect's motion is taken if minimum jerk is not free.
         clearance_weight: kappa, the weight of clearance in the measure of `guide_optimisation`: twice the clearance is
-            worth 0.7 kappa of the sum of jerk and path length where it is about 11 cm, and more where it is less.
-        effector_weight: beta, the weight of the end effector's jerk there: half of it is worth 1.4 beta of that sum.
+            worth 0.7 kappa of the sum of jerk and path length at about 11 cm, and more where it is less.
         searches: number of paths searched for.
         collision_checks: largest number of configurations tested in a search.
         margin: clearance of paths, reduced where start or target is closer to something [m].
@@ -55,7 +54,6 @@ class GuideOptions(PlannerOptions):
 
     optimised: bool = True
     clearance_weight: float = 0.15
-    effector_weight: float = 0.1
     searches: int = field(default=2, metadata={"range": (1, 100)})
     collision_checks: int = 20_000
     margin: float = 0.01
@@ -142,7 +140,6 @@ class _Search:
             self.edges.swept / self.edges.scale,
             self.ends,
             weight=self.options.clearance_weight,
-            effector=self.options.effector_weight,
             intervals=24 if self.constrained else self.options.intervals,
             instants=(1 + own) * self.options.instants,
             own=own,
