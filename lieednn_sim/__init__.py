@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from lieednn_sim.planning import plan_sequence as plan_sequence
     from lieednn_sim.planning import register_planner as register_planner
     from lieednn_sim.policies import Feedback as Feedback
+    from lieednn_sim.policies import LoopOptions as LoopOptions
     from lieednn_sim.policies import NetworkPolicy as NetworkPolicy
     from lieednn_sim.policies import Policy as Policy
     from lieednn_sim.policies import control_loop as control_loop
@@ -74,7 +75,7 @@ _NAMES = {
     "live": ("view",),
     "network": ("LieEDNN",),
     "planning": ("Actuate", "Move", "Plan", "plan", "plan_learned", "plan_sequence", "register_planner"),
-    "policies": ("Feedback", "NetworkPolicy", "Policy", "control_loop", "make_policy"),
+    "policies": ("Feedback", "LoopOptions", "NetworkPolicy", "Policy", "control_loop", "make_policy"),
     "rendering.page": ("render_page",),
     "rendering.still": ("render_still",),
     "rendering.video": ("render_video",),

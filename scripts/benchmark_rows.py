@@ -35,7 +35,7 @@ from lieednn_sim.planning import PLANNERS, Plan, plan
 from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.network_path import NetworkPath
-from lieednn_sim.policies import POLICIES, NetworkPolicy, make_policy
+from lieednn_sim.policies import POLICIES, NetworkPolicy, ReplanningPolicy, make_policy
 from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.rendering.overlay import Overlay
 from lieednn_sim.rendering.video import Camera, mp4_writer, render_video
@@ -152,6 +152,18 @@ def policy_rows(arm: Arm) -> Iterator[Row]:
     for name in POLICIES:
         times = follow(make_policy(name, arm, target), target, 4.0).step_time
         yield Row(f"step of policy {name}, {arm.name} [us]", 1e6 * times)
+
+
+def change_row(arm: Arm, count: int) -> Row:
+    """Time of the periods in which the policy ``lieednn-replanning`` gets another target, on its way to the last."""
+    policy, times = ReplanningPolicy(arm), []
+    policy.reset("home")
+    for seed in range(count):
+        target = draw_target(arm, seed)
+        times.append(1e6 * seconds(partial(policy.step, None, target)))
+        for _ in range(30):
+            policy.step(None, target)
+    return Row(f"new target for lieednn-replanning, {arm.name} [us]", times, "<= 1000")
 
 
 def evaluation_rows(arm: Arm, network: LieEDNN, instants: int, repeats: int) -> Iterator[Row]:
@@ -506,6 +518,7 @@ def ratio_rows(targets: list[np.ndarray], epochs: dict[str, list[float]], scale:
         *plan_rows(arm, arm.keyframe("extended"), chosen.motion, synthesis, often),
         *(row for each in arms for row in control_step_rows(each)),
         *policy_rows(arm),
+        *(change_row(each, max(200 // scale, 2)) for each in arms),
         *evaluation_rows(arm, chosen.network, max(10_000 // scale, 10), often),
         *start_rows(repeats),
         *rollout_rows(arm, chosen.motion, repeats),

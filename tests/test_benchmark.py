@@ -50,6 +50,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
         (("environment step of ",), 6 if find_spec("dm_control") else 4),
         (("step of policy ",), len(POLICIES)),
         (("control step of follow",), 2 * len(DEFAULT_ARMS)),
+        (("new target for lieednn-replanning",), len(DEFAULT_ARMS)),
     ):
         assert len([name for name in measured if all(part in name for part in parts)]) == count, parts
     assert all(f"| {name} | " in text for name in measured)

@@ -19,6 +19,7 @@ from lieednn_sim.values import Floats
 PLANNED_CLEARANCE = 0.002
 # Change of qpos in which an arm leaves what it is too near to [rad, m]; and what rounding adds to distances [m].
 _LEFT, _ROUNDING = 0.1, 1e-9
+_NOTHING = np.zeros(0), np.zeros((0, 2), dtype=int)
 
 
 class ContactOffsets:
@@ -106,8 +107,8 @@ class ContactFinder:
 
         Distances are from where the geoms begin to push each other.
         """
-        self._found(qpos)
-        return self._near()
+        # Nearly always there are none, and making arrays takes as long as finding that out.
+        return self._near() if self._found(qpos) else _NOTHING
 
     def _near(self) -> tuple[Floats, NDArray[np.int_]]:
         """As `geoms`, where contacts have been found."""
@@ -141,10 +142,9 @@ class ContactFinder:
     def bodies(self, qpos: Floats) -> list[tuple[str, str]]:
         """Names of the bodies closer than the margin at MuJoCo's positions ``(nq,)``."""
         model = self._model
-        # Nearly always, so without making arrays.
-        if not self._found(qpos):
+        near = self.geoms(qpos)[1]
+        if not len(near):
             return []
-        near = self._near()[1]
         pairs = model.geom_bodyid[near]
         return list(dict.fromkeys((model.body(a).name, model.body(b).name) for a, b in pairs))
 

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim.lie import hat, left_jacobian_so3, log, skew, transforms
+from lieednn_sim.lie import hat, left_jacobian_so3, logarithm, moving, skew, transforms
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -215,15 +215,45 @@ class CompoundJoints:
         """
         offset = q - self.reference
         twists = np.empty((*offset.shape[:-1], len(self.joints), 6))
-        moved = {}
+        (once, parts), moved = self._turning_once, {}
         for i, joint in enumerate(self.joints):
             if joint.screw is not None:
                 twists[..., i, :] = offset[..., joint.indices] * joint.screw
-            else:
+            elif i not in once:
                 moved[i] = joint.pose(offset)
         if moved:
-            twists[..., list(moved), :] = log(transforms(*_stacked(moved.values())))
+            twists[..., list(moved), :] = logarithm(*_stacked(moved.values()))
+        if once:
+            turn, total, difference, shift = (parts @ offset.reshape(-1, offset.shape[-1]).T).reshape(4, 3, -1)
+            angle = np.sqrt(np.einsum("ib,ib->b", turn, turn))
+            principal = 1.0 - 2.0 * np.pi * np.round(angle / (2.0 * np.pi)) / np.maximum(angle, 1.0)
+            omega = principal * turn
+            found = np.concatenate([omega, moving(omega, total, difference) + principal * shift])
+            twists[..., once, :] = found.reshape(6, len(once), -1).T.reshape(*offset.shape[:-1], -1, 6)
         return twists
+
+    @cached_property
+    def _turning_once(self) -> tuple[list[int], Floats]:
+        """The joints whose dof are slides and one hinge or ball, which need no logarithm, and their poses in parts.
+
+        With slides p before and q after it and its anchor c, the translation is p + R q + (I - R) c, where the last one
+        is J(omega) (-omega x c). The parts ``(12 J, n)`` map displacements to omega, p + q, p - q and -omega x c of all
+        J joints, component by component.
+        """
+        parts = {}
+        for i, joint in enumerate(self.joints):
+            turning = [f for f, factor in enumerate(joint.factors) if factor.kind != "slide"]
+            if joint.screw is None and len(turning) == 1:
+                part = parts[i] = np.zeros((4, 3, len(self.reference)))
+                for f, factor in enumerate(joint.factors):
+                    omega, v = (twist.T for twist in factor.twists(np.zeros(len(self.reference))))
+                    if f == turning[0]:
+                        part[0][:, factor.indices], part[3][:, factor.indices] = omega, v
+                    else:
+                        part[1][:, factor.indices] += v
+                        part[2][:, factor.indices] += v if f < turning[0] else -v
+        stacked = np.array([*parts.values()]).reshape(-1, 12, len(self.reference))
+        return list(parts), stacked.swapaxes(0, 1).reshape(-1, len(self.reference))
 
 
 def _stacked(poses: Iterable[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ from lieednn_sim.arm.projection import Retraction, Retractor
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import transforms
 from lieednn_sim.validation import as_count, as_floats, quoted
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, read_only
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -266,10 +266,10 @@ class SerialArm:
             begin = as_floats("start", begin, (*twist.shape[:-2], self.n_joints))
         return self.retractor(twist, rate, begin)
 
-    @property
+    @cached_property
     def twist_units(self) -> Floats:
         """``(6,)`` the units of the network's coordinates (omega, v) [rad, m]."""
-        return np.repeat([1.0, self.length_scale], 3)
+        return read_only(np.repeat([1.0, self.length_scale], 3))
 
     @cached_property
     def retractor(self) -> Retractor:

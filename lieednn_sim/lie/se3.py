@@ -79,8 +79,28 @@ def exp(twist: ArrayLike) -> RigidTransform:
 
 def log(pose: RigidTransform) -> Floats:
     """Principal logarithm ``(..., 6)`` of poses, the inverse of `exp` for rotation angles up to pi [rad, m]."""
-    flat = scipy.spatial.transform.RigidTransform(pose.as_matrix().reshape(-1, 4, 4), normalize=False, copy=False)
-    return np.asarray(flat.as_exp_coords()).reshape(*pose.shape, 6)
+    matrix = pose.as_matrix()
+    return logarithm(matrix[..., :3, :3], matrix[..., :3, 3])
+
+
+def logarithm(rotation: Floats, translation: Floats) -> Floats:
+    """`log` of rotations ``(..., 3, 3)`` and translations ``(..., 3)``: unchecked, in half of the time of SciPy's."""
+    turn = scipy.spatial.transform.Rotation.from_matrix(rotation.reshape(-1, 3, 3), assume_valid=True)
+    omega, p = turn.as_rotvec().T.copy(), translation.reshape(-1, 3).T.copy()
+    return np.concatenate([omega, moving(omega, p, p)]).T.reshape(*translation.shape[:-1], 6)
+
+
+def moving(omega: Floats, total: Floats, difference: Floats) -> Floats:
+    """The v with J(omega) v = p + R q, in inner loops, from p + q and p - q; components ``(3, M)``, unchecked.
+
+    J^-1 = I - hat(omega) / 2 + k hat(omega)^2, k = (1 - a/2 cot(a/2)) / a^2; in J^-1 R omega has the other sign.
+    """
+    square = np.einsum("ib,ib->b", omega, omega)
+    # Cancellation in the coefficient costs nothing here either.
+    safe = np.maximum(square, 1e-8)
+    half = 0.5 * np.sqrt(safe)
+    twice = np.einsum("ib,ib->b", omega, total) * omega - square * total
+    return np.asarray(total - 0.5 * _cross(omega, difference) + (1.0 - half / np.tan(half)) / safe * twice)
 
 
 def continued(twists: Floats) -> Floats:
@@ -89,11 +109,11 @@ def continued(twists: Floats) -> Floats:
     The axis -n and the angle 2 pi - a give the same rotation as n and a, and v = J_l^-1 p there the same translation,
     in any unit. Near a turn of 2 pi there is no continuous logarithm.
     """
-    omega = twists[..., :3]
-    turned = np.linalg.norm(np.diff(omega, axis=0), axis=-1) > np.pi
-    beyond = np.concatenate([np.zeros_like(turned[:1]), np.cumsum(turned, axis=0) % 2 == 1])
-    if not beyond.any():
+    steps = twists[1:, ..., :3] - twists[:-1, ..., :3]
+    turned = np.einsum("...i,...i", steps, steps) > np.pi**2
+    if not turned.any():
         return twists
+    beyond = np.concatenate([np.zeros_like(turned[:1]), np.cumsum(turned, axis=0) % 2 == 1])
     result, given = twists.copy(), twists[beyond]
     other = given[:, :3] * (1.0 - 2.0 * np.pi / np.linalg.norm(given[:, :3], axis=-1, keepdims=True))
     place = left_jacobian_so3(given[:, :3]) @ given[:, 3:, None]

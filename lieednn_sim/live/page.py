@@ -22,7 +22,7 @@ from lieednn_sim.live.session import Session
 from lieednn_sim.live.settings import Settings
 from lieednn_sim.live.snapshot import Observer
 from lieednn_sim.registry import optional_module
-from lieednn_sim.rendering import viser_scene
+from lieednn_sim.rendering.viser_server import quiet_server
 from lieednn_sim.validation import Seed, as_count, as_seed
 from lieednn_sim.values import Floats
 
@@ -49,7 +49,7 @@ class Page:
 
     def __init__(self, session: Session, *, host: str = "127.0.0.1", port: int = 0) -> None:
         self.session, self._closed, self._resources = session, threading.Event(), contextlib.ExitStack()
-        server = viser_scene.quiet_server(host, as_count("port", port, 0, 65535))
+        server = quiet_server(host, as_count("port", port, 0, 65535))
         self._server: Any = self._resources.enter_context(server)
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         self.url = f"http://{shown}:{self._server.get_port()}"

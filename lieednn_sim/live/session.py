@@ -22,10 +22,10 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.budget import reporting
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, SimulationError
 from lieednn_sim.live.engine import Engine, Made, foreseen, make_for
 from lieednn_sim.live.settings import Settings
+from lieednn_sim.live.worker import Worker
 from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.planning.motion import usual_rate
 from lieednn_sim.policies import Policy
@@ -39,73 +39,6 @@ from lieednn_sim.values import Floats
 SPEEDS = (0.1, 4.0)
 # Control periods over which the loop measures how fast it runs, its wait while paused [s], and points of a drawn path.
 _MEASURED, _PAUSED_WAIT, _DRAWN = 50, 0.02, 60
-
-
-class Superseded(Exception):
-    """There is a newer job."""
-
-
-class Worker:
-    """Does jobs one after another in a thread, for which the loop never waits; of those that wait only the newest.
-
-    ``failed`` is called in the thread with an exception of a job other than `Superseded`.
-    """
-
-    def __init__(self, name: str, failed: Callable[[Exception], object]) -> None:
-        self._failed, self._changed = failed, threading.Condition()
-        self._next: Callable[[], object] | None = None
-        self._busy = self._closed = False
-        # A job may take seconds: it must not keep the process from ending.
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
-
-    def submit(self, job: Callable[[], object]) -> None:
-        """Do a job as soon as the present one ends, instead of another one that waits."""
-        with self._changed:
-            self._next = job
-            self._changed.notify_all()
-
-    def check(self, *_: object) -> None:
-        """Within a job, and whenever that reports: raise `Superseded` if its result is no longer wanted."""
-        with self._changed:
-            if self._next is not None or self._closed:
-                raise Superseded
-
-    @property
-    def busy(self) -> bool:
-        """Whether there is something to do."""
-        with self._changed:
-            return self._busy or self._next is not None
-
-    def wait(self) -> None:
-        """Wait until there is nothing to do."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._closed or not (self._busy or self._next is not None))
-
-    def close(self) -> None:
-        """Take no more jobs; the present one ends when it looks (`check`), or with the process."""
-        with self._changed:
-            self._closed, self._next = True, None
-            self._changed.notify_all()
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._next is not None)
-                if self._closed or self._next is None:
-                    return
-                job, self._next, self._busy = self._next, None, True
-            try:
-                with reporting(self.check):
-                    job()
-            except Superseded:
-                pass
-            except Exception as error:
-                self._failed(error)
-            finally:
-                with self._changed:
-                    self._busy = False
-                    self._changed.notify_all()
 
 
 class Aim(NamedTuple):

@@ -92,18 +92,31 @@ class UndrivenState:
         driven = ratio * network.driven_weight
         if len(driven) > size or driven[:, :size].any():
             raise InputError("only visible neurons may have inputs, and only from hidden ones")
-        self._weight, self._phi = driven[:, size:], network.phi
-        self._rest = ratio * network.bias[network.n_visible :].ravel()
-        self._off = network.hidden_start.ravel() - self._rest
-        self._resting = self._weight @ self._phi(self._rest)
-        self.target = ratio * network.bias[: network.n_visible].ravel() + self._resting
+        # For each visible coordinate those hidden ones that drive it, with weights of zero where others have more.
+        weight, self._phi = driven[:, size:], network.phi
+        count = int(np.count_nonzero(weight, axis=1).max())
+        self._drivers = np.argsort(weight == 0.0, axis=1, kind="stable")[:, :count]
+        self._weight = np.take_along_axis(weight, self._drivers, axis=1)
+        self._rest = (ratio * network.bias[network.n_visible :]).ravel()[self._drivers]
+        self._resting = np.vecdot(self._phi(self._rest), self._weight)
+        self._begin(network.hidden_start, ratio * network.bias[: network.n_visible].ravel() + self._resting, visible)
+
+    def begun(self, hidden_start: Floats, target: Floats, visible: Floats) -> UndrivenState:
+        """A state of the network with another hidden start ``(M, 6)``, target and visible state ``(N, 6)``."""
+        state = object.__new__(UndrivenState)
+        vars(state).update(vars(self))
+        state._begin(hidden_start, target.ravel(), visible)
+        return state
+
+    def _begin(self, hidden_start: Floats, target: Floats, visible: Floats) -> None:
+        self._off, self.target, self.x = hidden_start.ravel()[self._drivers] - self._rest, target, visible.ravel()
         self._left = 1.0
-        self.x = visible.ravel()
         self.flow = self._input(np.ones(1))[0] + self.target - self.x
 
     def _input(self, left: Floats) -> Floats:
         """U(h) - x_d ``(m, 6N)`` where e^-z is ``(m,)``."""
-        return np.asarray(self._phi(self._rest + left[:, None] * self._off) @ self._weight.T - self._resting)
+        outputs = self._phi(self._rest + left[:, None, None] * self._off)
+        return np.asarray(np.vecdot(outputs, self._weight) - self._resting)
 
     def advance(self, z: float) -> None:
         """Advance by a time z of 1/gamma."""

@@ -12,59 +12,66 @@ where v is the joints' speed in their units. The second part keeps the clock run
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.lie import continued
-from lieednn_sim.network.stepping import UndrivenState
+from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.planning.transition import Transition
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.values import Floats
 
+# Hermite's cubics, the lowest power first, of values and slopes at both ends of a step; and their values in between.
+_HERMITE = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-3.0, -2.0, 3.0, -1.0], [2.0, 1.0, -2.0, 1.0]])
+_QUARTERS = np.linspace(0.0, 0.75, 4)[:, None] ** np.arange(4)
+
 
 class Clock:
     """The network's time z as a function of the time of a motion [s].
 
     Args:
-        t: ``(K,)`` even times from 0 to the duration.
-        speed: ``(K,)`` speed of the joints at these times, in any unit.
+        duration: duration of the motion [s].
+        speed: ``(K,)`` speed of the joints at even times from 0 to the duration, in any unit.
     """
 
-    def __init__(self, t: Floats, speed: Floats) -> None:
-        s, duration = t / t[-1], float(t[-1])
-        length = float(np.trapezoid(speed, t))
+    def __init__(self, duration: float, speed: Floats) -> None:
+        count = len(speed) - 1
+        step = duration / count
+        length = step * float(speed.sum() - 0.5 * (speed[0] + speed[-1]))
         part = 0.5 if length > 0.0 else 1.0
-        rate = 3.0 * part * (1.0 - s) ** 2 / duration + (1.0 - part) * speed / max(length, 1e-300)
-        steps = 0.5 * (rate[1:] + rate[:-1]) * (t[1] - t[0])
+        rate = 3.0 * part / (duration * count**2) * np.arange(count, -1.0, -1.0) ** 2
+        rate += (1.0 - part) / max(length, 1e-300) * speed
         # Summed from the end, where what is left is small.
-        left = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+        left = np.zeros(count + 1)
+        np.cumsum((rate[1:] + rate[:-1])[::-1], out=left[-2::-1])
         y = np.cbrt(left / left[0])
         # The rate stays as it is where a ten-thousandth of the way is left.
-        kept = slice(int(np.flatnonzero(y >= 0.05)[-1]) + 1)
-        self._y = CubicHermiteSpline(t[kept], y[kept], -rate[kept] / left[0] / (3.0 * y[kept] ** 2))
-        self._rate = self._y.derivative()
-        self._last = float(t[kept][-1])
-        times = np.linspace(0.0, self._last, 4 * len(t))
-        self._inverse = np.append(times, duration), np.append(self._y(times), 0.0)
-        self._last_rate = self._rate_at(self._last)
-
-    def _rate_at(self, t: float) -> float:
-        return -3.0 * float(self._rate(t)) / float(self._y(t))
+        y = y[: np.count_nonzero(y >= 0.05)]
+        slope = rate[: len(y)] / (-1.5 * left[0] * y * y)
+        ends = np.array([y[:-1], slope[:-1], y[1:], slope[1:]])
+        self._cubics, self._step, self._last = _HERMITE @ ends, step, step * (len(y) - 1)
+        times = 0.25 * step * np.arange(4.0 * len(y) - 2.0)
+        times[-1] = duration
+        self._inverse = times, -np.concatenate([(_QUARTERS @ self._cubics).T.ravel(), [y[-1], 0.0]])
 
     def __call__(self, t: float) -> tuple[float, float]:
         """The network's time z at a time, and its rate r [1/s]."""
         inside = min(t, self._last)
-        rate = self._last_rate if t > self._last else self._rate_at(inside)
-        return -3.0 * math.log(float(self._y(inside))) + (t - inside) * rate, rate
+        k = min(int(inside / self._step), self._cubics.shape[1] - 1)
+        part = inside / self._step - k
+        a, b, c, d = self._cubics[:, k].tolist()
+        y = a + part * (b + part * (c + part * d))
+        rate = -3.0 * (b + part * (2.0 * c + part * 3.0 * d)) / (self._step * y)
+        return -3.0 * math.log(y) + (t - inside) * rate, rate
 
     def times(self, left: Floats) -> Floats:
-        """Times ``(F,)`` at which e^-z is ``(F,)``; the duration where it is never."""
+        """Times ``(L,)`` at which e^-z is ``(L,)``; the duration where it is never."""
         t, y = self._inverse
-        return np.interp(-np.cbrt(left), -y, t)
+        return np.interp(-np.cbrt(left), y, t)
 
 
 class TimedPath:
@@ -85,16 +92,14 @@ class TimedPath:
 
     def __init__(self, arm: Arm, encoder: CurveEncoder, transition: Transition, visible: Floats) -> None:
         self.transition, duration = transition, transition.duration
-        t = np.linspace(0.0, duration, 129)
-        _, qd, _ = transition(t)
-        self.clock = Clock(t, np.linalg.norm(qd / joint_scale(arm), axis=1))
+        self.clock = Clock(duration, np.sqrt(((transition.even[1] / joint_scale(arm)) ** 2).sum(axis=1)))
         # For differences at the start.
         h = 1e-3 * duration
-        times = np.concatenate([h * np.arange(4), self.clock.times(encoder.levels), [duration]])
+        times = np.concatenate([h * np.arange(4.0), self.clock.times(encoder.levels), [duration]])
         q, _, _ = transition(times)
-        states = continued(np.concatenate([visible[None], arm.encode(q)]))[1:]
+        states = continued(np.concatenate([visible[None], arm.joints.twists(q) / arm.twist_units]))[1:]
         # What the state lacks of a configuration, a mechanism gap, fades.
-        left = 1.0 - minimum_jerk_law(np.clip(times / duration, 0.0, 1.0))[0]
+        left = 1.0 - minimum_jerk_law(np.minimum(times / duration, 1.0))[0]
         states += left[:, None, None] * (visible - states[0])
         near, rest, target = states[:4], states[4:-1], states[-1]
         velocity = (-1.5 * near[0] + 2.0 * near[1] - 0.5 * near[2]) / h
@@ -103,5 +108,11 @@ class TimedPath:
         # x'' = r^2 d^2x/dz^2 + r' dx/dz.
         along = velocity / rate
         bend = (acceleration - (after - rate) / h * along) / rate**2
-        self.network = encoder.encode_at(rest, visible, target, along, bend)
-        self.state = UndrivenState(self.network, visible)
+        self._encoder, self._target = encoder, target
+        self._code = encoder.code_at(rest, visible, target, along, bend)
+        self.state = encoder.still.begun(self._code, target, visible)
+
+    @cached_property
+    def network(self) -> LieEDNN:
+        """The network with the code and the target of the motion."""
+        return self._encoder.with_code(self._code, self._target)

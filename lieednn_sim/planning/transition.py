@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
@@ -28,8 +29,14 @@ from lieednn_sim.values import Floats
 _FADING = np.array(
     [[1.0, 0.0, 0.0, -10.0, 15.0, -6.0], [0.0, 1.0, 0.0, -6.0, 8.0, -3.0], [0.0, 0.0, 0.5, -1.5, 1.5, -0.5]]
 )
+# From the coefficients of a polynomial, the lowest power first, to its own and those of its first two derivatives.
+_DERIVATIVES = np.stack([np.linalg.matrix_power(np.diag(np.arange(1.0, 6.0), 1), order) for order in range(3)])
 # Fraction of the limits of velocity and acceleration that a base may take; together with the corrections.
 BASE_FRACTION, FRACTION = 0.5, 0.8
+# What is tried: factors on the base's duration, and durations of the fade over the transition's.
+_SLOWER, _SHARES = (1.0, 1.25, 1.6, 2.2, 3.0), (1.0, 0.5, 0.25, 0.12, 0.06)
+# Samples of a transition, and of a shorter fade; every second of the former is looked at for what is in the way.
+_EVEN, _OF_FADE = np.linspace(0.0, 1.0, 97), np.linspace(0.0, 1.0, 16)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +65,38 @@ class Transition:
         """Joint coordinates ``(n,)`` at the end."""
         return np.asarray(self.base(self.base.x[-1]))
 
+    @cached_property
+    def even(self) -> tuple[Floats, Floats, Floats]:
+        """What a call returns at 97 even times from 0 to the duration."""
+        return self(self.duration * _EVEN)
+
     def __call__(self, t: Floats) -> tuple[Floats, Floats, Floats]:
         """Joint coordinates, rates and accelerations, each ``(K, n)``, at times ``(K,)``; at rest after the end."""
-        own = np.clip(t / self.slower, 0.0, self.base.x[-1])
-        s = np.clip(t / self.fade, 0.0, 1.0)[:, None] ** np.arange(6)
-        scaled = self.differences * self.fade ** np.arange(3.0)[:, None]
-        results = []
-        factors = _FADING
-        for order in range(3):
-            part = self.base(own, nu=order) / self.slower**order
-            results.append(part + s[:, : factors.shape[1]] @ (factors.T @ scaled) / self.fade**order)
-            factors = factors[:, 1:] * np.arange(1.0, factors.shape[1])
-        return results[0], results[1], results[2]
+        # Powers, the lowest first.
+        powers = np.ones((6, len(t)))
+        powers[1:] = np.minimum(np.maximum(t / self.fade, 0.0), 1.0)
+        result = np.multiply.accumulate(powers, out=powers).T @ self._factors
+        if not self._one:
+            own = np.minimum(np.maximum(t / self.slower, 0.0), self.base.x[-1])
+            for order, part in enumerate(result):
+                part += self.base(own, nu=order) / self.slower**order
+        q, qd, qdd = result
+        return q, qd, qdd
+
+    @cached_property
+    def _one(self) -> bool:
+        """Whether the whole motion is one polynomial: the base has one piece, and corrections take as long."""
+        return self.base.c.shape[1] == 1 and self.fade == self.duration
+
+    @cached_property
+    def _factors(self) -> Floats:
+        """``(3, 6, n)`` coefficients in s of the corrections, their rates and accelerations, or of the whole motion."""
+        times = self.fade ** np.arange(3.0)[:, None]
+        factors = _FADING.T @ (self.differences * times)
+        if self._one:
+            own = self.base.c[::-1, 0]
+            factors[: len(own)] += own * self.base.x[-1] ** np.arange(float(len(own)))[:, None]
+        return _DERIVATIVES @ factors / times[..., None]
 
 
 def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str | None] | None = None) -> Transition:
@@ -87,28 +114,41 @@ def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str
         PlanError: no transition tried keeps the limits and the clearance.
     """
     # The base's own acceleration may be left out: it begins at rest, and a spline's is no exact one.
-    differences = now - np.stack([base(0.0), base(0.0, nu=1), np.zeros_like(now[2])])
-    refusal = "no transition keeps the limits of the joints"
-    # Durations of the fade over the transition's.
-    shares = (1.0, 0.5, 0.25, 0.12, 0.06) if (np.abs(differences) > 1e-12).any() else (1.0,)
-    for slower, share in product((1.0, 1.25, 1.6, 2.2, 3.0), shares):
-        duration = slower * float(base.x[-1])
-        fade = share * duration
-        result = Transition(base, slower, differences, fade)
-        of_fade = np.linspace(0.0, fade, 16)
-        t = np.concatenate([of_fade, np.linspace(0.0, duration, 48)])
-        q, qd, qdd = result(t)
-        if (
-            (np.abs(qd) > FRACTION * arm.velocity_limits).any()
-            or (np.abs(qdd) > FRACTION * arm.acceleration_limits).any()
-            or (arm.limit_excess(q) > LIMIT_TOLERANCE).any()
-        ):
-            continue
-        # All samples of a fade that takes the whole motion are there twice.
-        blocked = None if clear is None else clear(q[len(of_fade) * (share == 1.0) :])
-        if blocked is None:
-            return result
+    differences = now - [base.c[-1, 0], base.c[-2, 0], np.zeros(len(now[2]))]
+    refusal, looked = "no transition keeps the limits of the joints", _EVEN[::2]
+
+    @cache
+    def blocked_after(share: float) -> str | None:
+        # Where nothing is left of the corrections, all transitions take the way of the base.
+        if clear is None or share == _SHARES[0]:
+            return None
+        before = _SHARES[_SHARES.index(share) - 1]
+        return blocked_after(before) or clear(base(base.x[-1] * looked[(share < looked) & (looked <= before)]))
+
+    moves = bool((np.abs(differences) > 1e-12).any())
+    for slower, share in product(_SLOWER, _SHARES if moves else _SHARES[:1]):
+        blocked = blocked_after(share)
+        if not blocked:
+            result = Transition(base, slower, differences, share * slower * float(base.x[-1]))
+            q, qd, qdd = result.even
+            seen = q[::2]
+            if share < 1.0:
+                of_fade = result(result.fade * _OF_FADE)
+                q, qd, qdd = map(np.concatenate, zip(of_fade, result.even, strict=True))
+                seen = np.concatenate([of_fade[0], seen[looked <= share]])
+            if (
+                (np.abs(qd) > FRACTION * arm.velocity_limits).any()
+                or (np.abs(qdd) > FRACTION * arm.acceleration_limits).any()
+                or (arm.limit_excess(q) > LIMIT_TOLERANCE).any()
+            ):
+                continue
+            blocked = None if clear is None else clear(seen)
+            if blocked is None:
+                return result
         refusal = f"no transition keeps clear of {blocked}"
+        if not moves:
+            # All others take the same way.
+            break
     raise PlanError(refusal)
 
 
@@ -117,10 +157,11 @@ def straight(arm: Arm, start: Floats, target: Floats, least: float) -> PPoly:
     distance = np.abs(target - start)
     # The law's largest speed and acceleration on [0, 1].
     duration = max(least, _slower(arm, 1.875 * distance, 10.0 / np.sqrt(3.0) * distance))
-    powers = np.array([6.0, -15.0, 10.0, 0.0, 0.0, 0.0]) / duration ** np.arange(5.0, -1.0, -1.0)
-    factors = powers[:, None, None] * (target - start)
-    factors[-1] += start
-    return PPoly(factors, [0.0, duration])
+    factors = np.zeros((6, 1, len(start)))
+    for k, factor in enumerate((6.0, -15.0, 10.0)):
+        factors[k] = factor / duration ** (5 - k) * (target - start)
+    factors[5] = start
+    return PPoly.construct_fast(factors, np.array([0.0, duration]))
 
 
 def along(arm: Arm, motion: Motion) -> PPoly:

@@ -7,6 +7,7 @@ from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.fabric import Fabric, FabricOptions
 from lieednn_sim.policies.feedback import Feedback, JointPolicy
 from lieednn_sim.policies.loop import LoopReport, control_loop
+from lieednn_sim.policies.loop_faults import LoopOptions
 from lieednn_sim.policies.making import PolicyTask, make_policy, register_policy
 from lieednn_sim.policies.network_policy import CertifiedPolicyOptions, NetworkPolicy
 from lieednn_sim.policies.path_integral import PathIntegral, PathIntegralOptions
@@ -26,6 +27,7 @@ __all__ = [
     "FilterStep",
     "FilteredPolicy",
     "JointPolicy",
+    "LoopOptions",
     "LoopReport",
     "MotionTracker",
     "MovementPrimitive",

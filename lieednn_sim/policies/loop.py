@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import gc
 import math
+import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,28 +21,34 @@ from numpy.typing import ArrayLike
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.policies.base import Policy
+from lieednn_sim.policies.loop_faults import MAX_PERIODS, LoopOptions, LoopRun
 from lieednn_sim.policies.planned import MotionTracker
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
-_MAX_PERIODS = 10**7
-
 
 @frozen
 class LoopReport:
-    """Report of `control_loop`: its timing, and why it stopped early.
+    """Report of `control_loop`: its timing, what went wrong, and how it ended.
 
     Attributes:
         lateness: ``(L,)`` time from the end of each period until its reference was sent [s]; negative if in time.
         step_time: ``(L,)`` wall time that the policy took in each period [s].
         message: the policy's last message.
-        stopped: when and by which joint the run left the proof of its plan; empty if the loop did not stop there.
+        stopped: why the loop stopped, if not because its duration was over; else empty.
+        faults: how often what went wrong: measurements ``missing``, ``malformed``, not to be ``read``, with a ``jump``,
+            ``stale``; a ``target`` refused; failures of ``write``; and whether the policy, stop or on_late ``raised``.
+        at_rest: whether the last reference sent is at rest; `stopped` says why not.
+        error: the exception for which the loop stopped, if any; after Ctrl-C a `KeyboardInterrupt`.
     """
 
     lateness: Floats
     step_time: Floats
     message: str
-    stopped: str = ""
+    stopped: str
+    faults: dict[str, int]
+    at_rest: bool
+    error: BaseException | None
 
     @property
     def missed(self) -> int:
@@ -50,10 +59,9 @@ class LoopReport:
         periods, worst = len(self.lateness), 1e6 * float(self.step_time.max())
         typical = 1e6 * float(np.median(self.step_time))
         late = "none late" if not self.missed else f"{self.missed} late, by up to {1e3 * self.lateness.max():.3g} ms"
-        stopped = f"; stopped: {self.stopped}" if self.stopped else ""
-        return (
-            f"{periods} periods, {late}; the policy took {typical:.0f} us in the median, {worst:.0f} at most{stopped}"
-        )
+        faults = "".join(f"; {kind}: {count}" for kind, count in self.faults.items() if count)
+        ends = f"{faults}; stopped: {self.stopped}" if self.stopped else faults
+        return f"{periods} periods, {late}; the policy took {typical:.0f} us in the median, {worst:.0f} at most{ends}"
 
 
 def control_loop(
@@ -65,76 +73,104 @@ def control_loop(
     *,
     on_late: Callable[[int, float], object] | None = None,
     stop_outside: bool = False,
+    stop: Callable[[], object] | None = None,
+    options: LoopOptions | None = None,
 ) -> LoopReport:
     """Run a policy at its rate: read the joints, ask the policy, write the reference, and wait for the next period.
 
-    The policy is reset where the joints are. After a period that ends late, the next one begins at once, and all keep
-    their full length: the loop does not catch up. Python's garbage is collected before the loop, not in it. An
-    exception of `read` or `write` ends the loop, as Ctrl-C does.
+    The policy is reset where the joints are. A joint whose reference from the policy breaks a limit of velocity or
+    acceleration is sent one that lags behind within the limits. After a period that ends late, the next one begins at
+    once, and all keep their full length: the loop does not catch up. Python's garbage is collected before the loop, not
+    in it.
+
+    At last the reference brakes to rest, straight ahead, within the limits of acceleration: after the duration, when
+    more goes wrong than the options put up with, when the policy, `stop` or `on_late` raises, and at Ctrl-C in the main
+    thread, unless that has a handler of one's own; a second Ctrl-C ends at once. What goes wrong once the loop runs is
+    not raised but reported. Only if `write` fails the last reference may not be at rest.
 
     Args:
         policy: the policy.
         read: called once a period; returns the measured joints ``(n,)``, or, not at first, None if there are none.
-        write: called with the reference q and qd ``(n,)`` for the end of the period.
-        target: joint coordinates ``(n,)``, a keyframe's name, or a function of the time since the beginning [s].
+        write: called with the reference q and qd ``(n,)`` for the end of the period; with the same ones in the next
+            period if it raises.
+        target: joint coordinates ``(n,)``, a keyframe's name, or a function of the time since the beginning [s]; while
+            this raises, or returns what is malformed or out of reach, the last target stays.
         duration: [s], rounded up to a whole number of periods.
         on_late: called with the number of the period and its lateness [s], after each reference that was late.
-        stop_outside: whether, from the first period at whose beginning the measured joints are too far from the
-            policy's plan for the proof of its clearance, the reference brakes to rest within the limits of
-            acceleration, after which the loop ends. What the arm does then is not proved.
+        stop_outside: whether to stop in the first period at whose beginning the measured joints are too far from the
+            policy's plan for the proof of its clearance. What the arm does then is not proved.
+        stop: called once a period; the loop stops when it returns something true, as `threading.Event.is_set` does.
+        options: what the loop puts up with.
 
     Raises:
         InputError: a value is malformed, or the policy cannot start where the joints are; or the loop is to stop
             outside of a proof, but the policy is no ``tracker`` of a motion, or nothing is proved of this.
     """
     total = math.ceil(as_positive("duration", duration) * policy.rate - 1e-9)
-    if total > _MAX_PERIODS:
-        raise InputError(f"duration must be at most {_MAX_PERIODS} control periods, got {duration:g} s")
-    aim = target if callable(target) else _held(policy.arm.configuration(target, "target"))
-    shape = (policy.arm.n_joints,)
-    first = read()
-    if first is None:
+    if total > MAX_PERIODS:
+        raise InputError(f"duration must be at most {MAX_PERIODS} control periods, got {duration:g} s")
+    arm, options = policy.arm, options or LoopOptions()
+    goal = arm.check_position(target(0.0) if callable(target) else target, "target").copy()
+    given = read()
+    if given is None:
         raise InputError("read must return measured joints the first time: the policy begins there")
+    first = as_floats("what read returns", given, (arm.n_joints,)).copy()
     monitor = None
     if stop_outside:
         if not isinstance(policy, MotionTracker) or policy.motion is None:
             raise InputError(f"stop_outside needs a policy that plays a plan, 'tracker', got {type(policy).__name__}")
-        monitor = ClearanceMonitor.of(policy.arm, policy.motion)
+        monitor = ClearanceMonitor.of(arm, policy.motion)
     # After three steps nothing is done for the first time.
     for _ in range(3):
         policy.reset(first)
-        policy.step(first, aim(0.0))
+        policy.step(first, goal)
     policy.reset(first)
-    lateness, step_time, stopped = list[float](), list[float](), ""
-    collects = gc.isenabled()
+    run = LoopRun(policy, goal, options, stop, monitor)
+    lateness, step_time, late = list[float](), list[float](), 0
+    with _undisturbed(run):
+        started = start = time.perf_counter()
+        while run.goes_on(len(lateness) < total):
+            measured = run.measure(read, start - started) if lateness else first
+            leads = len(lateness) < total and not run.stopped
+            if leads and callable(target):
+                run.aim(target, start - started)
+            asked = time.perf_counter()
+            run.step(measured, leads)
+            step_time.append(time.perf_counter() - asked)
+            run.write(write)
+            end = start + policy.period
+            now = time.perf_counter()
+            lateness.append(now - end)
+            late = late + 1 if now > end else 0
+            if late and on_late is not None:
+                run.guard(on_late, len(lateness) - 1, lateness[-1])
+            if late >= options.late:
+                run.halt(f"{late} references in a row were late")
+            time.sleep(max(end - time.perf_counter(), 0.0))
+            start = max(end, now)
+    timing = np.array(lateness), np.array(step_time)
+    return LoopReport(*timing, run.message, run.stopped, run.faults, run.at_rest, run.error)
+
+
+@contextmanager
+def _undisturbed(run: LoopRun) -> Iterator[None]:
+    """Garbage is collected before and after; the first Ctrl-C stops the run, unless it has a handler of one's own."""
+    collects, usual = gc.isenabled(), signal.default_int_handler
+
+    def halt(*_: object) -> None:
+        signal.signal(signal.SIGINT, usual)
+        run.halt("by Ctrl-C", KeyboardInterrupt())
+
+    ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is usual
+    if ours:
+        signal.signal(signal.SIGINT, halt)
     gc.collect()
     # Python's search for reference cycles can take longer than a period.
     gc.disable()
     try:
-        started = start = time.perf_counter()
-        while len(lateness) < total or (stopped and policy.qd.any()):
-            k = len(lateness)
-            measured, goal = read() if k else first, aim(start - started)
-            asked = time.perf_counter()
-            if monitor is not None and measured is not None and not stopped:
-                stopped = monitor.left(k * policy.period / policy.arm.timestep, as_floats("measured", measured, shape))
-                if stopped:
-                    policy, total = MotionTracker.stopping(policy.arm, policy.q, policy.qd, policy.rate), 0
-            q, qd = policy.step(measured, goal)
-            step_time.append(time.perf_counter() - asked)
-            write(q, qd)
-            end = start + policy.period
-            now = time.perf_counter()
-            lateness.append(now - end)
-            if now > end and on_late is not None:
-                on_late(k, now - end)
-            time.sleep(max(end - time.perf_counter(), 0.0))
-            start = max(end, now)
+        yield
     finally:
         if collects:
             gc.enable()
-    return LoopReport(np.array(lateness), np.array(step_time), policy.message, stopped)
-
-
-def _held(target: Floats) -> Callable[[float], Floats]:
-    return lambda _: target
+        if ours:
+            signal.signal(signal.SIGINT, usual)

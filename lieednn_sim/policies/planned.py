@@ -59,8 +59,8 @@ class MotionTracker(Policy):
         low, high = arm.position_limits.T
         end = np.clip(arm.within_angles(q + 0.5 * needed * qd), low, high)
         policy = cls(arm, CubicHermiteSpline([0.0, needed], [q, end], [qd, np.zeros_like(qd)]), rate)
-        policy.reset(q)
-        policy.qd = qd
+        # Also where a reset would refuse to start.
+        policy.q, policy.qd, policy._row = q, qd, 0
         return policy
 
     def begin(self, q: Floats) -> None:

@@ -36,6 +36,7 @@ from scipy.interpolate import PPoly
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.local_retraction import LocalRetraction
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
+from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
@@ -91,7 +92,6 @@ class ReplanningPolicy(FeedbackPolicy):
         seed: seed of the searches.
 
     Attributes:
-        network: the certified network with its present code and bias.
         changes: number of codes taken since the reset.
         course: the present motion.
         time: time of the present motion [s].
@@ -165,6 +165,11 @@ class ReplanningPolicy(FeedbackPolicy):
     # How it goes along its present motion.
 
     @property
+    def network(self) -> LieEDNN:
+        """The certified network with its present code and bias."""
+        return self.course.network
+
+    @property
     def state(self) -> Floats:
         """``(N, 6)`` state of the visible neurons, one for each link."""
         return self.course.state.x.reshape(-1, 6)
@@ -211,7 +216,7 @@ class ReplanningPolicy(FeedbackPolicy):
         _, _, bend = self.course.transition(np.array([self.time]))
         most = 0.5 * self.arm.acceleration_limits
         qdd = ratio**2 * bend[0] + self._pace_rate / pace**2 * self._velocity
-        now = np.stack([self.drawn, ratio * self._velocity, np.clip(qdd, -most, most)])
+        now = np.array([self.drawn, ratio * self._velocity, np.minimum(np.maximum(qdd, -most), most)])
         result = transition(self.arm, now, base, clear)
         try:
             course = TimedPath(self.arm, self._encoder, result, self.state)
@@ -227,13 +232,11 @@ class ReplanningPolicy(FeedbackPolicy):
 
     def _follow(self, course: TimedPath) -> None:
         """Follow a course from its beginning."""
-        self.course, self.network = course, course.network
+        self.course = course
         self.time, self._z, self.rest_at = 0.0, 0.0, math.inf
         self.changes += 1
-        _, rate = course.clock(0.0)
-        _, slope = self._retraction(self.state, course.state.flow.reshape(-1, 6))
-        self._velocity = rate * slope
-        _, qd, _ = course.transition(np.linspace(0.0, course.transition.duration, 64))
+        _, qd, _ = course.transition.even
+        self._velocity = qd[0]
         swift = np.abs(qd).max(axis=0) / self.arm.acceleration_limits
         # The pace falls by a fraction of the accelerations' limits.
         self._braking = 0.35 / max(float(swift.max()), 0.35 * _SOONEST)
@@ -262,7 +265,7 @@ class ReplanningPolicy(FeedbackPolicy):
 
         def clear(q: Floats) -> str | None:
             result = self._surroundings.blocked(q)
-            self._blocker = result[1] if result else ""
+            self._blocker = result[1] if result else self._blocker
             return repr(result[1]) if result else None
 
         # Where limits alone refuse all transitions, nothing is in the way.

@@ -37,7 +37,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions, Distances
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.policies.base import Policy
+from lieednn_sim.policies.base import JointBounds, Policy
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
@@ -193,7 +193,7 @@ class FilterStep:
     blocking: tuple[str, ...]
 
 
-class SafetyFilter:
+class SafetyFilter(JointBounds):
     """The safety filter of an arm, for control steps of constant length.
 
     Attributes:
@@ -272,26 +272,6 @@ class SafetyFilter:
         limit = "the position limit of joint"
         blocking = (f"{limit} {self.arm.joint_names[k]!r}" if k < n else names(k - n) for k in strongest)
         return FilterStep(chosen, False, tuple(blocking))
-
-    def _bounds(self, q: Floats, old: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Lower and upper bounds ``(n,)`` of the velocities, and which ``(2, n)`` are those of position limits.
-
-        A joint outside its limits, as after a bad start, returns as fast as velocity and acceleration allow.
-        """
-        change = self.acceleration_limits * self.timestep
-        lower, upper = np.maximum(-self.velocity_limits, old - change), np.minimum(self.velocity_limits, old + change)
-        low, high = self.position_limits.T
-        back, ahead = -self._stopping(q - low, -old), self._stopping(high - q, old)
-        of_position = np.stack([back > lower, ahead < upper])
-        lower, upper = np.clip(back, lower, upper), np.clip(ahead, lower, upper)
-        return np.minimum(lower, upper), upper, of_position
-
-    def _stopping(self, distance: Floats, velocity: Floats) -> Floats:
-        """Largest velocities ``(n,)`` at the end of the step from which the distance suffices to brake."""
-        h, a = self.timestep, self.acceleration_limits
-        left = distance - 0.5 * h * velocity
-        root = np.sqrt(np.maximum((0.5 * a * h) ** 2 + 2.0 * a * left, 0.0)) - 0.5 * a * h
-        return np.where(left >= 0.0, root, 2.0 * left / h)
 
     def _rows(
         self, q: Floats, old: Floats, low: Floats, high: Floats

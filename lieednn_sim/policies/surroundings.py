@@ -54,7 +54,8 @@ class Surroundings:
         for index, qpos in enumerate(self._arm.qpos(q)):
             for finder in finders:
                 distance, result = finder.geoms(qpos)
-                result = result if finder is self._all else self._near_pairs(distance, result, self._kept)[1]
+                if len(result) and finder is self._near:
+                    result = self._near_pairs(distance, result, self._kept)[1]
                 if len(result):
                     first, second = result[0]
                     obstacle = first if self._model.body_weldid[self._model.geom_bodyid[first]] == 0 else second

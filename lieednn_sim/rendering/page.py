@@ -24,6 +24,7 @@ from lieednn_sim.rendering import scene_setup, viser_scene
 from lieednn_sim.rendering.overlay import KEY, PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
 from lieednn_sim.rendering.video import check_camera
 from lieednn_sim.rendering.viser_scene import Shapes, add_path, segments
+from lieednn_sim.rendering.viser_server import quiet_server
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path
@@ -145,7 +146,7 @@ def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: s
         # Narrow, so that all are seen from the same side.
         view = viser_scene.Viewpoint(view.position, view.look_at, np.deg2rad(30.0)).back_off(there, _WIDE)
         ratio = _WIDE
-    with viser_scene.quiet_server() as server:
+    with quiet_server() as server:
         view.place(server)
         viser_scene.add_floor(server.scene, shapes)
         scale = scene_setup.scale(arm, points)

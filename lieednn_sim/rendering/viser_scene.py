@@ -5,9 +5,6 @@ viser (https://viser.studio) is optional; its modules are imported when they are
 
 from __future__ import annotations
 
-import contextlib
-import io
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,19 +20,6 @@ _SMOOTH = 0.6
 _RESOLUTION = 2.0**-13
 # Lines of the floor, which are visible on a white and on a dark background [RGB], and their distance [m].
 _FLOOR, _FLOOR_CELL = (158, 162, 168), 0.5
-
-
-@contextlib.contextmanager
-def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
-    """A `viser.ViserServer` without its messages, by default at a free port; `LieEDNNError` if viser is not there."""
-    viser = optional_module("viser")
-    with contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, verbose=False)
-    try:
-        yield server
-    finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
 
 
 class Shape(NamedTuple):

@@ -114,6 +114,21 @@ def link(begin, axis=(0.0, 0.0, 1.0), anchor=(0.0, 0.0, 0.0), ratio=1.0, kind="h
     )
 
 
+@pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 8.0])
+def test_twists_are_principal_logarithms_of_the_poses(arm, size):
+    """Of a ball and slides behind it; of hinges with slides before, behind and on both sides, off the axis; of all."""
+    slides = link(0, kind="slide", order=(1, 0, 2)), link(3, anchor=[0.1, 0.2, 0.0], kind="slide", ratio=2.0)
+    between = replace(slides[1], factors=tuple(slides[1].factors[k] for k in (1, 0, 2)))
+    for joints in (arm.joints, CompoundJoints((*slides, between, link(6)), np.zeros(9))):
+        rng, n = np.random.default_rng(0), len(joints.reference)
+        q = joints.reference + size * rng.uniform(-1.0, 1.0, (200, n))
+        xi = joints.twists(q)
+        np.testing.assert_allclose(exp(xi).as_matrix(), joints.poses(q).as_matrix(), atol=1e-12 * max(size, 1.0))
+        turning = [k for k, joint in enumerate(joints.joints) if joint.screw is None]
+        assert np.linalg.norm(xi[:, turning, :3], axis=-1).max() < np.pi + 1e-12
+        np.testing.assert_array_equal(joints.twists(q[3]), joints.twists(q[3:4])[0])
+
+
 @pytest.mark.parametrize(
     "second",
     [

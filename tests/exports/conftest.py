@@ -15,4 +15,4 @@ def rollout():
     arm = Arm.load("telescopic_pr")
     s = np.linspace(0.0, 1.0, 51)[:, None]
     q = arm.keyframe("home") + s * (arm.keyframe("extended") - arm.keyframe("home")) / 3.0
-    return make_rollout(arm, q, q_ref=q + 1e-7, qd=0.1 + q, motion_end=0.4)
+    return make_rollout(arm, q, q_ref=q + 1e-7, qd=0.1 + q, qd_ref=0.2 + q, motion_end=0.4)

@@ -57,6 +57,7 @@ def test_the_bag_and_the_yaml_hold_the_planned_and_the_measured_motion(rollout, 
     times = [point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in points]
     np.testing.assert_allclose(times, rollout.t[rows], atol=1e-12)
     np.testing.assert_array_equal([state.position for _, state in states], rollout.q[::5])
+    np.testing.assert_array_equal([state.velocity for _, state in states], rollout.qd[::5])
     np.testing.assert_array_equal([state.effort for _, state in states], rollout.force[::5])
     assert [time for time, _ in states] == [50_000_000 * k for k in range(11)]
     assert [state.header.stamp.nanosec for _, state in states] == [50_000_000 * k for k in range(11)]

@@ -16,6 +16,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.live import Page, Session, Settings
 from lieednn_sim.live.page import warning
+from lieednn_sim.live.snapshot import Observer
 
 pytest.importorskip("viser")
 WIDTH, HEIGHT = 720, 560
@@ -188,6 +189,20 @@ def test_another_tab_shows_the_arm_its_loss_leaves_the_first_and_nothing_complai
     entries = [entry for entry in (*complaints, *browser.get_log("browser")) if entry["level"] == "SEVERE"]
     complaints = [entry["message"] for entry in entries]
     assert [line for line in complaints if not any(words in line for words in known)] == []
+
+
+def test_a_dragged_link_is_pulled_harder_the_farther_the_mouse_is_up_to_the_sliders_force(page):
+    for away, force in ((0.0, 0.0), (0.15, 75.0), (0.3, 150.0), (3.0, 150.0)):
+        np.testing.assert_allclose(page._panel.spring([1.0, 0.0, 0.5], [1.0, away, 0.5]), [0.0, force, 0.0], atol=1e-9)
+
+
+def test_a_force_is_an_arrow_of_3_millimetres_for_a_newton_and_of_80_centimetres_at_most(page):
+    snapshot = Observer(page.session).look()
+    for newtons, length in ((100.0, 0.3), (800.0, 0.8)):
+        tick = snapshot.tick._replace(force=np.array([0.0, newtons, 0.0]), pushed=np.ones(3))
+        page._scene.show(snapshot._replace(tick=tick), None)
+        begin, end = page._scene._arrow.points[0]
+        np.testing.assert_allclose(end - begin, [0.0, length * page._scene._scale, 0.0], rtol=1e-5)
 
 
 def test_the_command_shows_an_own_robot_until_ctrl_c(start, tmp_path, two_hinges):

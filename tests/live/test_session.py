@@ -2,6 +2,7 @@
 
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -70,6 +71,8 @@ def test_a_dragged_target_is_reached_within_a_millimetre_under_a_bound_that_hold
     shown = observer.look()
     assert shown.arrived
     assert shown.distance == pytest.approx(np.linalg.norm(tip(arm, session.tick.q) - goal), abs=1e-6)
+    for far in ({"distance": 1.1e-3}, {"angle": 6e-3}):
+        assert not shown._replace(**far).arrived
     certificate = session.policy.network.certificate
     assert certificate.lambda_max < certificate.bound == 1.0
     # The bound is no triviality: it falls as the distance does.
@@ -131,8 +134,9 @@ def test_a_pushed_arm_yields_and_returns(arm, begin):
     session.advance(20)
     np.testing.assert_array_equal(session.tick.force, [0.0, 300.0, 0.0])
     assert tip(arm, session.tick.q)[1] > there[1] + 1e-3
-    session.advance(300)
+    session.advance()
     assert not session.tick.force.any()
+    session.advance(300)
     assert np.linalg.norm(tip(arm, session.tick.q) - there) < 1e-4
     # A link that is held goes on being pulled until it is let go.
     session.pull("end effector", (0.0, -50.0, 0.0))
@@ -141,6 +145,17 @@ def test_a_pushed_arm_yields_and_returns(arm, begin):
     session.pull("end effector", (0.0, 0.0, 0.0))
     session.advance(300)
     assert np.linalg.norm(tip(arm, session.tick.q) - there) < 1e-4
+    # Farther from the axis the same force turns it farther.
+    moved, frame = [], arm.link_poses(session.tick.q)[-1]
+    for reach in (0.0, 0.3):
+        point = frame.apply([reach, 0.0, 0.0])
+        session.pull("end effector", (0.0, -50.0, 0.0), point)
+        session.advance(200)
+        np.testing.assert_array_equal(session.tick.pushed, point)
+        moved.append(there[1] - tip(arm, session.tick.q)[1])
+        session.pull("end effector", (0.0, 0.0, 0.0))
+        session.advance(300)
+    assert moved[1] > 1.05 * moved[0] > 0.0
     # Beyond the servos' force the arm pulls the network's state along: the bound begins again, and holds from there.
     session.push("link 2", (0.0, 2000.0, 0.0), 0.3)
     session.advance(60)
@@ -212,12 +227,14 @@ def test_a_planned_motion_begins_where_the_arm_stopped_and_is_made_again_for_eac
     session.advance(1)
     stop = session.policy
     assert isinstance(stop, MotionTracker)
+    session.settle()  # the motion is there before the arm has stopped
+    assert session.busy
     for _ in range(60):
         references.append(session.tick.q_ref)
         session.advance()
     change = np.diff(np.array(references), n=2, axis=0) * 100.0**2
     assert (np.abs(change[1:]) <= 1.01 * arm.acceleration_limits).all()
-    session.settle()
+    assert not session.busy
     session.advance(600)
     assert np.abs(session.tick.q_ref - arm.keyframe("extended")).max() < 1e-9
     middle = plan(arm, "extended", planner="minimum-jerk", start=stop.end).motion
@@ -265,6 +282,24 @@ def test_in_real_time_a_paused_loop_stands_and_a_closed_one_ends(arm, begin):
     assert stood[0] == stood[1] > 0.05
     session.close()
     assert not [thread for thread in threading.enumerate() if thread.name == "control loop"]
+
+
+def test_one_late_period_is_caught_up_and_more_are_not(begin, monkeypatch):
+    session, now, slept = begin(rate=100.0), [0.0], []
+
+    def sleep(duration):
+        slept.append(duration)
+        now[0] += duration
+
+    def advance():
+        now[0] += 0.1 if len(slept) == 2 else 0.0
+        if len(slept) == 6:
+            session._closed.set()
+
+    monkeypatch.setattr("lieednn_sim.live.session.time", SimpleNamespace(perf_counter=lambda: now[0], sleep=sleep))
+    monkeypatch.setattr(session, "advance", advance)
+    session._keep_time()
+    np.testing.assert_allclose(slept, [0.01, 0.01, 0.0, 0.0, 0.01, 0.01, 0.01], atol=1e-12)
 
 
 def test_a_worker_does_the_newest_job_and_tells_what_failed():

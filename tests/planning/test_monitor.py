@@ -89,6 +89,24 @@ def test_no_error_that_is_allowed_touches(planned):
     assert not monitor.holds(motion.q[0] + 1.0)
 
 
+def test_between_two_instants_the_larger_error_counts(planned):
+    arm, made = planned
+    monitor = ClearanceMonitor.of(arm, made.motion)
+    roomy, none = int(monitor.allowed.argmax()), np.flatnonzero(monitor.allowed == 0.0)
+    stretch = slice(none[none < roomy].max(initial=-1) + 1, none[none > roomy].min(initial=len(monitor.allowed)))
+    narrow = stretch.start + int(monitor.allowed[stretch].argmin())
+    first, last = monitor.edges[sorted((roomy, narrow))].astype(int)
+    aside = 0.9 * monitor.allowed[roomy] * np.eye(arm.n_joints)[0]
+    errors = (aside, 0.0 * aside) if roomy < narrow else (0.0 * aside, aside)
+    assert monitor.holds(made.motion.q[first] + errors[0])
+    assert monitor.holds(made.motion.q[last] + errors[1])
+    said = monitor.left(first, made.motion.q[first] + errors[0]), monitor.left(last, made.motion.q[last] + errors[1])
+    assert said[0] == ""
+    assert "the run leaves the proof" in said[1]
+    at_rest = ClearanceMonitor.of(arm, made.motion)
+    assert [at_rest.left(k, made.motion.q[k]) for k in range(first, last + 1)] == [""] * (last - first + 1)
+
+
 def test_what_is_no_proof_is_not_watched(planned):
     arm, made = planned
     other = next(arm.model.body(k).name for k in range(arm.model.nbody) if "obstacle" in arm.model.body(k).name)

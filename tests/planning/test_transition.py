@@ -67,16 +67,35 @@ def test_limits_are_kept_also_where_the_first_transition_tried_breaks_them(gantr
 
 
 def test_a_short_fade_is_looked_at_by_itself(gantry):
-    """A detour of 0.1 s in a motion of 10 s is between two of its samples."""
-    looked = []
+    """A detour of 0.6 s in a motion of 10 s is between two of its samples; the rest of the way is looked at once."""
+    base, looked = straight(gantry, np.zeros(4), TARGET, 10.0), []
 
     def clear(q):
         looked.append(len(q))
-        return "a chair"
+        # A wall behind the arm, and one that the motion with the longest fade goes through.
+        return "a chair" if q[:, 0].min() < -1e-3 or len(looked) == 1 else None
 
-    with pytest.raises(PlanError):
-        transition(gantry, moving(0.05), straight(gantry, np.zeros(4), TARGET, 10.0), clear)
-    assert looked[:3] == [48, 64, 64]
+    with pytest.raises(PlanError, match="keeps clear of a chair"):
+        transition(gantry, -moving(0.05), base, clear)
+    # The first transition, the base after half of it, and the fade with what is within it; and so on.
+    assert looked[:5] == [49, 24, 16 + 25, 12, 16 + 13]
+    # Then only fades are left.
+    assert len(looked) == 5 * 5 + 4
+
+
+def test_what_is_in_the_way_of_the_base_is_in_the_way_of_all_that_end_on_it(gantry):
+    """Each transition that does not is tried: of the five at different speeds none is clear."""
+    base, looked = straight(gantry, np.zeros(4), TARGET, 10.0), []
+
+    def clear(q):
+        looked.append(len(q))
+        return "a chair" if q[:, 0].max() > 0.9 * TARGET[0] else None
+
+    for now, tests in ((moving(0.05), 5 + 1), (np.zeros((3, 4)), 1)):
+        looked.clear()
+        with pytest.raises(PlanError, match="keeps clear of a chair"):
+            transition(gantry, now, base, clear)
+        assert len(looked) == tests
 
 
 def test_what_the_state_lacks_of_a_configuration_fades(gantry):
@@ -103,7 +122,7 @@ def test_it_says_what_is_in_the_way(gantry):
 
 def test_the_clock_is_its_own_inverse_and_never_stops():
     t = np.linspace(0.0, 2.0, 129)
-    clock = Clock(t, np.where(t < 1.0, 1.0, 0.0))
+    clock = Clock(2.0, np.where(t < 1.0, 1.0, 0.0))
     levels = np.array([1.0, 0.9, 0.5, 0.1, 1e-3])
     back = np.exp([-clock(time)[0] for time in clock.times(levels)])
     np.testing.assert_allclose(back, levels, rtol=2e-3)

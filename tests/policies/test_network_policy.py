@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.network_planners import without_weights
-from lieednn_sim.policies import Feedback, NetworkPolicy
+from lieednn_sim.policies import Feedback, NetworkPolicy, make_policy
 from lieednn_sim.simulation import Disturbances, Push, follow
 from lieednn_sim.synthesis import synthesize
 
@@ -208,3 +208,18 @@ def test_it_is_slowed_down_to_a_limit_and_not_further():
         assert policy.pace < 0.5
         assert 0.95 < (np.abs(qd) / allowed).max() <= 1.001
     assert policy.message == f"moves at {100 * policy.pace:.2g} % of its speed, within the joints' limits"
+
+
+@pytest.mark.parametrize("seed", [1, 4, 9])
+def test_a_network_that_gathers_speed_within_a_period_keeps_the_limits(seed):
+    arm = Arm.load("telescopic_rrp")
+    low, high = arm.position_limits.T
+    goal = low + (high - low) * (0.1 + 0.8 * np.random.default_rng(seed).random(arm.n_joints))
+    policy = make_policy("lieednn-certified", arm, goal, rate=20.0, start="home")
+    policy.reset("home")
+    shares = []
+    for _ in range(20):
+        allowed = policy.allowed()
+        _, qd = policy.step(None, goal)
+        shares.append((np.abs(qd) / allowed).max())
+    assert 0.95 < max(shares) <= 1.002

@@ -22,6 +22,7 @@ from lieednn_sim.policies import (
     make_policy,
     register_policy,
 )
+from lieednn_sim.policies.planned import MovementPrimitive
 
 GOAL = np.array([0.3, -0.2, 0.3, 0.2])
 
@@ -154,8 +155,38 @@ def test_a_tracker_plays_a_motion_at_any_rate_and_begins_where_it_does(gantry):
     assert tracker.message == "has ended"
     with pytest.raises(InputError, match=r"the motion begins 1 m from where joint 'y' is; plan it from there"):
         tracker.reset(np.eye(4)[1])
+    tracker.reset(0.01 * gantry.ranges)  # up to 2 % of a range beside
+    with pytest.raises(InputError, match="the motion begins"):
+        tracker.reset(0.03 * gantry.ranges)
     with pytest.raises(InputError, match=r"the motion has \(4,\) joint coordinates, arm \'telescopic_pr\' has 8"):
         MotionTracker(ls.Arm.load("telescopic_pr"), motion)
+
+
+def test_a_primitive_behind_an_arm_at_half_the_speed_goes_the_same_way(gantry):
+    motion = plan(gantry, GOAL, start=np.zeros(4), planner="minimum-jerk").motion
+    ways = []
+    for behind in (None, 0.002):  # at the patience, at which it runs at half its speed
+        policy = MovementPrimitive(gantry, motion, feedback=Feedback(rate=0.0))
+        policy.reset(motion.q[0])
+        periods = int(motion.t[-1] * policy.rate) * (1 if behind is None else 2)
+        ways.append([policy.step(behind and policy.q + behind * gantry.ranges, GOAL)[0] for _ in range(periods)])
+    np.testing.assert_allclose(ways[1][1::2], ways[0], atol=1e-3)
+
+
+def test_a_reference_brakes_at_the_limit_of_its_hardest_joint_by_hand(gantry):
+    most, start = gantry.acceleration_limits, np.zeros(4)
+    for qd, periods in (
+        (np.array([0.3, -0.1, 0.0, 0.2]) * most, 30),  # 0.3 s, at 100 Hz
+        (np.array([0.0, 0.0, 0.001, 0.0]) * most, 2),  # no less than two periods
+    ):
+        policy = MotionTracker.stopping(gantry, start, qd, 100.0)
+        np.testing.assert_array_equal(policy.qd, qd)
+        steps = [policy.step(None, start) for _ in range(periods)]
+        assert steps[-2][1].any()
+        assert not steps[-1][1].any()
+        np.testing.assert_allclose(steps[-1][0], 0.5 * qd * periods / 100.0, atol=1e-12)
+        speeds = np.vstack([qd, *[rate for _, rate in steps]])
+        assert (np.abs(np.diff(speeds, axis=0)) <= 1.001 * most / 100.0).all()
 
 
 class Halver(Policy):

@@ -215,6 +215,45 @@ def test_a_change_leaves_state_velocity_and_acceleration_as_they_are(gantry):
         np.testing.assert_allclose(new, old, atol=0.02 * np.abs(old).max())
 
 
+def no_path(*_):
+    """What a search returns that has found none."""
+    future = Future()
+    future.set_exception(PlanError("no path"))
+    return future
+
+
+@pytest.mark.parametrize("target", [(0.0, -0.8, 0.0, 0.0), (0.5, -0.3, 0.3, 1.0)])
+def test_references_go_on_at_a_change_at_half_the_pace(target, beside, monkeypatch):
+    """By differences of what is sent, while the arm brakes for a pole: a jump of a few thousandths of the limits."""
+    monkeypatch.setattr(replanning, "search_path", no_path)
+    policy = ReplanningPolicy(beside, 200.0, feedback=None, options=ReplanningOptions(least_duration=2.0))
+    policy.reset(np.zeros(4))
+    rates, goal, changed = [policy.qd], np.array([0.0, 0.8, 0.0, 0.0]), 0
+    for k in range(300):
+        policy.see({"obstacle_pole": np.array([1.0 if k > 60 else 3.0, 0.8, 0.0])})
+        if not changed and policy.pace < 0.5:
+            changed, goal = k, np.array(target)
+        rates.append(policy.step(None, goal)[1])
+    assert policy.changes == 2
+    acceleration = np.diff(rates, axis=0) * 200.0 / beside.acceleration_limits
+    assert acceleration[changed, 1] < -0.1
+    assert np.abs(np.diff(acceleration, axis=0))[changed - 3 : changed + 2].max() < 0.004
+
+
+@pytest.mark.parametrize("changed", [120, 200, 260])
+def test_it_stops_as_gently_as_it_can_where_a_new_target_is_refused(changed, beside, monkeypatch):
+    """It turns where it rests, for which 0.35 of the limits are enough."""
+    monkeypatch.setattr(replanning, "search_path", no_path)
+    options = ReplanningOptions(least_duration=2.0, search_periods=1)
+    policy = ReplanningPolicy(beside, 200.0, feedback=None, options=options)
+    policy.reset(np.zeros(4))
+    policy.see({"obstacle_pole": np.array([1.0, -0.6, 0.0])})
+    rates = [policy.step(None, np.array([0.0, 1.5 if k < changed else -1.5, 0.0, 0.0]))[1] for k in range(600)]
+    assert policy.message == "waits for 'obstacle_pole'; no path"
+    assert policy.pace < 1e-3
+    assert np.abs(np.diff(rates, axis=0)).max() * 200.0 < 0.36 * beside.acceleration_limits[1]
+
+
 @pytest.mark.parametrize(("appears", "share"), [(80, 0.3), (250, 0.86)])
 def test_it_brakes_once_as_gently_as_it_can(appears, share, beside):
     """Where it must rest does not change from look to look, so that a small part of the limits is enough.

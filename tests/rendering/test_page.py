@@ -19,6 +19,7 @@ from lieednn_sim.planning.clearance import Clearance
 from lieednn_sim.rendering import page, scene_setup, viser_scene
 from lieednn_sim.rendering.page import _Copy, record, render_page
 from lieednn_sim.rendering.viser_scene import Viewpoint
+from lieednn_sim.rendering.viser_server import quiet_server
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +105,7 @@ def test_two_arms_side_by_side_share_their_geometry(rollout):
 
 def test_the_planned_path_is_left_out_only_where_it_has_been_travelled(rollout):
     model, marker = scene_setup.staged(rollout.arm, scene_setup.occupied(rollout))
-    with viser_scene.quiet_server() as server:
+    with quiet_server() as server:
         copy = _Copy(server.scene, viser_scene.Shapes(model), marker, rollout, "/0", np.zeros(3), 1.0)
         copy.show(0.1)
         ends = rollout.link_position[[rollout.t.searchsorted(0.1), -1], -1]
@@ -183,7 +184,7 @@ def test_legs_are_drawn_between_their_ends():
     ends = {model.tendon(k).name: [f"{model.tendon(k).name}_{end}" for end in ("lower", "upper")] for k in range(24)}
     for name in ("home", "extended"):
         data = kinematics_at(model, arm.qpos(arm.keyframe(name)))
-        with viser_scene.quiet_server() as server:
+        with quiet_server() as server:
             nodes = viser_scene.ModelNodes(server.scene, shapes, "/arm")
             nodes.show(data)
             legs = [pair for node, tendons in nodes.tendons for pair in zip(tendons, node.points, strict=True)]

@@ -13,16 +13,17 @@ the code; how close the path is to the curve is a fit.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation
+from lieednn_sim.network.stepping import UndrivenState
 from lieednn_sim.synthesis.shaping.cascade import LARGEST_CODE, TAIL, assemble, pairs_of, switches
 from lieednn_sim.synthesis.shaping.curve import as_units, clock_along, third_derivative
 from lieednn_sim.validation import as_count, as_floats
@@ -105,14 +106,19 @@ class CurveEncoder:
 
     @property
     def levels(self) -> Floats:
-        """``(F,)`` values of e^-t at which `encode_at` takes the visible states, falling from 1."""
-        return self._basis.fitted
+        """``(L,)`` values of e^-t at which `code_at` takes the visible states, falling from 1."""
+        return self._basis.levels
 
-    def encode_at(self, states: Floats, start: Floats, target: Floats, rate: Floats, bend: Floats) -> LieEDNN:
-        """The universal network with the code of a motion in its own time; unchecked but for the code's range.
+    @cached_property
+    def still(self) -> UndrivenState:
+        """The network's state at rest at zero, from which others begin."""
+        return UndrivenState(self.network, np.zeros((self.network.n_visible, 6)))
+
+    def code_at(self, states: Floats, start: Floats, target: Floats, rate: Floats, bend: Floats) -> Floats:
+        """The hidden start ``(M, 6)`` of a motion in the network's time; unchecked but for the code's range.
 
         Args:
-            states: ``(F, N, 6)`` visible states at the `levels`.
+            states: ``(L, N, 6)`` visible states at the `levels`.
             start: ``(N, 6)`` visible state at the beginning.
             target: ``(N, 6)`` visible equilibrium.
             rate: ``(N, 6)`` dx/dt at the beginning, which the network has up to terms of third order in the code.
@@ -122,12 +128,12 @@ class CurveEncoder:
             InputError: the code exceeds `LARGEST_CODE`.
         """
         basis, offset = self._basis, start - target
-        missing = states - target - basis.fitted[:, None, None] * offset
-        code = basis.solution @ missing.reshape(len(basis.fitted), -1)
-        desired = np.stack([(rate + offset).ravel(), (bend + rate).ravel()])  # x' = u - (x - x_d) and x'' = u' - x'
+        missing = states - target - basis.levels[:, None, None] * offset
+        code = basis.of_levels @ missing.reshape(len(basis.levels), -1)
+        desired = np.array([(rate + offset).ravel(), (bend + rate).ravel()])  # x' = u - (x - x_d) and x'' = u' - x'
         code += basis.starting @ (desired - basis.start @ code)
         self._require_range(code)
-        return self.network.retarget(target).with_start(self._started(code))
+        return self._started(code)
 
     def path(self, network: LieEDNN, start: ArrayLike) -> CubicHermiteSpline:
         """States ``(..., N, 6)`` of the visible neurons in closed form, as a function of w = 1 - e^-t.
@@ -159,7 +165,7 @@ class CurveEncoder:
     def _started(self, code: Floats) -> Floats:
         """The hidden start ``(M, 6)`` of a code ``(pairs, 6N)``, which both neurons of a pair have."""
         shift = code.reshape(CODE_PAIRS, -1, 6).swapaxes(0, 1)
-        return self._silent + np.stack([shift, shift], axis=1).reshape(self._silent.shape)
+        return (self._silent.reshape(-1, 2, CODE_PAIRS, 6) + shift[:, None]).reshape(self._silent.shape)
 
     def _require_range(self, code: Floats) -> None:
         largest = float(np.abs(code).max(initial=0.0))
@@ -178,6 +184,8 @@ class _Basis:
     bent: Floats  # (2, K, 3 pairs) displacements and inputs u at the instants, for each of `_POWERS` of the code
     fitted: Floats  # (F,) g at the instants of the fit
     solution: Floats  # (pairs, F) from a displacement there to the code
+    levels: Floats  # (L,) those of them that are enough for a motion
+    of_levels: Floats  # (pairs, L) from a displacement at these, cubic splines in between, to the code
     start: Floats  # (2, pairs) the input u and its derivative in time at the beginning, of unit codes
     starting: Floats  # (pairs, 2) codes of unit u and u' there that change the rest of the motion least
 
@@ -232,8 +240,12 @@ def _basis(activation: str) -> _Basis:
     # Of u = 2 D delta g phi'(a + c g), with g' = -g.
     start = 2.0 * _STRENGTH * np.stack([slope, -(slope + c * steeper)])
     starting = inverse @ inverse.T @ start.T
+    # Every second even one, and all later ones.
+    levels = np.append(g[looks[:used:2]], g[looks[used:]])
+    of_levels = solution @ CubicSpline(-levels, np.eye(len(levels)))(-g[looks])
     bent = np.stack([shifts, inputs(g)]).transpose(0, 2, 1, 3).reshape(2, len(g), -1)
-    return _Basis(g, bent, g[looks], solution, start, starting @ np.linalg.inv(start @ starting))
+    starting = starting @ np.linalg.inv(start @ starting)
+    return _Basis(g, bent, g[looks], solution, levels, of_levels, start, starting)
 
 
 def _at_clock(curve: Floats, units: Floats, w: Floats) -> Floats:

@@ -1,0 +1,104 @@
+"""A server of viser that answers its own page only.
+
+A browser lets any site that is open in it connect to a local port. viser's server (https://viser.studio), which is
+optional, would let it in; so who asks is looked at first, in the headers that browsers set and sites cannot.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import ipaddress
+import socket
+import threading
+from collections.abc import Iterator, Mapping
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import urlsplit
+
+from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.registry import optional_module
+
+_starting = threading.Lock()
+
+
+@contextlib.contextmanager
+def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
+    """A `viser.ViserServer` without its messages, by default at a free port, which refuses what `refusal` refuses.
+
+    Raises:
+        LieEDNNError: viser is not installed, or its server cannot be made to ask.
+    """
+    viser = optional_module("viser")
+    with contextlib.redirect_stdout(io.StringIO()):
+        with _asking(host) as asked:
+            server = viser.ViserServer(host=host, port=port, verbose=False)
+        try:
+            if not asked:
+                raise LieEDNNError(f"viser {viser.__version__} starts its server in an unknown way; install viser 1.1")
+        except BaseException:
+            server.stop()
+            raise
+    try:
+        yield server
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+def refusal(headers: Mapping[str, str], host: str) -> str:
+    """Why a request with these headers is not answered by a server that listens at ``host``; empty if it is.
+
+    Its ``Host`` must be an address in numbers, the name of this machine, or ``host``: a site whose name is made to lead
+    here keeps that name. Its ``Origin``, if it has one, must be the same: another site's page has another.
+    """
+    asked = headers.get("Host", "")
+    own = socket.gethostname().lower()
+    if _name(asked) not in {"localhost", host.lower(), own, f"{own}.local"} and not _is_address(_name(asked)):
+        return f"this page is not known as {asked!r}; open it at its address in numbers, or let it listen at that name"
+    origin = headers.get("Origin")
+    if origin is not None and urlsplit(origin).netloc.lower() != asked.lower():
+        return f"pages of {origin!r} may not connect to {asked!r}"
+    return ""
+
+
+def _name(netloc: str) -> str:
+    try:
+        return urlsplit(f"//{netloc}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+@contextlib.contextmanager
+def _asking(host: str) -> Iterator[list[bool]]:
+    """Let servers that start in here look at each request; the list has an entry for each.
+
+    viser has no setting for it; its server is one of websockets', which asks the function ``process_request`` first.
+    """
+    import websockets.asyncio.server as websockets_server
+
+    serve, asked = websockets_server.serve, list[bool]()
+
+    def serve_own_page(*args: Any, process_request: Any, **settings: Any) -> Any:
+        def process(connection: Any, request: Any) -> Any:
+            if reason := refusal(request.headers, host):
+                return connection.respond(HTTPStatus.FORBIDDEN, f"{reason}\n")
+            return process_request(connection, request)
+
+        asked.append(True)
+        return serve(*args, process_request=process, **settings)
+
+    with _starting:
+        websockets_server.serve = serve_own_page  # type: ignore[assignment,misc]
+        try:
+            yield asked
+        finally:
+            websockets_server.serve = serve  # type: ignore[misc]
