@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import wraps
 from typing import Any, TypeVar, dataclass_transform
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy
@@ -52,6 +53,20 @@ def frozen(cls: type[_Class]) -> type[_Class]:
 
     result.__init__, result.__eq__, result.__hash__, result.__setstate__ = __init__, __eq__, __hash__, __setstate__
     return result
+
+
+def weakly_cached(function: Callable[..., _Class]) -> Callable[..., _Class]:
+    """Decorator: as `functools.cache`, but results go with the first argument, to which they must not refer."""
+    results: WeakKeyDictionary[Any, dict[Any, _Class]] = WeakKeyDictionary()
+
+    @wraps(function)
+    def cached(first: Any, *others: Any) -> _Class:
+        known = results.setdefault(first, {})
+        if others not in known:
+            known[others] = function(first, *others)
+        return known[others]
+
+    return cached
 
 
 def set_fields(value: Any, /, **fields: Any) -> None:

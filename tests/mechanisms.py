@@ -1,4 +1,4 @@
-"""MJCF of small mechanisms with closed loops and followers, for tests."""
+"""MJCF of small mechanisms with closed loops and followers, and of an arm of all kinds of joints, for tests."""
 
 from __future__ import annotations
 
@@ -8,6 +8,55 @@ from lieednn_sim._mujoco import mujoco
 
 MODEL = """<mujoco><compiler angle="radian"/><option jacobian="{2}"/><default><geom size=".02" mass="1"/></default>
 <worldbody>{0}</worldbody><equality>{1}</equality></mujoco>"""
+
+
+# A ball shoulder with a telescope of three coupled stages, a universal joint with an off-axis slide, and two links
+# whose slides share one coordinate.
+ODD_ARM = """
+<mujoco model="odd">
+  <compiler angle="radian" autolimits="true"/>
+  <default><geom type="sphere" size="0.01" contype="0" conaffinity="0" mass="1"/></default>
+  <worldbody>
+    <site name="base_frame" pos="0.1 0 0.2" euler="0.3 0 0.1"/>
+    <body name="shoulder" pos="0 0 0.4" euler="0.2 0.4 -0.3">
+      <joint name="shoulder" type="ball" range="0 2"/><geom/>
+      <body name="tube" pos="0 0 0.1">
+        <joint name="out1" type="slide" axis="0 0 1" range="0 0.2"/><geom/>
+        <body name="tube2" pos="0 0 0.1">
+          <joint name="out2" type="slide" axis="0 0 1" range="0 0.2" ref="0.02"/><geom/>
+          <body name="tube3" pos="0 0 0.1">
+            <joint name="out3" type="slide" axis="0 0 1" range="-0.5 0.5" ref="0.05"/><geom/>
+            <site name="link1_frame" pos="0 0 0.1" euler="0 0.5 0"/>
+            <body name="cross" pos="0.1 0 0">
+              <joint name="yaw" type="hinge" axis="0 0 1" range="-1 1"/><geom/>
+              <body name="fork" pos="0 0.05 0">
+                <joint name="pitch" type="hinge" axis="0 1 0" range="-1 1.2" ref="0.1"/><geom/>
+                <joint name="boom" type="slide" axis="0.8 0 0.6" range="0 0.3"/>
+                <site name="link2_frame" pos="0.2 0 0"/>
+                <body name="left" pos="0.2 0 0">
+                  <joint name="roll" type="hinge" axis="1 0 0" range="-1 1"/>
+                  <joint name="left" type="slide" axis="1 0 0" range="0 0.3"/><geom/>
+                  <site name="link3_frame"/>
+                  <body name="right" pos="0.2 0 0">
+                    <joint name="right" type="slide" axis="0 1 0" range="-1 1"/><geom/>
+                    <site name="link4_frame"/>
+                  </body>
+                </body>
+              </body>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+    <body name="elsewhere"><joint name="wheel" type="hinge" axis="0 0 1"/><geom/></body>
+  </worldbody>
+  <equality>
+    <joint joint1="out2" joint2="out1" polycoef="0.01 1 0 0 0"/>
+    <joint joint1="out3" joint2="out2" polycoef="0 -0.5 0 0 0"/>
+    <joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/>
+  </equality>
+</mujoco>
+"""
 
 
 def compiled(bodies: str, equalities: str, jacobian: str = "dense") -> mujoco.MjModel:

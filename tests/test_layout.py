@@ -23,6 +23,7 @@ GROUND = (
     "registry",
     "_blas",
     "_mujoco",
+    "_processes",
 )
 SUBPACKAGES = (
     "lie",

@@ -21,8 +21,9 @@ PAGES = [
     if not {"_build", "_made"} & set(path.relative_to(ROOT).parts)
 ]
 TEXTS = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in PAGES}
-# tests/planning/test_own_planners.py and tests/simulation/test_own_controllers.py run their blocks, and try more.
-ELSEWHERE = {"docs/howto/own_planner.md", "docs/howto/own_controller.md"}
+# tests/planning/test_own_planners.py, tests/simulation/test_own_controllers.py and tests/policies/test_policy_c_code.py
+# run their blocks, and try more.
+ELSEWHERE = {"docs/howto/own_planner.md", "docs/howto/own_controller.md", "docs/howto/policy_as_code.md"}
 # Modules of extras, and what in a page needs them.
 OPTIONAL = {
     "gymnasium": r"^import gymnasium",

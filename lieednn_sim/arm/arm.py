@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, fixed_body, without_clearance
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, fixed_body, grow_bodies, move_bodies, without_clearance
 from lieednn_sim.arm.equalities import loop_closures
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
 from lieednn_sim.arm.importer.importing import import_model
@@ -248,6 +248,13 @@ class Arm(ModelArm):
         Raises:
             InputError: there is no such body, or a value is malformed.
         """
+        more = float(as_floats("grown", grown, ()))
+        if self.spec is None:
+            models = [copy.deepcopy(model) for model in (self.model, self.collision_model)]
+            for model in filter(None, models):
+                move_bodies(model, places)
+                grow_bodies(model, places, more)
+            return replace(self, model=models[0], collision_model=models[1])
         spec = self.copied_spec()
         for name, place in places.items():
             fixed_body(self.model, name)
@@ -255,7 +262,7 @@ class Arm(ModelArm):
             body.pos = as_floats(f"the place of {quoted(name)}", place, (3,))
             for geom in body.geoms:
                 # Sizes that a geom's type does not use are zero.
-                geom.size = geom.size + as_floats("grown", grown, ()) * (geom.size > 0.0)
+                geom.size = geom.size + more * (geom.size > 0.0)
         return replace(self.recompiled(spec), scene=self.scene, scene_seed=self.scene_seed)
 
     def with_payload(self, payload: float) -> Arm:

@@ -71,8 +71,10 @@ class ClearanceBounds:
         self._into[joints[scalar]] = np.abs(arm.space.rates[scalar])
         self._balls = arm.space.balls
         self._ball_joints = joints[arm.space.ball_rate_addresses[:, 0]] if len(self._balls) else np.zeros(0, int)
-        moves = [arm.moved_by(body)[model.jnt_dofadr] for body in model.geom_bodyid]
-        self._moves = np.array(moves, dtype=bool).reshape(model.ngeom, model.njnt)
+        # Of bodies welded together, one is asked.
+        bodies, which = np.unique(model.body_weldid[model.geom_bodyid], return_inverse=True)
+        moves = [arm.moved_by(body)[model.jnt_dofadr] for body in bodies.tolist()]
+        self._moves = np.array(moves, dtype=bool).reshape(-1, model.njnt)[which]
         self._hulls, self._counts, self._round = _hulls(model)
         self._radius = np.linalg.norm(self._hulls, axis=-1).max(axis=1) + self._round
         self._first, self._second = self._collisions.pairs.T
@@ -146,7 +148,8 @@ class ClearanceBounds:
         levers = np.linalg.norm(place.geoms[:, :, None] - place.anchors[:, None], axis=3) + self._radius[:, None]
         reach = np.where(self._turns, levers, 1.0) * self._moves
         table = (reach * widest[:, None]) @ ~self._moves.T
-        moved = table[:, self._first, self._second] + table[:, self._second, self._first]
+        table += np.swapaxes(table, 1, 2)
+        moved = table.reshape(len(q), -1).take(self._first * table.shape[1] + self._second, axis=1)
         at, index, gaps, points = self._collisions.separations(
             qpos, place.geoms, place.turns, moved + (cutoff + self._margin)
         )

@@ -149,7 +149,9 @@ class Collisions:
         center = places[:, self._used] + (turns @ self._center[:, :, None])[..., 0]
         reach, first, second = self._radius, self._first, self._second
         wanted = cutoff + self._offset + _SLACK
-        apart = np.linalg.norm(center[:, second] - center[:, first], axis=-1) - reach[first] - reach[second]
+        places = np.ascontiguousarray(np.moveaxis(center, -1, 0))
+        x, y, z = places.take(second, axis=-1) - places.take(first, axis=-1)
+        apart = np.sqrt(x * x + y * y + z * z) - reach[first] - reach[second]
         at, index = np.nonzero(apart < wanted)
         # Boxes along the normals of the faces of each.
         one, other = first[index], second[index]

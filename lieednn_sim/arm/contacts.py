@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,10 @@ from lieednn_sim.values import Floats
 PLANNED_CLEARANCE = 0.002
 # Change of qpos in which an arm leaves what it is too near to [rad, m]; and what rounding adds to distances [m].
 _LEFT, _ROUNDING = 0.1, 1e-9
+# Types of geoms whose sizes say where their surfaces are.
+_SIZED = [
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
+]
 _NOTHING = np.zeros(0), np.zeros((0, 2), dtype=int)
 
 
@@ -101,6 +106,10 @@ class ContactFinder:
     def move(self, places: Mapping[str, ArrayLike]) -> None:
         """See `move_bodies`."""
         move_bodies(self._model, places)
+
+    def put(self, bodies: NDArray[np.int_], places: Floats) -> None:
+        """As `move`, unchecked: bodies by their ids ``(B,)``, positions ``(B, 3)``."""
+        self._model.body_pos[bodies] = places
 
     def geoms(self, qpos: Floats) -> tuple[Floats, NDArray[np.int_]]:
         """Distances ``(C,)`` and ids ``(C, 2)`` of geoms closer than the margin at MuJoCo's positions ``(nq,)``.
@@ -207,3 +216,16 @@ def move_bodies(model: mujoco.MjModel, places: Mapping[str, ArrayLike]) -> None:
     """
     for name, place in places.items():
         model.body_pos[fixed_body(model, name)] = as_floats(f"the place of {quoted(name)}", place, (3,))
+
+
+def grow_bodies(model: mujoco.MjModel, names: Iterable[str], more: float) -> None:
+    """Let the surfaces of bodies' geoms reach further [m], in a model; those of meshes and planes stay."""
+    # The volumes by which MuJoCo passes over distant geoms are turned against these.
+    around = math.sqrt(3.0) * more
+    for body in (model.body(name).id for name in names):
+        geoms = np.flatnonzero((model.geom_bodyid == body) & np.isin(model.geom_type, _SIZED))
+        model.geom_size[geoms] += more * (model.geom_size[geoms] > 0.0)
+        model.geom_rbound[geoms] += around
+        model.geom_aabb[geoms, 3:] += more
+        first = model.body_bvhadr[body]
+        model.bvh_aabb[first : first + model.body_bvhnum[body], 3:] += around

@@ -19,8 +19,8 @@ from lieednn_sim.arm.kinematics import Factor
 from lieednn_sim.lie import hat, skew
 from lieednn_sim.values import Floats
 
-# Step of the finite difference for rates [s].
-_AHEAD = 1e-6
+# Step of the central difference for rates [s]: neither rounding nor the third derivative is seen in ten digits.
+_AHEAD = 1e-4
 # Unit of length, in the network's unit, in which squared entries of a pose have the weights of the metric.
 _UNIT = np.sqrt(0.5)
 # Rows: the matrices hat(e_k) of the network's twists in that unit, flattened.
@@ -68,8 +68,8 @@ class LocalRetraction:
         self._twists = twists.reshape(-1, n)
         self._balls = [np.array(part) for part in zip(*balls, strict=True)]
         self._turns, self._chosen = turns.reshape(-1, 16), chosen
-        self._stack = np.empty((2 + n_factors, links, 6))
-        self._joints = self._stack[2:].reshape(-1)
+        self._stack = np.empty((3 + n_factors, links, 6))
+        self._joints = self._stack[3:].reshape(-1)
         # For each link, stacked: M_1 ... M_f; the same with Z_k M_k in place of M_k for each earlier coordinate k; and
         # M_1 ... M_f Z_k for the coordinates of the next factor. One product with M_f+1 advances all of them.
         turns = turns.reshape(links, -1, 4, 4)
@@ -82,11 +82,11 @@ class LocalRetraction:
             before = after
         self._configuration, self._slopes = before[:, :4], before[:, 4:].reshape(links, -1, 16)
         # The Jacobian's columns, and below them the residuals of the given poses.
-        self._rows = np.zeros((n + 2, 16 * links))
+        self._rows = np.zeros((n + 3, 16 * links))
         # Keeps undetermined coordinates in place, relative to one radian and one unit of length.
         self._damping = 1e-12 * np.eye(n)
         self._columns = self._rows[:n].reshape(n, links, 16).transpose(1, 0, 2)
-        self._errors = self._rows[n:].reshape(2, links, 4, 4)
+        self._errors = self._rows[n:].reshape(3, links, 4, 4)
         # Weights that sum squared entries to the squared gaps of rotation and translation.
         rotation, translation = np.zeros((2, 4, 4))
         rotation[:3, :3], translation[:3, 3] = 0.5, (_UNIT * arm.length_scale) ** 2
@@ -109,20 +109,20 @@ class LocalRetraction:
         If the nearest configuration is far from the last one, eight steps of Newton's method may not reach it.
         """
         stack, rows, n = self._stack, self._rows, len(self.q)
-        stack[0], stack[1] = xi, xi + _AHEAD * rate
+        stack[0], stack[1], stack[2] = xi, xi + _AHEAD * rate, xi - _AHEAD * rate
         for _ in range(8):
             self._twists.dot(self.q - self._reference, out=self._joints)
             poses, lefts = _exp(stack)
-            np.subtract(poses[:2], self._linearised(poses[2:], lefts[2:]), out=self._errors)
+            np.subtract(poses[:3], self._linearised(poses[3:], lefts[3:]), out=self._errors)
             products = rows.dot(rows.T)
             _, steps, _ = dposv(products[:n, :n] + self._damping, products[:n, n:])
-            step, ahead = steps.T
+            step, ahead, behind = steps.T
             self.q = self.q + step
             # The square of the last step is about the remaining error.
             if abs(step[idamax(step)]) < 1e-3:
                 break
         self._left = rows[n] - step.dot(rows[:n])
-        return self.q, (ahead - step) / _AHEAD
+        return self.q, (ahead - behind) / (2.0 * _AHEAD)
 
     def _linearised(self, moved: Floats, lefts: Floats) -> Floats:
         """Poses of the links ``(N, 4, 4)`` from those of their joints ``(F, N, 4, 4)``; also sets the Jacobian."""

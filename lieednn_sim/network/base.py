@@ -100,7 +100,7 @@ class BlockNetwork(ABC):
         state = self.start(xi)
         if self.n_hidden:
             first = self.n_visible
-            driven = self.n_driven > first and self.blocks[first:, :first].any()
+            driven = self.n_driven > first and self.coupled[first:, :first].any()
             state[first:] = self._rest(state) if driven else self._undriven_rest
         return state
 
@@ -140,10 +140,15 @@ class BlockNetwork(ABC):
         """Flat weight matrix W, ``(dN, dN)``."""
         return read_only(as_floats("weight", flatten_blocks(self.blocks), ("n", "n")))
 
+    @property
+    def coupled(self) -> NDArray[np.bool_]:
+        """Whether neuron i has an input from neuron j, ``(N, N)``."""
+        return np.asarray(self.blocks.any(axis=(2, 3)))
+
     @cached_property
     def n_driven(self) -> int:
         """Number of leading neurons after which none has an input, at least 1: the visible ones of many cascades."""
-        return leading(np.asarray(self.blocks.any(axis=(1, 2, 3))))
+        return int(np.flatnonzero(self.coupled.any(axis=1)).max(initial=0)) + 1
 
     @cached_property
     def driven_weight(self) -> Floats:
@@ -163,6 +168,11 @@ class BlockNetwork(ABC):
     def certifiable_weight(self) -> Floats:
         """The matrix that decides stability: W, or a part of it where that is enough."""
         return self.weight
+
+    @cached_property
+    def _of_weights(self) -> dict[str, Any]:
+        """What takes much time and memory to find of the weights, whichever of the networks that share them asks."""
+        return {}
 
     @cached_property
     def certificate(self) -> stability.Certificate | None:
@@ -209,9 +219,11 @@ class BlockNetwork(ABC):
         """Jacobian of the flat vector field, ``(..., N, d)`` to ``(..., dN, dN)``."""
         state = as_floats("xi", xi, self.bias.shape, batched=True)
         driven = self._driven(state)
-        whole = np.zeros((*driven.shape[:-2], state.shape[-2] * state.shape[-1], driven.shape[-1]))
+        every = np.arange(driven.shape[-1])
+        whole = np.zeros((*driven.shape[:-2], len(every), len(every)))
         whole[..., : driven.shape[-2], :] = self.mu * driven
-        return whole - self.gamma * np.eye(driven.shape[-1])
+        whole[..., every, every] -= self.gamma
+        return whole
 
     def equilibrium(self, start: ArrayLike | None = None, *, tolerance: float = 1e-12) -> Equilibrium:
         """Find an equilibrium by damped Newton steps, with the flow as fallback; see `dynamics.find_equilibrium`.
@@ -330,7 +342,7 @@ class BlockNetwork(ABC):
         # Weights and proof are the same: hand over what was checked and computed for them, and nothing else.
         network, known = object.__new__(type(self)), vars(self)
         values = {name: known[name] for name in self._kept() if name in known}
-        values["bias"] = read_only(as_floats("bias", bias, bias.shape))
+        values |= {"_of_weights": self._of_weights, "bias": read_only(as_floats("bias", bias, bias.shape))}
         if self.start_reference is not None:
             reached = target[: self.n_visible]
             moved = reached - self._visible_target
@@ -428,8 +440,3 @@ def flatten_blocks(blocks: Floats) -> Floats:
     """Blocks ``(M, N, d, d)`` as one read-only matrix ``(Md, Nd)``."""
     m, n, size = blocks.shape[:3]
     return read_only(np.ascontiguousarray(blocks.transpose(0, 2, 1, 3).reshape(m * size, n * size)))
-
-
-def leading(driven: NDArray[np.bool_]) -> int:
-    """Number of leading entries of ``(N,)`` after which none is true, at least 1."""
-    return int(driven.nonzero()[0].max(initial=0)) + 1

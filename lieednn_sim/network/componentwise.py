@@ -119,8 +119,10 @@ class ComponentwiseNetwork(BlockNetwork):
     def assess(self, start: ArrayLike | None = None) -> stability.Verdict:
         """All stability conditions with the rates they prove; the local one at the equilibrium found from ``start``."""
         result = self.equilibrium(start)
-        jacobian = self.jacobian(result.xi) if result.success else None
-        return stability.assess(self.weight, jacobian=jacobian, **self._proved_on)
+        known = self._of_weights
+        if "verdict" not in known:
+            known["verdict"] = stability.assess(self.weight, **self._proved_on)
+        return known["verdict"].locally(self.jacobian(result.xi)) if result.success else known["verdict"]
 
     @property
     def _proved_on(self) -> dict[str, Any]:
@@ -144,11 +146,12 @@ class ComponentwiseNetwork(BlockNetwork):
     def to_c(self, folder: str | os.PathLike[str]) -> Path:
         """Write the network as C99, for a controller: ``lieednn.h`` and ``lieednn.c``, without allocation.
 
-        The header says what each function does, and gives the certificate's figures. A step is that of `policies` and
-        of `dynamics.runge_kutta_step`: the fourth-order Runge-Kutta method. The target can be moved as by `retarget`.
+        The header says what each function does; the numbers, ``lieednn_numbers.h``, begin with the certificate. A step
+        is that of `policies` and of `dynamics.runge_kutta_step`: the fourth-order Runge-Kutta method. The target can be
+        moved as by `retarget`.
 
         Args:
-            folder: where to write them; it is made if it is missing, and returned. Two files of these names there are
+            folder: where to write them; it is made if it is missing, and returned. Files of these names there are
                 replaced.
 
         Raises:

@@ -115,7 +115,9 @@ def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
             break
         check_time()
         flow.step()
-    return np.asarray(flow.y, dtype=np.float64)
+    y = np.asarray(flow.y, dtype=np.float64)
+    vars(flow).clear()  # as in `integrate`
+    return y
 
 
 def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, tolerance: float) -> tuple[Floats, int, bool]:
@@ -158,26 +160,31 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
     evaluations, as for a stiff network.
     """
     t, x, pieces = [solver.t], [solver.y], list[DenseOutput]()
-    while solver.status == "running":
-        check_time()
-        message = solver.step()
-        if solver.status == "failed":
-            raise ArithmeticError(message)
-        if solver.nfev > _MAX_EVALUATIONS:
-            raise LieEDNNError(
-                f"the network is too stiff for {type(solver).__name__}: more than {_MAX_EVALUATIONS} evaluations in a "
-                f"duration of {solver.t_bound:g}; use method='Radau', a shorter duration or smaller weights"
-            )
-        piece = solver.dense_output()
-        pieces.append(piece)
-        if away is not None and away(solver.y) <= 0.0:
-            tiny = 4.0 * float(np.finfo(float).eps)  # as precise as SciPy's own events
-            end = brentq(lambda time, piece=piece: away(piece(time)), solver.t_old, solver.t, xtol=tiny, rtol=tiny)
-            t.append(end)
-            x.append(piece(end))
-            break
-        t.append(solver.t)
-        x.append(solver.y)
+    try:
+        while solver.status == "running":
+            check_time()
+            message = solver.step()
+            if solver.status == "failed":
+                raise ArithmeticError(message)
+            if solver.nfev > _MAX_EVALUATIONS:
+                raise LieEDNNError(
+                    f"the network is too stiff for {type(solver).__name__}: more than {_MAX_EVALUATIONS} evaluations "
+                    f"in a duration of {solver.t_bound:g}; use method='Radau', a shorter duration or smaller weights"
+                )
+            piece = solver.dense_output()
+            pieces.append(piece)
+            if away is not None and away(solver.y) <= 0.0:
+                tiny = 4.0 * float(np.finfo(float).eps)  # as precise as SciPy's own events
+                # Of its function, though not of its arguments, `brentq` leaves a reference cycle behind.
+                end = brentq(lambda at, f, x: f(x(at)), solver.t_old, solver.t, (away, piece), xtol=tiny, rtol=tiny)
+                t.append(end)
+                x.append(piece(end))
+                break
+            t.append(solver.t)
+            x.append(solver.y)
+    finally:
+        # SciPy's solvers refer to themselves, and so keep what their vector field refers to: a network, and its memory.
+        vars(solver).clear()
     times = np.array(t)
     dense = _polynomials(times, pieces) if isinstance(solver, RK45) else OdeSolution(times, pieces)
     return times, np.array(x), dense

@@ -2,141 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from string import Template
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.io import atomic_path, atomic_paths, make_directory
 from lieednn_sim.network.base import BlockNetwork
-from lieednn_sim.values import Floats
 
-_PHI = {"tanh": "tanh(x)", "arctan": "M_2_PI * atan(M_PI_2 * x)"}
-
-_HEADER = Template("""\
-/* A certified neural ODE, x' = -gamma x + mu (W phi(x) + b), as C99.
-
-$proof
-
-   A neuron's state is a twist (omega [rad], v in the network's unit of length); visible neurons come first. */
-#ifndef LIEEDNN_H
-#define LIEEDNN_H
-
-#define LIEEDNN_SIZE $size /* entries of the state */
-#define LIEEDNN_VISIBLE $visible /* entries of the visible neurons, which come first */
-#define LIEEDNN_LAMBDA_MAX $lambda_max /* largest eigenvalue of the certificate, NAN without one */
-#define LIEEDNN_BOUND $bound /* gamma/mu, which it must stay below */
-#define LIEEDNN_RATE $rate /* proved rate of convergence, per unit of the network's time; 0 without a proof */
-
-typedef struct {
-    double x[LIEEDNN_SIZE]; /* state */
-    double bias[LIEEDNN_SIZE]; /* mu b, which holds the target */
-    double target[LIEEDNN_VISIBLE]; /* equilibrium of the visible neurons */
-    double work[4][LIEEDNN_SIZE];
-} lieednn;
-
-/* The network at the target that it was exported with. Call lieednn_start next. */
-void lieednn_init(lieednn *net);
-
-/* Begin a motion with the visible neurons at the given state; hidden ones start where their law says. */
-void lieednn_start(lieednn *net, const double visible[LIEEDNN_VISIBLE]);
-
-/* Another target, under the same proof; a motion under way goes on to it. */
-void lieednn_retarget(lieednn *net, const double target[LIEEDNN_VISIBLE]);
-
-/* The rate of a state, per unit of the network's time. */
-void lieednn_field(const lieednn *net, const double x[LIEEDNN_SIZE], double rate[LIEEDNN_SIZE]);
-
-/* One step of the classical Runge-Kutta method, h in the network's time. */
-void lieednn_step(lieednn *net, double h);
-
-#endif
-""")
-
-_SOURCE = Template("""\
-#include "lieednn.h"
-
-#include <math.h>
-#include <string.h>
-
-#ifndef M_2_PI
-#define M_2_PI 0.63661977236758134308
-#define M_PI_2 1.57079632679489661923
-#endif
-
-#define DRIVEN $driven /* entries of the state that have inputs, which come first */
-#define HIDDEN (LIEEDNN_SIZE - LIEEDNN_VISIBLE)
-
-static const double gamma_ = $gamma;
-/* mu W, by columns, so that sums over them run along memory. */
-static const double weight[LIEEDNN_SIZE][DRIVEN] = $weight;
-static const double bias[LIEEDNN_SIZE] = $bias_values;
-/* Equilibrium at the exported target. */
-static const double rest[LIEEDNN_SIZE] = $rest;
-$hidden_arrays
-static double phi(double x) { return $phi; }
-
-static void add_inputs(const double x[LIEEDNN_SIZE], double sum[LIEEDNN_SIZE], double sign)
-{
-    for (int j = 0; j < LIEEDNN_SIZE; j++) {
-        const double output = sign * phi(x[j]);
-        for (int i = 0; i < DRIVEN; i++)
-            sum[i] += weight[j][i] * output;
-    }
-}
-
-void lieednn_field(const lieednn *net, const double x[LIEEDNN_SIZE], double rate[LIEEDNN_SIZE])
-{
-    for (int i = 0; i < LIEEDNN_SIZE; i++)
-        rate[i] = net->bias[i] - gamma_ * x[i];
-    add_inputs(x, rate, 1.0);
-}
-
-void lieednn_step(lieednn *net, double h)
-{
-    static const double part[4] = {0.0, 0.5, 0.5, 1.0}, share[4] = {1.0, 2.0, 2.0, 1.0};
-    double *at = net->work[0], *rate = net->work[1], *sum = net->work[2], *end = net->work[3];
-    memset(rate, 0, sizeof net->work[1]);
-    memset(sum, 0, sizeof net->work[2]);
-    for (int stage = 0; stage < 4; stage++) {
-        for (int i = 0; i < LIEEDNN_SIZE; i++)
-            at[i] = net->x[i] + part[stage] * h * rate[i];
-        lieednn_field(net, at, rate);
-        for (int i = 0; i < LIEEDNN_SIZE; i++)
-            sum[i] += share[stage] * rate[i];
-    }
-    for (int i = 0; i < LIEEDNN_SIZE; i++)
-        end[i] = net->x[i] + h / 6.0 * sum[i];
-    memcpy(net->x, end, sizeof net->x);
-}
-
-void lieednn_init(lieednn *net)
-{
-    memset(net, 0, sizeof *net);
-    memcpy(net->bias, bias, sizeof bias);
-    memcpy(net->target, rest, sizeof net->target);
-}
-
-void lieednn_start(lieednn *net, const double visible[LIEEDNN_VISIBLE])
-{
-    memcpy(net->x, visible, sizeof net->target);
-$start
-}
-
-void lieednn_retarget(lieednn *net, const double target[LIEEDNN_VISIBLE])
-{
-    double *goal = net->work[0], *pull = net->work[1];
-    memcpy(goal, rest, sizeof rest);
-    memcpy(goal, target, sizeof net->target);
-    for (int i = 0; i < LIEEDNN_SIZE; i++)
-        pull[i] = gamma_ * goal[i];
-    add_inputs(goal, pull, -1.0);
-    memcpy(net->bias, pull, sizeof net->target);
-    memcpy(net->target, target, sizeof net->target);
-}
-""")
+_PHI = {"tanh": "tanh(x)", "arctan": "(0.63661977236758134308 * atan(1.57079632679489661923 * (x)))"}
 
 # The field at one stage's state, in ONNX's own notation.
 _STAGE = """
@@ -171,77 +50,94 @@ lieednn_step (double[{{size}}] x, double h{{bias}}) => (double[{{size}}] x_next)
 
 
 def write_c(network: BlockNetwork, activation: str, folder: str | os.PathLike[str]) -> Path:
-    """Write ``lieednn.h`` and ``lieednn.c`` into a folder; see `ComponentwiseNetwork.to_c`."""
+    """Write ``lieednn.h``, ``lieednn.c`` and their numbers into a folder; see `ComponentwiseNetwork.to_c`."""
     if activation not in _PHI:
         raise InputError(f"C code is known for {' and '.join(_PHI)}, not for the activation {activation!r}")
     first, d = network.n_visible, network.bias.shape[1]
-    if network.n_hidden and network.n_driven > first and network.blocks[first:, :first].any():
+    if network.coupled[first:, :first].any():
         raise InputError("hidden neurons hear visible ones in this network, which the C code cannot retarget")
     result = network.equilibrium()
     if not result.success:
         raise InputError(f"the network has no equilibrium that its target could be ({result.message})")
     proof = network.certificate if network.certified else None
-    values = {
-        "proof": f"   {proof}." if proof else "   It is not certified: nothing is proved about where it goes.",
-        "size": d * network.n_neurons,
-        "visible": d * first,
-        "driven": d * network.n_driven,
-        "lambda_max": _number(proof.lambda_max) if proof else "NAN",
-        "bound": _number(network.gamma / network.mu),
-        "rate": _number(proof.rate if proof else 0.0),
-        "gamma": _number(network.gamma),
-        "weight": _array(network.mu * network.driven_weight.T),
-        "bias_values": _array(network.mu * network.bias.ravel()),
-        "rest": _array(result.xi.ravel()),
-        "phi": _PHI[activation],
-        **_hidden(network),
+    gain, reference, goal_gain = network.start_gain, network.start_reference, network.goal_gain
+    numbers = {
+        "SIZE": (d * network.n_neurons, "entries of the state"),
+        "VISIBLE": (d * first, "entries of the visible neurons, which come first"),
+        "HIDDEN": (d * network.n_hidden, "entries of the others"),
+        "DRIVEN": (d * network.n_driven, "entries that have inputs, which come first"),
+        "LAMBDA_MAX": (proof.lambda_max if proof else math.nan, "largest eigenvalue of the certificate, NAN without"),
+        "BOUND": (network.gamma / network.mu, "gamma/mu, which it must stay below"),
+        "RATE": (proof.rate if proof else 0.0, "proved rate of convergence, per unit of the network's time, or 0"),
+        "GAMMA": (float(network.gamma), "decay rate"),
+        "PHI(x)": (_PHI[activation], "activation"),
+        "START_LAW": (int(gain is not None), "whether hidden starts depend on the visible one"),
     }
+    arrays = {
+        "weight": (network.mu * network.driven_weight.T, "mu W, by columns, so that sums over them run along memory"),
+        "bias": (network.mu * network.bias.ravel(), "mu b"),
+        "rest": (result.xi.ravel(), "equilibrium at the exported target"),
+    }
+    if network.n_hidden:
+        arrays["hidden_start"] = network.hidden_start.ravel(), "where hidden neurons start"
+    if gain is not None and reference is not None:
+        arrays["start_gain"] = gain, "and how that depends on the visible start"
+        arrays["start_reference"] = reference.ravel(), "as seen from here, moved as far as the target"
+        arrays["goal_gain"] = np.zeros_like(gain) if goal_gain is None else goal_gain, "and on the target"
+    about = str(proof) if proof else "It is not certified: nothing is proved about where it goes"
+    header = c_header("lieednn_numbers", f"{about}.", "LIEEDNN", numbers, arrays)
+    return write_sources(folder, Path(__file__).parent / "c", {"lieednn_numbers.h": header})
+
+
+def write_sources(folder: str | os.PathLike[str], sources: Path, made: Mapping[str, str]) -> Path:
+    """Write the C files of a folder of this package, and texts by their names, into a folder, which is returned."""
+    texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(sources.glob("*.[ch]"))} | dict(made)
     directory = make_directory(folder)
-    targets = [directory / "lieednn.h", directory / "lieednn.c"]
-    with atomic_paths(targets) as paths:
-        for path, template in zip(paths, (_HEADER, _SOURCE), strict=True):
-            path.write_text(template.substitute(values), encoding="utf-8")
+    with atomic_paths([directory / name for name in texts]) as paths:
+        for path, text in zip(paths, texts.values(), strict=True):
+            path.write_text(text, encoding="utf-8")
     return directory
 
 
-def _hidden(network: BlockNetwork) -> dict[str, str]:
-    """The hidden neurons' starts as C."""
-    if not network.n_hidden:
-        return {"hidden_arrays": "", "start": ""}
-    gain, reference, goal_gain = network.start_gain, network.start_reference, network.goal_gain
-    start = ["    memcpy(net->x + LIEEDNN_VISIBLE, hidden_start, sizeof hidden_start);"]
-    gains, law = "", ""
-    if gain is not None and reference is not None:
-        law = " + start_gain (visible - start_reference - moved)"
-        gains += f"static const double start_gain[HIDDEN][LIEEDNN_VISIBLE] = {_array(gain)};\n"
-        gains += f"static const double start_reference[LIEEDNN_VISIBLE] = {_array(reference.ravel())};\n"
-        term = "start_gain[i][j] * (visible[j] - start_reference[j] - moved)"
-        if goal_gain is not None:
-            law += " + goal_gain moved"
-            gains += f"static const double goal_gain[HIDDEN][LIEEDNN_VISIBLE] = {_array(goal_gain)};\n"
-            term += " + goal_gain[i][j] * moved"
-        law += ", with moved the way of the target since the export"
-        start += [
-            "    for (int j = 0; j < LIEEDNN_VISIBLE; j++) {",
-            "        const double moved = net->target[j] - rest[j];",
-            "        for (int i = 0; i < HIDDEN; i++)",
-            f"            net->x[LIEEDNN_VISIBLE + i] += {term};",
-            "    }",
-        ]
-    hidden = f"/* Hidden neurons start at hidden_start{law}. */\n"
-    hidden += f"static const double hidden_start[HIDDEN] = {_array(network.hidden_start.ravel())};\n{gains}"
-    return {"hidden_arrays": hidden, "start": "\n".join(start)}
+def c_header(
+    name: str,
+    about: str,
+    prefix: str,
+    numbers: Mapping[str, tuple[object, str]],
+    arrays: Mapping[str, tuple[NDArray[Any], str]],
+) -> str:
+    """A C header: a comment, macros of numbers, and arrays, for the source that defines ``prefix_ARRAYS``.
+
+    Numbers and arrays are by their names, each with what it is in words.
+    """
+    guard = f"{name.upper()}_H"
+    lines = [f"/* {_comment(about)} */", f"#ifndef {guard}", f"#define {guard}", ""]
+    lines += [
+        f"#define {prefix}_{key} {_number(value)} /* {_comment(what)} */" for key, (value, what) in numbers.items()
+    ]
+    lines += ["", f"#ifdef {prefix}_ARRAYS"]
+    for key, (array, what) in arrays.items():
+        kind, sizes = "int" if array.dtype.kind == "i" else "double", "".join(f"[{size}]" for size in array.shape)
+        lines += [f"/* {_comment(what)} */", f"static const {kind} {key}{sizes} = {_array(array)};"]
+    return "\n".join([*lines, "#endif", "", "#endif", ""])
 
 
-def _number(value: float) -> str:
-    """The shortest decimal that C reads as the same double."""
-    return repr(float(value))
+def _comment(text: str) -> str:
+    """A text that cannot end the comment that it is in."""
+    return " ".join(text.replace("*/", "* /").split())
 
 
-def _array(values: Floats) -> str:
+def _number(value: object) -> str:
+    """A number in C, the shortest decimal that is read as the same double; a text as it is."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NAN" if math.isnan(value) else "INFINITY" if value > 0.0 else "-INFINITY"
+    return str(value)
+
+
+def _array(values: NDArray[Any]) -> str:
     """A brace-enclosed initialiser."""
-    if np.ndim(values) == 1:
-        return "{" + ", ".join(map(_number, values)) + "}"
+    if values.ndim == 1:
+        return "{" + ", ".join(map(_number, values.tolist())) + "}"
     return "{\n" + ",\n".join(map(_array, values)) + "}"
 
 

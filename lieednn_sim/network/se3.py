@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import adjoint
-from lieednn_sim.network.base import BlockNetwork, as_strengths, checked_fields, flatten_blocks, leading
+from lieednn_sim.network.base import BlockNetwork, as_strengths, checked_fields, flatten_blocks
 from lieednn_sim.network.componentwise import DEFAULT_ACTIVATION, ComponentwiseNetwork, as_activation
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats, frozen, read_only, set_fields
@@ -31,10 +31,10 @@ class RigidNetwork(BlockNetwork):
         """Weight blocks alpha_ij Ad(theta_ij), ``(N, N, 6, 6)``."""
         return read_only(self.alpha[:, :, None, None] * adjoint(self.rotation, self.translation))
 
-    @cached_property
-    def n_driven(self) -> int:
-        """Number of leading neurons after which none has an input, at least 1; see `BlockNetwork`."""
-        return leading(np.asarray(self.alpha.any(axis=1)))
+    @property
+    def coupled(self) -> NDArray[np.bool_]:
+        """Whether neuron i has an input from neuron j, ``(N, N)``; blocks of many neurons take much memory."""
+        return self.alpha != 0.0
 
     @cached_property
     def driven_weight(self) -> Floats:

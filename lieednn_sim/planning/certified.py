@@ -186,21 +186,22 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Can
     arm = problem.arm
     # If no motion can be fast enough, one refusal suffices; sampled ones may seem slightly faster than they are.
     hurried = problem.duration <= 0.99 * least_duration(arm, problem.start, problem.target)
-    refusals: list[PlanError] = []
+    refusals = list[tuple[str, float | None]]()
     for candidate in _promising(result):
         if refusals and (candidate.touches or candidate.excess > options.hopeless_excess):
             break
         try:
             motion = timed_motion(problem, candidate.path)
         except PlanError as error:
-            refusals.append(error)
+            refusals.append((str(error), getattr(error, "duration", None)))
             if hurried or len(refusals) == options.tried:
                 break
             continue
         return candidate.network, motion
-    message = f"{refusals[0]} (best of {len(result)} candidates)"
-    if isinstance(refusals[0], TooFastError):
-        raise TooFastError(message, refusals[0].duration)
+    reason, duration = refusals[0]
+    message = f"{reason} (best of {len(result)} candidates)"
+    if duration is not None:
+        raise TooFastError(message, duration)
     raise PlanError(f"{message}; try more candidates, another seed, a larger bias magnitude or the solved bias")
 
 

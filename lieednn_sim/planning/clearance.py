@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import threading
-from functools import lru_cache
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +23,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.clearance_bounds import ClearanceBounds
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, PlanError
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, frozen, weakly_cached
 
 # Intervals to begin with, and the way in one of them, which is rarely proved if it is longer [rad, m]; and how many
 # bounds are worth while, besides one for every fourth sample.
@@ -262,10 +262,10 @@ def bounds_of(arm: Arm) -> ClearanceBounds | str:
     return _bounds_in(arm, threading.get_ident())
 
 
-@lru_cache(maxsize=8)
+@weakly_cached
 def _bounds_in(arm: Arm, _: int) -> ClearanceBounds | str:
     n = arm.n_joints
     try:
-        return ClearanceBounds(arm.without_visuals, [(np.arange(n), np.ones(n))])
+        return ClearanceBounds(replace(arm.without_visuals), [(np.arange(n), np.ones(n))])
     except InputError as error:
         return str(error)

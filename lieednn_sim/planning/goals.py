@@ -80,7 +80,7 @@ def candidates(
         raise InputError(f"target must hold at least one goal, got an empty {type(target).__name__}")
     near = [] if path_constraint is None else list(_followed(arm, goals, start, path_constraint))
     yield from sorted(near, key=lambda q: least_duration(arm, start, q))
-    result, refusals = list[Floats](), list[InputError | NoSolutionError]()
+    result, refusals = list[Floats](), list[str]()
     for goal in goals:
         check_time()
         try:
@@ -89,10 +89,10 @@ def candidates(
             else:
                 result += ik_candidates(arm, goal, start=start, seed=seed, path_constraint=path_constraint)
         except (InputError, NoSolutionError) as error:
-            refusals.append(error)
+            if not near and len(goals) == 1:
+                raise
+            refusals.append(str(error))
     yield from sorted(result, key=lambda q: least_duration(arm, start, q))
-    if not near and not result and len(goals) == 1:
-        raise refusals[0]
     if not near and not result:
         raise NoSolutionError(f"none of {len(goals)} goals can be reached; the first one: {refusals[0]}")
 

@@ -20,6 +20,7 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines import interpolation, sampling
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.baselines.search_space import EdgeTest
+from lieednn_sim.planning.baselines.smoothing import slow_motion
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
 from lieednn_sim.planning.joint_space import Workspace, travelled
@@ -71,7 +72,8 @@ def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[
 
     A guide's plan has the name of the planner whose motion it is, with ", optimised" if it was. Minimum jerk comes
     first: no motion is shorter or smoother. Then come the optimised candidates, those with the least measure first, and
-    at last RRT-Connect's motion. Guides keep the limits; of contact they are free at some samples.
+    at last RRT-Connect's motion, which keeps the limits, as the others do; of contact guides are free at some samples.
+    Where that search is to be the fastest (`SmoothingOptions.fastest`), slow motions along its curves come before it.
 
     Args:
         problem, options: the problem, and how guides are found.
@@ -111,7 +113,13 @@ def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[
             # A finer optimisation from there keeps clear where the former does not.
             yield f"{name}, optimised", partial(search.finer, free)
     if problem.path_constraint is None:
-        yield "rrt-connect", partial(sampling.rrt_connect, problem, options.search, guiding=True)
+        rrt, path = options.search, partial(sampling.paths, problem, options.search, "rrt-connect")
+        for corners in map(path(), range(len(rrt.spacings))) if rrt.fastest else ():
+            if corners is None:
+                break
+            for count in rrt.control_points:
+                yield "rrt-connect", partial(slow_motion, problem, corners, count, rrt.bend)
+        yield "rrt-connect", partial(sampling.rrt_connect, problem, rrt)
 
 
 def _straight(problem: PlanningProblem) -> Motion:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -13,7 +11,7 @@ from lieednn_sim.lie import continued
 from lieednn_sim.planning.motion import Motion, check_joints, check_roughly
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import Floats, read_only
+from lieednn_sim.values import Floats, read_only, weakly_cached
 
 # Degree of the planners' splines, with continuous derivatives up to the fourth: smooth curvature, and continuous jerk
 # where the spline is one in time.
@@ -106,7 +104,7 @@ def travelled(points: Floats) -> Floats:
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
-@lru_cache(maxsize=8)
+@weakly_cached
 def sweeps(arm: Arm) -> Floats:
     """Largest distance ``(n,)`` that a unit of each joint moves a link frame at random configurations [m/rad, m/m]."""
     low, high = arm.position_limits.T

@@ -77,7 +77,7 @@ def plan_learned(
     poses = learned.poses(None if q is None else arm.link_poses(q)[-1], goal)
     turning = turning and learned.dof == 6
     regions = [_region(pose, turning) for pose in poses]
-    refusal: LieEDNNError | None = None
+    refusal = ""
     with default_limit(), one_blas_thread():
         for first in _starts(arm, regions[0], seed) if q is None else [q]:
             free, leaves = arm.leaving(first)
@@ -89,13 +89,12 @@ def plan_learned(
                 result = followed_guide(problem, ShapedOptions(), guide)
                 motion = retime(free, result.motion) if fastest else result.motion
             except LieEDNNError as error:
-                refusal = refusal or error
+                refusal = refusal or str(error)
                 continue
             spent = cpu_time() - begin
             result = replace(result, motion=motion, target=path[-1], planner="lieednn-shaped", cpu_time=spent)
             return replace(result, arm=arm, leaves=leaves)
-    assert refusal is not None
-    raise PlanError(f"the arm cannot do the learned motion: {refusal}; {_REMEDY}") from refusal
+    raise PlanError(f"the arm cannot do the learned motion: {refusal}; {_REMEDY}")
 
 
 def _region(pose: RigidTransform, turning: bool) -> TaskSpaceRegion:

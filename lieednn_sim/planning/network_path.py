@@ -133,7 +133,8 @@ class NetworkPath:
         Raises:
             InputError: the network is another one.
         """
-        visible = CurveEncoder(network.n_visible, network.activation).path(network, given.xi[0])
+        strength = float(network.alpha[0].max())
+        visible = CurveEncoder(network.n_visible, network.activation, strength).path(network, given.xi[0])
         w = visible.x
         speed = PchipInterpolator(w, np.linalg.norm(visible(w, 1) * units, axis=(-2, -1)))
         # Decoded at every third instant, and at all where they become denser.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
 from lieednn_sim.synthesis import bias_for, synthesize
 from lieednn_sim.validation import as_positive
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, weakly_cached
 
 # The motion ends at the learned network's equilibrium, which must be the target [rad, length_scale m].
 _TRACKED = TrainingOptions.tracked(tolerance=1e-8)
@@ -78,7 +77,7 @@ def reference_network(
     return _reference_network(arm, as_positive("bias_magnitude", bias_magnitude), activation)
 
 
-@lru_cache(maxsize=8)
+@weakly_cached
 def _reference_network(arm: Arm, bias_magnitude: float, activation: str) -> LieEDNN:
     target = arm.encode(reference_configuration(arm))
     return synthesize(target, bias="sign-matched", bias_magnitude=bias_magnitude, activation=activation).unwrap()

@@ -175,7 +175,7 @@ def plan(
     shortest, longest = durations(duration)
     first = PlanningProblem(free, q, q, shortest, number, longest, path_constraint)
     check_held(arm, first.start[None], ["the start"])
-    refusal: LieEDNNError = NoSolutionError("there is no goal")
+    refusals: list[LieEDNNError] = [NoSolutionError("there is no goal")]
     # For matrices this small, threads would only wait for each other.
     with default_limit(), one_blas_thread():
         for goal in candidates(arm, target, q, number, path_constraint):
@@ -185,11 +185,12 @@ def plan(
                 motion = retime(free, result.motion) if fastest else result.motion
                 check_path_constraint(arm, path_constraint, motion)
             except (PlanError, NotCertifiedError) as error:
-                refusal = error
+                if leaves:
+                    error.args = (f"{error}; from the start the motion must leave what is near: {leaves}",)
+                # A traceback refers to frames, and these to their variables: to the error, in a cycle with the arm.
+                refusals = [error.with_traceback(None)]
             else:
                 spent = cpu_time() - begin
                 result = replace(result, motion=motion, target=goal, planner=planner, cpu_time=spent)
                 return replace(result, arm=arm, leaves=leaves)
-    if leaves:
-        refusal.args = (f"{refusal}; from the start the motion must leave what is near: {leaves}",)
-    raise refusal
+    raise refusals.pop()

@@ -25,11 +25,14 @@ from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.path_constraints import check_path_constraint
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time
-from lieednn_sim.planning.time_laws import law_of
+from lieednn_sim.planning.time_laws import law_of, retime
 from lieednn_sim.synthesis import CurveEncoder, ShapingOptions, shape
+from lieednn_sim.synthesis.shaping.encoder import STRENGTH
 from lieednn_sim.values import Floats, frozen
 
 _GUIDE = GuideOptions()
+# Of universal networks; with the second, curves have codes that are fifty times as long or as sharply bent.
+_STRENGTHS = (STRENGTH, 4000.0)
 _STRIDE = 2  # every second sample of the guide's motion is a sample of the curve
 
 
@@ -98,8 +101,10 @@ def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan
         path = NetworkPath.encoded(arm, network, given, units)
     else:
         path = NetworkPath.integrate(arm, network, problem.start, units)
-    motion = in_time(timed_motion, asked, path, law_of(given, units))
-    check_path_constraint(arm, problem.path_constraint, motion)
+    if fastest := options.guide.search.fastest:
+        motion = path.timed(lasts, problem.timestep, law_of(given, units))
+    else:
+        motion = in_time(timed_motion, asked, path, law_of(given, units))
     some = motion.q[:: max(1, len(motion.q) // 200)]
     deviation = _deviation(arm.tip(some), arm.tip(given.q[::_STRIDE]))
     if deviation > options.deviation:
@@ -107,6 +112,9 @@ def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan
             f"the end effector would be {1e3 * deviation:.2g} mm off its path, and deviation allows "
             f"{1e3 * options.deviation:.2g} mm"
         )
+    if fastest:
+        motion = retime(arm, motion)
+    check_path_constraint(arm, problem.path_constraint, motion)
     return Plan(motion, path.network, ShapedDetails(deviation, fit_time), guide=guide)
 
 
@@ -114,8 +122,9 @@ def _network(arm: Arm, options: ShapedOptions, curve: Floats, units: Floats) -> 
     """A network along a curve ``(K, N, 6)``, with ``units`` as of `lever_units`, and whether it is the universal."""
     if options.rate == 1.0:
         # Other curves are too long or too sharply bent for a code.
-        with suppress(InputError):
-            return CurveEncoder(arm.n_links, options.activation).encode(curve, units), True
+        for strength in _STRENGTHS:
+            with suppress(InputError):
+                return CurveEncoder(arm.n_links, options.activation, strength).encode(curve, units), True
     shaping = ShapingOptions(options.rate, options.neurons, options.activation)
     # The deviation allowed is the effector's, and this one is of all links. With less than a fifth there are more
     # neurons, and up to 1.3 times the jerk at a rate of 0.1.

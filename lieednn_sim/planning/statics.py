@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,20 @@ class TooWeakError(PlanError, InputError):
 def force_use(arm: Arm, t: Floats, q: Floats, qd: Floats) -> float:
     """Largest force that a motion needs of the actuators, in units of its limit; arguments are as of `check_forces`."""
     return float(_use(_along(arm, t, q, qd, np.arange(len(t) - 1))).max())
+
+
+def path_forces(arm: Arm, path: Callable[..., Floats], s: Floats) -> Floats:
+    """Forces along a path q(s) over their bounds: coefficients ``(4, S, 2 m)`` of s'', s'^2, s' > 0 and 1.
+
+    The path is called as ``path(s, order)``, with s ``(S,)``. The forces must be below 1; those that are bounded from
+    below come first.
+    """
+    q, slope, step = path(s), path(s, 1), 1e-6
+    ahead, behind = (arm.qvel(path(at), path(at, 1)) for at in (s + step, s - step))
+    rates = arm.qvel(q, slope)
+    still, damping, rest = _parts(arm, q, slope, rates, (ahead - behind) / (2.0 * step))
+    forces = np.stack([_needed(arm, q, slope, 0.0, rates)[0] - still, rest, damping, still])
+    return np.concatenate([forces / bound for bound in _bounds(arm)], axis=2)
 
 
 def check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
@@ -70,22 +84,23 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
     else:
         return None
     rows, (needed, bound) = some[k], forces[:, k, j]
-    one = (0, np.arange(len(rows)), j)
-    still = _needed(arm, q[rows], qd[rows])[one]
-    # Backwards in time, dry friction and dampers push the other way.
-    dry = still - _needed(arm, q[rows], -qd[rows])[one]
-    damping = 0.5 * (needed - _along(arm, -t, q, -qd, rows)[one] - dry)
     # In the direction of the bound that is passed.
-    f0, f1 = np.sign(needed) * (still, damping)
-    f2, spare = np.abs(needed) - f0 - f1, bound - f0
-    if spare.min() <= 0.0:
-        worst = int(spare.argmin())
+    f0, f1, f2 = np.sign(needed) * [part[np.arange(len(rows)), j] for part in _along(arm, t, q, qd, rows, _parts)]
+    if (f0 >= bound).any():
+        worst = int((bound - f0).argmin())
         where = f"cannot be held at t = {t[rows[worst]]:.2f} s"
-        raise TooWeakError(_overload(arm, int(j[worst]), where, still[worst], bound[worst]))
-    stretch = (f1 + np.sqrt(np.maximum(f1**2 + 4.0 * spare * f2, 0.0))) / (2.0 * spare)
+        raise TooWeakError(_overload(arm, int(j[worst]), where, f0[worst], bound[worst]))
+    stretch = least_stretch(f0, f1, f2, bound)
     worst = int(stretch.argmax())
     where = f"would be overloaded at t = {t[rows[worst]]:.2f} s"
     return float(t[-1] * stretch[worst]), _overload(arm, int(j[worst]), where, needed[worst], bound[worst])
+
+
+def least_stretch(still: Floats, damping: Floats, rest: Floats, bound: Floats | float) -> Floats:
+    """By how much time must be stretched for f0 + f1 / s + f2 / s^2 to stay below a bound; 0 where f0 does not."""
+    spare = bound - still
+    root = np.sqrt(np.maximum(damping**2 + 4.0 * spare * rest, 0.0))
+    return np.where(spare > 0.0, (damping + root) / (2.0 * np.where(spare > 0.0, spare, 1.0)), 0.0)
 
 
 def some_samples(count: int) -> NDArray[np.int_]:
@@ -95,13 +110,19 @@ def some_samples(count: int) -> NDArray[np.int_]:
 
 def _limited(arm: Arm) -> bool:
     """Whether any force has a limit."""
-    return bool(np.isfinite(arm.force_limits if arm.dependents is None else actuator_ranges(arm.model)).any())
+    return bool(np.isfinite(_bounds(arm)).any())
 
 
-def _along(arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_]) -> Floats:
-    """As `_needed`, for a motion at some samples, each with the acceleration to the next one."""
-    qvel, after = arm.qvel(q[rows], qd[rows]), arm.qvel(q[rows + 1], qd[rows + 1])
-    return _needed(arm, q[rows], qd[rows], qvel, (after - qvel) / (t[1] - t[0]))
+def _bounds(arm: Arm) -> tuple[Floats, Floats]:
+    """Least and largest forces ``(m,)``, of the coordinates or of the actuators as of `_needed`."""
+    return (-arm.force_limits, arm.force_limits) if arm.dependents is None else tuple(actuator_ranges(arm.model).T)
+
+
+def _parts(arm: Arm, q: Floats, qd: Floats, qvel: Floats, qacc: Floats) -> Floats:
+    """Forces of gravity, springs and dry friction, of dampers, and the rest, ``(3, S, m)``, as of `_needed`."""
+    # Dampers push the other way when the rates are reversed.
+    still, along, back = (_needed(arm, q, qd, *rates)[0] for rates in ((0.0, 0.0), (qvel, qacc), (-qvel, qacc)))
+    return np.stack([still, 0.5 * (along - back), 0.5 * (along + back) - still])
 
 
 def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: Floats | float = 0.0) -> Floats:
@@ -115,12 +136,20 @@ def _needed(arm: Arm, q: Floats, qd: Floats, qvel: Floats | float = 0.0, qacc: F
     needed = np.vecmat(required_forces(model, qpos, qvel, qacc, limited=True, grasp=arm.grasp), basis)
     friction = dry_friction(model, basis)
     needed += np.where(np.abs(qd) > _RESTING, np.sign(qd) * friction, -np.clip(needed, -friction, friction))
-    low, high = -arm.force_limits, arm.force_limits
+    low, high = _bounds(arm)
     if arm.dependents is not None:
         # Forces of least norm.
         exert = np.linalg.pinv(np.swapaxes(actuator_moments(model) @ basis, -1, -2))
-        needed, (low, high) = np.matvec(exert, needed), actuator_ranges(model).T
+        needed = np.matvec(exert, needed)
     return np.stack([needed, np.where(needed > 0.0, high, -low)])
+
+
+def _along(
+    arm: Arm, t: Floats, q: Floats, qd: Floats, rows: NDArray[np.int_], of: Callable[..., Floats] = _needed
+) -> Floats:
+    """As `_needed`, for a motion at some samples, each with the acceleration to the next one."""
+    qvel, after = arm.qvel(q[rows], qd[rows]), arm.qvel(q[rows + 1], qd[rows + 1])
+    return of(arm, q[rows], qd[rows], qvel, (after - qvel) / (t[1] - t[0]))
 
 
 def _use(forces: Floats) -> Floats:

@@ -3,15 +3,19 @@
 TOPP-RA (Pham and Pham, IEEE Transactions on Robotics 34(3), 2018; the library toppra) finds the fastest time law within
 limits of velocity and acceleration. That law switches between full acceleration and braking, without a bound on jerk,
 and within its pieces, which are shorter where the path bends, the limits hold only about. So `retime` averages it over
-a window of time, a 500th of it, which smooths it, and stretches it until it keeps the limits. Where that takes long, as
-with limits of jerk, longer windows are tried, and the one with the shortest motion is taken. A network's motion keeps
-its path: its field is only multiplied by a positive number at every instant, so what is proven of the path still holds.
+a window of time, a 500th of it, which smooths it, and stretches it until it keeps the limits. Where actuators would be
+too weak for it, it is found anew within limits of force, linear in s'' and s'^2, and averaged over a longer window.
+Where that takes long, as with limits of jerk, longer windows are tried, and the shortest motion is taken. A network's
+motion keeps its path: its field is only multiplied by a positive number at every instant, so what is proven of the path
+still holds.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -22,6 +26,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError, TooFastError
 from lieednn_sim.planning.joint_space import joint_scale, travelled
 from lieednn_sim.planning.motion import Motion, check_motion, count_steps, rates_and_limits
+from lieednn_sim.planning.statics import check_forces, least_stretch, path_forces
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
@@ -40,6 +45,7 @@ _PIECES = 1000  # of the path, of equal length
 _GRID = 400  # pieces with one acceleration of the law on each
 _ROUNDING = 1e-8  # what rounding moves a joint by whose goal is where it starts [rad, m]
 _INSTANTS = 2000  # at which laws are sampled
+_LOOKS = 251  # at which forces are looked at
 
 
 def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
@@ -120,14 +126,12 @@ def _through(s: Floats, fraction: Floats, slope: Floats) -> Law:
     return lambda x: (np.clip(law(x), 0.0, 1.0), np.maximum(rate(x), 0.0))
 
 
-def retime(arm: Arm, motion: Motion, *, guiding: bool = False) -> Motion:
+def retime(arm: Arm, motion: Motion) -> Motion:
     """Make a motion along the path of another one, as fast as velocity, acceleration and jerk limits allow.
 
     Args:
         arm: the motion's arm, in its scene.
         motion: a motion from rest to rest, at any pace.
-        guiding: whether the result only guides another motion. Then it is not checked, and takes a tenth longer, so
-            that one a little off its path keeps the limits, too.
 
     Returns:
         The motion; its duration is the least one found, rounded up to a time step, or a few thousandths more. A motion
@@ -144,8 +148,6 @@ def retime(arm: Arm, motion: Motion, *, guiding: bool = False) -> Motion:
     law = path.fastest()
     duration = max(float(law.x[-1]), 2.0 * arm.timestep)
     count_steps(duration, arm.timestep)
-    if guiding:
-        return path.motion(law, math.ceil(1.1 * duration / arm.timestep))
     for _ in range(20):
         result = path.motion(law, math.ceil(duration / arm.timestep))
         try:
@@ -178,9 +180,36 @@ class _Path:
         self._q = CubicSpline(self._fraction, motion.q[kept])
         speed = np.linalg.norm(motion.qd[kept] / joint_scale(arm), axis=1)
         self._own = CubicHermiteSpline(motion.t[kept], self._fraction, speed / length[-1])
+        self._forces: CubicSpline | None = None
+        # Half of the pieces are of equal length, the others as dense as the root of what bends take of the limits.
+        even = np.linspace(0.0, 1.0, _PIECES + 1)
+        bend = np.sqrt(np.linalg.norm(self._q(even, 2) / arm.acceleration_limits, axis=1))
+        density = even + cumulative_trapezoid(bend / max(bend.mean(), 1e-300), even, initial=0.0)
+        self._grid = np.interp(np.linspace(0.0, density[-1], _GRID + 1), density, even)
 
     def fastest(self) -> CubicHermiteSpline:
         """The law with the shortest duration, from time to the fraction of the path's length."""
+        law, window = self._switching(), 0.002
+        near = self._stretched(_averaged(law, window * law.x[-1]))
+        t = np.linspace(0.0, near.x[-1], _LOOKS)
+        if check_forces(self._arm, t, self._q(near(t)), self._q(near(t), 1) * near(t, 1)[:, None]) is not None:
+            some = self._grid[::2]
+            self._forces = CubicSpline(some, path_forces(self._arm, self._q, some), axis=1)
+            near = self._stretched(near)
+            with suppress(PlanError):
+                # Switches between forces are steeper.
+                law, window = self._switching(near), 0.007
+        first, *more = law.x[-1] * np.geomspace(window, 1.0, 20)
+        laws = [near, self._stretched(self._own), self._stretched(_averaged(law, first))]
+        if min(each.x[-1] for each in laws) > 1.008 * law.x[-1] + first:  # else little could be gained
+            for each in more:
+                laws.append(self._stretched(_averaged(law, each)))
+                if laws[-1].x[-1] > 1.05 * min(tried.x[-1] for tried in laws[2:]):  # and so are longer ones
+                    break
+        return min(laws, key=lambda item: float(item.x[-1]))
+
+    def _switching(self, near: CubicHermiteSpline | None = None) -> CubicHermiteSpline:
+        """The fastest law within velocity and acceleration limits, and those of force, which are taken near a law."""
         topp = optional_module("toppra")
         constraint, algorithm = optional_module("toppra.constraint"), optional_module("toppra.algorithm")
         # The solver wants numbers about one, also for a motion of a micrometre: each joint in units of what its
@@ -190,35 +219,53 @@ class _Path:
         size = np.where(np.isfinite(acceleration), acceleration, 1.0) * unit**2
         # It wants bounds in place of missing limits, too, far above all rates.
         limits = [np.minimum(bound, 1e6)[:, None] * [-1.0, 1.0] for bound in (velocity * unit / size, 0.0 * size + 1.0)]
-        # Half of the pieces are of equal length, the others as dense as the root of what bends take of the limits.
-        even = np.linspace(0.0, 1.0, _PIECES + 1)
-        bend = np.sqrt(np.linalg.norm(self._q(even, 2) / acceleration, axis=1))
-        density = even + cumulative_trapezoid(bend / max(bend.mean(), 1e-300), even, initial=0.0)
-        grid = np.interp(np.linspace(0.0, density[-1], _GRID + 1), density, even)
+        constraints = [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])]
+        if near is not None:
+            constraints.append(self._force_constraint(near, unit))
         solver = algorithm.TOPPRA(
-            [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])],
+            constraints,
             topp.SplineInterpolator(self._fraction, (q - q[0]) / size),
-            gridpoints=grid,
+            gridpoints=self._grid,
             solver_wrapper="seidel",
         )
         _, rate, _ = solver.compute_parameterization(0.0, 0.0)
         if rate is None or not np.isfinite(rate).all():
             raise PlanError("toppra finds no time law for this path; it turns too sharply")
         # Constant acceleration on each piece.
-        t = unit * np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1])))
-        law = CubicHermiteSpline(t, grid, rate / unit)
-        first, *more = t[-1] * np.geomspace(0.002, 1.0, 20)
-        laws = [self._stretched(self._own), self._stretched(_averaged(law, first))]
-        if min(each.x[-1] for each in laws) > 1.01 * t[-1]:  # else little could be gained
-            laws += [self._stretched(_averaged(law, window)) for window in more]
-        return min(laws, key=lambda item: float(item.x[-1]))
+        t = unit * np.append(0.0, np.cumsum(2.0 * np.diff(self._grid) / (rate[1:] + rate[:-1])))
+        return CubicHermiteSpline(t, self._grid, rate / unit)
+
+    def _force_constraint(self, near: CubicHermiteSpline, unit: float) -> Any:
+        """Limits of force for toppra, with time in a unit [s].
+
+        Dampers need a force d s', in which toppra's constraints are not linear; they are in s'^2. So d s' is replaced
+        by its tangent there at the rate of a law, d (s'^2 / r + r) / 2, which is never less.
+        """
+        assert self._forces is not None
+        drawn, bent, damped, still = self._forces(self._grid)
+        rate = np.interp(self._grid, near(near.x), near(near.x, 1))
+        rate = np.maximum(rate, 0.05 * rate.max())[:, None]
+        half, count = 0.5 * np.maximum(damped, 0.0), still.shape[1]
+        rows = drawn / unit**2, (bent + half / rate) / unit**2, still + half * rate, np.eye(count), np.ones(count)
+        linear = optional_module("toppra.constraint.linear_constraint")
+        # At both ends of a piece.
+        both = linear.canlinear_colloc_to_interpolate(*rows, None, None, self._grid, identical=True)
+        result = linear.LinearConstraint()
+        result.identical, result.dof = True, len(self._arm.velocity_limits)
+        result.compute_constraint_params = lambda *_: both
+        return result
 
     def _stretched(self, law: CubicHermiteSpline) -> CubicHermiteSpline:
         """The law, stretched or compressed to the least time in which it keeps all limits."""
-        t = np.linspace(0.0, law.x[-1], _INSTANTS + 1)
+        t = np.linspace(0.0, law.x[-1], max(_INSTANTS, round(law.x[-1] / self._arm.timestep)) + 1)
         qd = self._q(law(t), 1) * law(t, 1)[:, None]
         rates = rates_and_limits(self._arm, qd, t[1])
         factor = max(float((np.abs(values) / limits).max()) ** power for values, limits, power in rates)
+        if self._forces is not None:
+            drawn, bent, damped, still = self._forces(law(t[:-1]))
+            speed = law(t, 1)[:, None]
+            rest = drawn * np.diff(speed, axis=0) / t[1] + bent * speed[:-1] ** 2
+            factor = max(factor, float(least_stretch(still, damped * speed[:-1], rest, 1.0).max()))
         return CubicHermiteSpline(law.x * factor, law(law.x), law(law.x, 1) / factor)
 
     def motion(self, law: CubicHermiteSpline, steps: int) -> Motion:

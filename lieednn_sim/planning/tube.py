@@ -126,7 +126,7 @@ def find_tube(arm: Arm, plan: Plan, *, tracking: ArrayLike = 0.0, margin: float 
         raise InputError(f"the plan has {motion.q.shape[1]} joint coordinates, arm {arm.name!r} has {arm.n_joints}")
     if not network.certified:
         raise NotCertifiedError("only certified networks have a tube; see network.certify()")
-    cascade = not network.blocks[:, : network.n_visible].any()
+    cascade = not network.coupled[:, : network.n_visible].any()
     gain = 1.0
     if not cascade:
         proved = network.robustness().contracting

@@ -5,8 +5,10 @@ It knows no simulator: `simulation.follow` runs it behind a simulated arm, `cont
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -128,6 +130,13 @@ class Policy(ABC):
         """Quantities of the last period ``(c,)``, in the order of `channel_units`."""
         return np.empty(0)
 
+    def to_c(self, folder: str | os.PathLike[str]) -> Path:
+        """Write the policy as C99 into a folder; only a `NetworkPolicy` can, others raise `InputError`."""
+        raise InputError(
+            f"a {type(self).__name__} has no C code, only a NetworkPolicy has, such as 'lieednn-shaped'; run it by "
+            "control_loop"
+        )
+
     def allowed(self) -> Floats:
         """Largest speeds ``(n,)`` at the end of the period that keep the limits of velocity and acceleration."""
         return np.asarray(np.minimum(self.arm.velocity_limits, np.abs(self.qd) + self._max_gain))
@@ -167,5 +176,9 @@ class JointBounds:
 
 def has_jumped(arm: Arm, velocity: Floats) -> Floats:
     """Whether targets at velocities ``(..., n)`` jump: beyond a joint's limit, or without one 10 rad/s or m/s."""
-    limits = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
-    return np.asarray((np.abs(velocity) > limits).any(axis=-1))
+    return np.asarray((np.abs(velocity) > jump_speeds(arm)).any(axis=-1))
+
+
+def jump_speeds(arm: Arm) -> Floats:
+    """The speeds ``(n,)`` beyond which targets jump, see `has_jumped`."""
+    return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)

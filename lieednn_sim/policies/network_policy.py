@@ -22,7 +22,9 @@ the arm comes within the tolerance of its reference; then the certified network 
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg.blas import idamax
@@ -38,6 +40,7 @@ from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.policies.base import has_jumped
+from lieednn_sim.policies.exporting import write_policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.synthesis import ShapingOptions, shape, synthesize
@@ -119,6 +122,34 @@ class NetworkPolicy(FeedbackPolicy):
     def state(self) -> Floats:
         """``(N, 6)``, as `xi`."""
         return self.xi
+
+    def to_c(self, folder: str | os.PathLike[str]) -> Path:
+        """Write the policy as C99 for a robot's controller, without allocation: ``policy.h``, ``policy.c`` and numbers.
+
+        One call a period takes measured joints and a target, and gives the reference that `step` gives, up to rounding.
+        Beyond that it tells faults of measurements and targets by a status, and brakes where they last; ``policy.h``
+        has the rules. The network's files, see `LieEDNN.to_c`, lie beside them. It begins where it is told to, as after
+        `reset`; it does not go on from the present state.
+
+        Args:
+            folder: where to write them; it is made if it is missing, and returned. Files of these names there are
+                replaced.
+
+        Raises:
+            InputError: the arm's joints move others that have ranges of their own; or as of `LieEDNN.to_c`.
+            FileError: the files cannot be written.
+        """
+        settings = {
+            "RATE": (self.rate, "control rate [Hz]"),
+            "PERIOD": (self.period, "control period [s]"),
+            "SPEED": (self.speed, "the network's own time per second"),
+            "FEEDFORWARD": (int(self._feedforward), "whether the velocity of a target that moves is added"),
+            "STIFFNESS": (self._stiffness, "bound on the network's rates, per unit of its time"),
+            "MAX_STEP": (_MAX_STEP, "largest product of that and a Runge-Kutta step"),
+            "MAX_STEPS": (_MAX_STEPS, "largest number of such steps in a period"),
+        }
+        write_policy(self.arm, settings, self._feedback, folder)
+        return self.network.to_c(folder)
 
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""

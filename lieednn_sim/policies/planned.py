@@ -19,6 +19,7 @@ from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies.base import Policy
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, JointPolicy
 from lieednn_sim.policies.making import PolicyTask
+from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats
 
 
@@ -53,6 +54,7 @@ class MotionTracker(Policy):
     @classmethod
     def stopping(cls, arm: Arm, q: Floats, qd: Floats, rate: float) -> MotionTracker:
         """A policy that brakes a reference with rates ``(n,)`` at the limits of acceleration, straight, and stays."""
+        q, qd = (as_floats(name, given, (arm.n_joints,)) for name, given in (("q", q), ("qd", qd)))
         needed = max(float((np.abs(qd) / arm.acceleration_limits).max()), 2.0 / rate)
         if not needed * rate < 1e6:
             raise InputError(f"braking would take {needed:g} s, more than a million periods at {rate:g} Hz")

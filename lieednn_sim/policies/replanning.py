@@ -20,6 +20,9 @@ where it can rest. If there is none, the arm waits there, and the search is made
 last seen, or where they soon will be as they move. A path that is searched for is proved to be clear of them there, as
 every planned motion; that straight motions and transitions onto paths are, which a period has no time to prove, is only
 checked, at samples.
+
+Where the arm rests, or can, an obstacle may come too near, if it goes on as it does. Then the arm gets out of its way
+(`evasion`), by another motion of the same network, and comes back when the way to the target stays free.
 """
 
 from __future__ import annotations
@@ -29,22 +32,25 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import PPoly
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.local_retraction import LocalRetraction
-from lieednn_sim.errors import InputError, LieEDNNError, PlanError
+from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.planning.transition import along, straight, transition
+from lieednn_sim.policies.evasion import evasion
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
-from lieednn_sim.policies.surroundings import Surroundings, search_path
+from lieednn_sim.policies.searching import aside, found, ready
+from lieednn_sim.policies.surroundings import Surroundings, path_around
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
@@ -53,6 +59,9 @@ from lieednn_sim.values import Floats
 _SAME = 1e-6
 # Below this pace the arm rests.
 _RESTS = 1e-3
+_NOT_FREE = "the target is not free"
+# For how long obstacles are foreseen to go on as they do at most [s].
+_FORESEEN = 3.0
 # Time in which the pace may fall to zero where no joint moves fast [s], and duration of the motion of rest at first.
 _SOONEST = 0.25
 
@@ -69,6 +78,7 @@ class ReplanningOptions(PlannerOptions):
         search_periods: control periods after which a new path is taken; the policy waits for the search if it is not
             over then, so that results do not depend on the machine.
         at_once: take a new path as soon as it is there, and never wait for it: for real robots.
+        evade: get out of the way of obstacles that come nearer than half the margin to where the arm rests.
         search: options of RRT-Connect, which searches for new paths.
     """
 
@@ -77,13 +87,15 @@ class ReplanningOptions(PlannerOptions):
     look_every: int = 5
     search_periods: int = 20
     at_once: bool = False
+    evade: bool = True
     search: RrtConnectOptions = field(default=RrtConnectOptions(max_collision_checks=(20_000,), fastest=True))
 
 
 class ReplanningPolicy(FeedbackPolicy):
     """A policy of one certified network, which plans again whenever the target or the obstacles move.
 
-    It logs ``changes``, how often it took a new code, and ``blocked``, 1 while a moving obstacle is in the way.
+    It logs ``changes``, how often it took a new code, ``blocked``, 1 while a moving obstacle is in the way, and
+    ``evading``, 1 while it evades one, and -1 while it should and cannot.
 
     Args:
         arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
@@ -103,7 +115,7 @@ class ReplanningPolicy(FeedbackPolicy):
     """
 
     certified = True
-    channel_units = MappingProxyType({**FeedbackPolicy.channel_units, "changes": "1", "blocked": "1"})
+    channel_units = MappingProxyType({**FeedbackPolicy.channel_units, "changes": "1", "blocked": "1", "evading": "1"})
     # Set with every motion taken: t_r, the network's time z, c, and the velocity of the motion itself.
     rest_at: float
     _z: float
@@ -139,10 +151,17 @@ class ReplanningPolicy(FeedbackPolicy):
         self._surroundings = Surroundings(self.arm, 0.5 * self._options.margin)
         self._periods = self._searches = 0
         self._goal: Floats | None = None
-        self._search: tuple[Future[Motion], int] | None = None
+        # A search, when it is due, and whether it is for a way out of an obstacle's way.
+        self._search: tuple[Future[PPoly], int, bool] | None = None
         self._path: PPoly | None = None
-        self._last_places: dict[str, Floats] = {}
+        # The obstacle that is evaded; `_caught` says that it cannot be.
+        self._evaded = ""
+        lead = (self._options.search_periods + self._options.look_every) * self.period
+        # In which the arm can have moved each joint by half its range; nobody knows how obstacles go on for longer.
+        half = float(straight(self.arm, q, q + 0.5 * self.range, _SOONEST).x[-1])
+        self._horizon = min(lead + half, _FORESEEN)
         self._clear_way()
+        aside(self.arm, ready)
 
     def see(self, places: Mapping[str, Floats]) -> None:
         """See `Policy`; raises `InputError` for names of no obstacles."""
@@ -152,6 +171,9 @@ class ReplanningPolicy(FeedbackPolicy):
     @property
     def message(self) -> str:
         """See `Policy`."""
+        if self._evaded:
+            does = "cannot evade" if self._caught else "evades"
+            return f"{does} {self._evaded!r}{f': {self._reason}' if self._reason else ''}"
         if math.isinf(self.rest_at):
             return super().message
         does = "waits" if self.pace < _RESTS else "slows down"
@@ -160,7 +182,8 @@ class ReplanningPolicy(FeedbackPolicy):
 
     def channels(self) -> Floats:
         """See `Policy`."""
-        return np.array([self.pace, self.behind, self.changes, math.isfinite(self._blocked_at)])
+        evading = 0.0 if not self._evaded else -1.0 if self._caught else 1.0
+        return np.array([self.pace, self.behind, self.changes, math.isfinite(self._blocked_at), evading])
 
     # How it goes along its present motion.
 
@@ -249,7 +272,7 @@ class ReplanningPolicy(FeedbackPolicy):
         if target is not self._goal:
             self._goal, self._search, self._path, self._reason = target, None, None, ""
             self._turn(target)
-        self._take_path(target)
+        self._take_found(target)
         if self._periods % self._options.look_every == 0:
             self._look(target)
         self._periods += 1
@@ -258,7 +281,7 @@ class ReplanningPolicy(FeedbackPolicy):
     def _clear_way(self) -> None:
         # Times of the present motion before which the arm must rest, since something blocks it, or another is to come.
         self._blocked_at = self._ends_at = math.inf
-        self._blocker = self._reason = ""
+        self._blocker, self._reason, self._caught = "", "", False
 
     def _turn_to(self, base: PPoly) -> None:
         """Take a base motion; raises `PlanError`."""
@@ -282,6 +305,7 @@ class ReplanningPolicy(FeedbackPolicy):
                 base = along(self.arm, given)
         try:
             self._turn_to(base)
+            self._evaded = ""
         except PlanError as error:
             self._reason = str(error)
             self._ends_at = min(self._ends_at, self.time + self.stopping)
@@ -291,29 +315,41 @@ class ReplanningPolicy(FeedbackPolicy):
     def _seek(self, goal: Floats) -> None:
         """Search for a path from where the arm can rest on its present one, without need before it is found."""
         if at_goal := self._surroundings.blocked(goal[None]):
-            self._blocker, self._reason = at_goal[1], "the target is not free"
+            self._blocker, self._reason = at_goal[1], _NOT_FREE
             return
         lead = self.stopping + self.pace * self.period * self._options.search_periods
         rest = max(self.time + self.stopping, min(self._blocked_at, self.time + lead))
-        self._ends_at = rest
-        q, _, _ = self.course.transition(np.array([rest]))
-        ends, options = (self._within_limits(q[0]), goal), self._options
-        seed, self._searches = self._seed + self._searches, self._searches + 1
-        search = search_path(self.arm, self._surroundings.places, ends, options.margin, options.search, seed)
-        self._search = search, self._periods + options.search_periods
+        options = self._options
+        ends = self._resting(rest), goal
+        self._start(False, path_around, dict(self._surroundings.places), ends, options.margin, options.search)
         self._reason = "a path is searched for"
 
-    def _take_path(self, goal: Floats) -> None:
-        """Take the path that was searched for, if it is there and due."""
+    def _start(self, evades: bool, search: Callable[..., PPoly], *arguments: Any) -> None:
+        """Start a search, see `searching.aside`, which also gets a seed of its own."""
+        seed, self._searches = self._seed + self._searches, self._searches + 1
+        due = self._periods + self._options.search_periods
+        self._search = aside(self.arm, search, *arguments, seed), due, evades
+
+    def _resting(self, time: float) -> Floats:
+        """Rest at a time of the present motion, unless it turns before; returns where that is ``(n,)``."""
+        self._ends_at = time
+        return self._within_limits(self._at(np.array([time]))[0])
+
+    def _take_found(self, goal: Floats) -> None:
+        """Take the path or evasion that was searched for, if it is there and due."""
         if self._search is not None:
-            search, due = self._search
+            search, due, evades = self._search
             if not (search.done() if self._options.at_once else self._periods >= due):
                 return
             self._search = None
             try:
-                self._path = along(self.arm, search.result())
-            except LieEDNNError as error:
-                self._reason = str(error)
+                self._path = found(search)
+                if evades:
+                    way, self._path = self._path, None
+                    self._turn_to(way)
+                    return
+            except PlanError as error:
+                self._reason, self._caught = str(error), evades
                 return
         elif self._path is None or self._periods % self._options.look_every:
             return
@@ -324,7 +360,7 @@ class ReplanningPolicy(FeedbackPolicy):
         try:
             if passable:
                 self._turn_to(path)
-                self._path = None
+                self._path, self._evaded = None, ""
         except PlanError as error:
             self._reason, passable = str(error), self.pace > _RESTS
         # A moving arm slows down, and tries again; otherwise only another path may help.
@@ -340,39 +376,101 @@ class ReplanningPolicy(FeedbackPolicy):
         times = np.clip(step * np.arange(math.floor(begin / step), math.ceil(end / step) + 1), begin, end)
         return times, np.asarray(motion(times))
 
-    def _foreseen(self, q: Floats) -> tuple[int, str] | None:
-        """As `Surroundings.blocked`, were the obstacles to go on as since the last look."""
-        now, last = dict(self._surroundings.places), self._last_places
-        self._last_places = now
-        # For 0.3 s.
-        looks = 0.3 / (self._options.look_every * self.period)
-        ahead = {name: place + looks * (place - last.get(name, place)) for name, place in now.items()}
-        if all((ahead[name] == place).all() for name, place in now.items()):
-            return None
-        self._surroundings.see(ahead)
-        result = self._surroundings.blocked(q, only_moving=True)
-        self._surroundings.see(now)
-        return result
+    def _at(self, times: Floats) -> Floats:
+        """Configurations ``(K, n)`` at times of the present motion."""
+        return self.course.transition(times)[0]
 
     def _look(self, goal: Floats) -> None:
         """Look whether the path ahead is clear, and what to do if it is not, or if the arm waits."""
-        course, busy = self.course, self._search is not None or self._path is not None
-        if self._surroundings.places:
+        course, around, busy = self.course, self._surroundings, self._search is not None or self._path is not None
+        if around.places:
+            around.look(self._options.look_every * self.period)
             end = max(course.transition.duration, self.time)
-            times, q = self._sampled(lambda t: course.transition(t)[0], self.time, end)
-            result = self._surroundings.blocked(q, only_moving=True) or self._foreseen(q)
-            if result is not None:
-                self._blocked_at, self._blocker = float(times[max(result[0] - 1, 0)]), result[1]
-                if not busy:
+            times, q = self._sampled(self._at, self.time, end)
+            result = around.blocked(q, only_moving=True) or around.nearing(q, np.full(len(q), 0.3))
+            stops = [] if result is None else [(float(times[max(result[0] - 1, 0)]), result[1])]
+            # It may also be met on the way, or come to where that ends.
+            last = min(self._ends_at, end)
+            if met := self._foresee(lambda after: self._at(np.minimum(self.time + after, last))):
+                stops.append((min(self.time + met[0], end), met[1]))
+            if stops:
+                self._stop_before(*min(stops))
+            if self._options.evade and self._evade(goal, end):
+                return
+            if stops:
+                if not busy and not self._evaded:
                     self._seek(goal)
                 return
             if math.isfinite(self._blocked_at):
                 # The obstacle went away again.
                 self._blocked_at, self._blocker = math.inf, ""
-                if np.abs(course.transition.end - goal).max() < _SAME:
+                if self._leads_to(goal):
                     self._ends_at, self._search, self._path, busy = math.inf, None, None, False
-        if math.isfinite(self._ends_at) and not busy:
+        if not busy and (self._may_return(goal) if self._evaded else math.isfinite(self._ends_at)):
             self._turn(goal)
+
+    def _leads_to(self, goal: Floats) -> bool:
+        return bool(np.abs(self.course.transition.end - goal).max() < _SAME)
+
+    def _foresee(self, q: Callable[[Floats], Floats]) -> tuple[float, str] | None:
+        """How long [s] an arm at ``q`` of the times from now on is clear of moving obstacles, and of which then not."""
+        fastest = max((float(np.linalg.norm(v)) for v in self._surroundings.velocities.values()), default=0.0)
+        if fastest == 0.0:
+            return None
+        # Obstacles move by the margin from one to the next.
+        count = min(math.ceil(self._horizon * fastest / self._options.margin), 40)
+        after = np.linspace(0.0, self._horizon, count + 1)
+        result = self._surroundings.nearing(q(after), after)
+        return result and (float(after[max(result[0] - 1, 0)]), result[1])
+
+    def _stop_before(self, latest: float, blocker: str) -> None:
+        """Rest before a time of the present motion, as late as the arm then stays clear of obstacles as they move."""
+        self._blocker = blocker
+        for share in (1.0, 0.5, 0.0):
+            soon = self.time + max(share * (latest - self.time), self.stopping)
+            self._blocked_at = min(soon, latest)
+            if self._foresee_at(self._blocked_at) is None:
+                break
+
+    def _foresee_at(self, time: float) -> tuple[float, str] | None:
+        """As `_foresee`, where the arm rests at a time of the present motion."""
+        there = self._at(np.array([time]))
+        return self._foresee(lambda after: there.repeat(len(after), axis=0))
+
+    def _evade(self, goal: Floats, end: float) -> bool:
+        """Whether the arm must leave where it rests, or where it can; if so, search for where to go."""
+        stops, threat = min(self._blocked_at, self._ends_at), ""
+        if math.isfinite(stops) or self.time >= end:
+            near = self._foresee_at(max(self.time, min(stops, end)))
+            threat = near[1] if near else self._surroundings.touching
+        searching = self._search is not None and self._search[2]
+        if not threat:
+            if searching:
+                self._search, self._ends_at = None, math.inf
+            if self._caught:
+                self._caught, self._reason = False, ""
+            if self._evaded and self._leads_to(goal):
+                self._evaded, self._ends_at = "", math.inf
+            return False
+        self._evaded = threat
+        if not searching:
+            around, lead = self._surroundings, self._options.search_periods * self.period
+            seen = dict(around.places), around.velocities
+            start = self._resting(max(self.time, min(stops, end, self.time + self.stopping)))
+            self._start(True, evasion, *seen, start, self._options.margin, lead, self._horizon)
+            self._path = None
+        return True
+
+    def _may_return(self, goal: Floats) -> bool:
+        """Whether the straight way to the goal stays free; only once the arm rests, if obstacles move or are near."""
+        near = self._surroundings.velocities or self._surroundings.near
+        if near and self.time < self.course.transition.duration and self.pace > _RESTS:
+            return False
+        if self._surroundings.blocked(goal[None], only_moving=True):
+            self._reason = _NOT_FREE
+            return False
+        base = straight(self.arm, self.drawn, goal, self._options.least_duration)
+        return self._foresee(lambda after: base(np.minimum(after, base.x[-1]))) is None
 
 
 def replanning(task: PolicyTask, options: ReplanningOptions) -> ReplanningPolicy:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import copy
-import os
+from collections import deque
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PPoly
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
@@ -17,27 +16,37 @@ from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms, fixed_body, moving_geoms
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, rrt_connect
-from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.problem import PlanningProblem
+from lieednn_sim.planning.transition import along
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
+
+# Looks over which velocities are means.
+_LOOKS = 3
 
 
 class Surroundings:
     """The arm's scene with moving obstacles at their last known places.
 
     A moving obstacle is in the way if it is nearer than the margin [m], everything else if nearer than the arm's
-    clearance. Positions ``(3,)`` of the moving obstacles' bodies are in `places`, by name; empty before any was seen.
+    clearance.
+
+    Attributes:
+        places: positions ``(3,)`` of the moving obstacles' bodies [m], by name; empty before any was seen.
+        velocities: those of the obstacles that move ``(3,)`` [m/s], as of the last `look`; may be set.
+        touching: name of the one that touched the arm when it was to `leave`, if any.
     """
 
     def __init__(self, arm: Arm, margin: float) -> None:
-        self._arm, self._margin, self._kept = arm, margin, margin
+        self._arm, self._margin, self._kept, self.touching = arm, margin, margin, ""
         bare = arm.without_visuals
         self._model = bare.geometry
         self._all = bare.contact_finder(arm.clearance)
         # Sees nothing but pairs of the arm and a moving obstacle.
         self._near: ContactFinder | None = None
         self.places: dict[str, Floats] = {}
+        self.velocities: dict[str, Floats] = {}
+        self._seen = deque[dict[str, Floats]](maxlen=_LOOKS + 1)
 
     def see(self, places: Mapping[str, Floats]) -> None:
         """Take note of the places; raises `InputError` for names of no obstacles."""
@@ -48,28 +57,79 @@ class Surroundings:
         for finder in filter(None, (self._all, self._near)):
             finder.move(self.places)
 
+    def look(self, period: float) -> None:
+        """Note where obstacles are, one period [s] after the last time, to know their velocities.
+
+        These are means over the last `_LOOKS` periods.
+        """
+        self._seen.append(dict(self.places))
+        first, span = self._seen[0], period * (len(self._seen) - 1)
+        gone = {name: place - first.get(name, place) for name, place in self.places.items()}
+        self.velocities = {name: way / span for name, way in gone.items() if way.any()}
+
     def blocked(self, q: Floats, *, only_moving: bool = False) -> tuple[int, str] | None:
         """Index of the first of the configurations ``(K, n)`` at which something is in the way, and its body's name."""
-        finders = [each for each in (None if only_moving else self._all, self._near) if each is not None]
         for index, qpos in enumerate(self._arm.qpos(q)):
-            for finder in finders:
-                distance, result = finder.geoms(qpos)
-                if len(result) and finder is self._near:
-                    result = self._near_pairs(distance, result, self._kept)[1]
-                if len(result):
-                    first, second = result[0]
-                    obstacle = first if self._model.body_weldid[self._model.geom_bodyid[first]] == 0 else second
-                    return index, self._model.body(self._model.geom_bodyid[obstacle]).name
+            if name := self._in_the_way(qpos, only_moving):
+                return index, name
         return None
+
+    def nearing(self, q: Floats, after: Floats) -> tuple[int, str] | None:
+        """As `blocked` by moving obstacles alone, were they to go on at their `velocities`.
+
+        The arm is at the configurations ``(K, n)`` after the times ``(K,)`` [s].
+        """
+        if self._near is None or not self.velocities:
+            return None
+        bodies = np.array([self._model.body(name).id for name in self.velocities])
+        now, velocity = np.array([self.places[name] for name in self.velocities]), np.array([*self.velocities.values()])
+        try:
+            for index, (qpos, time) in enumerate(zip(self._arm.qpos(q), after.tolist(), strict=True)):
+                self._near.put(bodies, now + time * velocity)
+                if name := self._in_the_way(qpos, only_moving=True):
+                    return index, name
+            return None
+        finally:
+            self._near.put(bodies, now)
+
+    def _in_the_way(self, qpos: Floats, only_moving: bool) -> str:
+        """The body that is in the way at positions ``(nq,)``; empty without one."""
+        for finder in (self._near, None if only_moving else self._all):
+            if finder is None:
+                continue
+            distance, pairs = finder.geoms(qpos)
+            if not len(pairs):
+                continue
+            if finder is self._near:
+                _, pairs = self._near_pairs(distance, pairs, self._kept)
+            elif self._near is not None:
+                pairs = pairs[~self._moved[pairs].any(axis=1)]
+            if len(pairs):
+                return self._obstacle_of(pairs[0])
+        return ""
 
     def leave(self, q: Floats) -> None:
         """Let the arm, at ``q`` ``(n,)``, get away from a moving obstacle that is nearer than the margin already.
 
-        Until this is called again, something is in the way only below four fifths of that distance.
+        Until this is called again, something is in the way only below four fifths of that distance, or where they
+        touch if it is a fifth deeper.
         """
         if self._near is not None:
-            distance, _ = self._near_pairs(*self._near.geoms(self._arm.qpos(q)), self._margin)
-            self._kept = min(self._margin, 0.8 * max(float(distance.min(initial=np.inf)), 0.0))
+            distance, pairs = self._near_pairs(*self._near.geoms(self._arm.qpos(q)), self._margin)
+            least = float(distance.min(initial=np.inf))
+            self._kept = min(self._margin, least - 0.2 * abs(least))
+            self.touching = self._obstacle_of(pairs[distance.argmin()]) if least < 0.0 else ""
+
+    @property
+    def near(self) -> bool:
+        """Whether the arm is to leave a moving obstacle that is nearer than the margin."""
+        return self._kept < self._margin
+
+    def _obstacle_of(self, pair: NDArray[np.int_]) -> str:
+        """Name of the body of a pair of geoms ``(2,)`` that the arm does not move."""
+        first, second = pair
+        obstacle = first if self._model.body_weldid[self._model.geom_bodyid[first]] == 0 else second
+        return str(self._model.body(self._model.geom_bodyid[obstacle]).name)
 
     def _near_pairs(self, distance: Floats, pairs: NDArray[np.int_], margin: float) -> tuple[Floats, NDArray[np.int_]]:
         """Those of the pairs ``(C, 2)`` and their distances that have a moving obstacle within a margin."""
@@ -88,39 +148,30 @@ class Surroundings:
         return model
 
 
-def search_path(
+def path_around(
     arm: Arm,
-    places: Mapping[str, Floats],
+    places: dict[str, Floats],
     ends: tuple[Floats, Floats],
     margin: float,
     options: RrtConnectOptions,
     seed: int,
-) -> Future[Motion]:
-    """Search for a path by RRT-Connect in a thread of its own; the result depends on the arguments alone.
+) -> PPoly:
+    """A path by RRT-Connect, as `transition.along` makes it; the result depends on the arguments alone.
 
     It keeps the margin [m] from moving obstacles, in their places, where its ends, start and target ``(n,)``, allow it.
-    Asked for its result, the motion raises `LieEDNNError` if there is no path, or OMPL is not installed.
+
+    Raises:
+        LieEDNNError: there is no path, or OMPL is not installed.
     """
-    seen = dict(places)
-
-    def search() -> Motion:
-        refused: InputError | None = None
-        # With less of the margin where start or target are nearer than that.
-        for share in (1.0, 0.5, 0.0):
-            there = arm.with_moved_bodies(seen, share * margin)
-            try:
-                # Nearly every motion needs more than this, and gets it.
-                problem = PlanningProblem(there, *ends, duration=0.5, longest=50.0, seed=seed)
-            except InputError as error:
-                refused = error
-                continue
-            return rrt_connect(problem, options)
-        raise PlanError(str(refused))
-
-    return _worker(os.getpid()).submit(search)
-
-
-@cache
-def _worker(_: int) -> ThreadPoolExecutor:
-    # One for each process, since threads do not survive a fork; one thread, since OMPL's random numbers are global.
-    return ThreadPoolExecutor(1, "replanning")
+    refused = ""
+    # With less of the margin where start or target are nearer than that.
+    for share in (1.0, 0.5, 0.0):
+        there = arm.with_moved_bodies(places, share * margin)
+        try:
+            # Nearly every motion needs more than this, and gets it.
+            problem = PlanningProblem(there, *ends, duration=0.5, longest=50.0, seed=seed)
+        except InputError as error:
+            refused = str(error)
+            continue
+        return along(arm, rrt_connect(problem, options))
+    raise PlanError(refused)

@@ -30,16 +30,11 @@ def quiet_server(host: str = "127.0.0.1", port: int = 0) -> Iterator[Any]:
         LieEDNNError: viser is not installed, or its server cannot be made to ask.
     """
     viser = optional_module("viser")
-    with contextlib.redirect_stdout(io.StringIO()):
-        with _asking(host) as asked:
-            server = viser.ViserServer(host=host, port=port, verbose=False)
-        try:
-            if not asked:
-                raise LieEDNNError(f"viser {viser.__version__} starts its server in an unknown way; install viser 1.1")
-        except BaseException:
-            server.stop()
-            raise
+    with contextlib.redirect_stdout(io.StringIO()), _asking(host) as asked:
+        server = viser.ViserServer(host=host, port=port, verbose=False)
     try:
+        if not asked:
+            raise LieEDNNError(f"viser {viser.__version__} starts its server in an unknown way; install viser 1.1")
         yield server
     finally:
         with contextlib.redirect_stdout(io.StringIO()):

@@ -156,19 +156,17 @@ class Simulation:
         # terms are checked one by one. For a few numbers a list is faster than an array.
         finite = isfinite(sum(self._velocity.tolist())) or np.isfinite(self._velocity).all()
         if not finite or any(self._warnings.tolist()):
-            error = failure(self.data, repr(self.arm.name), self.time)
-            if remedy := step_remedy(self.model, self._begin):
-                error.args = (f"{str(error).rstrip('.')}; {remedy}",)
-            raise error
+            raise failure(self.data, repr(self.arm.name), self.time, step_remedy(self.model, self._begin))
         self.steps += 1
         if self._sensors.noisy:
             self.noise = self._sensors.draw()
 
 
-def failure(data: mujoco.MjData, what: str, time: float) -> SimulationError:
+def failure(data: mujoco.MjData, what: str, time: float, remedy: str = "") -> SimulationError:
     """The error for a step after which there is a warning of MuJoCo, or the state is not finite."""
     problem = "the state is not finite"
     if data.warning.number.any():
         index = int(np.flatnonzero(data.warning.number)[0])
         problem = str(mujoco.mju_warningText(index, int(data.warning.lastinfo[index])))
-    return SimulationError(f"the simulation of {what} failed at t = {time:.4f} s: {problem}")
+    message = f"the simulation of {what} failed at t = {time:.4f} s: {problem}"
+    return SimulationError(f"{message.rstrip('.')}; {remedy}" if remedy else message)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import repeat
 from typing import Any
 
@@ -37,7 +38,10 @@ def make_controlled(
 ) -> tuple[Controller, Simulation]:
     """A controller by name, and the simulation of the plant that it drives, without visual geoms."""
     bare = arm.without_visuals
-    driver = make_controller(controller, bare, reference)
+    # A controller does not know where obstacles move, and must not push against where they began.
+    known = {each.body: (0.0, 0.0, -1e4) for each in disturbances.obstacles}
+    own = replace(bare, spec=None).with_moved_bodies(known) if known else bare
+    driver = make_controller(controller, own, reference)
     changed = disturbances.obstacles or (disturbances.payload, disturbances.mass_scale) != (0.0, 1.0)
     changed = changed or driver.changes_plant or driver.add_bodies is not None
     plant = make_plant(bare, disturbances, driver.add_bodies) if changed else bare.model

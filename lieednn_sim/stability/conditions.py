@@ -9,7 +9,7 @@ the first that holds and the fastest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -91,6 +91,14 @@ class Verdict:
             f"stiff: the strongest coupling is {self.stiffness:.3g} gamma/mu, above {STIFF:g}; proved stable or not, "
             "integration takes many small steps; make alpha smaller, or integrate with method='Radau'"
         )
+
+    def locally(self, jacobian: Floats) -> Verdict:
+        """This verdict with the condition on the Jacobian ``(n, n)`` at an equilibrium; unchecked."""
+        # Backward error of the eigenvalues; the forward error of ill-conditioned ones is not bounded by it.
+        rounding = len(jacobian) * np.finfo(float).eps * frobenius(jacobian)
+        abscissa = float(np.linalg.eigvals(jacobian).real.max() + rounding)
+        local = Condition("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local")
+        return replace(self, conditions=(*self.conditions, local))
 
     @property
     def globally_stable(self) -> bool:
@@ -192,17 +200,12 @@ def assess(
     two_norm, diagonal = (proof.lambda_max + proof.rounding for proof in (euclidean, certificate))
     values = *sums, weighted_norm(inner).value, two_norm, contraction.value + contraction.rounding, diagonal
     conditions = list(map(condition, CONDITIONS, values))
-    if jacobian is not None:
-        slopes = as_floats("jacobian", jacobian, matrix.shape)
-        # Backward error of the eigenvalues; the forward error of ill-conditioned ones is not bounded by it.
-        rounding = len(slopes) * np.finfo(float).eps * frobenius(slopes)
-        abscissa = float(np.linalg.eigvals(slopes).real.max() + rounding)
-        conditions.append(Condition("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local"))
     size = 1 if core is matrix else 3
     blocks = core.reshape(len(core) // size, size, -1, size)
     # The spectral norm of a block alpha R is |alpha|.
     stiffness = float(np.linalg.norm(blocks, 2, axis=(1, 3)).max()) / bound
-    return Verdict(tuple(conditions), certificate, contraction, stiffness)
+    verdict = Verdict(tuple(conditions), certificate, contraction, stiffness)
+    return verdict if jacobian is None else verdict.locally(as_floats("jacobian", jacobian, matrix.shape))
 
 
 def _rotational_part(weight: Floats, rotational_weight: ArrayLike) -> Floats:

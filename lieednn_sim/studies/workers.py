@@ -3,50 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import gc
 import importlib
 import itertools
-import math
 import multiprocessing
-import os
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, ProcessPoolExecutor, wait
-from functools import cache
-from multiprocessing.context import SpawnContext, SpawnProcess
-from time import monotonic
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from lieednn_sim._processes import WorkerContext
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Registry
 
 _OF_USERS: tuple[Registry[Any], ...] = PLANNERS, POLICIES, CONTROLLERS  # kinds to which users add
-# When `released` last did its work, by `monotonic` [s].
-_last_released = -math.inf
-
-
-class _Worker(SpawnProcess):
-    """A process that starts with Ctrl-C blocked, so that none ends it with a traceback before it is prepared."""
-
-    def start(self) -> None:
-        if not hasattr(signal, "pthread_sigmask"):  # on Windows, where the traceback is all that differs
-            super().start()
-            return
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            super().start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-class _Context(SpawnContext):
-    Process = _Worker
 
 
 @contextlib.contextmanager
@@ -55,11 +27,10 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
     None of them survives the block, however it ends; other children of this process are left alone.
     """
-    context: Any = _Context()
     if sys.platform == "win32":
         workers = min(workers, 61)  # the most that a pool can have there
     others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker, initargs=_added())
+    pool = ProcessPoolExecutor(workers, mp_context=WorkerContext(), initializer=_prepare_worker, initargs=_added())
     try:
         yield pool
     except BaseException:
@@ -102,7 +73,7 @@ _Outcome = tuple[tuple[Any, ...], Any, Exception | None]
 def _here(run: Callable[..., Any], todo: Sequence[tuple[Any, ...]]) -> Iterator[_Outcome]:
     for task in todo:
         try:
-            ended: _Outcome = task, released(run, *task), None
+            ended: _Outcome = task, run(*task), None
         except Exception as error:
             ended = task, None, error
         yield ended
@@ -114,7 +85,7 @@ def _on_workers(
     """The outcomes of tasks as they end; few are submitted ahead, so that memory does not grow with the study."""
     waiting = iter(todo)
     try:
-        running = {pool.submit(released, run, *task): task for task in itertools.islice(waiting, ahead)}
+        running = {pool.submit(run, *task): task for task in itertools.islice(waiting, ahead)}
         while running:
             ended = wait(running, return_when=FIRST_COMPLETED).done
             # What is finished counts before a worker that died.
@@ -123,39 +94,13 @@ def _on_workers(
                 if isinstance(error, BrokenExecutor) or not isinstance(error, Exception | None):
                     raise error
                 yield task, None if error else future.result(), error
-            running |= {pool.submit(released, run, *task): task for task in itertools.islice(waiting, len(ended))}
+            running |= {pool.submit(run, *task): task for task in itertools.islice(waiting, len(ended))}
     except BrokenExecutor:
         raise LieEDNNError(
             "a worker process died, of too little memory, or because a script that starts workers has no "
             "`if __name__ == '__main__':`; finished work is kept, the same command continues, and one job needs less "
             "memory"
         ) from None
-
-
-def released(run: Callable[..., Any], *task: Any) -> Any:
-    """Run a task, then return the memory that it used to the system, at most every five seconds.
-
-    A reference cycle of a few Python objects may hold megabytes of MuJoCo's or OMPL's, which Python does not count when
-    it decides whether to collect cycles; and arrays of many sizes leave holes in the heap of glibc, which keeps them.
-    Without this, workers grew from 0.2 to 0.8 GB in a thousand cases. To search for cycles takes about 50 ms.
-    """
-    global _last_released
-    try:
-        return run(*task)
-    finally:
-        if monotonic() - _last_released > 5.0:
-            gc.collect()
-            _trim()(0)
-            _last_released = monotonic()
-
-
-@cache
-def _trim() -> Callable[[int], Any]:
-    """Glibc's `malloc_trim`; elsewhere a function that does nothing."""
-    try:
-        return getattr(ctypes.CDLL(None), "malloc_trim", lambda _: 0)
-    except TypeError:  # Windows gives no handle of the program itself
-        return lambda _: 0
 
 
 def _added() -> tuple[list[str], list[tuple[int, str]]]:
@@ -173,13 +118,3 @@ def _prepare_worker(modules: Sequence[str], files: Sequence[tuple[int, str]]) ->
     for kind, name in files:
         with contextlib.suppress(Exception):
             _OF_USERS[kind].find(name)
-    # Ctrl-C reaches the whole process group; the main process stops the workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """End this worker when the main process is killed; a pool's worker would wait forever."""
-    if parent := multiprocessing.parent_process():
-        parent.join()
-        os._exit(1)

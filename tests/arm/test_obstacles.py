@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -184,3 +185,17 @@ def test_a_scene_is_a_file_that_is_there_and_no_name_of_the_packages(gantry, tmp
     around = gantry.with_scene(write(tmp_path, "own.json", {"obstacles": [BOX]}))
     with pytest.raises(InputError, match="already has the obstacles of scene 'own'"):
         around.with_scene("poles")
+
+
+def test_in_a_model_without_a_spec_obstacles_move_and_grow_as_in_one(gantry):
+    arm, rng = Arm.load("telescopic_pr", scene="poles", seed=3), np.random.default_rng(0)
+    names = [name for k in range(arm.model.nbody) if (name := arm.model.body(k).name).startswith("obstacle")]
+    places = {name: arm.model.body(name).pos + np.array([0.1, 0.05, 0.02]) for name in names}
+    bare = dataclasses.replace(arm.without_visuals, spec=None)
+    whole, light = (each.with_moved_bodies(places, 0.05).contact_finder(0.02) for each in (arm, bare))
+    found_any = 0
+    for qpos in arm.qpos(rng.uniform(*arm.position_limits.T, (300, 8))):
+        distances = [np.sort(finder.geoms(qpos)[0]) for finder in (whole, light)]
+        np.testing.assert_array_equal(*distances)
+        found_any += len(distances[0])
+    assert found_any > 100

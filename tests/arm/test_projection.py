@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mechanisms import ODD_ARM
 from scipy.optimize import least_squares
 
 from lieednn_sim._mujoco import mujoco
@@ -19,56 +20,8 @@ from lieednn_sim.arm.projection import Retractor
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import exp
 
-# A ball shoulder with a telescope of three coupled stages, a universal joint with an off-axis slide, and two links
-# whose slides share one coordinate.
-ARM = """
-<mujoco model="odd">
-  <compiler angle="radian" autolimits="true"/>
-  <default><geom type="sphere" size="0.01" contype="0" conaffinity="0" mass="1"/></default>
-  <worldbody>
-    <site name="base_frame" pos="0.1 0 0.2" euler="0.3 0 0.1"/>
-    <body name="shoulder" pos="0 0 0.4" euler="0.2 0.4 -0.3">
-      <joint name="shoulder" type="ball" range="0 2"/><geom/>
-      <body name="tube" pos="0 0 0.1">
-        <joint name="out1" type="slide" axis="0 0 1" range="0 0.2"/><geom/>
-        <body name="tube2" pos="0 0 0.1">
-          <joint name="out2" type="slide" axis="0 0 1" range="0 0.2" ref="0.02"/><geom/>
-          <body name="tube3" pos="0 0 0.1">
-            <joint name="out3" type="slide" axis="0 0 1" range="-0.5 0.5" ref="0.05"/><geom/>
-            <site name="link1_frame" pos="0 0 0.1" euler="0 0.5 0"/>
-            <body name="cross" pos="0.1 0 0">
-              <joint name="yaw" type="hinge" axis="0 0 1" range="-1 1"/><geom/>
-              <body name="fork" pos="0 0.05 0">
-                <joint name="pitch" type="hinge" axis="0 1 0" range="-1 1.2" ref="0.1"/><geom/>
-                <joint name="boom" type="slide" axis="0.8 0 0.6" range="0 0.3"/>
-                <site name="link2_frame" pos="0.2 0 0"/>
-                <body name="left" pos="0.2 0 0">
-                  <joint name="roll" type="hinge" axis="1 0 0" range="-1 1"/>
-                  <joint name="left" type="slide" axis="1 0 0" range="0 0.3"/><geom/>
-                  <site name="link3_frame"/>
-                  <body name="right" pos="0.2 0 0">
-                    <joint name="right" type="slide" axis="0 1 0" range="-1 1"/><geom/>
-                    <site name="link4_frame"/>
-                  </body>
-                </body>
-              </body>
-            </body>
-          </body>
-        </body>
-      </body>
-    </body>
-    <body name="elsewhere"><joint name="wheel" type="hinge" axis="0 0 1"/><geom/></body>
-  </worldbody>
-  <equality>
-    <joint joint1="out2" joint2="out1" polycoef="0.01 1 0 0 0"/>
-    <joint joint1="out3" joint2="out2" polycoef="0 -0.5 0 0 0"/>
-    <joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/>
-  </equality>
-</mujoco>
-"""
 
-
-def make(tmp_path, xml=ARM):
+def make(tmp_path, xml=ODD_ARM):
     path = tmp_path / "scene.xml"
     path.write_text(xml)
     return Arm.from_xml(path, "odd")
@@ -323,9 +276,9 @@ def test_rates_are_the_derivative_of_the_retraction(arm, seed, size):
     ],
 )
 def test_what_cannot_be_an_arm_is_refused_with_the_reason(old, new, words, tmp_path):
-    assert old in ARM
+    assert old in ODD_ARM
     with pytest.raises(InputError, match=words):
-        make(tmp_path, ARM.replace(old, new))
+        make(tmp_path, ODD_ARM.replace(old, new))
 
 
 @pytest.mark.parametrize("name", ["telescopic_pr", "telescopic_rrp", "telescopic_compound"])

@@ -126,6 +126,15 @@ def test_a_target_out_of_reach_is_refused_with_the_joint_or_the_contact(begin):
     assert fenced.aimed.problem.endswith("'link4' touches 'obstacle_window'")
 
 
+def test_the_rate_that_is_shown_is_that_of_a_linear_network(begin):
+    session = begin(target="extended")
+    session.advance(150)
+    before = session.tick.progress.distance
+    session.advance(50)
+    after = session.tick.progress
+    assert after.rate == pytest.approx(np.log(before / after.distance) / 0.5, rel=1e-6)
+
+
 def test_a_pushed_arm_yields_and_returns(arm, begin):
     session = begin()
     session.advance(10)
@@ -216,6 +225,19 @@ def test_menus_change_the_plant_and_the_policy_without_a_jump(begin):
     session.settle()
     session.advance()
     assert session.policy.network.n_clock > 0
+
+
+def test_another_plant_takes_over_the_motion_of_the_arm(begin):
+    session = begin(target="extended")
+    session.advance(30)
+    before = session._engine._loop.simulation
+    q, qd = before.q.copy(), before.qd.copy()
+    assert np.abs(qd).max() > 0.1
+    session.choose(payload=3.0)
+    session.settle()
+    after = session._engine._loop.simulation
+    assert after is not before
+    np.testing.assert_allclose([after.q, after.qd], [q, qd], atol=1e-12)
 
 
 def test_a_planned_motion_begins_where_the_arm_stopped_and_is_made_again_for_each_target(arm, begin):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-import shutil
-import subprocess
 from functools import cache
 
 import numpy as np
 import pytest
+from compiling import address, compiled, library
 
 import lieednn_sim as ls
 from lieednn_sim.errors import InputError
@@ -16,20 +15,13 @@ from lieednn_sim.learning.demonstrations import Demonstration, ShapedMotion, ali
 from lieednn_sim.network import ACTIVATIONS, Activation, LieEDNN
 from lieednn_sim.network.dynamics import runge_kutta_step
 
-COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-compiled = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
-
 
 class Compiled:
     """The exported network as a shared library."""
 
     def __init__(self, network: LieEDNN, folder) -> None:
-        network.to_c(folder)
         self.size, self.visible = network.bias.size, 6 * network.n_visible
-        library = folder / "lieednn.so"
-        flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-shared", "-fPIC"]
-        subprocess.run([COMPILER, *flags, folder / "lieednn.c", "-o", library, "-lm"], check=True)
-        self.library = ctypes.CDLL(str(library))
+        self.library = library(network.to_c(folder))
         self.memory = np.zeros(6 * self.size + self.visible)
         self.call("init")
 
@@ -38,13 +30,8 @@ class Compiled:
         return self.memory[: self.size]
 
     def call(self, name: str, *arguments) -> None:
-        given = [
-            ctypes.c_double(item)
-            if isinstance(item, float)
-            else np.ascontiguousarray(item).ctypes.data_as(ctypes.c_void_p)
-            for item in arguments
-        ]
-        getattr(self.library, f"lieednn_{name}")(self.memory.ctypes.data_as(ctypes.c_void_p), *given)
+        given = [ctypes.c_double(item) if isinstance(item, float) else address(item) for item in arguments]
+        getattr(self.library, f"lieednn_{name}")(address(self.memory), *given)
 
 
 def fan() -> LieEDNN:
@@ -102,12 +89,12 @@ def test_the_compiled_network_steps_as_ours(kind, steps, tmp_path):
 
 def test_the_header_has_the_certificate_and_says_when_there_is_none(tmp_path):
     network = networks()["plain"]
-    header = (network.to_c(tmp_path / "new" / "folder") / "lieednn.h").read_text()
+    header = (network.to_c(tmp_path / "new" / "folder") / "lieednn_numbers.h").read_text()
     assert f"#define LIEEDNN_LAMBDA_MAX {network.certificate.lambda_max!r} " in header
     assert f"#define LIEEDNN_RATE {network.certificate.rate!r} " in header
     assert "globally stable for every bias" in header
     bare = LieEDNN(network.alpha, network.rotation, network.translation, network.bias)
-    header = (bare.to_c(tmp_path) / "lieednn.h").read_text()
+    header = (bare.to_c(tmp_path) / "lieednn_numbers.h").read_text()
     assert "#define LIEEDNN_LAMBDA_MAX NAN " in header
     assert "not certified: nothing is proved" in header
 

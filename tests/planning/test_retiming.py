@@ -257,16 +257,3 @@ def test_steps_of_any_length_are_timed_at_the_limits(planner):
         least = 2.0 * np.sqrt(np.abs(target - home) / arm.acceleration_limits).max()
         duration = plan(arm, target, planner=planner, fastest=True).motion.t[-1]
         assert least <= duration <= max(1.5 * least, 2.5 * arm.timestep)
-
-
-def test_a_guide_is_a_tenth_slower_and_not_checked(gantry):
-    """What follows it is; here the other half of the way is beyond a limit of position."""
-    arm, motion = straight(gantry)
-    found = retime(arm, motion)
-    low, high = arm.position_limits.T
-    narrow = dataclasses.replace(arm, position_limits=np.stack([low, np.minimum(high, found.q[0] + [9, 9, 0.8, 9])], 1))
-    with pytest.raises(PlanError, match="its range is"):
-        retime(narrow, motion)
-    guide = retime(narrow, motion, guiding=True)
-    assert guide.t[-1] == pytest.approx(1.1 * found.t[-1], abs=2.0 * arm.timestep)
-    assert max(rates(arm, guide)) < 0.95

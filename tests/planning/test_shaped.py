@@ -6,11 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import PlanError
 from lieednn_sim.evaluation.metrics import motion_metrics
 from lieednn_sim.planning import PLANNERS, GuideOptions, ShapedOptions, plan, shaped
+from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
+from lieednn_sim.planning.joint_space import travelled
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import lever_units
@@ -61,7 +64,7 @@ def test_a_path_too_long_for_a_code_has_a_network_of_its_own(monkeypatch):
     arm = FREE.with_scene("shelf", 2)
     target = draw_target(arm, 2)
     usual = planned(arm, target)
-    monkeypatch.setattr("lieednn_sim.synthesis.shaping.encoder.LARGEST_CODE", 1e-6)
+    monkeypatch.setattr(shaped, "_STRENGTHS", (0.1,))
     made = planned(arm, target)
     assert made.network.certified
     assert made.network.n_neurons < usual.network.n_neurons
@@ -143,6 +146,36 @@ def test_where_no_network_follows_another_path_is_asked_for(monkeypatch):
     guides_taken.clear()
     planned(FREE, draw_target(FREE, 0), guides=1, guide=UNPOLISHED)
     assert [guide.planner for guide in guides_taken] == ["minimum-jerk", "rrt-connect"]
+
+
+@needs_ompl
+def test_the_fastest_motion_is_timed_once_along_the_first_curve_that_can_be_followed(monkeypatch):
+    """Curves of RRT-Connect's path, each closer to it, are tried before another path is searched for."""
+    pytest.importorskip("toppra")
+    arm, taken, timed = FREE.with_scene("poles", 0), [], []
+    true_retime, true_follow = shaped.retime, shaped.followed_guide
+
+    def picky(problem, options, guide):
+        taken.append(guide)
+        if len(taken) < 3:
+            raise PlanError("not this one")
+        return true_follow(problem, options, guide)
+
+    monkeypatch.setattr(shaped, "followed_guide", picky)
+    monkeypatch.setattr(shaped, "retime", lambda *given: timed.append(1) or true_retime(*given))
+    search = RrtConnectOptions(balanced=True, fastest=True)
+    made = planned(arm, draw_target(arm, 0), guide=GuideOptions(optimised=False, search=search))
+    assert made.guide is taken[-1]
+    assert [guide.planner for guide in taken] == ["rrt-connect"] * 3
+    assert timed == [1]
+    assert travelled(taken[1].motion.q)[-1] < travelled(taken[2].motion.q)[-1]
+    motion = made.motion
+    check_motion(arm, motion)
+    assert made.proved
+    assert motion.t[-1] < 0.8 * plan(arm, motion.q[-1], planner="lieednn-shaped").t[-1]
+    # Wherever the tip is, the guide's is near.
+    tips = [arm.tip(one.q[::stride]) for one, stride in ((motion, 10), (made.guide.motion, 1))]
+    assert cKDTree(tips[1]).query(tips[0])[0].max() < made.details.deviation + 2e-3
 
 
 def test_the_motion_is_proved_whatever_was_seen_of_its_guide(monkeypatch):

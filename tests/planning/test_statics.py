@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import cumulative_trapezoid
 
 import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
@@ -76,6 +77,37 @@ def test_a_motion_is_stretched_to_where_the_force_is_at_its_limit(damping, frict
     slow = ls.plan(arm, [0.8, 0.0], planner="minimum-jerk", duration=(0.25, 2.0)).motion
     assert needed <= slow.t[-1] <= 1.05 * needed
     assert 0.9 < force_use(arm, slow.t, slow.q, slow.qd) <= 1.0 + 1e-6
+
+
+@pytest.mark.parametrize("down", [False, True])
+@pytest.mark.parametrize(("damping", "friction"), [(0.0, 0.0), (20.0, 0.0), (20.0, 6.0)])
+def test_the_fastest_lift_pulls_and_brakes_with_all_the_force_there_is(damping, friction, down):
+    """Up at (F - m g - friction - c v) / m, then braking at (F + m g + friction + c v) / m; down with g reversed."""
+    pytest.importorskip("toppra")
+    arm, mass, weight = (
+        hoist(damping=damping, friction=friction).with_payload(3.0),
+        5.0,
+        5.0 * G * (-1.0 if down else 1.0),
+    )
+    ends = np.array([[0.0, 0.0], [0.8, 0.0]])[:: -1 if down else 1]
+    motion = ls.plan(arm, ends[1], start=ends[0], planner="minimum-jerk", fastest=True).motion
+    # Times and ways from rest to a speed and back, by integrating over the speed.
+    v = np.linspace(0.0, 8.0, 200_001)
+    force = [np.maximum(100.0 - side * (weight + friction + damping * v), 1e-3) / mass for side in (1.0, -1.0)]
+    time, way = (cumulative_trapezoid(sum(power / a for a in force), v, initial=0.0) for power in (1.0, v))
+    least = float(np.interp(0.8, way, time))
+    assert least <= motion.t[-1] + arm.timestep
+    # It is averaged over a 140th of it, and the dampers' force is replaced by a tangent.
+    assert motion.t[-1] <= (1.02 if damping == 0.0 else 1.13) * least + 2.0 * arm.timestep
+    # Forces by MuJoCo, with the acceleration of each step.
+    model, largest = arm.model, 0.0
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
+    data = mujoco.MjData(model)
+    for q, qd, qdd in zip(motion.q, motion.qd, np.diff(motion.qd, axis=0) / motion.timestep, strict=False):
+        data.qpos[:2], data.qvel[:2], data.qacc[:2] = q, qd, qdd
+        mujoco.mj_inverse(model, data)
+        largest = max(largest, abs(data.qfrc_inverse[0] + friction * np.sign(qd[0])))
+    assert 98.0 < largest <= 100.0 * (1.0 + 1e-5)
 
 
 def test_a_mass_that_cannot_be_held_is_refused_with_its_load():

@@ -123,6 +123,8 @@ def test_a_target_that_moves_steadily_is_met_at_the_end_of_each_period(gantry):
         policy.step(None, GOAL + k * step)
     # By then the target is a sample further.
     np.testing.assert_allclose(policy.q, GOAL + 150 * step, atol=2e-5)
+    # At its end the network is half a period past what it aims at, by 5 /s times 0.01 s of its velocity.
+    np.testing.assert_allclose(policy.qd, 0.95 * 50.0 * step, atol=2e-4)
 
 
 def test_a_network_twice_as_fast_at_half_the_speed_is_the_same(gantry, cascade):

@@ -1,4 +1,4 @@
-"""Replanning: no jump at a change, the proof and the arrival, a pole in the way, nowhere to go, and error messages."""
+"""Replanning: no jump at a change, the proof and the arrival, poles in the way, nowhere to go, and error messages."""
 
 import dataclasses
 from concurrent.futures import Future
@@ -10,7 +10,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning import plan
-from lieednn_sim.planning.transition import straight
+from lieednn_sim.planning.transition import along, straight
 from lieednn_sim.policies import Feedback, FilteredPolicy, ReplanningOptions, ReplanningPolicy, make_policy, replanning
 from lieednn_sim.policies.surroundings import Surroundings
 from lieednn_sim.simulation import Disturbances, MovingObstacle, Push, follow
@@ -165,9 +165,9 @@ def test_what_is_in_the_way_by_hand(beside):
 def test_an_obstacle_is_expected_to_go_on(beside, step, blocked, monkeypatch):
     """Five periods of 0.02 s at 1 m/s towards the path, 0.3 s before it is there, or away from it."""
     searched = []
-    monkeypatch.setattr(replanning, "search_path", lambda _, places, *__: searched.append(places.copy()) or Future())
     policy = ReplanningPolicy(beside, 50.0, feedback=None)
     policy.reset(np.zeros(4))
+    monkeypatch.setattr(replanning, "aside", lambda _, __, places, *___: searched.append(places) or Future())
     for k in range(6):
         policy.see({"obstacle_pole": np.array([1.4 - step * (1.0 - k / 5.0), 0.8, 0.0])})
         policy.step(None, ACROSS)
@@ -180,18 +180,18 @@ def test_searches_have_seeds_of_their_own_and_their_paths_are_looked_at_again(be
     """No path, and then one into which the pole has moved meanwhile; it rests before the pole all the same."""
     seeds, path = [], plan(beside, ACROSS, planner="minimum-jerk", duration=2.0).motion
 
-    def search(arm, places, ends, margin, options, seed):
-        seeds.append(seed)
+    def aside(arm, search, *arguments):
+        seeds.append(arguments[-1])
         future = Future()
         if len(seeds) < 3:
             future.set_exception(PlanError("no path"))
         else:
-            future.set_result(path)
+            future.set_result(along(beside, path))
         return future
 
-    monkeypatch.setattr(replanning, "search_path", search)
     policy = ReplanningPolicy(beside, 50.0, seed=7, feedback=None, options=ReplanningOptions(search_periods=5))
     policy.reset(np.zeros(4))
+    monkeypatch.setattr(replanning, "aside", aside)
     policy.see({"obstacle_pole": np.array([1.0, 0.8, 0.0])})
     for _ in range(100):
         policy.step(None, ACROSS)
@@ -225,7 +225,7 @@ def no_path(*_):
 @pytest.mark.parametrize("target", [(0.0, -0.8, 0.0, 0.0), (0.5, -0.3, 0.3, 1.0)])
 def test_references_go_on_at_a_change_at_half_the_pace(target, beside, monkeypatch):
     """By differences of what is sent, while the arm brakes for a pole: a jump of a few thousandths of the limits."""
-    monkeypatch.setattr(replanning, "search_path", no_path)
+    monkeypatch.setattr(replanning, "aside", no_path)
     policy = ReplanningPolicy(beside, 200.0, feedback=None, options=ReplanningOptions(least_duration=2.0))
     policy.reset(np.zeros(4))
     rates, goal, changed = [policy.qd], np.array([0.0, 0.8, 0.0, 0.0]), 0
@@ -243,7 +243,7 @@ def test_references_go_on_at_a_change_at_half_the_pace(target, beside, monkeypat
 @pytest.mark.parametrize("changed", [120, 200, 260])
 def test_it_stops_as_gently_as_it_can_where_a_new_target_is_refused(changed, beside, monkeypatch):
     """It turns where it rests, for which 0.35 of the limits are enough."""
-    monkeypatch.setattr(replanning, "search_path", no_path)
+    monkeypatch.setattr(replanning, "aside", no_path)
     options = ReplanningOptions(least_duration=2.0, search_periods=1)
     policy = ReplanningPolicy(beside, 200.0, feedback=None, options=options)
     policy.reset(np.zeros(4))

@@ -42,6 +42,16 @@ def test_an_obstacle_touches_when_it_comes(beside, travel):
     np.testing.assert_allclose(ball.pos, [3.0, 0.0, 0.0])
 
 
+def test_controllers_do_not_push_against_where_it_was(beside, travel):
+    """The arm has it where it passes after it has gone."""
+    there = beside.with_moved_bodies({"obstacle_ball": (1.0, 1.0, 0.0)})
+    gone = MovingObstacle("obstacle_ball", (0.0, 0.2), ((1.0, 1.0, 0.0), (3.0, 1.0, 0.0)))
+    way = travel(there, np.zeros(4), np.array([0.0, 1.5, 0.0, 0.0]), 3.0)
+    rollout = simulate(there, way, controller="inverse-dynamics", disturbances=Disturbances(obstacles=(gone,)))
+    assert not rollout.contacts.any()
+    assert np.abs(rollout.q - rollout.q_ref).max() < 1e-6
+
+
 def test_the_policy_is_told_where_it_is(beside):
     told = []
 

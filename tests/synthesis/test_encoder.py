@@ -53,7 +53,8 @@ def test_the_true_network_follows_the_curve_and_its_closed_form(encoder):
 
 def test_codes_are_the_least_squares_solution(encoder):
     """The bumps by integrating single pairs, the code by a solver of its own."""
-    g, network = module._basis(encoder.network.activation).fitted, encoder.network
+    basis, network = module._basis(encoder.network.activation, 80.0), encoder.network
+    g = basis.fitted
     a, c = switches(module.CODE_PAIRS)
     slope = ACTIVATIONS[network.activation].slope
     # x' = u - x with u = 2 D g phi'(a + c g), for each pair.
@@ -73,7 +74,7 @@ def test_codes_are_the_least_squares_solution(encoder):
     code = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
     # At these instants exactly, with only coordinate 4 of the second neuron off the straight line.
     assert np.abs(code).max() < 0.05
-    np.testing.assert_allclose(module._basis(network.activation).solution @ wanted, code, atol=2e-6)
+    np.testing.assert_allclose(basis.solution @ wanted, code, atol=2e-6)
     straight = line[0] + np.linspace(0.0, 1.0, 30)[:, None, None] * (line[1] - line[0])
     np.testing.assert_allclose(encoder.code(straight), network.hidden_start, atol=1e-6)
 
@@ -123,6 +124,21 @@ def test_the_path_of_a_code_between_two_codes_is_between_their_paths(encoder):
     network = encoder.with_code(0.7 * codes[0] + 0.3 * codes[1], mixed[-1])
     assert network.certified
     np.testing.assert_allclose(encoder.path(network, mixed[0])(w), 0.7 * paths[0] + 0.3 * paths[1], atol=1e-4)
+
+
+def test_with_more_strength_longer_curves_have_codes(encoder):
+    """Fifty times as strong, an encoder has codes a fiftieth as large, for the same way; its network is proved, too."""
+    strong = CurveEncoder(2, encoder.network.activation, 4000.0)
+    assert verify(strong.network.lyapunov_diagonal, strong.network.rotational_weight).valid
+    curve, w = curve_of(1), np.linspace(0.0, 1.0 - 1e-6, 60)
+    weak, same = encoder.encode(curve), strong.encode(curve)
+    codes = [one.hidden_start - each.network.hidden_start for one, each in ((weak, encoder), (same, strong))]
+    np.testing.assert_allclose(50.0 * codes[1], codes[0], atol=1e-6)
+    paths = [each.path(network, curve[0])(w) for each, network in ((encoder, weak), (strong, same))]
+    np.testing.assert_allclose(*paths, atol=1e-3 * np.linalg.norm(curve[-1] - curve[0]))
+    far = 40.0 * curve
+    flow = strong.path(strong.encode(far), far[0])
+    assert off_the_curve(flow(w), 40.0 * curve_of(1, count=2000)) < 2e-3 * np.linalg.norm(far[-1] - far[0])
 
 
 def test_what_cannot_be_encoded_is_refused(encoder, tmp_path):

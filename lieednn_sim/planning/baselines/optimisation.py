@@ -77,14 +77,14 @@ def trajectory_optimisation(problem: PlanningProblem, options: OptimisationOptio
         PlanError: no local optimum keeps the limits and the clearance; the message says why the first one does not.
     """
     descent = _Descent(problem, options)
-    refusal: PlanError | None = None
+    refusal = ""
     for x in descent.guesses():
         for weight in options.weights:
             x = descent.minimise(x, weight)
             try:
                 return descent.motion(x)
             except PlanError as error:
-                refusal = refusal or error
+                refusal = refusal or str(error)
     raise PlanError(f"no local optimum of {options.guesses} first guesses can be followed: {refusal}")
 
 

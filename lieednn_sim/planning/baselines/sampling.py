@@ -19,7 +19,7 @@ import numpy as np
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.planning.baselines.search_space import SearchSpace
-from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along_first
+from lieednn_sim.planning.baselines.smoothing import Paths, SmoothingOptions, motion_along_first
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.joint_space import Workspace
 from lieednn_sim.planning.motion import Motion
@@ -104,7 +104,7 @@ Search: TypeAlias = Callable[[SearchSpace, PathOptions, np.random.SeedSequence],
 
 
 def sampling_planner(name: str) -> Callable[..., Motion]:
-    """The planner with a name of `METHODS`; its arguments are a problem, options, and ``guiding`` of `motion_along`.
+    """The planner with a name of `METHODS`; its arguments are a problem and options.
 
     RRT-Connect grows two trees from start and target until they meet. The others improve the path with a fixed amount
     of work: RRT* rewires one tree, Informed RRT* samples only where a shorter path is possible, BIT* searches batches
@@ -116,13 +116,17 @@ def sampling_planner(name: str) -> Callable[..., Motion]:
         PlanError: no path was found within the work allowed, or it cannot be followed in time.
     """
 
-    def planner(problem: PlanningProblem, options: PathOptions, *, guiding: bool = False) -> Motion:
-        balanced = isinstance(options, RrtConnectOptions) and options.balanced
-        search = balanced_search if balanced else ompl_search(name)
-        path = cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, search))
-        return motion_along_first(problem, path, len(options.spacings), options, name, guiding=guiding)
+    def planner(problem: PlanningProblem, options: PathOptions) -> Motion:
+        return motion_along_first(problem, paths(problem, options, name), len(options.spacings), options, name)
 
     return planner
+
+
+def paths(problem: PlanningProblem, options: PathOptions, name: str) -> Paths:
+    """The paths of the planner with a name of `METHODS`."""
+    balanced = isinstance(options, RrtConnectOptions) and options.balanced
+    search = balanced_search if balanced else ompl_search(name)
+    return cache(partial(connecting_path, problem, Workspace(problem, options.margin), options, search))
 
 
 rrt_connect = sampling_planner("rrt-connect")

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from operator import attrgetter
+from operator import itemgetter
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
@@ -31,7 +31,7 @@ from lieednn_sim.values import Floats
 # this many steps, before its time law is computed.
 _PLACES, _STEPS = 512, 2000
 
-Blocked = dict[int | None, PlanError]
+Blocked = dict[int | None, str]
 Paths = Callable[[int], Floats | None]
 
 
@@ -54,29 +54,26 @@ class SmoothingOptions(PlannerOptions):
     fastest: bool = False
 
 
-def motion_along(
-    problem: PlanningProblem, corners: Floats, options: SmoothingOptions, blocked: Blocked, *, guiding: bool = False
-) -> Motion:
+def motion_along(problem: PlanningProblem, corners: Floats, options: SmoothingOptions, blocked: Blocked) -> Motion:
     """The smoothest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
 
     Args:
         problem, corners, options: the problem, the corners of the polyline, and how it is smoothed.
         blocked: numbers of control points whose curves are blocked at any duration, with the reasons. It is added to;
             pass it on to calls with other durations, in which these curves are skipped.
-        guiding: whether the motion only guides another one: then a curve is followed at the limits as of `retime`.
 
     Raises:
         PlanError: not even the polyline itself can be followed in the problem's duration.
     """
-    refusals: list[PlanError] = []
+    late, refusal = list[tuple[float, str]](), ""
     fastest = options.fastest and len(_measured(corners / joint_scale(problem.arm))[1]) > 0
     for count in (*options.control_points, None):
         if count in blocked:
-            refusals.append(blocked[count])
+            refusal = blocked[count]
             continue
         try:
             if fastest and count is not None:
-                return _fastest(problem, corners, count, options.bend, guiding)
+                return retime(problem.arm, slow_motion(problem, corners, count, options.bend))
             curve = stopping(problem, corners) if count is None else smoothed(problem, corners, count, options.bend)
             motion = joint_motion(problem, *curve)
             if fastest:
@@ -84,22 +81,24 @@ def motion_along(
                 with suppress(PlanError):
                     motion = retime(problem.arm, motion)
             return motion
+        except TooFastError as error:
+            late.append((error.duration, str(error)))
         except PlanError as error:
-            refusals.append(error)
-            if not isinstance(error, TooFastError):
-                blocked[count] = error
+            refusal = blocked[count] = str(error)
     # A motion that only needs more time takes precedence over blocked ones; of several, the one that needs the least.
-    late = (error for error in refusals if isinstance(error, TooFastError))
-    raise min(late, key=attrgetter("duration"), default=refusals[-1])
+    if late:
+        duration, message = min(late, key=itemgetter(0))
+        raise TooFastError(message, duration)
+    raise PlanError(refusal)
 
 
 def motion_along_first(
-    problem: PlanningProblem, path: Paths, attempts: int, options: SmoothingOptions, name: str, *, guiding: bool = False
+    problem: PlanningProblem, path: Paths, attempts: int, options: SmoothingOptions, name: str
 ) -> Motion:
     """The motion along the first path that can be followed, in the time that it needs.
 
     Args:
-        problem, options, name, guiding: the problem, how paths are smoothed, the planner's name; as of `motion_along`.
+        problem, options, name: the problem, how paths are smoothed, and the planner's name.
         path: function from the number of an attempt to corners ``(M, n)``, or None if it fails. Paths do not depend on
             the duration; it should remember them, since they are asked for again when the motion needs more time.
         attempts: largest number of paths to ask for.
@@ -110,31 +109,34 @@ def motion_along_first(
     blocked = {attempt: Blocked() for attempt in range(attempts)}
 
     def motion(asked: PlanningProblem) -> Motion:
-        refusal: PlanError | None = None
+        refusals = [PlanError(f"{name} found no path free of contact; try another seed or target")]
         for attempt, curves in blocked.items():
             corners = path(attempt)
             if corners is None:
                 break
             try:
-                return motion_along(asked, corners, options, curves, guiding=guiding)
+                return motion_along(asked, corners, options, curves)
             except PlanError as error:
-                refusal = error
+                refusals = [error.with_traceback(None)]  # as in `plan`
                 if isinstance(error, TooFastError) and error.duration <= asked.longest:
                     break
-        raise refusal or PlanError(f"{name} found no path free of contact; try another seed or target")
+        raise refusals.pop()
 
     return in_time(motion, problem)
 
 
-def _fastest(problem: PlanningProblem, corners: Floats, count: int, bend: float, guiding: bool) -> Motion:
-    """The motion along a smooth curve at the arm's limits, whatever the problem's duration."""
+def slow_motion(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> Motion:
+    """A motion along a curve of `smoothed` that is to be timed: not checked, but for contact at some places.
+
+    Raises:
+        PlanError: there, something touches.
+    """
     arm, scale = problem.arm, joint_scale(problem.arm)
-    curve = _spline(*_measured(corners / scale), count)
-    if any(arm.near_contacts_along(scale * curve(bisecting(_PLACES)))):
+    points, lengths = _measured(corners / scale)
+    if len(lengths) and any(arm.near_contacts_along(scale * _spline(points, lengths, count)(bisecting(_PLACES)))):
         raise PlanError("the curve touches something")
     slow = replace(problem, duration=_STEPS * arm.timestep)
-    motion = joint_motion(slow, *smoothed(slow, corners, count, bend), checked=False)
-    return retime(arm, motion, guiding=guiding)
+    return joint_motion(slow, *smoothed(slow, corners, count, bend), checked=False)
 
 
 def smoothed(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> tuple[Floats, Floats, Floats]:

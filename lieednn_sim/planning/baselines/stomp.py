@@ -81,7 +81,7 @@ def stomp(problem: PlanningProblem, options: StompOptions) -> Motion:
         PlanError: no path is clear, or the motion breaks a limit of the arm.
     """
     rng = np.random.default_rng(problem.seed)
-    refusal: PlanError | None = None
+    refusals = [PlanError(f"no path of {options.rounds} rounds is clear; try another seed or target")]
     for spacing in (options.spacing, 0.5 * options.spacing):
         search = StompSearch(problem, options, spacing, rng)
         path = search.clear_path()
@@ -90,8 +90,8 @@ def stomp(problem: PlanningProblem, options: StompOptions) -> Motion:
         try:
             return in_time(motion_along, problem, search.smoothed(path))
         except PlanError as error:
-            refusal = error
-    raise refusal or PlanError(f"no path of {options.rounds} rounds is clear; try another seed or target")
+            refusals = [error.with_traceback(None)]  # as in `plan`
+    raise refusals.pop()
 
 
 def motion_along(problem: PlanningProblem, path: Floats) -> Motion:

@@ -18,7 +18,7 @@ from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
-from lieednn_sim.errors import FileError, InputError, LieEDNNError
+from lieednn_sim.errors import FileError, InputError, LieEDNNError, NoSolutionError
 from lieednn_sim.evaluation.evaluation import Evaluation, MotionMetrics
 from lieednn_sim.evaluation.metrics import evaluate, motion_metrics
 from lieednn_sim.planning import Plan, find_tube, plan, reference_network
@@ -71,21 +71,21 @@ def load_arm(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> Ar
 def arm_and_target(name: str, scene: str, seed: int, user_files: UserFiles = ()) -> tuple[Arm, Floats]:
     """The arm, and a random target ``(n,)`` for its scene, the same for every planner; raises if there is none."""
     result = _arm_and_target(name, scene, seed, tuple(user_files))
-    if isinstance(result, LieEDNNError):
-        raise result
+    if isinstance(result, str):
+        raise NoSolutionError(result)
     return result
 
 
 @lru_cache(maxsize=4)
-def _arm_and_target(name: str, scene: str, seed: int, user_files: UserFiles) -> tuple[Arm, Floats] | LieEDNNError:
-    """`arm_and_target`, or its error, so that a failed search is not repeated for each planner."""
+def _arm_and_target(name: str, scene: str, seed: int, user_files: UserFiles) -> tuple[Arm, Floats] | str:
+    """`arm_and_target`, or its error's message, so that a failed search is not repeated for each planner."""
     # Without random obstacles the arm does not depend on the seed, and is shared.
     drawn = scene != FREE and (SCENE, scene) not in {file[:2] for file in user_files}
     try:
         arm = load_arm(name, scene, seed if drawn else 0, user_files)
         return arm, draw_target(arm, seed)
     except LieEDNNError as error:
-        return error
+        return str(error)
 
 
 def _plan(case: Case, arm: Arm, target: Floats, settings: Settings) -> Plan:

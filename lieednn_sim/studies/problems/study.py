@@ -117,21 +117,20 @@ def solve(folder: str, name: str, number: int, planner: str, budget: float) -> l
         started = cpu_time()
         try:
             with time_limit(budget):
-                result = _planned(arm, start, goal, planner, budget)
+                result = _planned(arm, start, goal, planner)
         except LieEDNNError as error:
             return failed(folder, name, number, planner, budget, f"plan: {error}")
         result = replace(result, cpu_time=cpu_time() - started)
         return [Solution(name, number, planner, **measured(arm, result))]
 
 
-def _planned(arm: Arm, start: Floats, goal: Floats, planner: str, budget: float) -> Plan:
+def _planned(arm: Arm, start: Floats, goal: Floats, planner: str) -> Plan:
     """A plan, retimed to the arm's limits where toppra is installed."""
     least = max(0.1, least_duration(arm, start, goal))
-    with time_limit(budget):
-        result = plan(
-            arm, goal, planner=planner, start=start, duration=(least, 100.0 * least), options=OPTIONS.get(planner)
-        )
-    if _TIMED and OPTIONS.get(planner) is not _SEARCH:  # which times its motion
+    result = plan(
+        arm, goal, planner=planner, start=start, duration=(least, 100.0 * least), options=OPTIONS.get(planner)
+    )
+    if _TIMED and planner not in OPTIONS:  # which time their motions
         # Not plan(fastest=True), which would reject the plan where a path that only just passes touches something at
         # its new samples. Then the motion stays as it is.
         with contextlib.suppress(PlanError):

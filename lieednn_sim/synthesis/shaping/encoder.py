@@ -26,12 +26,12 @@ from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.network.stepping import UndrivenState
 from lieednn_sim.synthesis.shaping.cascade import LARGEST_CODE, TAIL, assemble, pairs_of, switches
 from lieednn_sim.synthesis.shaping.curve import as_units, clock_along, third_derivative
-from lieednn_sim.validation import as_count, as_floats
+from lieednn_sim.validation import as_count, as_floats, as_positive
 from lieednn_sim.values import Floats, frozen
 
 CODE_PAIRS = 48  # pairs for each visible neuron
 _MOST_VISIBLE = 16  # largest number of visible neurons: arrays of hidden ones grow with its square, to 0.2 GB
-_STRENGTH = 80.0  # D; codes of the package's arms reach about a third of `LARGEST_CODE`
+STRENGTH = 80.0  # D, by default; codes of the package's arms reach about a third of `LARGEST_CODE`
 # Instants of the fit and of the path in closed form: this many even steps of g, then steps by this ratio, to this g.
 _STEPS, _RATIO, _LEAST_CLOCK = 360, 0.75, 5e-10
 _STRIDE = 3  # every third instant is one of the fit
@@ -46,12 +46,13 @@ _POWERS = np.array([1, 3, 5])  # powers of a code in its bump; the next one is b
 class CurveEncoder:
     """One certified network for every curve of an arm, which encodes a curve as its hidden neurons' initial state.
 
-    This universal network depends on the number of links and the activation alone. It is made and certified once for
-    each size in a process; all encoders of a size share it.
+    This universal network depends on the arguments alone. It is made and certified once for each in a process, and all
+    encoders share it.
 
     Args:
         n_visible: number N of visible neurons, at most 16.
         activation: a name of `ACTIVATIONS`.
+        strength: D; with more of it, longer and more sharply bent curves have codes.
 
     Attributes:
         network: the certified `LieEDNN` with code zero and target zero: N visible neurons and M = 2 N `CODE_PAIRS`
@@ -61,12 +62,13 @@ class CurveEncoder:
         InputError: a value is out of range.
     """
 
-    def __init__(self, n_visible: int, activation: str = DEFAULT_ACTIVATION) -> None:
+    def __init__(self, n_visible: int, activation: str = DEFAULT_ACTIVATION, strength: float = STRENGTH) -> None:
         count, name = as_count("n_visible", n_visible), as_activation(activation)
         if count > _MOST_VISIBLE:
             raise InputError(f"n_visible must be at most {_MOST_VISIBLE}, got {count}")
-        self.network, self._silent = _universal(count, name)
-        self._basis = _basis(name)
+        size = as_positive("strength", strength)
+        self.network, self._silent = _universal(count, name, size)
+        self._basis = _basis(name, size)
 
     def encode(self, curve: ArrayLike, units: ArrayLike = 1.0) -> LieEDNN:
         """The universal network with the code and the target of a curve.
@@ -191,21 +193,21 @@ class _Basis:
 
 
 @lru_cache(maxsize=8)
-def _universal(n: int, activation: str) -> tuple[LieEDNN, Floats]:
+def _universal(n: int, activation: str, strength: float) -> tuple[LieEDNN, Floats]:
     """The universal network of N visible neurons, and the hidden start of code zero."""
-    network = assemble(pairs_of(n, CODE_PAIRS, _STRENGTH), 1.0, np.zeros((n, 6)), activation)
+    network = assemble(pairs_of(n, CODE_PAIRS, strength), 1.0, np.zeros((n, 6)), activation)
     if not network.certified:
         raise NotCertifiedError(f"the closed-form certificate does not hold ({network.certificate})")
     return network, network.hidden_start
 
 
-@lru_cache(maxsize=2)
-def _basis(activation: str) -> _Basis:
+@lru_cache(maxsize=4)
+def _basis(activation: str, strength: float) -> _Basis:
     phi = ACTIVATIONS[activation].phi
     a, c = switches(CODE_PAIRS)
     # An odd polynomial in d through phi(z + d) - phi(z - d) at as many d as it has terms.
     tried = LARGEST_CODE * np.arange(1.0, 1.0 + len(_POWERS)) / len(_POWERS)
-    of_values = _STRENGTH * np.linalg.inv(tried[:, None] ** _POWERS)
+    of_values = strength * np.linalg.inv(tried[:, None] ** _POWERS)
 
     def inputs(g: Floats) -> Floats:
         z = a + c * g[:, None]
@@ -227,18 +229,18 @@ def _basis(activation: str) -> _Basis:
     looks = np.append(np.arange(0, len(even), _STRIDE), np.arange(len(even), len(g), _STRIDE))
     bumps = shifts[0, looks]
     # Near the end u = D delta s 2 phi'(a), and x - x_d = e^-t (A + B t) with B = 2 D phi'(a) delta.
-    tail = 2.0 * TAIL * _STRENGTH * ACTIVATIONS[activation].slope(a)
+    tail = 2.0 * TAIL * strength * ACTIVATIONS[activation].slope(a)
     used = int((g[looks] > _LEAST_RIPPLING).sum())
     ripples = np.pad(third_derivative(1.0 - g[looks[:used]]), ((0, 0), (0, len(looks) - used)))
     ridge = 1e-6  # weight of the squared codes D delta
-    rows = np.concatenate([bumps, _RIPPLE**3 * (ripples @ bumps), tail[None], ridge**0.5 * _STRENGTH * np.eye(len(a))])
+    rows = np.concatenate([bumps, _RIPPLE**3 * (ripples @ bumps), tail[None], ridge**0.5 * strength * np.eye(len(a))])
     inverse = np.linalg.pinv(rows)
     count = len(looks)
     solution = inverse[:, :count] + inverse[:, count : count + len(ripples)] @ (_RIPPLE**3 * ripples)
     slope = ACTIVATIONS[activation].slope_at(a + c, phi(a + c))
     steeper = ACTIVATIONS[activation].bend(a + c)
     # Of u = 2 D delta g phi'(a + c g), with g' = -g.
-    start = 2.0 * _STRENGTH * np.stack([slope, -(slope + c * steeper)])
+    start = 2.0 * strength * np.stack([slope, -(slope + c * steeper)])
     starting = inverse @ inverse.T @ start.T
     # Every second even one, and all later ones.
     levels = np.append(g[looks[:used:2]], g[looks[used:]])

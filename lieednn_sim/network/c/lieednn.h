@@ -1,0 +1,31 @@
+/* A certified neural ODE, x' = -gamma x + mu (W phi(x) + b), as C99; lieednn_numbers.h has its proof and its numbers.
+
+   A neuron's state is a twist (omega [rad], v in the network's unit of length); visible neurons come first. */
+#ifndef LIEEDNN_H
+#define LIEEDNN_H
+
+#include "lieednn_numbers.h"
+
+typedef struct {
+    double x[LIEEDNN_SIZE]; /* state */
+    double bias[LIEEDNN_SIZE]; /* mu b, which holds the target */
+    double target[LIEEDNN_VISIBLE]; /* equilibrium of the visible neurons */
+    double work[4][LIEEDNN_SIZE];
+} lieednn;
+
+/* The network at the target that it was exported with. Call lieednn_start next. */
+void lieednn_init(lieednn *net);
+
+/* Begin a motion with the visible neurons at the given state; hidden ones start where their law says. */
+void lieednn_start(lieednn *net, const double visible[LIEEDNN_VISIBLE]);
+
+/* Another target, under the same proof; a motion under way goes on to it. */
+void lieednn_retarget(lieednn *net, const double target[LIEEDNN_VISIBLE]);
+
+/* The rate of a state, per unit of the network's time. */
+void lieednn_field(const lieednn *net, const double x[LIEEDNN_SIZE], double rate[LIEEDNN_SIZE]);
+
+/* One step of the classical Runge-Kutta method, h in the network's time. */
+void lieednn_step(lieednn *net, double h);
+
+#endif

@@ -1,0 +1,94 @@
+"""Searches aside of the control loop, in a process of their own: a thread would hold the interpreter's lock."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import threading
+import warnings
+import weakref
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+from functools import cache
+from typing import Any, TypeVar
+
+from lieednn_sim._blas import one_blas_thread
+from lieednn_sim._processes import LoneWorkerContext
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import LieEDNNError, PlanError
+from lieednn_sim.registry import optional_module
+
+_T = TypeVar("_T")
+_NOTHING: Callable[[], Arm | None] = lambda: None  # noqa: E731 (as a weak reference whose arm is gone)
+# In the process that searches: the arm of the searches to come.
+_ARM: Arm | None = None
+
+
+def aside(arm: Arm, search: Callable[..., _T], *arguments: Any) -> Future[_T]:
+    """Call a function of the package, with the arm and more, beside the control loop; calls take turns.
+
+    The process starts with the first call of all. It has the arm, without its spec, from the first call for it in a
+    row. Where no process can be started, or it was ended, a thread takes its place, and a warning says so.
+    """
+    return _searcher(os.getpid()).submit(arm, search, *arguments)
+
+
+def found(search: Future[_T]) -> _T:
+    """What a call of `aside` returned; raises `PlanError` with the message of its error, or if its process ended."""
+    try:
+        return search.result()
+    except LieEDNNError as error:
+        raise PlanError(str(error)) from None
+    except BrokenExecutor:
+        raise PlanError("the process that searched has ended") from None
+
+
+def ready(_: Arm) -> None:
+    """To be called `aside` ahead of the first search: the process starts, and imports what searches take."""
+    optional_module("ompl.geometric")
+
+
+class _Searcher:
+    # One worker, since OMPL's random numbers are global.
+    def __init__(self) -> None:
+        self._lock, self._last = threading.Lock(), _NOTHING
+        self._pool: Executor = ProcessPoolExecutor(1, mp_context=LoneWorkerContext())
+
+    def submit(self, arm: Arm, *call: Any) -> Future[Any]:
+        with self._lock:
+            try:
+                return self._submitted(arm, *call)
+            # Of multiprocessing: a daemonic process may have no children.
+            except (AssertionError, OSError, RuntimeError) as error:
+                said = f"searches run in a thread, which may delay periods, since there is no process for them: {error}"
+                warnings.warn(said, RuntimeWarning, stacklevel=4)
+                self._pool, self._last = ThreadPoolExecutor(1, "searches"), _NOTHING
+                return self._submitted(arm, *call)
+
+    def _submitted(self, arm: Arm, *call: Any) -> Future[Any]:
+        if self._last() is not arm:
+            # MuJoCo cannot pickle a spec. Pickled here, so that what cannot be raises here.
+            self._pool.submit(_take, pickle.dumps(replace(arm.without_visuals, spec=None)))
+            self._last = weakref.ref(arm)
+        return self._pool.submit(_call, *call)
+
+
+@cache
+def _searcher(_: int) -> _Searcher:
+    # One for each process, since what it runs does not survive a fork.
+    return _Searcher()
+
+
+def _take(arm: bytes) -> None:
+    global _ARM
+    _ARM = pickle.loads(arm)
+
+
+def _call(search: Callable[..., _T], *arguments: Any) -> _T:
+    try:
+        with one_blas_thread():
+            return search(_ARM, *arguments)
+    except LieEDNNError as error:
+        # Not all errors can be pickled.
+        raise PlanError(str(error)) from None
