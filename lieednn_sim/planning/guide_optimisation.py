@@ -6,15 +6,15 @@ the straight motion by minimum jerk, J is its squared jerk and E a bound on its 
 least of all. Both are quadratic in C. With the end effector's squared jerk F, in units of a straight metre by minimum
 jerk, and the least distance d from everything on the way, the measure is
 
-    log(J + E) + beta log(F) + 2 kappa (d_0 / d)^(1/2),
+    log(J + E) + beta log(F) - kappa (log(d) - d_0 / d),
 
 where d counts up to that of start and target, which no motion exceeds. It is minimised by sequential quadratic
 programming: at every step MuJoCo's contacts give the distances of all pairs and their slopes, a quadratic program in C
 and d is solved within a trust region, with F by Gauss and Newton, and the step is taken if it lowers the measure.
 
-If the end effector is to stay in a region, beta is 0 and the last term -kappa log(d). The program has the region's
-bounds, linearised, at a few more instants, and what the motion is outside counts in the measure. The samples of the
-final motion are projected onto the region.
+If the end effector is to stay in a region, beta and d_0 are 0. The program has the region's bounds, linearised, at a
+few more instants, and what the motion is outside counts in the measure. The samples of the final motion are projected
+onto the region.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ import math
 import daqp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, CubicSpline
-from scipy.special import boxcox
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from lieednn_sim.arm.contact_slopes import ContactSlopes
 from lieednn_sim.budget import check_time
@@ -37,8 +36,8 @@ from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
 _TOUCHING = 2.5e-3  # clearance [m] below which a steep line continues its term, so that contact is left first
-_FAR = 0.11  # the clearance d_0 [m], at which the measure is as steep as with -kappa log(d)
-_EFFECTOR = 0.1  # beta, the weight of the end effector's jerk
+_NEAR = 0.005  # the clearance d_0 [m], at which twice the clearance is worth twice as much as far away
+_EFFECTOR = 0.05  # beta, the weight of the end effector's jerk
 _SHORT = 0.05  # way of the end effector whose jerk is added to F, so that less than that is worth little [m]
 # Bounds on distances that may be broken where a step begins: the solver takes up all of them, in cubic time. Of more,
 # as when whole links are inside of obstacles, the deepest count.
@@ -77,7 +76,7 @@ class GuideOptimisation:
     ) -> None:
         arm = problem.arm
         self._problem, self._scale, self._weight = problem, arm.ranges, weight
-        self._effector, self._power = (_EFFECTOR, 0.5) if problem.path_constraint is None else (0.0, 0.0)
+        self._near = _NEAR if problem.path_constraint is None else 0.0
         # Distances between instants are less; 0.15 m is ample.
         self._enough = max(min(1.1 * ends, 0.15), _TOUCHING)
         # A step may bring a pair nearer by 3 cm.
@@ -90,9 +89,6 @@ class GuideOptimisation:
         self._rows = self._basis(np.interp((np.arange(instants) + 0.5) / instants, spacing, u))
         # Three control points at each end are fixed by its position and zero velocity and acceleration.
         self._free = slice(3, -3)
-        # Three times for each interval, whose third differences with this factor are jerks in the unit of F.
-        self._even_rows = self._basis(np.linspace(0.0, 1.0, 3 * intervals + 1))
-        self._thirds = (3 * intervals) ** 3 / math.sqrt(720.0 * (3 * intervals - 2))
         # As many instants as free control points, which can then keep all bounds there.
         self._kept_rows = self._basis(np.arange(1.0, count - 5.0) / (count - 5.0))
         start, target = problem.start / arm.ranges, problem.target / arm.ranges
@@ -103,6 +99,11 @@ class GuideOptimisation:
         u = (np.arange(intervals)[:, None] + 0.5 * (nodes + 1.0)).ravel() / intervals
         rate, jerk = (self._basis(u, nu=nu) for nu in (1, 3))
         share = np.tile(weights, intervals)[:, None] / (2 * intervals)
+        # F is that of the spline through the effector's places at these times, within 2 %. Differences of the places
+        # would be a third of it: they do not see what is between them, and a descent goes there.
+        even = np.linspace(0.0, 1.0, 3 * intervals + 1)
+        self._even_rows = self._basis(even)
+        self._thirds = make_interp_spline(even, np.eye(len(even)), SPLINE_DEGREE)(u, nu=3) * np.sqrt(share / 720.0)
         # At rest it is zero, and the bound on the length is divided by it.
         speed = np.maximum(minimum_jerk_law(u)[1], 0.02)[:, None]
         # A unit displacement has a squared jerk of 720. The unit is its length, at least a tenth of the joint space's.
@@ -147,23 +148,27 @@ class GuideOptimisation:
     def measure(self, free: Floats, clearance: float, effector: float) -> float:
         """The measure of a motion with this clearance [m] and F."""
         far = min(max(clearance, _TOUCHING), self._enough)
-        # A Box-Cox transform is the logarithm for a power of 0.
-        away = float(boxcox(far / _FAR, -self._power))
-        away -= (_FAR / _TOUCHING) ** self._power * max(1.0 - clearance / _TOUCHING, 0.0) / 0.6
-        smooth = math.log(self.cost(free)) + self._effector * math.log(effector)
+        away = math.log(far) - self._near / far
+        away -= (1.0 + self._near / _TOUCHING) * max(1.0 - clearance / _TOUCHING, 0.0) / 0.6
+        smooth = math.log(self.cost(free)) + _EFFECTOR * math.log(effector)
         return smooth - self._weight * away + 30.0 * self._beyond(free)
 
-    def descend(self, free: Floats, steps: int, trust: float = 0.1, rough: bool = False) -> tuple[float, Floats, bool]:
-        """The measure, the control points and whether they can be used after up to this many steps from a guess."""
-        # Rough ones have half of the instants. The trust region is the largest distance that a joint moves a link [m].
-        every, enough, least = (2, 0.02, 0.02) if rough else (1, 1e-3, 5e-3)
-        distances, jerk = self._distances(free, every), self._effector_jerk(free)
-        clearance = distances[1].min(initial=self._enough)
+    def descend(self, free: Floats, steps: int, *, rough: bool = False) -> tuple[float, Floats, bool]:
+        """The measure, the control points and whether they can be used after up to this many steps from a guess.
+
+        Rough descents have half of the instants and leave the effector's jerk out.
+        """
+        kept, (every, enough) = self._problem.path_constraint is not None, (2, 0.02) if rough else (1, 1e-3)
+        distances, jerk = self._distances(free, every), self._effector_jerk(free, counts=not (rough or kept))
+        # The trust region is the largest distance that a joint may move a link [m].
+        clearance, trust = distances[1].min(initial=self._enough), 0.1
         measure = self.measure(free, clearance, jerk[0])
         for _ in range(steps):
             check_time()
-            new = self._step(free, distances, jerk, clearance, trust)
-            ahead, smooth = self._distances(new, every), self._effector_jerk(new)
+            new, gain = self._step(free, distances, jerk, clearance, trust)
+            if gain < enough and clearance >= _TOUCHING and not kept:
+                break
+            ahead, smooth = self._distances(new, every), self._effector_jerk(new, counts=not (rough or kept))
             near = ahead[1].min(initial=self._enough)
             lower = self.measure(new, near, smooth[0])
             if lower < measure:
@@ -173,8 +178,9 @@ class GuideOptimisation:
                     break
                 trust *= 1.5
             else:
-                trust *= 0.4
-                if trust < least:
+                # A step that ended inside the region would be the same in a region that it fits in.
+                trust = 0.4 * min(trust, float((np.abs(new - free) * self._sweep).max()))
+                if trust < 5e-3:
                     break
         # The projection of a motion that leaves the region by less on average is near it [m, rad].
         return measure, free, clearance >= _TOUCHING and self._beyond(free) < 0.01
@@ -215,14 +221,19 @@ class GuideOptimisation:
         control[self._free] = free
         return control
 
-    def _effector_jerk(self, free: Floats) -> tuple[float, Floats, Floats]:
-        """F, half its gradient and half its Hessian by Gauss and Newton in the free points, one joint after another."""
+    def _effector_jerk(self, free: Floats, *, counts: bool = True) -> tuple[float, Floats, Floats]:
+        """F, half its gradient and half its Hessian by Gauss and Newton in the free points, one joint after another.
+
+        If it does not count, F is 1 everywhere.
+        """
+        if not counts:
+            return 1.0, np.zeros(1), np.zeros(1)
         q, h = self._scale * (self._even_rows @ self._control(free)), 1e-5
         # At the instants, and with each joint moved by a little of its range.
         tip = self._problem.arm.tip(q[:, None] + h * np.pad(np.diag(self._scale), ((1, 0), (0, 0))))
         slope = (tip[:, 1:] - tip[:, :1])[..., None] / h * self._even_rows[:, None, None, self._free]
-        jerk, slope = (self._thirds * np.diff(each, n=3, axis=0) for each in (tip[:, 0], slope.swapaxes(1, 2)))
-        jerk, slope = jerk.ravel(), slope.reshape(jerk.size, free.size)
+        jerk = (self._thirds @ tip[:, 0]).ravel()
+        slope = (self._thirds @ slope.swapaxes(1, 2).reshape(len(q), -1)).reshape(jerk.size, free.size)
         return _SHORT**2 + float(jerk @ jerk), jerk @ slope, slope.T @ slope
 
     def _distances(self, free: Floats, every: int = 1) -> _Near:
@@ -232,8 +243,8 @@ class GuideOptimisation:
 
     def _step(
         self, free: Floats, near: _Near, jerk: tuple[float, Floats, Floats], clearance: float, trust: float
-    ) -> Floats:
-        """The control points after the quadratic program's step within the trust region."""
+    ) -> tuple[Floats, float]:
+        """The control points after the quadratic program's step in the trust region, and what it expects to gain."""
         n, count = free.shape[1], len(free)
         radius = trust / self._sweep
         instant, distance, slope = near
@@ -246,11 +257,11 @@ class GuideOptimisation:
         instant, distance, slope = instant[reached], distance[reached], slope[reached]
         x = free.T.ravel()
         control, cost = self._control(free), self.cost(free)
-        value = self._weight * (_FAR / known) ** self._power * cost / 2.0
-        share = self._effector * cost / jerk[0]
+        value, near_by = self._weight * cost / 2.0, self._near / known
+        share = _EFFECTOR * cost / jerk[0]
         hessian = self._program.copy()
         hessian[:-1, :-1] += share * jerk[2]
-        hessian[-1, -1] = (1.0 + self._power) * value
+        hessian[-1, -1] = (1.0 + 2.0 * near_by) * value
         pull = (self._quadratic[self._free] @ control).T.ravel() + share * jerk[1]
         rows = np.empty((len(instant), n * count + 1))
         each = slope[:, :, None] * self._rows[instant][:, None, self._free]
@@ -272,5 +283,6 @@ class GuideOptimisation:
         sense = np.zeros(len(upper), dtype=np.int32)
         # DAQP's mark of soft constraints.
         sense[n * count + 1 :] = 8
-        result = daqp.solve(hessian, np.append(pull, -value), rows, upper, lower, sense, rho_soft=1e-6)
-        return free + np.asarray(result[0])[:-1].reshape(n, count).T
+        linear = np.append(pull, -(1.0 + near_by) * value)
+        change, least, *_ = daqp.solve(hessian, linear, rows, upper, lower, sense, rho_soft=1e-6)
+        return free + np.asarray(change)[:-1].reshape(n, count).T, -2.0 * least / cost

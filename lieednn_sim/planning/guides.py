@@ -40,7 +40,7 @@ class GuideOptions(PlannerOptions):
     Attributes:
         optimised: whether to optimise candidates; otherwise RRT-Connect's motion is taken if minimum jerk is not free.
         clearance_weight: kappa, the weight of clearance in the measure of `guide_optimisation`: twice the clearance is
-            worth 0.7 kappa of the sum of jerk and path length at about 11 cm, and more where it is less.
+            worth 0.7 kappa of the sum of jerk and path length, and more where it is a few millimetres.
         searches: number of paths searched for.
         collision_checks: largest number of configurations tested in a search.
         margin: clearance of paths, reduced where start or target is closer to something [m].
@@ -108,7 +108,7 @@ def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[
     if options.optimised or problem.path_constraint is not None:
         search = _Search(problem, options)
         for _, name, optimisation, guess in sorted(search.optimised(), key=itemgetter(0)):
-            free = guess if search.constrained else optimisation.descend(guess, options.steps // 2, trust=0.03)[1]
+            free = guess if search.constrained else optimisation.descend(guess, options.steps)[1]
             yield f"{name}, optimised", partial(in_time, optimisation.motion, problem, free)
             # A finer optimisation from there keeps clear where the former does not.
             yield f"{name}, optimised", partial(search.finer, free)
@@ -163,7 +163,7 @@ class _Search:
             if clear:
                 yield measure, name, optimisation, free
                 # The straight motion, which none is below, costs 2. Where a region is kept, any clear motion will do.
-                if self.constrained or optimisation.cost(free) <= 1.1 * 2.0:
+                if self.constrained or optimisation.cost(free) <= 1.05 * 2.0:
                     break
 
     def finer(self, free: Floats) -> Motion:
