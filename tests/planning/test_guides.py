@@ -132,20 +132,34 @@ def test_the_effectors_jerk_is_that_of_the_motion_and_a_larger_weight_gives_less
     assert jerks[1] < 0.9 * jerks[0]
 
 
-def test_no_step_is_tried_twice_and_none_that_gains_nothing(poles, monkeypatch):
-    one, tried = optimisation(poles, weight=GuideOptions().clearance_weight), []
+def test_no_step_is_tried_twice(monkeypatch):
+    problem, tried = problem_of("shelf", 5), []
+    one = optimisation(problem, weight=0.15)
     step = one._step
 
     def noted(*given):
-        tried.append(step(*given))
-        return tried[-1]
+        tried.append(step(*given)[0])
+        return step(*given)
 
     monkeypatch.setattr(one, "_step", noted)
-    for guess in (one.straight, *(one.near(guides._Search(poles, GuideOptions()).path(k)) for k in range(2))):
-        tried.clear()
-        one.descend(guess, 40, rough=True)
-        assert 2 <= len(tried) < 40
-        assert all(np.abs(first[0] - second[0]).max() > 1e-6 for first, second in pairwise(tried))
+    one.descend(one.straight, 40)
+    assert 5 < len(tried) < 40
+    assert all(np.abs(first - second).max() > 1e-6 for first, second in pairwise(tried))
+
+
+def test_a_small_step_gains_what_it_expects_to(poles):
+    one = optimisation(poles, weight=0.15)
+    free = one.descend(one.near(guides._Search(poles, GuideOptions()).path(0)), 2)[1]
+
+    def seen(free):
+        near, jerk = one._distances(free), one._effector_jerk(free)
+        clearance = float(near[1].min())
+        return near, jerk, clearance, one.measure(free, clearance, jerk[0])
+
+    near, jerk, clearance, measure = seen(free)
+    for trust in (5e-4, 1e-3):
+        new, gain = one._step(free, near, jerk, clearance, trust)
+        assert measure - seen(new)[-1] == pytest.approx(gain, rel=0.02)
 
 
 def test_of_very_many_broken_bounds_the_deepest_count_and_all_that_hold(poles, monkeypatch):
