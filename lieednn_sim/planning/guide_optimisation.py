@@ -158,7 +158,9 @@ class GuideOptimisation:
 
         Rough descents have half of the instants and leave the effector's jerk out.
         """
-        kept, (every, enough) = self._problem.path_constraint is not None, (2, 0.02) if rough else (1, 2e-3)
+        kept = self._problem.path_constraint is not None
+        # Large steps would leave a region that is kept.
+        every, enough, wider = (1, 1e-3, 1.5) if kept else (2, 0.02, 2.0) if rough else (1, 2e-3, 2.0)
         distances, jerk = self._distances(free, every), self._effector_jerk(free, counts=not (rough or kept))
         # The trust region is the largest distance that a joint may move a link [m].
         clearance, trust = distances[1].min(initial=self._enough), 0.1
@@ -176,7 +178,7 @@ class GuideOptimisation:
                 free, distances, jerk, clearance, measure = new, ahead, smooth, near, lower
                 if gain < enough:
                     break
-                trust *= 2.0
+                trust *= wider
             else:
                 # A step that ended inside the region would be the same in a region that it fits in.
                 trust = 0.4 * min(trust, float((np.abs(new - free) * self._sweep).max()))
