@@ -154,14 +154,12 @@ class GuideOptimisation:
         return smooth - self._weight * away + 30.0 * self._beyond(free)
 
     def descend(self, free: Floats, steps: int, *, rough: bool = False) -> tuple[float, Floats, bool]:
-        """The measure, the control points and whether they can be used after up to this many steps from a guess.
-
-        Rough descents have half of the instants and leave the effector's jerk out.
-        """
+        """The measure, the control points and whether they can be used after up to this many steps from a guess."""
         kept = self._problem.path_constraint is not None
-        # Large steps would leave a region that is kept.
+        # Rough ones have half of the instants and leave F out. Large steps would leave a region that is kept.
         every, enough, wider = (1, 1e-3, 1.5) if kept else (2, 0.02, 2.0) if rough else (1, 2e-3, 2.0)
-        distances, jerk = self._distances(free, every), self._effector_jerk(free, counts=not (rough or kept))
+        jerk_of = self._effector_jerk if not (rough or kept) else lambda _: (1.0, np.zeros(1), np.zeros(1))
+        distances, jerk = self._distances(free, every), jerk_of(free)
         # The trust region is the largest distance that a joint may move a link [m].
         clearance, trust = distances[1].min(initial=self._enough), 0.1
         measure = self.measure(free, clearance, jerk[0])
@@ -170,7 +168,7 @@ class GuideOptimisation:
             new, gain = self._step(free, distances, jerk, clearance, trust)
             if gain < enough and clearance >= _TOUCHING and not kept:
                 break
-            ahead, smooth = self._distances(new, every), self._effector_jerk(new, counts=not (rough or kept))
+            ahead, smooth = self._distances(new, every), jerk_of(new)
             near = ahead[1].min(initial=self._enough)
             lower = self.measure(new, near, smooth[0])
             if lower < measure:
@@ -223,13 +221,8 @@ class GuideOptimisation:
         control[self._free] = free
         return control
 
-    def _effector_jerk(self, free: Floats, *, counts: bool = True) -> tuple[float, Floats, Floats]:
-        """F, half its gradient and half its Hessian by Gauss and Newton in the free points, one joint after another.
-
-        If it does not count, F is 1 everywhere.
-        """
-        if not counts:
-            return 1.0, np.zeros(1), np.zeros(1)
+    def _effector_jerk(self, free: Floats) -> tuple[float, Floats, Floats]:
+        """F, half its gradient and half its Hessian by Gauss and Newton in the free points, one joint after another."""
         q, h = self._scale * (self._even_rows @ self._control(free)), 1e-5
         # At the instants, and with each joint moved by a little of its range.
         tip = self._problem.arm.tip(q[:, None] + h * np.pad(np.diag(self._scale), ((1, 0), (0, 0))))
@@ -239,8 +232,7 @@ class GuideOptimisation:
         return _SHORT**2 + float(jerk @ jerk), jerk @ slope, slope.T @ slope
 
     def _distances(self, free: Floats, every: int = 1) -> _Near:
-        q = self._scale * (self._rows[::every] @ self._control(free))
-        instant, distance, slope = self._slopes.along(q)
+        instant, distance, slope = self._slopes.along(self._scale * (self._rows[::every] @ self._control(free)))
         return every * instant, distance, slope * self._scale
 
     def _step(
@@ -258,13 +250,12 @@ class GuideOptimisation:
             reached &= (distance >= known) | (distance < np.partition(distance, _DEEPEST)[_DEEPEST])
         instant, distance, slope = instant[reached], distance[reached], slope[reached]
         x = free.T.ravel()
-        control, cost = self._control(free), self.cost(free)
-        value, near_by = self._weight * cost / 2.0, self._near / known
-        share = _EFFECTOR * cost / jerk[0]
+        cost, near_by = self.cost(free), self._near / known
+        value, share = self._weight * cost / 2.0, _EFFECTOR * cost / jerk[0]
         hessian = self._program.copy()
         hessian[:-1, :-1] += share * jerk[2]
         hessian[-1, -1] = (1.0 + 2.0 * near_by) * value
-        pull = (self._quadratic[self._free] @ control).T.ravel() + share * jerk[1]
+        pull = (self._quadratic[self._free] @ self._control(free)).T.ravel() + share * jerk[1]
         rows = np.empty((len(instant), n * count + 1))
         each = slope[:, :, None] * self._rows[instant][:, None, self._free]
         rows[:, :-1] = each.reshape(len(instant), n * count)
