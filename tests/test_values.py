@@ -20,7 +20,7 @@ from lieednn_sim.values import frozen
 IDENTITIES = {
     *("Chain", "Coordinates", "Factor", "CompoundJoint", "CompoundJoints", "MovingPoses", "MatrixLieGroup"),
     *("PlanningProblem", "PolicyTask", "NetworkPath", "SerialArm", "ModelArm", "Arm", "Frame", "Joint"),
-    *("Transition", "Deviations", "BodyFrames"),
+    *("Transition", "ChunkMotion", "Deviations", "BodyFrames"),
 }
 
 

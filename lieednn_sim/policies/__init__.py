@@ -4,6 +4,7 @@
 """
 
 from lieednn_sim.policies.base import Policy
+from lieednn_sim.policies.bounds import FilterOptions
 from lieednn_sim.policies.chunk_messages import ChunkStep, from_joint_trajectory, to_joint_trajectory
 from lieednn_sim.policies.chunks import ChunkOptions, ChunkPolicy, ChunkVerdict
 from lieednn_sim.policies.fabric import Fabric, FabricOptions
@@ -15,7 +16,7 @@ from lieednn_sim.policies.network_policy import CertifiedPolicyOptions, NetworkP
 from lieednn_sim.policies.path_integral import PathIntegral, PathIntegralOptions
 from lieednn_sim.policies.planned import MotionTracker, MovementPrimitive, PrimitiveOptions
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
-from lieednn_sim.policies.safety_filter import FilteredPolicy, FilterOptions, FilterStep, SafetyFilter
+from lieednn_sim.policies.safety_filter import FilteredPolicy, FilterStep, SafetyFilter
 from lieednn_sim.registry import POLICIES
 from lieednn_sim.typecheck import typecheck_public
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
@@ -140,38 +140,6 @@ class Policy(ABC):
     def allowed(self) -> Floats:
         """Largest speeds ``(n,)`` at the end of the period that keep the limits of velocity and acceleration."""
         return np.asarray(np.minimum(self.arm.velocity_limits, np.abs(self.qd) + self._max_gain))
-
-
-class JointBounds:
-    """Base class of what chooses the joints' velocities at the end of each step, by the rule in `safety_filter`.
-
-    It sets the step h [s] and the limits ``(n,)`` that it keeps, of accelerations finite ones.
-    """
-
-    timestep: float
-    velocity_limits: Floats
-    acceleration_limits: Floats
-    position_limits: Floats
-
-    def _bounds(self, q: Floats, old: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Lower and upper bounds ``(n,)`` of the velocities, and which ``(2, n)`` are those of position limits.
-
-        A joint outside its limits, as after a bad start, returns as fast as velocity and acceleration allow.
-        """
-        change = self.acceleration_limits * self.timestep
-        lower, upper = np.maximum(-self.velocity_limits, old - change), np.minimum(self.velocity_limits, old + change)
-        low, high = self.position_limits.T
-        back, ahead = -self._stopping(q - low, -old), self._stopping(high - q, old)
-        of_position = np.stack([back > lower, ahead < upper])
-        lower, upper = np.clip(back, lower, upper), np.clip(ahead, lower, upper)
-        return np.minimum(lower, upper), upper, of_position
-
-    def _stopping(self, distance: Floats, velocity: Floats) -> Floats:
-        """Largest velocities ``(n,)`` at the end of the step from which the distance suffices to brake."""
-        h, a = self.timestep, self.acceleration_limits
-        left = distance - 0.5 * h * velocity
-        root = np.sqrt(np.maximum((0.5 * a * h) ** 2 + 2.0 * a * left, 0.0)) - 0.5 * a * h
-        return np.where(left >= 0.0, root, 2.0 * left / h)
 
 
 def has_jumped(arm: Arm, velocity: Floats) -> Floats:

@@ -112,19 +112,23 @@ def from_joint_trajectory(arm: Arm, message: Any, now: float = 0.0) -> tuple[Flo
         now: the policy's time that ``time_from_start`` counts from [s].
 
     Raises:
-        InputError: joints are missing, or times do not increase, or positions are not those of the joints.
+        InputError: it is no such message, joints are missing, times do not increase, or positions are malformed.
     """
-    names, points = list(message.joint_names), list(message.points)
+    try:
+        names, points = list(message.joint_names), list(message.points)
+        since = [point.time_from_start for point in points]
+        t = np.array([duration.sec + 1e-9 * duration.nanosec for duration in since])
+        rows, rates = ([list(getattr(point, name)) for point in points] for name in ("positions", "velocities"))
+    except (AttributeError, TypeError) as error:
+        raise InputError(f"the message must be a trajectory_msgs/JointTrajectory: {error}") from None
     if missing := [name for name in arm.joint_names if name not in names]:
         raise InputError(f"the trajectory lacks the joints {', '.join(missing)}; it has {', '.join(names)}")
     order, shape = [names.index(name) for name in arm.joint_names], (len(points), len(names))
-    t = np.array([point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in points])
     if not len(t) or (np.diff(t) <= 0.0).any():
         raise InputError(f"the times of a trajectory must increase from point to point, and it needs one; got {t}")
-    q = as_floats("positions of the points", [list(point.positions) for point in points], shape)[:, order]
+    q = as_floats("positions of the points", rows, shape)[:, order]
     if len(t) == 1:
         return q, now + float(t[0]), 1.0
-    rates = [list(point.velocities) for point in points]
     count = min(math.ceil((t[-1] - t[0]) / np.diff(t).min() - 1e-6) + 1, MOST_TARGETS)
     times, step = np.linspace(t[0], t[-1], count, retstep=True)
     if all(rates):
@@ -142,11 +146,19 @@ def to_joint_trajectory(arm: Arm, like: Any, q: ArrayLike, qd: ArrayLike, period
         like: a message of the library wanted, with a point or more; it stays as it is.
         q, qd: ``(n,)`` joint coordinates and rates.
         period: time until then [s].
+
+    Raises:
+        InputError: it is no such message.
     """
-    message, point = copy.deepcopy(like), copy.deepcopy(like.points[0])
-    make = np.array if isinstance(point.positions, np.ndarray) else lambda values: array("d", values)
+    try:
+        message = copy.deepcopy(like)
+        point = message.points[0]
+        as_numpy = isinstance(point.positions, np.ndarray)
+    except (AttributeError, IndexError, TypeError) as error:
+        raise InputError(f"the message must be a trajectory_msgs/JointTrajectory with a point: {error}") from None
     for name, values in {"positions": q, "velocities": qd, "accelerations": (), "effort": ()}.items():
-        setattr(point, name, make(np.asarray(values, dtype=float)))
+        content = np.array(values, dtype=float)
+        setattr(point, name, content if as_numpy else array("d", content))
     point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(1e9 * period), 10**9)
     message.joint_names, message.points = list(arm.joint_names), [point]
     return message

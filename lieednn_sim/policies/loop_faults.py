@@ -12,7 +12,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.monitor import ClearanceMonitor
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.policies.base import JointBounds, Policy, has_jumped
+from lieednn_sim.policies.base import Policy, has_jumped
+from lieednn_sim.policies.bounds import JointBounds
 from lieednn_sim.policies.planned import MotionTracker
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, read_only

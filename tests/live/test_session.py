@@ -11,9 +11,10 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError
+from lieednn_sim.live.panel import Plots
+from lieednn_sim.live.scene import Observer, status
 from lieednn_sim.live.session import Session, Worker
 from lieednn_sim.live.settings import Settings
-from lieednn_sim.live.snapshot import Observer, status
 from lieednn_sim.planning import plan
 from lieednn_sim.policies import MotionTracker
 
@@ -133,6 +134,23 @@ def test_the_rate_that_is_shown_is_that_of_a_linear_network(begin):
     session.advance(50)
     after = session.tick.progress
     assert after.rate == pytest.approx(np.log(before / after.distance) / 0.5, rel=1e-6)
+
+
+def test_the_plots_are_in_millimetres_and_of_the_network_as_it_is(arm, begin):
+    plots = Plots(SimpleNamespace(add_uplot=lambda **_: SimpleNamespace()))
+    session = begin(settings=Settings(), target="extended")
+    observer, goal = Observer(session), session.aimed.position
+    for _ in range(12):
+        session.advance(20)
+        snapshot = observer.look()
+        plots.add(snapshot)
+    t, distance = plots._distance.data
+    assert t[-1] == session.tick.time
+    assert distance[-1] == pytest.approx(1e3 * np.linalg.norm(goal - tip(arm, session.tick.q)), rel=1e-6)
+    # The scale is logarithmic, down to 1e-3.
+    assert plots._tracking.data[1][-1] == pytest.approx(max(1e3 * snapshot.tracking, 1e-3))
+    progress = snapshot.tick.progress
+    np.testing.assert_allclose([row[-1] for row in plots._network.data[1:]], [progress.distance, progress.bound])
 
 
 def test_a_pushed_arm_yields_and_returns(arm, begin):

@@ -147,3 +147,10 @@ def test_other_libraries_get_arrays_of_the_standard_library():
 def test_messages_that_are_no_trajectory_of_the_arm(names, t, columns, said):
     with pytest.raises(InputError, match=said):
         from_joint_trajectory(ARM, message_of(list(names), t, np.zeros((2, columns))))
+
+
+def test_what_is_no_message():
+    with pytest.raises(InputError, match="must be a trajectory_msgs/JointTrajectory: 'int' object"):
+        from_joint_trajectory(ARM, 5)
+    with pytest.raises(InputError, match="JointTrajectory with a point"):
+        to_joint_trajectory(ARM, message_of(list(ARM.joint_names), [], CHUNK), HOME, TO, 0.02)

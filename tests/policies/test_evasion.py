@@ -108,6 +108,23 @@ def test_when_an_obstacle_comes_too_near_by_hand(gantry):
     assert look.blocked(np.zeros((1, 4))) is None
 
 
+def test_ways_are_free_from_when_the_arm_sets_off(gantry):
+    """Poles on their way to the arm from all sides, which move on while it still waits for the search."""
+    arm, lead, found_some = with_poles(gantry, (3.0, 0.0)), 0.5, 0
+    for angle in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False):
+        away = np.array([np.cos(angle), np.sin(angle), 0.0])
+        place, velocity = np.array([1.0, 0.0, 0.0]) + 0.7 * away, -0.8 * away
+        try:
+            way = evasion(arm, {POLE: place}, {POLE: velocity}, np.zeros(4), 0.06, lead, 3.0, 0)
+        except PlanError:
+            continue
+        look, t = Surroundings(arm, 0.02), np.linspace(0.0, float(way.x[-1]), 40)
+        look.see({POLE: place})
+        look.velocities, found_some = {POLE: velocity}, found_some + 1
+        assert look.nearing(way(t), lead + t) is None
+    assert found_some > 12
+
+
 def searches(arm):
     """A path around a pole, and a way out of the way of one, as arrays."""
     options, goal = RrtConnectOptions(max_collision_checks=(20_000,), fastest=True), np.array([0.0, 1.5, 0.0, 0.5])
@@ -180,7 +197,7 @@ def test_a_worker_of_a_study_ends_though_its_policy_has_such_a_process(tmp_path,
         textwrap.dedent("""
         from lieednn_sim.arm import Arm
         from lieednn_sim.policies.searching import aside
-        from lieednn_sim.studies.workers import worker_pool
+        from lieednn_sim.studies.study import worker_pool
 
         def search():
             return aside(Arm.load("telescopic_pr"), getattr, "name").result()

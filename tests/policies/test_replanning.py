@@ -215,6 +215,51 @@ def test_a_change_leaves_state_velocity_and_acceleration_as_they_are(gantry):
         np.testing.assert_allclose(new, old, atol=0.02 * np.abs(old).max())
 
 
+def test_a_change_while_the_pace_falls_for_an_arm_that_lags_takes_over_the_acceleration(gantry):
+    """x'' = p' v + p^2 a of a motion with velocity v and acceleration a, by hand; it begins at the pace s > p."""
+    options = ReplanningOptions(least_duration=2.0)
+    policy = ReplanningPolicy(gantry, 50.0, feedback=Feedback(rate=0.0), options=options)
+    policy.reset(np.zeros(4))
+    lag = np.zeros(4)
+    for k in range(40):
+        lag[1] = 0.001 * gantry.ranges[1] * max(k - 30, 0)
+        policy.step(policy.q - lag, 0.2 * ACROSS)
+    v, a = policy._velocity, policy.course.transition(np.array([policy.time]))[2][0]
+    pace, falls, waits = policy.pace, policy._pace_rate, policy._waiting
+    assert pace < 0.6
+    assert falls < -0.5
+    policy.take(straight(gantry, policy.drawn, np.zeros(4), 1.0), lambda _: None)
+    _, qd, qdd = policy.course.transition(np.zeros(1))
+    begins = max(pace, waits)
+    limit = 0.5 * gantry.acceleration_limits
+    np.testing.assert_allclose(begins * qd[0], pace * v, atol=1e-9)
+    np.testing.assert_allclose(qdd[0], np.clip((falls * v + pace**2 * a) / begins**2, -limit, limit), atol=1e-9)
+    assert 0.1 < np.abs(qdd[0, 3]) / limit[3] < 0.9
+
+
+@pytest.mark.parametrize("gap", [0.3, 0.5, 0.8])
+def test_a_search_begins_where_the_arm_can_rest_before_what_blocks_it(gap, beside, monkeypatch):
+    """A pole appears so far ahead of the moving ball; the search takes 20 periods, in which it would go 0.3 m."""
+    starts = []
+
+    def aside(arm, search, *arguments):
+        starts.extend([arguments[1][0]] if len(arguments) == 5 else [])
+        return no_path()
+
+    monkeypatch.setattr(replanning, "aside", aside)
+    policy = ReplanningPolicy(beside, 50.0, feedback=None, options=ReplanningOptions(least_duration=3.0, evade=False))
+    policy.reset(np.zeros(4))
+    for k in range(250):
+        if k == 60:
+            place = np.array([1.0, policy.q[1] + gap, 0.0])
+        if k >= 60:
+            policy.see({"obstacle_pole": place})
+        policy.step(None, np.array([0.0, 1.8, 0.0, 0.0]))
+    look = Surroundings(beside, 0.03)
+    look.see({"obstacle_pole": place})
+    assert look.blocked(starts[0][None]) is None
+
+
 def no_path(*_):
     """What a search returns that has found none."""
     future = Future()

@@ -9,7 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError
 from lieednn_sim.policies import FilterOptions, SafetyFilter, safety_filter
-from lieednn_sim.policies.safety_filter import ApproachBounds
+from lieednn_sim.policies.bounds import ApproachBounds
 
 POLES = Arm.load("telescopic_pr", "poles", 0)
 SPATIAL = Arm.load("telescopic_compound")
