@@ -99,7 +99,7 @@ def _demonstrations(task: str, arm: ls.Arm) -> tuple[Floats, Floats]:
             goal = ls.draw_target(arm, episode)
             way, targets = reached(arm, goal, DT, total), np.broadcast_to(goal, (count, 1, len(goal)))
         else:
-            way = band_limited(arm, rng, total * DT).position(DT * np.arange(total + 1))
+            way = band_limited(arm, rng, total * DT)(DT * np.arange(total + 1))
             targets = np.array([way[k + 1 : k + 1 + H] for k in range(count)])
         size = 0.03 * arm.ranges * 10.0 ** rng.uniform(-3.0, 0.0, (count, 1)) * (rng.random((count, 1)) < 0.5)
         off = size * rng.standard_normal((count, arm.n_joints))

@@ -34,9 +34,9 @@ from chunk_policies import DT, PERIOD, REFERENCES, H
 import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim.environments.tasks import band_limited, make_task
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.policies import ChunkPolicy
 from lieednn_sim.registry import DEFAULT_ARMS
-from lieednn_sim.studies.markdown import table
 from lieednn_sim.values import Floats
 
 CLEAN = ("clean, no delay", "clean", "clean, 0.8 s late")
@@ -100,13 +100,13 @@ def judged(kind: str, seed: int) -> dict[str, float]:
     end = seam - delay + (count - 1) / hz
     while True:
         drawn = band_limited(arm, rng, end)
-        if not any(map(len, arm.near_contacts_along(drawn.position(np.arange(0.0, end, 0.02))))):
+        if not any(map(len, arm.near_contacts_along(drawn(np.arange(0.0, end, 0.02))))):
             break
 
     def way(times: Floats) -> Floats:
         """What chunks are cut from; in its last second it slows down to rest."""
         x = np.clip(times - (end - 1.0), 0.0, 1.0)
-        return drawn.position(np.clip(times, 0.0, end - 1.0) + x - x**3 + 0.5 * x**4)
+        return drawn(np.clip(times, 0.0, end - 1.0) + x - x**3 + 0.5 * x**4)
 
     policy, home = ChunkPolicy(arm, 1.0 / PERIOD), arm.keyframe("home")
     policy.reset(home)
@@ -217,7 +217,7 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
         "and MuJoCo finds no contact there, every 20 ms. Off: how far at most the reference is from the clean "
         "chunk, once it has gone over, or lacks if it rests before what is not proved to be clear; of outliers and "
         "noise, from the chunk without them.",
-        *table(("chunks", "all", "found", "refused", "safe", "off, median [mm, mrad]", "off, worst"), single),
+        *markdown_table(("chunks", "all", "found", "refused", "safe", "off, median [mm, mrad]", "off, worst"), single),
         "",
         f"In closed loop at {1.0 / PERIOD:.0f} Hz, on the same episodes of `TelescopicReach` and "
         f"`TelescopicTrack` for all, of 6 s: a chunk of {H} targets at {1.0 / DT:.0f} Hz every {EVERY:g} s, "
@@ -233,7 +233,7 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
         "their ranges, median. Lag or back: for Track the delay of the target with which it fits the reference "
         "best, median; for Reach how far at most the reference goes away from the goal, as a part of the "
         f"distance at the start{libraries}.",
-        *table((*HEADINGS, "lag or back", "refused", "CPU, new chunk / none [ms]"), closed),
+        *markdown_table((*HEADINGS, "lag or back", "refused", "CPU, new chunk / none [ms]"), closed),
     ]
     return "\n".join(lines) + "\n"
 
