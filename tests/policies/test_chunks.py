@@ -139,6 +139,10 @@ def test_faults_are_found_with_their_values_and_mended(gantry):
     parts, findings = found(spike)
     assert findings == {"outlier": ("x", 7, 0.3, pytest.approx(0.05))}
     assert np.abs(parts[0][1](np.linspace(0.0, 1.9, 100))[0]).max() < 1e-12
+    # In rows of 0.02 s, by twice the limit of acceleration over a row.
+    small = flat.copy()
+    small[7, 0] = 0.01
+    assert found(small, 0.02)[1] == {"outlier": ("x", 7, 0.01, pytest.approx(0.004))}
     jump[12:, 0] = 0.5
     parts, findings = found(jump)
     assert findings == {"jump": ("x", 12, 0.5, pytest.approx(0.1))}
@@ -179,6 +183,10 @@ def test_the_curve_by_hand(gantry):
     wild = np.clip(5.0 * rng.standard_normal((30, 4)), *gantry.position_limits.T)
     q = ChunkCurve.through(gantry, wild, 0.1)(np.linspace(0.0, 2.9, 3000))[0]
     assert (gantry.limit_excess(q) < 1e-12).all()
+    # Along its limits, where a spline would swing beyond.
+    steps = np.repeat(gantry.position_limits.T[[0, 1, 1, 0]], 10, axis=0)
+    q = ChunkCurve.through(gantry, steps, 0.1)(np.linspace(0.0, 3.9, 3000))[0]
+    assert (gantry.limit_excess(q) < 1e-12).all()
 
 
 def test_random_streams_keep_limits_without_a_jump_and_end_where_the_last_chunk_does(gantry):
@@ -206,6 +214,22 @@ def test_random_streams_keep_limits_without_a_jump_and_end_where_the_last_chunk_
     assert np.abs(np.diff(acceleration, axis=0)).max() < 0.95
     np.testing.assert_allclose(np.diff(q, axis=0), 0.005 * (qd[1:] + qd[:-1]), atol=1e-4)
     np.testing.assert_allclose(q[-1], end, atol=1e-5)
+
+
+def test_limits_hold_while_an_arm_is_pushed_about(gantry):
+    """It pulls the network along, and its pace changes."""
+    rng, policy = np.random.default_rng(0), ChunkPolicy(gantry, 100.0)
+    policy.reset(HOME)
+    rates, off = [policy.qd], np.zeros(4)
+    for k in range(600):
+        if k % 40 == 0:
+            policy.accept(swing(policy.now + 0.02 * np.arange(60)), policy.now, 0.02)
+            off = rng.choice([0.0, 0.05, 0.3]) * gantry.ranges * rng.uniform(-1.0, 1.0, 4)
+        low, high = gantry.position_limits.T
+        rates.append(policy.step(np.clip(policy.q + off, low, high), HOME)[1])
+    acceleration = 100.0 * np.diff(rates, axis=0) / gantry.acceleration_limits
+    assert 0.9 < np.abs(acceleration).max() < 1.0 + 1e-9
+    assert np.abs(rates / gantry.velocity_limits).max() < 1.0 + 1e-9
 
 
 def test_earlier_chunks_have_their_weight_until_they_end(gantry):
