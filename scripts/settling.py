@@ -25,8 +25,8 @@ from tasks import PLANNERS
 import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim.arm import with_load
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.evaluation.load import LoadMetrics, load_metrics
-from lieednn_sim.studies.markdown import table
 
 METHODS = (None, "zv", "zvd", "ei", "least-energy")
 LOADS = (
@@ -133,7 +133,7 @@ def as_markdown(results: dict[str, dict[str, Any]]) -> str:
             cells.append([planner, method or "-", f"{len(done)} of {len(cases)}", *figures])
         heads = ["planner", "law", "planned", "time [s]", "swing [deg]", *(load for load, _, _ in LOADS)]
         heads += ["bending [mm]", "settled within 1 s", "CPU [s]"]
-        lines += ["", f"## {TASKS[name].title}", "", *table(heads, cells)]
+        lines += ["", f"## {TASKS[name].title}", "", *markdown_table(heads, cells)]
     return "\n".join(lines) + "\n"
 
 
