@@ -28,7 +28,7 @@ from lieednn_sim.values import Floats
 METHODS = ("least-energy", "zv", "zvd", "ei")
 
 _SAMPLES = 2000  # of a law
-_LOOKS = 120  # instants at which a law's limits are kept
+_LOOKS = 240  # instants at which a law's limits are kept
 _MARGIN = 0.995  # of the limits, between these instants
 _LAWS = 4  # looked at
 _SMOOTH = 1e-4  # weight of jerk, in units of the planned motion's, against energies, in units of what that leaves

@@ -262,8 +262,9 @@ class TimedCurve:
                 check_motion(self._arm, result)
                 return result
             except TooFastError as error:
-                # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in it.
-                duration = max(1.002 * duration, error.duration)
+                # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in it. A
+                # law for another duration may need less than this one stretched.
+                duration = max(1.002 * duration, min(error.duration, 1.15 * duration))
                 if duration > longest:
                     raise
         raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")
