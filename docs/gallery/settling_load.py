@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 import lieednn_sim as ls
-from lieednn_sim.arm import PassiveJoints, with_load
+from lieednn_sim.arm.oscillation import PassiveJoints, with_load
 
 scene = Path(ls.__file__).parents[1] / "assets/tasks/crane/scene.xml"
 model = mujoco.MjModel.from_xml_path(str(scene))

@@ -9,7 +9,7 @@ from lieednn_sim.arm.contacts import PLANNED_CLEARANCE
 from lieednn_sim.arm.importer.report import ImportReport
 from lieednn_sim.arm.inverse_kinematics import ik_candidates, solve_ik
 from lieednn_sim.arm.models import arm_names, models_directory, scene_path
-from lieednn_sim.arm.oscillation import Mode, PassiveJoints, with_load
+from lieednn_sim.arm.oscillation import Mode, with_load
 from lieednn_sim.arm.projection import Retraction
 from lieednn_sim.arm.regions import TaskSpaceRegion
 from lieednn_sim.typecheck import typecheck_public
@@ -19,7 +19,6 @@ __all__ = [
     "Arm",
     "ImportReport",
     "Mode",
-    "PassiveJoints",
     "Retraction",
     "TaskSpaceRegion",
     "arm_names",

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm import PassiveJoints
+from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.simulation import Rollout
@@ -18,7 +18,7 @@ _SETTLED = np.deg2rad(1.0), 5e-3  # swing [rad] and bending [m]
 
 @dataclass(frozen=True)
 class LoadMetrics:
-    """What the passive joints of an arm (`arm.PassiveJoints`) did in a run.
+    """What the passive joints of an arm (`arm.oscillation.PassiveJoints`) did in a run.
 
     Attributes:
         swing_deg: largest angle after the motion of joints without a spring from where they rest.

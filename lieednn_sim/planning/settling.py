@@ -17,7 +17,8 @@ import daqp
 import numpy as np
 from scipy.interpolate import BSpline, CubicHermiteSpline
 
-from lieednn_sim.arm import Arm, Mode, PassiveJoints, with_load
+from lieednn_sim.arm import Arm, Mode, with_load
+from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions

@@ -15,7 +15,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from lieednn_sim.arm import Arm, PassiveJoints
+from lieednn_sim.arm import Arm
+from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.values import Floats
 
 _STATIONS = 41  # of the table

@@ -6,7 +6,7 @@ import pytest
 
 import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import PassiveJoints, with_load
+from lieednn_sim.arm.oscillation import PassiveJoints, with_load
 from lieednn_sim.errors import NoSolutionError
 
 GRAVITY = 9.81

@@ -7,7 +7,7 @@ import task_cases
 from scipy.spatial import cKDTree
 
 import lieednn_sim as ls
-from lieednn_sim.arm import Mode, PassiveJoints, with_load
+from lieednn_sim.arm.oscillation import Mode, PassiveJoints, with_load
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.planning import SettlingOptions, settled
 from lieednn_sim.planning.settling import shaper
