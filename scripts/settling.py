@@ -90,8 +90,8 @@ class BendingBoom(LuffingCrane):
         for key in spec.keys:
             spec.delete(key)
         for name, axis in (("bend_down", [0, 1, 0]), ("bend_aside", [0, 0, 1])):
-            spring = spec.body("section3").add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
-            spring.stiffness, spring.damping, spring.armature = 6e5, 2e3, 0.0
+            spring: dict[str, Any] = {"stiffness": 6e5, "damping": 2e3, "armature": 0.0}
+            spec.body("section3").add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, **spring)
         model = spec.compile()
         data = mujoco.MjData(model)
         for name in ("carriage", "telescope", "follow", "reach"):

@@ -18,6 +18,7 @@ from PIL import Image
 from saved_rows import saved_rows
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.errors import FileError, NoSolutionError
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.registry import RIVALS
@@ -44,6 +45,8 @@ def test_the_table_of_loads_that_swing_goes_on_where_it_was(tmp_path, monkeypatc
     assert calm["ratio"]["as planned"] < 0.05 < 0.4 < plain["ratio"]["as planned"]
     table = (tmp_path / "settling.md").read_text()
     assert "| lieednn-shaped | least-energy | 1 of 1 | 8.00 |" in table
+    arm, _ = settling.BendingBoom().arm_and_goal(0)
+    assert [round(mode.frequency, 1) for mode in PassiveJoints(arm).modes(arm.keyframe("home"))] == [0.8, 0.8]
     monkeypatch.setattr(settling, "attempt", None)
     settling.main(words)
     assert (tmp_path / "settling.md").read_text() == table

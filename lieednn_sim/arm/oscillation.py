@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.dependents import tied_joints
-from lieednn_sim.arm.equalities import names
+from lieednn_sim.arm.equalities import involved_joints, names
 from lieednn_sim.arm.forces import actuator_moments, required_forces
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.validation import as_floats, as_positive
@@ -60,7 +59,8 @@ class PassiveJoints:
         passive = np.isin(model.dof_treeid, model.dof_treeid[self.arm.dofs])
         passive &= ~actuator_moments(model).any(axis=0)
         passive &= model.jnt_type[model.dof_jntid] != int(mujoco.mjtJoint.mjJNT_FREE)
-        passive &= ~np.isin(model.dof_jntid, np.array(tied_joints(model)).ravel())
+        for equality in np.flatnonzero(model.eq_active0).tolist():
+            passive &= ~np.isin(model.dof_jntid, [*involved_joints(model, equality)])
         passive[self.arm.dofs] = False
         return np.flatnonzero(passive)
 

@@ -76,7 +76,11 @@ def test_another_load_weighs_and_hangs_as_asked_for():
 def test_driven_tied_and_free_joints_are_not_passive():
     crane = ls.Arm.load("telescopic_crane")
     joints = [crane.model.joint(name) for name in ("swing_along", "swing_across")]
-    assert PassiveJoints(crane).dofs.tolist() == [joint.dofadr[0] for joint in joints]
+    dofs = [joint.dofadr[0] for joint in joints]
+    assert PassiveJoints(crane).dofs.tolist() == dofs
+    # Nor is the boom, which nothing but a driven cylinder holds.
+    slew = ls.Arm.of(crane.model, crane.data(), ["slew"], tip="boom")
+    assert PassiveJoints(slew).dofs.tolist() == dofs
     model = mujoco.MjModel.from_xml_path(str(ls.arm.scene_path("telescopic_pr")))
     assert not PassiveJoints(ls.Arm.of(model, mujoco.MjData(model), [model.joint(0).name])).bodies.any()
 
