@@ -6,7 +6,8 @@ The scenes are in ``assets/tasks``; the README of each has the sources of its nu
 the task `shelf` is `hello_robot_stretch_3` of MuJoCo Menagerie, in a folder given or in the package
 mujoco_menagerie; without either the task is left out. Every planner gets five cases of every task. Writes a JSON file
 for each task, so that interrupted runs can be continued, the table `tasks.md`, and a film and a page that turns of each
-task. Seconds of planning are CPU time.
+task. Seconds of planning are CPU time. A planner's name may be followed by a time law that settles the load, as in
+``lieednn-shaped+least-energy``, in tasks with one.
 """
 
 from __future__ import annotations
