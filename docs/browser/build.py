@@ -1,0 +1,158 @@
+"""Makes the page `browser.html`: an arm in MuJoCo's WebAssembly build, led by certified networks, in one file.
+
+npm fetches the pinned packages and esbuild joins them; what the page shows is made by the package.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import lieednn_sim as ls
+
+HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
+# Below no folder whose pages are read by Sphinx or by tests; `make clean` removes it.
+WORK = ROOT / "build" / "browser"
+RATE = 500  # of the policies, one period a step of the model [Hz]
+NAMES = {"free": "lieednn-certified", "window": "lieednn-shaped"}
+ABOUT = {
+    "free": "The network of lieednn-certified: 24 numbers, four links, no search. The joints that put the end effector "
+    "onto the ball are found by damped least squares.",
+    "window": "The network of lieednn-shaped goes through the window along a path that its hidden neurons encode; that "
+    "path was planned to this ball's first place, and proved there to keep {clearance} off everything. Other places in "
+    "the box behind the window keep the proof of arrival, not that of the clearance.",
+}
+NOT_DRAWN = {"floor", "target_sphere", "target_axis_x", "target_axis_y", "target_axis_z"}
+
+
+def policy_of(scene: str) -> tuple[ls.NetworkPolicy, np.ndarray]:
+    """The policy of a scene, at home, and its first target ``(n,)``."""
+    arm = ls.Arm.load("telescopic_pr", scene=scene, seed=1)
+    target = ls.draw_target(arm, seed=1)
+    policy = ls.make_policy(NAMES[scene], arm, target, rate=RATE)
+    assert isinstance(policy, ls.NetworkPolicy)
+    return policy, target
+
+
+def exported(policy: ls.NetworkPolicy) -> dict[str, Any]:
+    """What the package exports for C, of the network and of the policy, by the names in their headers."""
+    numbers = {}
+    with tempfile.TemporaryDirectory() as folder:
+        policy.to_c(folder)
+        for part, header in (("network", "lieednn_numbers.h"), ("policy", "policy_numbers.h")):
+            text = Path(folder, header).read_text(encoding="utf-8")
+            macros = re.findall(r"#define [A-Z]+_(\w+) (-?[\d.e+-]+) /\*", text)
+            arrays = re.findall(r"static const \w+ (\w+)[\[\d\]]+ = (\{.*?\});", text, re.DOTALL)
+            numbers[part] = {name: float(value) for name, value in macros}
+            numbers[part] |= {name: json.loads(value.translate(str.maketrans("{}", "[]"))) for name, value in arrays}
+    # What policy.js is written for.
+    arm, network, values = policy.arm, policy.network, numbers["policy"]
+    assert network.activation == "tanh"
+    assert values["turns"] == [1, 0] * arm.n_links
+    assert values["mover"] == list(range(arm.n_joints))
+    assert not np.any([*np.ravel(values["anchor"]), *values["reference"]])
+    assert (values["FEEDBACK"], values["FEEDFORWARD"]) == (1, 0)
+    return numbers
+
+
+def guarantees(policy: ls.NetworkPolicy, target: np.ndarray) -> list[dict[str, Any]]:
+    """The proved bounds on the visible neurons, size |factor e| exp(-rate t), that are least at some time of the way."""
+    network, seen = policy.network, slice(6 * policy.network.n_visible)
+    off = (policy.xi - network.goal(policy.arm.encode(target))).ravel()
+    bounds = network.robustness(np.arange(off.size)).guarantees
+    factors = [g.overshoot * (1.0 + 1e-9) * np.linalg.norm(g.inverse[seen], 2) * g.factor for g in bounds]
+    rates = np.array([g.rate for g in bounds])
+    sizes = np.linalg.norm(np.array(factors) @ off, axis=1)
+    least = np.unique(np.argmin(np.log(sizes) - rates * np.linspace(0.0, 60.0, 600)[:, None], axis=1))
+    return [{"rate": rates[k], "factor": factors[k].tolist()} for k in least]
+
+
+def geoms(model: mujoco.MjModel) -> list[dict[str, Any]]:
+    """What is drawn: shapes with their sizes, or with triangles ``(9 f,)``, and colours."""
+    drawn = []
+    for k in range(model.ngeom):
+        geom, material = model.geom(k), int(model.geom_matid[k])
+        if geom.group[0] > 2 or geom.name in NOT_DRAWN:
+            continue
+        shape = mujoco.mjtGeom(int(geom.type[0])).name.removeprefix("mjGEOM_").lower()
+        size = geom.size
+        if shape == "mesh":
+            mesh = model.mesh(int(geom.dataid[0]))
+            first, count = int(mesh.faceadr[0]), int(mesh.facenum[0])
+            vertices = model.mesh_vert[int(mesh.vertadr[0]) :]
+            size = vertices[model.mesh_face[first : first + count]].ravel()
+        colour = geom.rgba if material < 0 else model.mat_rgba[material]
+        look = {"rgba": colour.round(3).tolist(), "size": size.round(5).tolist()}
+        drawn.append({"id": k, "body": int(geom.bodyid[0]), "shape": shape, **look})
+    return drawn
+
+
+def scene_of(name: str) -> dict[str, Any]:
+    """All that the page needs of a scene."""
+    policy, target = policy_of(name)
+    arm, certificate = policy.arm, policy.network.certificate
+    model, names = arm.model, [arm.model.site(k).name for k in range(arm.model.nsite)]
+    box = names.index("obstacle_goal0") if "obstacle_goal0" in names else None
+    return {
+        "name": name,
+        "about": ABOUT[name],
+        "xml": arm.copied_spec().to_xml(),
+        "numbers": exported(policy),
+        "guarantees": guarantees(policy, target),
+        "certificate": {"lambda_max": certificate.lambda_max, "bound": certificate.bound},
+        "home": arm.keyframe("home").tolist(),
+        "target": target.tolist(),
+        # Of a servo, over its stiffness [s].
+        "damping": (model.actuator_biasprm[:, 2] / model.actuator_biasprm[:, 1]).tolist(),
+        "last": int(model.site_bodyid[names.index("link4_frame")]),
+        "tip": names.index("link4_frame"),
+        "box": None if box is None else {"site": box, "half": model.site_size[box].tolist()},
+        "geoms": geoms(model),
+    }
+
+
+def packed(content: bytes) -> str:
+    """Compressed, as text."""
+    return base64.b64encode(gzip.compress(content, mtime=0)).decode()
+
+
+def build(page: Path) -> None:
+    """Write the page; `subprocess.CalledProcessError` where npm cannot fetch the packages."""
+    WORK.mkdir(parents=True, exist_ok=True)
+    lock, installed = HERE / "package-lock.json", WORK / "package-lock.json"
+    if not (WORK / "node_modules").is_dir() or installed.read_bytes() != lock.read_bytes():
+        shutil.copy(HERE / "package.json", WORK)
+        shutil.copy(lock, WORK)
+        subprocess.run(["npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund"], cwd=WORK, check=True)
+    for source in ("page.js", "policy.js"):
+        shutil.copy(HERE / source, WORK)
+    packages = WORK / "node_modules"
+    options = ("--bundle", "--minify", "--format=esm", "--target=es2022", "--external:module", "--legal-comments=none")
+    script = subprocess.run(
+        [packages / ".bin" / "esbuild", "page.js", *options], cwd=WORK, check=True, capture_output=True, text=True
+    ).stdout
+    scenes = {name: scene_of(name) for name in NAMES}
+    parts = {
+        "WASM": packed((packages / "@mujoco" / "mujoco" / "mujoco.wasm").read_bytes()),
+        "SCENES": packed(json.dumps(scenes, allow_nan=False).encode()),
+        "SCRIPT": script.replace("</script", "<\\/script"),
+        "THREE_LICENCE": (packages / "three" / "LICENSE").read_text(encoding="utf-8"),
+        "APACHE": (ROOT / "LICENSE").read_text(encoding="utf-8"),
+    }
+    text = (HERE / "page.html").read_text(encoding="utf-8")
+    page.write_text(re.sub(r"@(\w+)@", lambda found: parts[found[1]], text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    build(Path(sys.argv[1]))
