@@ -24,7 +24,6 @@ import lieednn_sim as ls
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 # Below no folder whose pages are read by Sphinx or by tests; `make clean` removes it.
 WORK = ROOT / "build" / "browser"
-RATE = 500  # of the policies, one period a step of the model [Hz]
 NAMES = {"free": "lieednn-certified", "window": "lieednn-shaped"}
 ABOUT = {
     "free": "The network of lieednn-certified: 24 numbers, four links, no search. The joints that put the end effector "
@@ -40,7 +39,7 @@ def policy_of(scene: str) -> tuple[ls.NetworkPolicy, np.ndarray]:
     """The policy of a scene, at home, and its first target ``(n,)``."""
     arm = ls.Arm.load("telescopic_pr", scene=scene, seed=1)
     target = ls.draw_target(arm, seed=1)
-    policy = ls.make_policy(NAMES[scene], arm, target, rate=RATE)
+    policy = ls.make_policy(NAMES[scene], arm, target)
     assert isinstance(policy, ls.NetworkPolicy)
     return policy, target
 
@@ -106,13 +105,15 @@ def scene_of(name: str) -> dict[str, Any]:
     box = names.index("obstacle_goal0") if "obstacle_goal0" in names else None
     return {
         "name": name,
-        "about": ABOUT[name],
-        "xml": arm.copied_spec().to_xml(),
+        "about": ABOUT[name].format(clearance="X"),
+        # MuJoCo's WebAssembly build is older than its Python package, and refuses to be told this default.
+        "xml": arm.copied_spec().to_xml().replace(' input="pos"', ""),
         "numbers": exported(policy),
         "guarantees": guarantees(policy, target),
         "certificate": {"lambda_max": certificate.lambda_max, "bound": certificate.bound},
         "home": arm.keyframe("home").tolist(),
         "target": target.tolist(),
+        "step": arm.timestep,
         # Of a servo, over its stiffness [s].
         "damping": (model.actuator_biasprm[:, 2] / model.actuator_biasprm[:, 1]).tolist(),
         "last": int(model.site_bodyid[names.index("link4_frame")]),

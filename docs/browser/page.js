@@ -76,25 +76,40 @@ class World {
     return point.clone().applyMatrix4(frame.clone().invert()).clamp(half.clone().negate(), half).applyMatrix4(frame);
   }
 
-  step() {
+  /** A period of the policy, in steps of the simulation. */
+  advance() {
     const { data, policy, decay, given } = this;
-    policy.step(data.qpos, this.target);
+    const [before, velocity] = [policy.q, policy.qd];
+    const { PERIOD } = given.numbers.policy;
     const moved = decay.target !== this.target;
+    policy.step(data.qpos, this.target);
     if (moved) decay.begin();
     else decay.after();
     this.changed ||= moved || policy.pulled;
     decay.target = this.target;
-    // A servo pulls to its control: with this part of the velocity on top it does not lag.
-    data.ctrl.set(policy.q.map((value, i) => value + given.damping[i] * policy.qd[i]));
-    data.xfrc_applied.fill(0);
-    if (this.push?.until < data.time) this.push = null;
-    if (this.push) {
-      const at = this.held;
-      this.force = this.push.force ?? this.push.towards.clone().sub(at).multiplyScalar(SPRING).clampLength(0, SPRING / 2);
-      const lever = at.sub(vector(data.xipos, this.push.body));
-      data.xfrc_applied.set([...this.force, ...lever.cross(this.force)], 6 * this.push.body);
+    for (let s = given.step / PERIOD; s < 1 + 1e-9; s += given.step / PERIOD) {
+      // The cubic between the references; a servo that is told of the velocity, too, does not lag.
+      data.ctrl.set(before.map((q, i) => {
+        const [way, begin, end] = [policy.q[i] - q, PERIOD * velocity[i], PERIOD * policy.qd[i]];
+        const [b, c] = [3 * way - 2 * begin - end, begin + end - 2 * way];
+        return q + s * (begin + s * (b + s * c)) + (given.damping[i] / PERIOD) * (begin + s * (2 * b + 3 * s * c));
+      }));
+      this.pull();
+      this.mujoco.mj_step(this.model, data);
     }
-    this.mujoco.mj_step(this.model, data);
+  }
+
+  /** Applies the push, if there is one. */
+  pull() {
+    const { data } = this;
+    if (this.push?.until < data.time) this.push = null;
+    data.xfrc_applied.fill(0);
+    if (!this.push) return;
+    const { body, force, towards } = this.push;
+    const at = this.held;
+    this.force = force ?? towards.clone().sub(at).multiplyScalar(SPRING).clampLength(0, SPRING / 2);
+    const lever = at.sub(vector(data.xipos, body));
+    data.xfrc_applied.set([...this.force, ...lever.cross(this.force)], 6 * body);
   }
 
   /** Where the push acts. */
@@ -197,14 +212,19 @@ class Stage {
     this.controls.update();
     for (const mesh of this.geoms) mesh.matrix.copy(poseOf(world.data.geom_xpos, world.data.geom_xmat, mesh.userData.id));
     this.ball.position.copy(world.tipAt(world.target));
-    if (world.changed) this.way.geometry.setFromPoints(world.policy.ahead(60, 12).map((q) => world.tipAt(q)));
+    if (world.changed) redraw(this.way, world.policy.ahead(60, 12).map((q) => world.tipAt(q)));
     world.changed = false;
     this.travelled = [...this.travelled.slice(-600), world.tip];
-    this.trace.geometry.setFromPoints(this.travelled);
+    redraw(this.trace, this.travelled);
     this.pull.visible = Boolean(world.push);
-    if (world.push) this.pull.geometry.setFromPoints([world.held, world.held.addScaledVector(world.force, 3e-3)]);
+    if (world.push) redraw(this.pull, [world.held, world.held.addScaledVector(world.force, 3e-3)]);
     renderer.render(this.scene, camera);
   }
+}
+
+function redraw(line, points) {
+  line.geometry.dispose();
+  line.geometry = new three.BufferGeometry().setFromPoints(points);
 }
 
 function shapeOf(kind, size) {
@@ -307,12 +327,12 @@ async function main() {
   choose("free");
   let [last, speed, behind] = [performance.now(), 1, 0];
   const frame = (now) => {
-    const step = page.world.model.opt.timestep;
-    behind = Math.min(behind + (now - last) / 1e3, 0.05);
-    const count = Math.floor(behind / step);
-    for (let k = 0; k < count; k++) page.world.step();
-    behind -= count * step;
-    if (now > last) speed += 0.05 * ((count * step * 1e3) / (now - last) - speed);
+    const period = page.world.given.numbers.policy.PERIOD;
+    behind = Math.min(behind + (now - last) / 1e3, 0.1);
+    const count = Math.floor(behind / period);
+    for (let k = 0; k < count; k++) page.world.advance();
+    behind -= count * period;
+    if (now > last) speed += 0.05 * ((count * period * 1e3) / (now - last) - speed);
     last = now;
     stage.draw();
     panel.show(page.world, speed);

@@ -114,10 +114,11 @@ export class Policy {
     this.numbers = { ...network, ...policy };
     this.network = new Network(network);
     this.links = [...Array(policy.LINKS).keys()];
-    this.network.retarget(this.encode(target));
-    this.network.start(this.encode(q));
     this.q = Float64Array.from(q); // the reference, and its velocity
     this.qd = this.q.map(() => 0);
+    this.network.retarget(this.encode(target));
+    this.network.start(this.encode(q));
+    this.aim(target);
     this.pace = 1; // how fast the network runs, as a fraction of its speed
     this.pulled = false; // whether measured joints pulled its state in the last period
   }
