@@ -20,6 +20,8 @@ import mujoco
 import numpy as np
 
 import lieednn_sim as ls
+from lieednn_sim.live.engine import Progress, foreseen
+from lieednn_sim.planning.monitor import ClearanceMonitor
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 # Below no folder whose pages are read by Sphinx or by tests; `make clean` removes it.
@@ -77,6 +79,13 @@ def guarantees(policy: ls.NetworkPolicy, target: np.ndarray) -> list[dict[str, A
     return [{"rate": rates[k], "factor": factors[k].tolist()} for k in least]
 
 
+def clearance(policy: ls.NetworkPolicy, target: np.ndarray) -> str:
+    """What is proved of the distance from contact on the network's way to its first target, as the live view proves it."""
+    way = foreseen(policy.arm, policy, None, Progress.of(policy).towards(target), policy.q, target)
+    assert way is not None
+    return f"{1e3 * ClearanceMonitor(policy.arm, *way).clearance.bound:.2g} mm"
+
+
 def geoms(model: mujoco.MjModel) -> list[dict[str, Any]]:
     """What is drawn: shapes with their sizes, or with triangles ``(9 f,)``, and colours."""
     drawn = []
@@ -105,12 +114,13 @@ def scene_of(name: str) -> dict[str, Any]:
     box = names.index("obstacle_goal0") if "obstacle_goal0" in names else None
     return {
         "name": name,
-        "about": ABOUT[name].format(clearance="X"),
+        "about": ABOUT[name].format(clearance=clearance(policy, target)),
         # MuJoCo's WebAssembly build is older than its Python package, and refuses to be told this default.
         "xml": arm.copied_spec().to_xml().replace(' input="pos"', ""),
-        "numbers": exported(policy),
+        **exported(policy),
         "guarantees": guarantees(policy, target),
-        "certificate": {"lambda_max": certificate.lambda_max, "bound": certificate.bound},
+        "proof": f"\u03bb\u2098\u2090\u2093 {certificate.lambda_max:.3g} < \u03b3/\u03bc {certificate.bound:.3g}: "
+        "every start ends at every target",
         "home": arm.keyframe("home").tolist(),
         "target": target.tolist(),
         "step": arm.timestep,

@@ -4,7 +4,7 @@ import loadMujoco from "@mujoco/mujoco";
 import * as three from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
-import { Decay, Policy } from "./policy.js";
+import { Policy } from "./policy.js";
 
 const SPRING = 500; // of a link to the mouse [N/m], up to half of it [N]
 const SPAN = 12; // of the chart [s]
@@ -29,18 +29,12 @@ class World {
 
   /** From home again, towards the present target. */
   begin() {
-    const { data, model, given } = this;
-    this.mujoco.mj_resetData(model, data);
-    data.qpos.set(given.home);
-    this.mujoco.mj_forward(model, data);
-    this.policy = new Policy(given.numbers, given.home, this.target);
-    this.decay = new Decay(given.guarantees, this.policy);
+    this.mujoco.mj_resetData(this.model, this.data);
+    this.data.qpos.set(this.given.home);
+    this.mujoco.mj_forward(this.model, this.data);
+    this.policy = new Policy(this.given, this.given.home, this.target);
     this.push = null; // of a body, at a point of it: a force, or towards a place; until when
     this.changed = true; // since the way ahead was drawn
-  }
-
-  get tip() {
-    return vector(this.data.site_xpos, this.given.tip);
   }
 
   tipAt(q) {
@@ -49,9 +43,14 @@ class World {
     return vector(this.trial.site_xpos, this.given.tip);
   }
 
+  /** Of the end effector from the ball [m]. */
+  get far() {
+    return vector(this.data.site_xpos, this.given.tip).distanceTo(this.tipAt(this.target));
+  }
+
   /** Moves the target to a point, or near it, by damped least squares within the joints' limits. */
   aim(wanted) {
-    const { low, high, turns } = this.given.numbers.policy;
+    const { low, high, turns } = this.given.policy;
     const [q, point] = [Float64Array.from(this.target), this.allowed(wanted)];
     for (let round = 0; round < 30; round++) {
       const tip = this.tipAt(q);
@@ -60,171 +59,56 @@ class World {
         const axis = vector(this.trial.xaxis, i);
         return turns[i] ? axis.cross(tip.clone().sub(vector(this.trial.xanchor, i))) : axis;
       });
-      const entry = (r, c) => rows.reduce((sum, row) => sum + row.getComponent(r) * row.getComponent(c), r === c && 1e-4);
+      const entry = (r, c) => rows.reduce((sum, row) => sum + row.getComponent(r) * row.getComponent(c), r === c ? 1e-4 : 0);
       off.applyMatrix3(new three.Matrix3().set(...[0, 1, 2].flatMap((r) => [0, 1, 2].map((c) => entry(r, c)))).invert());
-      rows.forEach((row, i) => (q[i] = Math.min(Math.max(q[i] + row.dot(off), low[i]), high[i])));
+      rows.forEach((row, i) => (q[i] = three.MathUtils.clamp(q[i] + row.dot(off), low[i], high[i])));
     }
     this.target = q;
   }
 
-  /** The nearest point above the floor, and in the box for targets where there is one. */
+  /** The nearest point above the floor, or in the box for targets where there is one. */
   allowed(point) {
     const { box } = this.given;
     if (!box) return point.clone().setZ(Math.max(point.z, 0.15));
-    const frame = poseOf(this.data.site_xpos, this.data.site_xmat, box.site);
-    const half = new three.Vector3(...box.half);
+    const [frame, half] = [poseOf(this.data.site_xpos, this.data.site_xmat, box.site), new three.Vector3(...box.half)];
     return point.clone().applyMatrix4(frame.clone().invert()).clamp(half.clone().negate(), half).applyMatrix4(frame);
   }
 
   /** A period of the policy, in steps of the simulation. */
   advance() {
-    const { data, policy, decay, given } = this;
-    const [before, velocity] = [policy.q, policy.qd];
-    const { PERIOD } = given.numbers.policy;
-    const moved = decay.target !== this.target;
-    policy.step(data.qpos, this.target);
-    if (moved) decay.begin();
-    else decay.after();
-    this.changed ||= moved || policy.pulled;
-    decay.target = this.target;
+    const { data, policy, given } = this;
+    const { q, qd } = policy;
+    const { PERIOD } = given.policy;
+    this.changed = policy.step(data.qpos, this.target) || this.changed;
     for (let s = given.step / PERIOD; s < 1 + 1e-9; s += given.step / PERIOD) {
       // The cubic between the references; a servo that is told of the velocity, too, does not lag.
-      data.ctrl.set(before.map((q, i) => {
-        const [way, begin, end] = [policy.q[i] - q, PERIOD * velocity[i], PERIOD * policy.qd[i]];
+      data.ctrl.set(q.map((at, i) => {
+        const [way, begin, end] = [policy.q[i] - at, PERIOD * qd[i], PERIOD * policy.qd[i]];
         const [b, c] = [3 * way - 2 * begin - end, begin + end - 2 * way];
-        return q + s * (begin + s * (b + s * c)) + (given.damping[i] / PERIOD) * (begin + s * (2 * b + 3 * s * c));
+        return at + s * (begin + s * (b + s * c)) + (given.damping[i] / PERIOD) * (begin + s * (2 * b + 3 * s * c));
       }));
       this.pull();
       this.mujoco.mj_step(this.model, data);
     }
   }
 
-  /** Applies the push, if there is one. */
-  pull() {
-    const { data } = this;
-    if (this.push?.until < data.time) this.push = null;
-    data.xfrc_applied.fill(0);
-    if (!this.push) return;
-    const { body, force, towards } = this.push;
-    const at = this.held;
-    this.force = force ?? towards.clone().sub(at).multiplyScalar(SPRING).clampLength(0, SPRING / 2);
-    const lever = at.sub(vector(data.xipos, body));
-    data.xfrc_applied.set([...this.force, ...lever.cross(this.force)], 6 * body);
-  }
-
-  /** Where the push acts. */
-  get held() {
-    return this.push.point.clone().applyMatrix4(poseOf(this.data.xpos, this.data.xmat, this.push.body));
-  }
-
+  /** Begins a push of a body at a place: a force and until when, or towards which place until `push` is null. */
   hold(body, place, more) {
     const point = place.clone().applyMatrix4(poseOf(this.data.xpos, this.data.xmat, body).invert());
     this.push = { body, point, until: Infinity, ...more };
   }
-}
 
-/** What is drawn of a scene, and what the mouse does there. */
-class Stage {
-  constructor() {
-    const canvas = element("stage");
-    this.renderer = new three.WebGLRenderer({ canvas, antialias: true, alpha: true });
-    this.camera = new three.PerspectiveCamera(38, 1, 0.05, 50);
-    this.camera.up.set(0, 0, 1);
-    this.camera.position.set(0.1, -4.0, 2.4);
-    this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.target.set(1.0, 0, 0.95);
-    this.ray = new three.Raycaster();
-    canvas.addEventListener("pointerdown", (event) => this.press(event), { capture: true });
-    canvas.addEventListener("pointermove", (event) => this.drag?.(this.onPlane(event)));
-    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => this.release());
+  /** Applies the push. */
+  pull() {
+    const { data, push } = this;
+    data.xfrc_applied.fill(0);
+    if (push?.until < data.time) this.push = null;
+    if (!this.push) return;
+    push.at = push.point.clone().applyMatrix4(poseOf(data.xpos, data.xmat, push.body));
+    push.acts = push.force ?? push.towards.clone().sub(push.at).multiplyScalar(SPRING).clampLength(0, SPRING / 2);
+    const lever = push.at.clone().sub(vector(data.xipos, push.body));
+    data.xfrc_applied.set([...push.acts, ...lever.cross(push.acts)], 6 * push.body);
   }
-
-  show(world) {
-    this.world = world;
-    this.scene = new three.Scene();
-    const sun = new three.DirectionalLight(0xffffff, 1.8);
-    sun.position.set(2, -3, 5);
-    const grid = new three.GridHelper(6, 24, 0x888888, 0x888888).rotateX(Math.PI / 2);
-    Object.assign(grid.material, { transparent: true, opacity: 0.3 });
-    this.scene.add(new three.HemisphereLight(0xffffff, 0x8a8a8a, 2), sun, grid);
-    this.geoms = world.given.geoms.map(({ id, body, rgba: [r, g, b, a], shape, size }) => {
-      const colour = new three.Color().setRGB(r, g, b, three.SRGBColorSpace);
-      const look = { color: colour, roughness: 0.55, transparent: a < 1, opacity: a, depthWrite: a === 1 };
-      const mesh = new three.Mesh(shapeOf(shape, size), new three.MeshStandardMaterial(look));
-      mesh.matrixAutoUpdate = false;
-      mesh.userData = { id, body };
-      this.scene.add(mesh);
-      return mesh;
-    });
-    const line = (color, opacity) => new three.Line(new three.BufferGeometry(), new three.LineBasicMaterial({ color, transparent: true, opacity }));
-    [this.way, this.trace, this.pull] = [line(0x12a594, 1), line(0xe8a200, 1), line(0xe03131, 1)];
-    this.ball = new three.Mesh(new three.SphereGeometry(0.04, 24, 16), new three.MeshStandardMaterial({ color: 0x2f9e44, emissive: 0x14501f }));
-    this.scene.add(this.way, this.trace, this.pull, this.ball);
-    for (const part of [this.way, this.trace, this.pull]) part.frustumCulled = false;
-    this.travelled = [];
-  }
-
-  at(event) {
-    const box = this.renderer.domElement.getBoundingClientRect();
-    return new three.Vector2((2 * (event.clientX - box.x)) / box.width - 1, 1 - (2 * (event.clientY - box.y)) / box.height);
-  }
-
-  /** Begins to drag the target, or a link of the arm; what is neither turns the view. */
-  press(event) {
-    this.ray.setFromCamera(this.at(event), this.camera);
-    const { origin, direction } = this.ray.ray;
-    const { world } = this;
-    const near = direction.clone().multiplyScalar(this.ball.position.clone().sub(origin).dot(direction)).add(origin);
-    const [hit] = this.ray.intersectObjects(this.geoms.filter((geom) => geom.userData.body > 1));
-    let begin;
-    if (near.distanceTo(this.ball.position) < 0.07) {
-      begin = this.ball.position;
-      this.drag = (point) => world.aim(point);
-    } else if (hit) {
-      begin = hit.point;
-      world.hold(hit.object.userData.body, begin, { towards: begin });
-      this.drag = (point) => world.push && (world.push.towards = point);
-    } else return;
-    this.plane = new three.Plane().setFromNormalAndCoplanarPoint(direction, begin);
-    this.controls.enabled = false;
-    event.target.setPointerCapture(event.pointerId);
-  }
-
-  onPlane(event) {
-    this.ray.setFromCamera(this.at(event), this.camera);
-    return this.ray.ray.intersectPlane(this.plane, new three.Vector3()) ?? this.ball.position;
-  }
-
-  release() {
-    if (this.drag) this.world.push = null;
-    this.drag = null;
-    this.controls.enabled = true;
-  }
-
-  draw() {
-    const { world, renderer, camera } = this;
-    const { clientWidth: width, clientHeight: height } = renderer.domElement.parentElement;
-    renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
-    renderer.setSize(width, height, false);
-    camera.aspect = width / height;
-    camera.fov = width < height ? 50 : 38;
-    camera.updateProjectionMatrix();
-    this.controls.update();
-    for (const mesh of this.geoms) mesh.matrix.copy(poseOf(world.data.geom_xpos, world.data.geom_xmat, mesh.userData.id));
-    this.ball.position.copy(world.tipAt(world.target));
-    if (world.changed) redraw(this.way, world.policy.ahead(60, 12).map((q) => world.tipAt(q)));
-    world.changed = false;
-    this.travelled = [...this.travelled.slice(-600), world.tip];
-    redraw(this.trace, this.travelled);
-    this.pull.visible = Boolean(world.push);
-    if (world.push) redraw(this.pull, [world.held, world.held.addScaledVector(world.force, 3e-3)]);
-    renderer.render(this.scene, camera);
-  }
-}
-
-function redraw(line, points) {
-  line.geometry.dispose();
-  line.geometry = new three.BufferGeometry().setFromPoints(points);
 }
 
 function shapeOf(kind, size) {
@@ -239,8 +123,99 @@ function shapeOf(kind, size) {
   return triangles;
 }
 
+/** What is drawn of a scene, and what the mouse does there. */
+class Stage {
+  constructor() {
+    const canvas = element("stage");
+    this.renderer = new three.WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.camera = new three.PerspectiveCamera(38, 1, 0.05, 50);
+    this.camera.up.set(0, 0, 1);
+    this.camera.position.set(0.1, -4, 2.4);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.target.set(1, 0, 0.95);
+    this.ray = new three.Raycaster();
+    canvas.addEventListener("pointerdown", (event) => this.press(event), { capture: true });
+    canvas.addEventListener("pointermove", (event) => this.drag?.(this.aimed(event).intersectPlane(this.plane, new three.Vector3())));
+    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => this.release());
+  }
+
+  show(world) {
+    this.world = world;
+    this.scene = new three.Scene();
+    const sun = new three.DirectionalLight(0xffffff, 1.8);
+    sun.position.set(2, -3, 5);
+    const grid = new three.GridHelper(6, 24, 0x888888, 0x888888).rotateX(Math.PI / 2);
+    Object.assign(grid.material, { transparent: true, opacity: 0.3 });
+    this.geoms = world.given.geoms.map(({ id, body, rgba: [r, g, b, opacity], shape, size }) => {
+      const color = new three.Color().setRGB(r, g, b, three.SRGBColorSpace);
+      const look = { color, opacity, roughness: 0.55, transparent: opacity < 1, depthWrite: opacity === 1 };
+      const mesh = new three.Mesh(shapeOf(shape, size), new three.MeshStandardMaterial(look));
+      return Object.assign(mesh, { matrixAutoUpdate: false, userData: { id, body } });
+    });
+    [this.way, this.trace, this.arrow] = [0x12a594, 0xe8a200, 0xe03131].map((color) => {
+      const line = new three.Line(new three.BufferGeometry(), new three.LineBasicMaterial({ color }));
+      return Object.assign(line, { frustumCulled: false });
+    });
+    const green = new three.MeshStandardMaterial({ color: 0x2f9e44, emissive: 0x14501f });
+    this.ball = new three.Mesh(new three.SphereGeometry(0.04, 24, 16), green);
+    const sky = new three.HemisphereLight(0xffffff, 0x8a8a8a, 2);
+    this.scene.add(sky, sun, grid, ...this.geoms, this.way, this.trace, this.arrow, this.ball);
+    this.travelled = [];
+  }
+
+  /** The ray from the eye to where the mouse is. */
+  aimed(event) {
+    const box = this.renderer.domElement.getBoundingClientRect();
+    const [x, y] = [(event.clientX - box.x) / box.width, (event.clientY - box.y) / box.height];
+    this.ray.setFromCamera(new three.Vector2(2 * x - 1, 1 - 2 * y), this.camera);
+    return this.ray.ray;
+  }
+
+  /** Begins to drag the target, or a link of the arm; what is neither turns the view. */
+  press(event) {
+    const { world, ball } = this;
+    const near = this.aimed(event).distanceToPoint(ball.position) < 0.07;
+    const [hit] = this.ray.intersectObjects(this.geoms.filter((geom) => geom.userData.body > 1));
+    if (!near && !hit) return;
+    const begin = near ? ball.position.clone() : hit.point;
+    if (!near) world.hold(hit.object.userData.body, begin, { towards: begin });
+    this.drag = (point) => (near ? world.aim(point ?? begin) : Object.assign(world.push, { towards: point ?? begin }));
+    this.plane = new three.Plane().setFromNormalAndCoplanarPoint(this.ray.ray.direction, begin);
+    this.controls.enabled = false;
+    event.target.setPointerCapture(event.pointerId);
+  }
+
+  release() {
+    if (this.drag) this.world.push = null;
+    this.drag = null;
+    this.controls.enabled = true;
+  }
+
+  draw() {
+    const { world, renderer, camera } = this;
+    const { clientWidth: width, clientHeight: height } = renderer.domElement;
+    renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    renderer.setSize(width, height, false);
+    Object.assign(camera, { aspect: width / height, fov: width < height ? 50 : 38 }).updateProjectionMatrix();
+    this.controls.update();
+    for (const mesh of this.geoms) mesh.matrix.copy(poseOf(world.data.geom_xpos, world.data.geom_xmat, mesh.userData.id));
+    const draw = (line, points) => {
+      line.geometry.dispose();
+      line.geometry = new three.BufferGeometry().setFromPoints(points);
+    };
+    if (world.changed) draw(this.way, world.policy.ahead(60, 12).map((q) => world.tipAt(q)));
+    world.changed = false;
+    this.travelled = [...this.travelled.slice(-600), vector(world.data.site_xpos, world.given.tip)];
+    draw(this.trace, this.travelled);
+    const { at, acts } = world.push ?? {};
+    draw(this.arrow, at ? [at, at.clone().addScaledVector(acts, 3e-3)] : []);
+    this.ball.position.copy(world.tipAt(world.target));
+    renderer.render(this.scene, camera);
+  }
+}
+
 /** What the arm does, in words. */
-function stateOf({ data, policy, push }, far) {
+function stateOf({ data, policy, push, far }) {
   if (data.ncon) return "touches something, which holds it back: the proof is about the network, not about contact";
   if (push) return "is pulled aside, and pulls the network's state along; it comes back when it is let go";
   if (policy.pulled) return "was pulled aside: the network goes on from where the arm is";
@@ -249,52 +224,35 @@ function stateOf({ data, policy, push }, far) {
   return "moves along the network's way, slower: within the limits of its joints, or waiting for them";
 }
 
-/** The numbers beside the scene, and their chart. */
-class Panel {
-  begin({ given }) {
-    const { lambda_max, bound } = given.certificate;
-    element("proof").textContent = `\u03bb\u2098\u2090\u2093 ${lambda_max.toPrecision(3)} < \u03b3/\u03bc ${bound}: every start ends at the target`;
-    element("about").textContent = given.about;
-    this.rows = []; // time, distances of network and end effector, bound
+/** Shows numbers, and the rows of time, distances of network and end effector, and bound as a chart. */
+function tell(world, rows, speed) {
+  const [, distance, far, bound] = rows.at(-1);
+  const [now, size] = [world.data.time, (value) => (value < 1e-6 ? "less than 1e-6" : value.toPrecision(3))];
+  element("state").textContent = stateOf(world);
+  element("reach").textContent = `${far < 1e-6 ? "less than 0.001" : (1e3 * far).toPrecision(3)} mm from the ball`;
+  element("network").textContent = `${size(distance)} from its target; proved: at most ${size(bound)}`;
+  element("speed").textContent = `${now.toFixed(1)} s, ${speed.toFixed(2)} times real time`;
+  const canvas = element("chart");
+  const [width, height, ratio, left] = [canvas.clientWidth, canvas.clientHeight, Math.min(devicePixelRatio, 2), 38];
+  Object.assign(canvas, { width: width * ratio, height: height * ratio });
+  const pen = canvas.getContext("2d");
+  const up = (value) => height - 6 - ((Math.log10(Math.max(value, 1e-4)) + 4) / 6) * (height - 14);
+  const line = (name, points, dash = []) => {
+    pen.setLineDash(dash);
+    pen.strokeStyle = pen.fillStyle = getComputedStyle(document.body).getPropertyValue(name);
+    pen.beginPath();
+    for (const [time, value] of points) pen.lineTo(left + ((time - now + SPAN) / SPAN) * (width - left), up(value));
+    pen.stroke();
+  };
+  pen.scale(ratio, ratio);
+  pen.font = "11px system-ui";
+  for (const power of [-4, -2, 0, 2]) {
+    line("--rule", [[now - SPAN, 10 ** power], [now, 10 ** power]]);
+    pen.fillStyle = getComputedStyle(document.body).getPropertyValue("--soft");
+    pen.fillText(power ? `1e${power}` : "1", 4, up(10 ** power) + 4);
   }
-
-  show(world, speed) {
-    const { data, decay } = world;
-    const far = world.tip.distanceTo(world.tipAt(world.target));
-    const [distance, bound] = [decay.distance, decay.bound];
-    element("state").textContent = stateOf(world, far);
-    element("reach").textContent = `${(1e3 * far).toPrecision(3)} mm from the ball`;
-    element("network").textContent = distance < 1e-9 ? "below 1e-9" : `${distance.toPrecision(3)} away, at most ${bound.toPrecision(3)} proved`;
-    element("speed").textContent = `${data.time.toFixed(1)} s, ${speed.toFixed(2)} times real time`;
-    this.rows = [...this.rows.filter((row) => row[0] > data.time - SPAN), [data.time, distance, far, bound]];
-    this.draw(data.time);
-  }
-
-  draw(now) {
-    const canvas = element("chart");
-    const [width, height, ratio] = [canvas.clientWidth, canvas.clientHeight, Math.min(devicePixelRatio, 2)];
-    Object.assign(canvas, { width: width * ratio, height: height * ratio });
-    const pen = canvas.getContext("2d");
-    const colour = (name) => getComputedStyle(document.body).getPropertyValue(name);
-    const [left, bottom] = [38, height - 6];
-    const across = (time) => left + ((time - now + SPAN) / SPAN) * (width - left);
-    const up = (value) => bottom - ((Math.log10(Math.max(value, 1e-4)) + 4) / 6) * (bottom - 8);
-    pen.scale(ratio, ratio);
-    pen.font = "11px system-ui";
-    for (let power = -4; power <= 2; power += 2) {
-      pen.strokeStyle = colour("--rule");
-      pen.fillStyle = colour("--soft");
-      pen.strokeRect(left, up(10 ** power), width - left, 0);
-      pen.fillText(power ? `1e${power}` : "1", 4, up(10 ** power) + 4);
-    }
-    for (const [k, name, dash] of [[3, "--soft", [5, 4]], [2, "--sun", []], [1, "--teal", []]]) {
-      Object.assign(pen, { strokeStyle: colour(name), lineWidth: 1.8 });
-      pen.setLineDash(dash);
-      pen.beginPath();
-      for (const row of this.rows) pen.lineTo(across(row[0]), up(row[k]));
-      pen.stroke();
-    }
-  }
+  pen.lineWidth = 1.8;
+  for (const [k, name, dash] of [[3, "--soft", [5, 4]], [2, "--sun"], [1, "--teal"]]) line(name, rows.map((row) => [row[0], row[k]]), dash);
 }
 
 async function unpacked(id) {
@@ -306,41 +264,41 @@ async function main() {
   const given = await (await unpacked("scenes")).json();
   const wasmBinary = await (await unpacked("wasm")).arrayBuffer();
   const mujoco = await loadMujoco({ wasmBinary, locateFile: (path) => path });
-  const [stage, panel] = [new Stage(), new Panel()];
-  const [page, worlds] = [{ given, Policy, stage }, {}];
+  const [stage, worlds] = [new Stage(), {}];
+  let [world, rows, last, speed, behind] = [null, [], performance.now(), 1, 0];
   const choose = (name) => {
-    page.world = worlds[name] ??= new World(mujoco, given[name]);
-    stage.show(page.world);
-    panel.begin(page.world);
+    world = worlds[name] ??= new World(mujoco, given[name]);
+    rows = [];
+    stage.show(world);
+    element("proof").textContent = world.given.proof;
+    element("about").textContent = world.given.about;
     for (const other of Object.keys(given)) element(other).setAttribute("aria-pressed", other === name);
+    globalThis.page = { world, stage, Policy }; // for tests, and for the curious
   };
   for (const name of Object.keys(given)) element(name).onclick = () => choose(name);
   element("again").onclick = () => {
-    page.world.begin();
-    choose(page.world.given.name);
+    world.begin();
+    choose(world.given.name);
   };
   element("push").onclick = () => {
-    const { world } = page;
-    const force = new three.Vector3(0, 150, 0);
-    world.hold(world.given.last, world.tip, { force, until: world.data.time + 0.2 });
+    const more = { force: new three.Vector3(0, 150, 0), until: world.data.time + 0.2 };
+    world.hold(world.given.last, vector(world.data.site_xpos, world.given.tip), more);
   };
   choose("free");
-  let [last, speed, behind] = [performance.now(), 1, 0];
-  const frame = (now) => {
-    const period = page.world.given.numbers.policy.PERIOD;
-    behind = Math.min(behind + (now - last) / 1e3, 0.1);
-    const count = Math.floor(behind / period);
-    for (let k = 0; k < count; k++) page.world.advance();
-    behind -= count * period;
-    if (now > last) speed += 0.05 * ((count * period * 1e3) / (now - last) - speed);
+  requestAnimationFrame(function frame(now) {
+    const { PERIOD } = world.given.policy;
+    behind = Math.min(behind + (now - last) / 1e3, 0.1); // a slow machine shows it slower
+    const count = Math.max(Math.floor(behind / PERIOD), 0);
+    for (let k = 0; k < count; k++) world.advance();
+    behind -= count * PERIOD;
+    if (now > last) speed += 0.05 * ((1e3 * count * PERIOD) / (now - last) - speed);
     last = now;
     stage.draw();
-    panel.show(page.world, speed);
-    page.frames = (page.frames ?? 0) + 1;
+    const { policy, data, far } = world;
+    rows = [...rows.filter((row) => row[0] > data.time - SPAN), [data.time, policy.distance, far, policy.bound]];
+    tell(world, rows, speed);
     requestAnimationFrame(frame);
-  };
-  requestAnimationFrame(frame);
-  globalThis.page = page; // for tests, and for the curious
+  });
 }
 
 main().catch((error) => (element("state").textContent = `This browser cannot show it: ${error}`));
