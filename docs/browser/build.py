@@ -106,12 +106,23 @@ def geoms(model: mujoco.MjModel) -> list[dict[str, Any]]:
     return drawn
 
 
+def box_of(arm: ls.Arm) -> dict[str, Any]:
+    """Where the target may be dragged: behind the window, or above the floor; half sizes, and a frame by columns."""
+    frame, half = np.eye(4), np.array([1.6, 1.6, 0.9])
+    frame[3, :3] = 0.9, 0.0, 1.1
+    if (site := mujoco.mj_name2id(arm.model, mujoco.mjtObj.mjOBJ_SITE, "obstacle_goal0")) >= 0:
+        data = mujoco.MjData(arm.model)
+        mujoco.mj_kinematics(arm.model, data)
+        frame[:3, :3], frame[3, :3] = data.site_xmat[site].reshape(3, 3).T, data.site_xpos[site]
+        half = arm.model.site_size[site]
+    return {"frame": frame.ravel().tolist(), "half": half.tolist()}
+
+
 def scene_of(name: str) -> dict[str, Any]:
     """All that the page needs of a scene."""
     policy, target = policy_of(name)
     arm, certificate = policy.arm, policy.network.certificate
     model, names = arm.model, [arm.model.site(k).name for k in range(arm.model.nsite)]
-    box = names.index("obstacle_goal0") if "obstacle_goal0" in names else None
     return {
         "name": name,
         "about": ABOUT[name].format(clearance=clearance(policy, target)),
@@ -128,7 +139,7 @@ def scene_of(name: str) -> dict[str, Any]:
         "damping": (model.actuator_biasprm[:, 2] / model.actuator_biasprm[:, 1]).tolist(),
         "last": int(model.site_bodyid[names.index("link4_frame")]),
         "tip": names.index("link4_frame"),
-        "box": None if box is None else {"site": box, "half": model.site_size[box].tolist()},
+        "box": box_of(arm),
         "geoms": geoms(model),
     }
 

@@ -37,15 +37,14 @@ class World {
     this.changed = true; // since the way ahead was drawn
   }
 
+  get tip() {
+    return vector(this.data.site_xpos, this.given.tip);
+  }
+
   tipAt(q) {
     this.trial.qpos.set(q);
     this.mujoco.mj_kinematics(this.model, this.trial);
     return vector(this.trial.site_xpos, this.given.tip);
-  }
-
-  /** Of the end effector from the ball [m]. */
-  get far() {
-    return vector(this.data.site_xpos, this.given.tip).distanceTo(this.tipAt(this.target));
   }
 
   /** Moves the target to a point, or near it, by damped least squares within the joints' limits. */
@@ -66,19 +65,16 @@ class World {
     this.target = q;
   }
 
-  /** The nearest point above the floor, or in the box for targets where there is one. */
+  /** The nearest point of the box that the ball may be in. */
   allowed(point) {
-    const { box } = this.given;
-    if (!box) return point.clone().setZ(Math.max(point.z, 0.15));
-    const [frame, half] = [poseOf(this.data.site_xpos, this.data.site_xmat, box.site), new three.Vector3(...box.half)];
+    const [frame, half] = [new three.Matrix4().fromArray(this.given.box.frame), new three.Vector3(...this.given.box.half)];
     return point.clone().applyMatrix4(frame.clone().invert()).clamp(half.clone().negate(), half).applyMatrix4(frame);
   }
 
   /** A period of the policy, in steps of the simulation. */
   advance() {
     const { data, policy, given } = this;
-    const { q, qd } = policy;
-    const { PERIOD } = given.policy;
+    const [{ q, qd }, { PERIOD }] = [policy, given.policy];
     this.changed = policy.step(data.qpos, this.target) || this.changed;
     for (let s = given.step / PERIOD; s < 1 + 1e-9; s += given.step / PERIOD) {
       // The cubic between the references; a servo that is told of the velocity, too, does not lag.
@@ -113,8 +109,6 @@ class World {
 
 function shapeOf(kind, size) {
   const [a, b, c] = size;
-  if (kind === "sphere") return new three.SphereGeometry(a, 24, 16);
-  if (kind === "capsule") return new three.CapsuleGeometry(a, 2 * b, 8, 20).rotateX(Math.PI / 2);
   if (kind === "cylinder") return new three.CylinderGeometry(a, a, 2 * b, 32).rotateX(Math.PI / 2);
   if (kind === "box") return new three.BoxGeometry(2 * a, 2 * b, 2 * c);
   const triangles = new three.BufferGeometry();
@@ -157,10 +151,13 @@ class Stage {
       return Object.assign(line, { frustumCulled: false });
     });
     const green = new three.MeshStandardMaterial({ color: 0x2f9e44, emissive: 0x14501f });
+    const edges = new three.EdgesGeometry(new three.BoxGeometry(...world.given.box.half.map((half) => 2 * half)));
+    const box = new three.LineSegments(edges, new three.LineBasicMaterial({ color: 0x2f9e44, transparent: true, opacity: 0.4 }));
+    box.applyMatrix4(new three.Matrix4().fromArray(world.given.box.frame));
     this.ball = new three.Mesh(new three.SphereGeometry(0.04, 24, 16), green);
     const sky = new three.HemisphereLight(0xffffff, 0x8a8a8a, 2);
-    this.scene.add(sky, sun, grid, ...this.geoms, this.way, this.trace, this.arrow, this.ball);
-    this.travelled = [];
+    this.scene.add(sky, sun, grid, ...this.geoms, this.way, this.trace, this.arrow, this.ball, box);
+    this.travelled = Array(600).fill(world.tip);
   }
 
   /** The ray from the eye to where the mouse is. */
@@ -199,36 +196,32 @@ class Stage {
     Object.assign(camera, { aspect: width / height, fov: width < height ? 50 : 38 }).updateProjectionMatrix();
     this.controls.update();
     for (const mesh of this.geoms) mesh.matrix.copy(poseOf(world.data.geom_xpos, world.data.geom_xmat, mesh.userData.id));
-    const draw = (line, points) => {
-      line.geometry.dispose();
-      line.geometry = new three.BufferGeometry().setFromPoints(points);
-    };
-    if (world.changed) draw(this.way, world.policy.ahead(60, 12).map((q) => world.tipAt(q)));
+    if (world.changed) this.way.geometry.setFromPoints(world.policy.ahead(60, 12).map((q) => world.tipAt(q)));
     world.changed = false;
-    this.travelled = [...this.travelled.slice(-600), vector(world.data.site_xpos, world.given.tip)];
-    draw(this.trace, this.travelled);
-    const { at, acts } = world.push ?? {};
-    draw(this.arrow, at ? [at, at.clone().addScaledVector(acts, 3e-3)] : []);
+    this.travelled = [...this.travelled.slice(1), world.tip];
+    this.trace.geometry.setFromPoints(this.travelled);
+    const { at = world.tip, acts = at } = world.push ?? {};
+    this.arrow.geometry.setFromPoints([at, at.clone().addScaledVector(acts, world.push ? 3e-3 : 0)]);
     this.ball.position.copy(world.tipAt(world.target));
     renderer.render(this.scene, camera);
   }
 }
 
 /** What the arm does, in words. */
-function stateOf({ data, policy, push, far }) {
+function stateOf({ data, policy, push }, far) {
   if (data.ncon) return "touches something, which holds it back: the proof is about the network, not about contact";
   if (push) return "is pulled aside, and pulls the network's state along; it comes back when it is let go";
   if (policy.pulled) return "was pulled aside: the network goes on from where the arm is";
   if (far < 1e-3) return "has arrived within 1 mm";
-  if (policy.pace > 0.99) return "moves as the network does";
-  return "moves along the network's way, slower: within the limits of its joints, or waiting for them";
+  return policy.pace > 0.99 ? "moves as the network does" : "moves along the network's way, as fast as its joints can";
 }
 
-/** Shows numbers, and the rows of time, distances of network and end effector, and bound as a chart. */
-function tell(world, rows, speed) {
-  const [, distance, far, bound] = rows.at(-1);
-  const [now, size] = [world.data.time, (value) => (value < 1e-6 ? "less than 1e-6" : value.toPrecision(3))];
-  element("state").textContent = stateOf(world);
+/** Shows rows of time, the network's distance and its bound, the end effector's distance, and the clock; a chart of them. */
+function tell(world, rows) {
+  const [now, distance, bound, far, clock] = rows.at(-1);
+  const size = (value) => (value < 1e-6 ? "less than 1e-6" : value.toPrecision(3));
+  const speed = rows.length > 1 ? (1e3 * (now - rows[0][0])) / (clock - rows[0][4]) : 1;
+  element("state").textContent = stateOf(world, far);
   element("reach").textContent = `${far < 1e-6 ? "less than 0.001" : (1e3 * far).toPrecision(3)} mm from the ball`;
   element("network").textContent = `${size(distance)} from its target; proved: at most ${size(bound)}`;
   element("speed").textContent = `${now.toFixed(1)} s, ${speed.toFixed(2)} times real time`;
@@ -252,7 +245,7 @@ function tell(world, rows, speed) {
     pen.fillText(power ? `1e${power}` : "1", 4, up(10 ** power) + 4);
   }
   pen.lineWidth = 1.8;
-  for (const [k, name, dash] of [[3, "--soft", [5, 4]], [2, "--sun"], [1, "--teal"]]) line(name, rows.map((row) => [row[0], row[k]]), dash);
+  for (const [k, name, dash] of [[2, "--soft", [5, 4]], [3, "--sun"], [1, "--teal"]]) line(name, rows.map((row) => [row[0], row[k]]), dash);
 }
 
 async function unpacked(id) {
@@ -265,7 +258,7 @@ async function main() {
   const wasmBinary = await (await unpacked("wasm")).arrayBuffer();
   const mujoco = await loadMujoco({ wasmBinary, locateFile: (path) => path });
   const [stage, worlds] = [new Stage(), {}];
-  let [world, rows, last, speed, behind] = [null, [], performance.now(), 1, 0];
+  let [world, rows, last, behind] = [null, [], performance.now(), 0];
   const choose = (name) => {
     world = worlds[name] ??= new World(mujoco, given[name]);
     rows = [];
@@ -276,27 +269,19 @@ async function main() {
     globalThis.page = { world, stage, Policy }; // for tests, and for the curious
   };
   for (const name of Object.keys(given)) element(name).onclick = () => choose(name);
-  element("again").onclick = () => {
-    world.begin();
-    choose(world.given.name);
-  };
+  element("again").onclick = () => choose(world.given.name, world.begin());
   element("push").onclick = () => {
-    const more = { force: new three.Vector3(0, 150, 0), until: world.data.time + 0.2 };
-    world.hold(world.given.last, vector(world.data.site_xpos, world.given.tip), more);
+    world.hold(world.given.last, world.tip, { force: new three.Vector3(0, 150, 0), until: world.data.time + 0.2 });
   };
   choose("free");
-  requestAnimationFrame(function frame(now) {
+  requestAnimationFrame(function frame(clock) {
     const { PERIOD } = world.given.policy;
-    behind = Math.min(behind + (now - last) / 1e3, 0.1); // a slow machine shows it slower
-    const count = Math.max(Math.floor(behind / PERIOD), 0);
-    for (let k = 0; k < count; k++) world.advance();
-    behind -= count * PERIOD;
-    if (now > last) speed += 0.05 * ((1e3 * count * PERIOD) / (now - last) - speed);
-    last = now;
+    behind = Math.min(behind + Math.max(clock - last, 0) / 1e3, 0.1); // a slow machine shows it slower
+    for (last = clock; behind > PERIOD; behind -= PERIOD) world.advance();
     stage.draw();
-    const { policy, data, far } = world;
-    rows = [...rows.filter((row) => row[0] > data.time - SPAN), [data.time, policy.distance, far, policy.bound]];
-    tell(world, rows, speed);
+    const [now, far] = [world.data.time, world.tip.distanceTo(stage.ball.position)];
+    rows = [...rows.filter((row) => row[0] > now - SPAN), [now, ...world.policy.progress(), far, clock]];
+    tell(world, rows);
     requestAnimationFrame(frame);
   });
 }

@@ -46,43 +46,36 @@ export class Policy {
   /** Numbers of both exported headers, and of the proved bounds; the arm rests at joints q. */
   constructor({ network, policy, guarantees }, q, target) {
     Object.assign(this, { numbers: { ...network, ...policy }, network, guarantees, links: [...Array(policy.LINKS).keys()] });
-    this.weight = network.weight.map((column) => Float64Array.from(column));
+    this.rows = network.weight[0].map((_, i) => Float64Array.from(network.weight, (column) => column[i]));
     this.q = Float64Array.from(q);
     this.qd = this.q.map(() => 0);
     this.bias = Float64Array.from(network.bias);
     this.goal = Float64Array.from(network.rest);
-    this.x = new Float64Array(network.SIZE);
-    this.x.set(this.encode(q));
-    this.retarget(target);
-    this.startHidden();
     this.pace = 1; // how fast the network runs, as a fraction of its speed
     this.pulled = false; // whether measured joints pulled its state in the last period
+    this.retarget(target);
+    this.start(this.encode(q));
     this.aim(target);
   }
 
   /** Hidden neurons start where their law says, from the visible ones and the target. */
-  startHidden() {
-    const { VISIBLE, HIDDEN, START_LAW, rest, hidden_start, start_gain, start_reference, goal_gain } = this.network;
-    for (let i = 0; i < HIDDEN; i++) {
-      this.x[VISIBLE + i] = hidden_start[i];
-      for (let j = 0; START_LAW && j < VISIBLE; j++) {
-        const moved = this.goal[j] - rest[j];
-        this.x[VISIBLE + i] += start_gain[i][j] * (this.x[j] - start_reference[j] - moved) + goal_gain[i][j] * moved;
-      }
-    }
+  start(visible) {
+    const { START_LAW, rest, hidden_start = [], start_gain, start_reference, goal_gain } = this.network;
+    const moved = visible.map((_, j) => this.goal[j] - rest[j]);
+    const off = visible.map((value, j) => value - start_reference?.[j] - moved[j]);
+    const law = (i) => (START_LAW ? dot(start_gain[i], off) + dot(goal_gain[i], moved) : 0);
+    this.x = Float64Array.from([...visible, ...hidden_start.map((value, i) => value + law(i))]);
   }
 
-  /** Adds sign mu W tanh(x) to a sum. */
-  addInputs(x, sum, sign) {
-    x.forEach((value, j) => {
-      const [output, column] = [sign * Math.tanh(value), this.weight[j]];
-      for (let i = 0; i < column.length; i++) sum[i] += column[i] * output;
-    });
-    return sum;
+  /** mu W tanh(x), of the neurons that have inputs, which come first. */
+  inputs(x) {
+    const output = x.map(Math.tanh);
+    return this.rows.map((row) => dot(row, output));
   }
 
   field(x) {
-    return this.addInputs(x, this.bias.map((value, i) => value - this.network.GAMMA * x[i]), 1);
+    const inputs = this.inputs(x);
+    return x.map((value, i) => this.bias[i] - this.network.GAMMA * value + (inputs[i] ?? 0));
   }
 
   /** A step of the classical Runge-Kutta method. */
@@ -100,8 +93,8 @@ export class Policy {
   /** Another target, under the same proof: only the bias changes. */
   retarget(target) {
     this.goal.set(this.encode(target));
-    const pull = this.addInputs(this.goal, this.goal.map((value) => this.network.GAMMA * value), -1);
-    this.bias.set(pull.subarray(0, this.network.VISIBLE));
+    const inputs = this.inputs(this.goal).slice(0, this.network.VISIBLE);
+    this.bias.set(inputs.map((value, i) => this.network.GAMMA * this.goal[i] - value));
     this.target = target;
   }
 
@@ -199,13 +192,13 @@ export class Policy {
 
   /** How fast the network runs behind an arm that lags, and the pull of one that is pushed: on its state, on joints. */
   listen(measured) {
-    const { PATIENCE, PULL, TOLERANCE, VISIBLE, range } = this.numbers;
+    const { PATIENCE, PULL, TOLERANCE, range } = this.numbers;
     const off = Array.from(measured, (value, i) => value - this.q[i]);
     const behind = Math.max(...off.map((value, i) => Math.abs(value) / range[i]));
     const pull = PULL * Math.max(0, 1 - TOLERANCE / Math.max(behind, 1e-300));
     this.pulled = pull > 0;
-    const [there, here] = this.pulled ? [this.encode(measured), this.encode(this.q)] : [[], []];
-    const drift = Array.from({ length: VISIBLE }, (_, i) => (this.pulled ? pull * (there[i] - here[i]) : 0));
+    const here = this.encode(this.q);
+    const drift = this.encode(measured).map((value, i) => pull * (value - here[i]));
     return [Math.max(1 / (1 + (behind / PATIENCE) ** 2), 0.01), drift, scaled(off, pull)];
   }
 
@@ -220,19 +213,17 @@ export class Policy {
     return way;
   }
 
-  /** The proved bound on `distance` begins anew; it is the least of several guarantees, size |factor e| exp(-rate t). */
+  /** The proved bound begins anew. */
   beginBound() {
     const off = this.x.map((value, i) => value - this.goal[i]);
     this.sizes = this.guarantees.map(({ factor }) => Math.hypot(...factor.map((row) => dot(row, off))));
     this.time = 0; // since then, the network's own
   }
 
-  get bound() {
-    return Math.min(...this.guarantees.map(({ rate }, i) => this.sizes[i] * Math.exp(-rate * this.time)));
-  }
-
-  /** Of the visible neurons from their goal. */
-  get distance() {
-    return Math.hypot(...this.x.subarray(0, this.network.VISIBLE).map((value, i) => value - this.goal[i]));
+  /** Distance of the visible neurons from their goal; the bound, the least of several |factor e| exp(-rate t). */
+  progress() {
+    const bounds = this.guarantees.map(({ rate }, i) => this.sizes[i] * Math.exp(-rate * this.time));
+    const off = this.x.subarray(0, this.network.VISIBLE).map((value, i) => value - this.goal[i]);
+    return [Math.hypot(...off), Math.min(...bounds)];
   }
 }
