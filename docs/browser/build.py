@@ -63,6 +63,7 @@ def exported(policy: ls.NetworkPolicy) -> dict[str, Any]:
     assert values["turns"] == [1, 0] * arm.n_links
     assert values["mover"] == list(range(arm.n_joints))
     assert not np.any([*np.ravel(values["anchor"]), *values["reference"]])
+    assert numbers["network"]["START_LAW"] == (network.n_hidden > 0)
     assert (values["FEEDBACK"], values["FEEDFORWARD"]) == (1, 0)
     return numbers
 

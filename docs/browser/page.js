@@ -47,10 +47,12 @@ class World {
     return vector(this.trial.site_xpos, this.given.tip);
   }
 
-  /** Moves the target to a point, or near it, by damped least squares within the joints' limits. */
+  /** Moves the target to a point, or near it: in its box, by damped least squares within the joints' limits. */
   aim(wanted) {
-    const { low, high, turns } = this.given.policy;
-    const [q, point] = [Float64Array.from(this.target), this.allowed(wanted)];
+    const { box, policy: { low, high, turns } } = this.given;
+    const [frame, half] = [new three.Matrix4().fromArray(box.frame), new three.Vector3(...box.half)];
+    const inside = wanted.clone().applyMatrix4(frame.clone().invert()).clamp(half.clone().negate(), half);
+    const [q, point] = [Float64Array.from(this.target), inside.applyMatrix4(frame)];
     for (let round = 0; round < 30; round++) {
       const tip = this.tipAt(q);
       const off = point.clone().sub(tip).clampLength(0, 0.1);
@@ -58,17 +60,12 @@ class World {
         const axis = vector(this.trial.xaxis, i);
         return turns[i] ? axis.cross(tip.clone().sub(vector(this.trial.xanchor, i))) : axis;
       });
-      const entry = (r, c) => rows.reduce((sum, row) => sum + row.getComponent(r) * row.getComponent(c), r === c ? 1e-4 : 0);
-      off.applyMatrix3(new three.Matrix3().set(...[0, 1, 2].flatMap((r) => [0, 1, 2].map((c) => entry(r, c)))).invert());
+      const entry = (r, c) => rows.reduce((sum, row) => sum + row[r] * row[c], r === c ? 1e-4 : 0);
+      const square = [..."xyz"].flatMap((r) => [..."xyz"].map((c) => entry(r, c)));
+      off.applyMatrix3(new three.Matrix3().set(...square).invert());
       rows.forEach((row, i) => (q[i] = three.MathUtils.clamp(q[i] + row.dot(off), low[i], high[i])));
     }
     this.target = q;
-  }
-
-  /** The nearest point of the box that the ball may be in. */
-  allowed(point) {
-    const [frame, half] = [new three.Matrix4().fromArray(this.given.box.frame), new three.Vector3(...this.given.box.half)];
-    return point.clone().applyMatrix4(frame.clone().invert()).clamp(half.clone().negate(), half).applyMatrix4(frame);
   }
 
   /** A period of the policy, in steps of the simulation. */
@@ -111,8 +108,7 @@ function shapeOf(kind, size) {
   const [a, b, c] = size;
   if (kind === "cylinder") return new three.CylinderGeometry(a, a, 2 * b, 32).rotateX(Math.PI / 2);
   if (kind === "box") return new three.BoxGeometry(2 * a, 2 * b, 2 * c);
-  const triangles = new three.BufferGeometry();
-  triangles.setAttribute("position", new three.Float32BufferAttribute(size, 3));
+  const triangles = new three.BufferGeometry().setAttribute("position", new three.Float32BufferAttribute(size, 3));
   triangles.computeVertexNormals();
   return triangles;
 }
@@ -128,9 +124,14 @@ class Stage {
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.target.set(1, 0, 0.95);
     this.ray = new three.Raycaster();
+    this.ball = new three.Mesh(new three.SphereGeometry(0.04), new three.MeshStandardMaterial({ color: 0x2f9e44 }));
     canvas.addEventListener("pointerdown", (event) => this.press(event), { capture: true });
-    canvas.addEventListener("pointermove", (event) => this.drag?.(this.aimed(event).intersectPlane(this.plane, new three.Vector3())));
-    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => this.release());
+    canvas.addEventListener("pointermove", (event) => this.drag?.(this.aimed(event)));
+    canvas.onpointerup = canvas.onpointercancel = () => {
+      if (this.drag) this.world.push = null;
+      this.drag = null;
+      this.controls.enabled = true;
+    };
   }
 
   show(world) {
@@ -146,15 +147,13 @@ class Stage {
       const mesh = new three.Mesh(shapeOf(shape, size), new three.MeshStandardMaterial(look));
       return Object.assign(mesh, { matrixAutoUpdate: false, userData: { id, body } });
     });
-    [this.way, this.trace, this.arrow] = [0x12a594, 0xe8a200, 0xe03131].map((color) => {
-      const line = new three.Line(new three.BufferGeometry(), new three.LineBasicMaterial({ color }));
-      return Object.assign(line, { frustumCulled: false });
-    });
-    const green = new three.MeshStandardMaterial({ color: 0x2f9e44, emissive: 0x14501f });
+    const line = (color) => new three.Line(new three.BufferGeometry(), new three.LineBasicMaterial({ color }));
+    Object.assign(this, { way: line(0x12a594), trace: line(0xe8a200), arrow: line(0xe03131) });
+    for (const part of [this.way, this.trace, this.arrow]) part.frustumCulled = false;
     const edges = new three.EdgesGeometry(new three.BoxGeometry(...world.given.box.half.map((half) => 2 * half)));
-    const box = new three.LineSegments(edges, new three.LineBasicMaterial({ color: 0x2f9e44, transparent: true, opacity: 0.4 }));
+    const box = new three.LineSegments(edges, new three.LineBasicMaterial({ color: 0x2f9e44 }));
+    box.visible = world.given.name === "window";
     box.applyMatrix4(new three.Matrix4().fromArray(world.given.box.frame));
-    this.ball = new three.Mesh(new three.SphereGeometry(0.04, 24, 16), green);
     const sky = new three.HemisphereLight(0xffffff, 0x8a8a8a, 2);
     this.scene.add(sky, sun, grid, ...this.geoms, this.way, this.trace, this.arrow, this.ball, box);
     this.travelled = Array(600).fill(world.tip);
@@ -174,28 +173,21 @@ class Stage {
     const near = this.aimed(event).distanceToPoint(ball.position) < 0.07;
     const [hit] = this.ray.intersectObjects(this.geoms.filter((geom) => geom.userData.body > 1));
     if (!near && !hit) return;
-    const begin = near ? ball.position.clone() : hit.point;
-    if (!near) world.hold(hit.object.userData.body, begin, { towards: begin });
-    this.drag = (point) => (near ? world.aim(point ?? begin) : Object.assign(world.push, { towards: point ?? begin }));
-    this.plane = new three.Plane().setFromNormalAndCoplanarPoint(this.ray.ray.direction, begin);
+    const place = near ? ball.position.clone() : hit.point;
+    const plane = new three.Plane().setFromNormalAndCoplanarPoint(this.ray.ray.direction, place);
+    if (!near) world.hold(hit.object.userData.body, place, { towards: place });
+    this.drag = (ray) => ray.intersectPlane(plane, place) && near && world.aim(place);
     this.controls.enabled = false;
     event.target.setPointerCapture(event.pointerId);
   }
 
-  release() {
-    if (this.drag) this.world.push = null;
-    this.drag = null;
-    this.controls.enabled = true;
-  }
-
   draw() {
-    const { world, renderer, camera } = this;
+    const { world, world: { data }, renderer, camera } = this;
     const { clientWidth: width, clientHeight: height } = renderer.domElement;
-    renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
-    renderer.setSize(width, height, false);
+    renderer.setDrawingBufferSize(width, height, Math.min(devicePixelRatio, 2));
     Object.assign(camera, { aspect: width / height, fov: width < height ? 50 : 38 }).updateProjectionMatrix();
     this.controls.update();
-    for (const mesh of this.geoms) mesh.matrix.copy(poseOf(world.data.geom_xpos, world.data.geom_xmat, mesh.userData.id));
+    for (const { matrix, userData: { id } } of this.geoms) matrix.copy(poseOf(data.geom_xpos, data.geom_xmat, id));
     if (world.changed) this.way.geometry.setFromPoints(world.policy.ahead(60, 12).map((q) => world.tipAt(q)));
     world.changed = false;
     this.travelled = [...this.travelled.slice(1), world.tip];
@@ -211,18 +203,17 @@ class Stage {
 function stateOf({ data, policy, push }, far) {
   if (data.ncon) return "touches something, which holds it back: the proof is about the network, not about contact";
   if (push) return "is pulled aside, and pulls the network's state along; it comes back when it is let go";
-  if (policy.pulled) return "was pulled aside: the network goes on from where the arm is";
   if (far < 1e-3) return "has arrived within 1 mm";
   return policy.pace > 0.99 ? "moves as the network does" : "moves along the network's way, as fast as its joints can";
 }
 
-/** Shows rows of time, the network's distance and its bound, the end effector's distance, and the clock; a chart of them. */
+/** Shows the last row of time, the network's distance, its bound, the end effector's distance, clock; charts all. */
 function tell(world, rows) {
   const [now, distance, bound, far, clock] = rows.at(-1);
-  const size = (value) => (value < 1e-6 ? "less than 1e-6" : value.toPrecision(3));
+  const size = (value) => (value < 1e-6 ? "less than 1e-6" : Number(value.toPrecision(3)));
   const speed = rows.length > 1 ? (1e3 * (now - rows[0][0])) / (clock - rows[0][4]) : 1;
   element("state").textContent = stateOf(world, far);
-  element("reach").textContent = `${far < 1e-6 ? "less than 0.001" : (1e3 * far).toPrecision(3)} mm from the ball`;
+  element("reach").textContent = `${far < 1e-6 ? "less than 0.001" : Number((1e3 * far).toPrecision(3))} mm from the ball`;
   element("network").textContent = `${size(distance)} from its target; proved: at most ${size(bound)}`;
   element("speed").textContent = `${now.toFixed(1)} s, ${speed.toFixed(2)} times real time`;
   const canvas = element("chart");
@@ -230,22 +221,22 @@ function tell(world, rows) {
   Object.assign(canvas, { width: width * ratio, height: height * ratio });
   const pen = canvas.getContext("2d");
   const up = (value) => height - 6 - ((Math.log10(Math.max(value, 1e-4)) + 4) / 6) * (height - 14);
-  const line = (name, points, dash = []) => {
+  const line = (name, points, k, dash) => {
     pen.setLineDash(dash);
     pen.strokeStyle = pen.fillStyle = getComputedStyle(document.body).getPropertyValue(name);
     pen.beginPath();
-    for (const [time, value] of points) pen.lineTo(left + ((time - now + SPAN) / SPAN) * (width - left), up(value));
+    for (const row of points) pen.lineTo(left + ((row[0] - now + SPAN) / SPAN) * (width - left), up(row[k]));
     pen.stroke();
   };
   pen.scale(ratio, ratio);
   pen.font = "11px system-ui";
   for (const power of [-4, -2, 0, 2]) {
-    line("--rule", [[now - SPAN, 10 ** power], [now, 10 ** power]]);
+    line("--rule", [[now - SPAN, 10 ** power], [now, 10 ** power]], 1, []);
     pen.fillStyle = getComputedStyle(document.body).getPropertyValue("--soft");
     pen.fillText(power ? `1e${power}` : "1", 4, up(10 ** power) + 4);
   }
   pen.lineWidth = 1.8;
-  for (const [k, name, dash] of [[2, "--soft", [5, 4]], [3, "--sun"], [1, "--teal"]]) line(name, rows.map((row) => [row[0], row[k]]), dash);
+  for (const [name, k, dash] of [["--soft", 2, [5, 4]], ["--sun", 3, []], ["--teal", 1, []]]) line(name, rows, k, dash);
 }
 
 async function unpacked(id) {
@@ -255,16 +246,14 @@ async function unpacked(id) {
 
 async function main() {
   const given = await (await unpacked("scenes")).json();
-  const wasmBinary = await (await unpacked("wasm")).arrayBuffer();
-  const mujoco = await loadMujoco({ wasmBinary, locateFile: (path) => path });
+  const mujoco = await loadMujoco({ wasmBinary: await (await unpacked("wasm")).arrayBuffer() });
   const [stage, worlds] = [new Stage(), {}];
   let [world, rows, last, behind] = [null, [], performance.now(), 0];
   const choose = (name) => {
     world = worlds[name] ??= new World(mujoco, given[name]);
     rows = [];
     stage.show(world);
-    element("proof").textContent = world.given.proof;
-    element("about").textContent = world.given.about;
+    for (const id of ["proof", "about"]) element(id).textContent = world.given[id];
     for (const other of Object.keys(given)) element(other).setAttribute("aria-pressed", other === name);
     globalThis.page = { world, stage, Policy }; // for tests, and for the curious
   };
@@ -275,9 +264,9 @@ async function main() {
   };
   choose("free");
   requestAnimationFrame(function frame(clock) {
-    const { PERIOD } = world.given.policy;
+    const period = world.given.policy.PERIOD;
     behind = Math.min(behind + Math.max(clock - last, 0) / 1e3, 0.1); // a slow machine shows it slower
-    for (last = clock; behind > PERIOD; behind -= PERIOD) world.advance();
+    for (last = clock; behind > period; behind -= period) world.advance();
     stage.draw();
     const [now, far] = [world.data.time, world.tip.distanceTo(stage.ball.position)];
     rows = [...rows.filter((row) => row[0] > now - SPAN), [now, ...world.policy.progress(), far, clock]];

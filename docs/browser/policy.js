@@ -1,6 +1,6 @@
-/* A certified network as the policy of an arm: a port of the C that the package exports (lieednn.c and policy.c there,
-   whose comments have the reasons), with the numbers of its headers, for arms whose links have one hinge and one slide.
-   Left out is what a simulated arm does not need: faults of measurements, braking, and the filter of what is sent. */
+/* A certified network as the policy of an arm whose links have one hinge and one slide, and the proved bound: a port of
+   the C that the package exports, lieednn.c and policy.c, which say why; with the numbers of its headers. Left out is
+   what a simulated arm does not need: faults of measurements, braking, and the filter of what is sent. */
 
 const scaled = (a, factor) => a.map((value) => factor * value);
 const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
@@ -15,9 +15,8 @@ function turned(w, v, b, c) {
 }
 
 function leftJacobian(w, v) {
-  const square = Math.max(dot(w, w), 1e-16);
-  const angle = Math.sqrt(square);
-  return turned(w, v, (2 * Math.sin(0.5 * angle) ** 2) / square, (1 - Math.sin(angle) / angle) / square);
+  const angle = Math.sqrt(Math.max(dot(w, w), 1e-16));
+  return turned(w, v, 2 * (Math.sin(0.5 * angle) / angle) ** 2, (1 - Math.sin(angle) / angle) / angle ** 2);
 }
 
 /** The unit quaternion (w, x, y, z) of a rotation vector, a product of two, and a vector turned by one. */
@@ -26,10 +25,7 @@ function rotation(w) {
   return [Math.cos(0.5 * angle), ...scaled(w, Math.sin(0.5 * angle) / angle)];
 }
 
-function multiply([r, ...a], [s, ...b]) {
-  return [r * s - dot(a, b), ...cross(a, b).map((value, k) => value + r * b[k] + s * a[k])];
-}
-
+const multiply = ([r, ...a], [s, ...b]) => [r * s - dot(a, b), ...cross(a, b).map((v, k) => v + r * b[k] + s * a[k])];
 const rotate = ([r, ...w], v) => turned(w, v, 2 * r, 2);
 
 /** The twist of a pose (rotation r, translation p). */
@@ -45,14 +41,13 @@ function logarithm({ r: [real, ...vector], p }) {
 export class Policy {
   /** Numbers of both exported headers, and of the proved bounds; the arm rests at joints q. */
   constructor({ network, policy, guarantees }, q, target) {
-    Object.assign(this, { numbers: { ...network, ...policy }, network, guarantees, links: [...Array(policy.LINKS).keys()] });
+    Object.assign(this, { network, guarantees, numbers: { ...network, ...policy } });
+    this.links = [...Array(policy.LINKS).keys()];
     this.rows = network.weight[0].map((_, i) => Float64Array.from(network.weight, (column) => column[i]));
     this.q = Float64Array.from(q);
     this.qd = this.q.map(() => 0);
     this.bias = Float64Array.from(network.bias);
     this.goal = Float64Array.from(network.rest);
-    this.pace = 1; // how fast the network runs, as a fraction of its speed
-    this.pulled = false; // whether measured joints pulled its state in the last period
     this.retarget(target);
     this.start(this.encode(q));
     this.aim(target);
@@ -60,11 +55,11 @@ export class Policy {
 
   /** Hidden neurons start where their law says, from the visible ones and the target. */
   start(visible) {
-    const { START_LAW, rest, hidden_start = [], start_gain, start_reference, goal_gain } = this.network;
+    const { rest, hidden_start = [], start_gain, start_reference, goal_gain } = this.network;
     const moved = visible.map((_, j) => this.goal[j] - rest[j]);
     const off = visible.map((value, j) => value - start_reference?.[j] - moved[j]);
-    const law = (i) => (START_LAW ? dot(start_gain[i], off) + dot(goal_gain[i], moved) : 0);
-    this.x = Float64Array.from([...visible, ...hidden_start.map((value, i) => value + law(i))]);
+    const hidden = hidden_start.map((value, i) => value + dot(start_gain[i], off) + dot(goal_gain[i], moved));
+    this.x = Float64Array.from([...visible, ...hidden]);
   }
 
   /** mu W tanh(x), of the neurons that have inputs, which come first. */
@@ -111,12 +106,12 @@ export class Policy {
     return this.links.flatMap((link) => logarithm(this.pose(link, q)));
   }
 
-  /** Joints of the poses nearest to a state, by Newton's method from q, which is near; and their rates along a field. */
+  /** Joints of the poses nearest to a state, by Newton's method from q, which is near; their rates along a field. */
   decode(x, flow, q) {
     const ahead = [0, 1e-4, -1e-4]; // a central difference gives the rates
     const given = this.links.map((link) => ahead.map((step) => {
-      const [w, v] = [0, 3].map((part) => [0, 1, 2].map((k) => x[6 * link + part + k] + step * flow[6 * link + part + k]));
-      return { r: rotation(w), p: leftJacobian(w, v) };
+      const [a, b, c, ...v] = [0, 1, 2, 3, 4, 5].map((k) => x[6 * link + k] + step * flow[6 * link + k]);
+      return { r: rotation([a, b, c]), p: leftJacobian([a, b, c], v) };
     }));
     const rate = new Float64Array(q.length);
     q = Float64Array.from(q);
@@ -124,12 +119,11 @@ export class Policy {
       largest = 0;
       for (const link of this.links) {
         const { r, p, axis, along } = this.pose(link, q);
-        const back = [-r[0], ...r.slice(1)]; // its inverse: q and -q are one rotation
         const swing = cross(axis, p);
         // The normal equations, with something that keeps undetermined joints in place.
         const [a, b, d] = [dot(axis, axis) + dot(swing, swing) + 5e-13, dot(swing, along), dot(along, along) + 5e-13];
         const [now, later, before] = given[link].map((pose) => {
-          const [real, ...turn] = multiply(pose.r, back);
+          const [real, ...turn] = multiply(pose.r, [-r[0], ...r.slice(1)]); // q and -q are one rotation
           const off = pose.p.map((value, k) => value - p[k]);
           const [f, g] = [2 * real * dot(axis, turn) + dot(swing, off), dot(along, off)];
           return scaled([d * f - b * g, a * g - b * f], 1 / (a * d - b * b));
@@ -144,9 +138,10 @@ export class Policy {
     return [q, rate];
   }
 
-  /** A period: the reference q and qd for its end, from measured joints and a target. */
+  /** A period: the reference q and qd for its end, from measured joints and a target; whether it is another motion. */
   step(measured, target) {
-    const { PERIOD, SPEED, MAX_STEP, MAX_STEPS, STIFFNESS, VISIBLE, max_speed, max_acceleration, low, high } = this.numbers;
+    const { PERIOD, SPEED, MAX_STEP, MAX_STEPS, STIFFNESS, VISIBLE } = this.numbers;
+    const { max_speed, max_acceleration, low, high } = this.numbers;
     const moved = target.some((value, i) => value !== this.target[i]);
     if (moved) this.aim(target);
     const [waiting, drift, rate] = this.listen(measured);
@@ -156,8 +151,7 @@ export class Policy {
     const desired = this.flowRate.map((value, i) => scale * value + rate[i]);
     const fastest = Math.max(STIFFNESS, ...this.flow.subarray(VISIBLE).map(Math.abs));
     const [x, bias] = [this.x, this.bias];
-    let fraction = 1 / Math.max(1, excess(desired));
-    let flow, drawn, flowRate, qd;
+    let [fraction, flow, drawn, flowRate, qd] = [1 / Math.max(1, excess(desired))];
     // Again if velocities at the end exceed their limits.
     for (let attempt = 0; attempt < 4; attempt++) {
       const count = clip(Math.ceil((fraction * scale * PERIOD * fastest) / MAX_STEP), 1, MAX_STEPS);
@@ -173,9 +167,9 @@ export class Policy {
     }
     this.q = drawn.map((value, i) => clip(value, low[i], high[i]));
     this.qd = qd.map((value, i) => (this.q[i] === drawn[i] ? value : 0));
-    Object.assign(this, { flow, flowRate, pace: fraction * waiting });
+    Object.assign(this, { flow, flowRate, pace: fraction * waiting }); // pace: a fraction of the network's speed
     // A pull makes another motion of it, about which the bound begins again.
-    if (moved || this.pulled) this.beginBound();
+    if (this.pulled) this.beginBound();
     else this.time += this.pace * SPEED * PERIOD;
     return moved || this.pulled;
   }
