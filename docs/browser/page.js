@@ -6,7 +6,7 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 import { Policy } from "./policy.js";
 
-const SPRING = 500; // of a link to the mouse [N/m], up to half of it [N]
+const SPRING = 800; // of a link to the mouse [N/m], up to half of it [N]
 const SPAN = 12; // of the chart [s]
 
 const element = (id) => document.getElementById(id);
@@ -213,8 +213,8 @@ function tell(world, rows) {
   const size = (value) => (value < 1e-6 ? "less than 1e-6" : Number(value.toPrecision(3)));
   const speed = rows.length > 1 ? (1e3 * (now - rows[0][0])) / (clock - rows[0][4]) : 1;
   element("state").textContent = stateOf(world, far);
-  element("reach").textContent = `${far < 1e-6 ? "less than 0.001" : Number((1e3 * far).toPrecision(3))} mm from the ball`;
-  element("network").textContent = `${size(distance)} from its target; proved: at most ${size(bound)}`;
+  element("reach").textContent = `${far < 1e-6 ? "less than 0.001" : size(1e3 * far)} mm from the ball`;
+  element("network").textContent = `${size(distance)} from its target; proved: ${bound < 1e-6 ? "" : "at most "}${size(bound)}`;
   element("speed").textContent = `${now.toFixed(1)} s, ${speed.toFixed(2)} times real time`;
   const canvas = element("chart");
   const [width, height, ratio, left] = [canvas.clientWidth, canvas.clientHeight, Math.min(devicePixelRatio, 2), 38];
@@ -260,7 +260,8 @@ async function main() {
   for (const name of Object.keys(given)) element(name).onclick = () => choose(name);
   element("again").onclick = () => choose(world.given.name, world.begin());
   element("push").onclick = () => {
-    world.hold(world.given.last, world.tip, { force: new three.Vector3(0, 150, 0), until: world.data.time + 0.2 });
+    const force = new three.Vector3(0, world.given.push, 0);
+    world.hold(world.given.last, world.tip, { force, until: world.data.time + 0.2 });
   };
   choose("free");
   requestAnimationFrame(function frame(clock) {

@@ -49,17 +49,8 @@ export class Policy {
     this.bias = Float64Array.from(network.bias);
     this.goal = Float64Array.from(network.rest);
     this.retarget(target);
-    this.start(this.encode(q));
+    this.x = Float64Array.from([...this.encode(q), ...(network.hidden_start ?? [])]);
     this.aim(target);
-  }
-
-  /** Hidden neurons start where their law says, from the visible ones and the target. */
-  start(visible) {
-    const { rest, hidden_start = [], start_gain, start_reference, goal_gain } = this.network;
-    const moved = visible.map((_, j) => this.goal[j] - rest[j]);
-    const off = visible.map((value, j) => value - start_reference?.[j] - moved[j]);
-    const hidden = hidden_start.map((value, i) => value + dot(start_gain[i], off) + dot(goal_gain[i], moved));
-    this.x = Float64Array.from([...visible, ...hidden]);
   }
 
   /** mu W tanh(x), of the neurons that have inputs, which come first. */

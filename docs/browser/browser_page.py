@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,10 @@ from lieednn_sim.live.engine import Progress, foreseen
 from lieednn_sim.planning.monitor import ClearanceMonitor
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
-# Below no folder whose pages are read by Sphinx or by tests; `make clean` removes it.
+# Not below `docs`, where Sphinx and tests would read the packages' pages.
 WORK = ROOT / "build" / "browser"
 NAMES = {"free": "lieednn-certified", "window": "lieednn-shaped"}
+PUSHES = {"free": 400, "window": 220}  # [N], for 0.2 s: the arm pulls its network along
 ABOUT = {
     "free": "The network of lieednn-certified: 24 numbers, four links, no search. The joints that put the end effector "
     "onto the ball are found by damped least squares.",
@@ -63,13 +65,13 @@ def exported(policy: ls.NetworkPolicy) -> dict[str, Any]:
     assert values["turns"] == [1, 0] * arm.n_links
     assert values["mover"] == list(range(arm.n_joints))
     assert not np.any([*np.ravel(values["anchor"]), *values["reference"]])
-    assert numbers["network"]["START_LAW"] == (network.n_hidden > 0)
+    assert not numbers["network"]["START_LAW"]
     assert (values["FEEDBACK"], values["FEEDFORWARD"]) == (1, 0)
     return numbers
 
 
 def guarantees(policy: ls.NetworkPolicy, target: np.ndarray) -> list[dict[str, Any]]:
-    """The proved bounds on the visible neurons, size |factor e| exp(-rate t), that are least at some time of the way."""
+    """The proved bounds on the visible neurons, |factor e| exp(-rate t), that are least at some time of the way."""
     network, seen = policy.network, slice(6 * policy.network.n_visible)
     off = (policy.xi - network.goal(policy.arm.encode(target))).ravel()
     bounds = network.robustness(np.arange(off.size)).guarantees
@@ -81,7 +83,7 @@ def guarantees(policy: ls.NetworkPolicy, target: np.ndarray) -> list[dict[str, A
 
 
 def clearance(policy: ls.NetworkPolicy, target: np.ndarray) -> str:
-    """What is proved of the distance from contact on the network's way to its first target, as the live view proves it."""
+    """What is proved of the distance from contact on the way to the first target, as the live view proves it."""
     way = foreseen(policy.arm, policy, None, Progress.of(policy).towards(target), policy.q, target)
     assert way is not None
     return f"{1e3 * ClearanceMonitor(policy.arm, *way).clearance.bound:.2g} mm"
@@ -126,6 +128,7 @@ def scene_of(name: str) -> dict[str, Any]:
     model, names = arm.model, [arm.model.site(k).name for k in range(arm.model.nsite)]
     return {
         "name": name,
+        "push": PUSHES[name],
         "about": ABOUT[name].format(clearance=clearance(policy, target)),
         # MuJoCo's WebAssembly build is older than its Python package, and refuses to be told this default.
         "xml": arm.copied_spec().to_xml().replace(' input="pos"', ""),
@@ -150,32 +153,46 @@ def packed(content: bytes) -> str:
     return base64.b64encode(gzip.compress(content, mtime=0)).decode()
 
 
-def build(page: Path) -> None:
-    """Write the page; `subprocess.CalledProcessError` where npm cannot fetch the packages."""
+def write(page: Path) -> None:
+    """Write the page; `FileNotFoundError` without npm, `subprocess.CalledProcessError` where that fetches nothing."""
     WORK.mkdir(parents=True, exist_ok=True)
-    lock, installed = HERE / "package-lock.json", WORK / "package-lock.json"
-    if not (WORK / "node_modules").is_dir() or installed.read_bytes() != lock.read_bytes():
-        shutil.copy(HERE / "package.json", WORK)
-        shutil.copy(lock, WORK)
-        subprocess.run(["npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund"], cwd=WORK, check=True)
+    lock, marker = HERE / "package-lock.json", WORK / "node_modules" / "made-of.json"
+    if not marker.exists() or marker.read_bytes() != lock.read_bytes():
+        for name in ("package.json", "package-lock.json"):
+            shutil.copy(HERE / name, WORK)
+        subprocess.run(["npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund", "--silent"], cwd=WORK, check=True)
+        shutil.copy(lock, marker)
     for source in ("page.js", "policy.js"):
         shutil.copy(HERE / source, WORK)
     packages = WORK / "node_modules"
-    options = ("--bundle", "--minify", "--format=esm", "--target=es2022", "--external:module", "--legal-comments=none")
-    script = subprocess.run(
-        [packages / ".bin" / "esbuild", "page.js", *options], cwd=WORK, check=True, capture_output=True, text=True
-    ).stdout
+    options = ("--bundle", "--minify", "--format=esm", "--target=es2022", "--external:module", "--log-level=warning")
+    join = [packages / ".bin" / "esbuild", "page.js", *options, "--legal-comments=none"]
+    script = subprocess.run(join, cwd=WORK, check=True, stdout=subprocess.PIPE, text=True).stdout
     scenes = {name: scene_of(name) for name in NAMES}
     parts = {
         "WASM": packed((packages / "@mujoco" / "mujoco" / "mujoco.wasm").read_bytes()),
         "SCENES": packed(json.dumps(scenes, allow_nan=False).encode()),
         "SCRIPT": script.replace("</script", "<\\/script"),
-        "THREE_LICENCE": (packages / "three" / "LICENSE").read_text(encoding="utf-8"),
+        "MIT": (packages / "three" / "LICENSE").read_text(encoding="utf-8"),
         "APACHE": (ROOT / "LICENSE").read_text(encoding="utf-8"),
     }
+    for name, version in json.loads((HERE / "package.json").read_text())["dependencies"].items():
+        parts[name.rpartition("/")[2].upper()] = version
     text = (HERE / "page.html").read_text(encoding="utf-8")
-    page.write_text(re.sub(r"@(\w+)@", lambda found: parts[found[1]], text), encoding="utf-8")
+    page.write_text(re.sub(r"@([A-Z]+)@", lambda found: parts[found[1]], text), encoding="utf-8")
+
+
+def write_or_say_why_not(page: Path) -> None:
+    """Write the page, or where npm cannot give its packages a page that says so, and a line in the log."""
+    page.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        write(page)
+    except (FileNotFoundError, subprocess.CalledProcessError) as error:
+        why = "npm is not installed" if shutil.which("npm") is None else f"its packages could not be fetched ({error})"
+        say = f"This page was left out when the site was built: {why}. Install npm and build the site again."
+        print(f"docs: {page.name}: {say}", file=sys.stderr)
+        page.write_text(f"<!doctype html><meta charset=utf-8><title>Left out</title><p>{escape(say)}</p>", "utf-8")
 
 
 if __name__ == "__main__":
-    build(Path(sys.argv[1]))
+    write(Path(sys.argv[1]))
