@@ -147,9 +147,14 @@ class Stage {
       const mesh = new three.Mesh(shapeOf(shape, size), new three.MeshStandardMaterial(look));
       return Object.assign(mesh, { matrixAutoUpdate: false, userData: { id, body } });
     });
-    const line = (color) => new three.Line(new three.BufferGeometry(), new three.LineBasicMaterial({ color }));
+    const line = (color) => {
+      const geometry = new three.BufferGeometry();
+      const dots = new three.Points(geometry, new three.PointsMaterial({ color, size: 4, sizeAttenuation: false }));
+      dots.frustumCulled = false;
+      const line = new three.Line(geometry, new three.LineBasicMaterial({ color }));
+      return Object.assign(line.add(dots), { frustumCulled: false });
+    };
     Object.assign(this, { way: line(0x12a594), trace: line(0xe8a200), arrow: line(0xe03131) });
-    for (const part of [this.way, this.trace, this.arrow]) part.frustumCulled = false;
     const edges = new three.EdgesGeometry(new three.BoxGeometry(...world.given.box.half.map((half) => 2 * half)));
     const box = new three.LineSegments(edges, new three.LineBasicMaterial({ color: 0x2f9e44 }));
     box.visible = world.given.name === "window";
