@@ -15,7 +15,7 @@ import sys
 import tempfile
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -27,23 +27,43 @@ from lieednn_sim.planning.monitor import ClearanceMonitor
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 # Not below `docs`, where Sphinx and tests would read the packages' pages.
 WORK = ROOT / "build" / "browser"
-NAMES = {"free": "lieednn-certified", "window": "lieednn-shaped"}
-PUSHES = {"free": 600, "window": 240}  # [N], for 0.2 s: the arm pulls its network along
-ABOUT = {
-    "free": "The network of lieednn-certified: 24 numbers, four links, no search. The joints that put the end effector "
-    "onto the ball are found by damped least squares.",
-    "window": "The network of lieednn-shaped goes through the window along a path that its hidden neurons encode; that "
-    "path was planned to this ball's first place, and proved there to keep {clearance} off everything. Other places in "
-    "the box behind the window keep the proof of arrival, not that of the clearance.",
+
+
+class Scene(NamedTuple):
+    """A scene: its policy, the seed of obstacles and target, a push of 0.2 s [N], and what is said of it."""
+
+    policy: str
+    seed: int
+    push: float
+    about: str
+
+
+SCENES = {
+    "free": Scene(
+        "lieednn-certified",
+        1,
+        350.0,
+        "The network of lieednn-certified: 24 numbers for four links, no search. The joints that put the end effector "
+        "onto the ball are found by damped least squares.",
+    ),
+    "window": Scene(
+        "lieednn-shaped",
+        0,
+        240.0,
+        "The network of lieednn-shaped goes through the window along a path that its hidden neurons encode; to the "
+        "ball's first place it is proved to keep {clearance} off everything. Other places in the green box, and "
+        "pushes, keep the proof of arrival, not that of the clearance.",
+    ),
 }
 NOT_DRAWN = {"floor", "target_sphere", "target_axis_x", "target_axis_y", "target_axis_z"}
 
 
 def policy_of(scene: str) -> tuple[ls.NetworkPolicy, np.ndarray]:
     """The policy of a scene, at home, and its first target ``(n,)``."""
-    arm = ls.Arm.load("telescopic_pr", scene=scene, seed=0)
-    target = ls.draw_target(arm, seed=0)
-    policy = ls.make_policy(NAMES[scene], arm, target)
+    name, seed, *_ = SCENES[scene]
+    arm = ls.Arm.load("telescopic_pr", scene=scene, seed=seed)
+    target = ls.draw_target(arm, seed=seed)
+    policy = ls.make_policy(name, arm, target)
     assert isinstance(policy, ls.NetworkPolicy)
     return policy, target
 
@@ -111,7 +131,7 @@ def geoms(model: mujoco.MjModel) -> list[dict[str, Any]]:
 
 def box_of(arm: ls.Arm) -> dict[str, Any]:
     """Where the target may be dragged: behind the window, or above the floor; half sizes, and a frame by columns."""
-    frame, half = np.eye(4), np.array([1.6, 1.6, 0.9])
+    frame, half = np.eye(4), np.array([1.6, 2.0, 0.9])
     frame[3, :3] = 0.9, 0.0, 1.1
     if (site := mujoco.mj_name2id(arm.model, mujoco.mjtObj.mjOBJ_SITE, "obstacle_goal0")) >= 0:
         data = mujoco.MjData(arm.model)
@@ -128,8 +148,8 @@ def scene_of(name: str) -> dict[str, Any]:
     model, names = arm.model, [arm.model.site(k).name for k in range(arm.model.nsite)]
     return {
         "name": name,
-        "push": PUSHES[name],
-        "about": ABOUT[name].format(clearance=clearance(policy, target)),
+        "push": SCENES[name].push,
+        "about": SCENES[name].about.format(clearance=clearance(policy, target)),
         # MuJoCo's WebAssembly build is older than its Python package, and refuses to be told this default.
         "xml": arm.copied_spec().to_xml().replace(' input="pos"', ""),
         **exported(policy),
@@ -138,6 +158,8 @@ def scene_of(name: str) -> dict[str, Any]:
         f"< \u03b3/\u03bc {certificate.bound:.3g}",
         "home": arm.keyframe("home").tolist(),
         "target": target.tolist(),
+        # Near which the joints stay as the ball is dragged.
+        "posture": (arm.keyframe("home") if name == "free" else target).tolist(),
         "step": arm.timestep,
         # Of a servo, over its stiffness [s].
         "damping": (model.actuator_biasprm[:, 2] / model.actuator_biasprm[:, 1]).tolist(),
@@ -168,7 +190,7 @@ def write(page: Path) -> None:
     options = ("--bundle", "--minify", "--format=esm", "--target=es2022", "--external:module", "--log-level=warning")
     join = [packages / ".bin" / "esbuild", "page.js", *options, "--legal-comments=none"]
     script = subprocess.run(join, cwd=WORK, check=True, stdout=subprocess.PIPE, text=True).stdout
-    scenes = {name: scene_of(name) for name in NAMES}
+    scenes = {name: scene_of(name) for name in SCENES}
     parts = {
         "WASM": packed((packages / "@mujoco" / "mujoco" / "mujoco.wasm").read_bytes()),
         "SCENES": packed(json.dumps(scenes, allow_nan=False).encode()),

@@ -47,23 +47,25 @@ class World {
     return vector(this.trial.site_xpos, this.given.tip);
   }
 
-  /** Moves the target to a point, or near it: in its box, by damped least squares within the joints' limits. */
+  /** Moves the target to a point of its box, or near it: by damped least squares within limits, near a posture. */
   aim(wanted) {
-    const { box, policy: { low, high, turns } } = this.given;
+    const { box, posture, policy: { low, high, turns } } = this.given;
     const [frame, half] = [new three.Matrix4().fromArray(box.frame), new three.Vector3(...box.half)];
     const inside = wanted.clone().applyMatrix4(frame.clone().invert()).clamp(half.clone().negate(), half);
     const [q, point] = [Float64Array.from(this.target), inside.applyMatrix4(frame)];
-    for (let round = 0; round < 30; round++) {
+    for (let round = 0; round < 60; round++) {
       const tip = this.tipAt(q);
       const off = point.clone().sub(tip).clampLength(0, 0.1);
+      const back = q.map((value, i) => (round < 40 ? 0.1 : 0) * (posture[i] - value));
       const rows = Array.from(q, (_, i) => {
         const axis = vector(this.trial.xaxis, i);
         return turns[i] ? axis.cross(tip.clone().sub(vector(this.trial.xanchor, i))) : axis;
       });
+      rows.forEach((row, i) => off.addScaledVector(row, -back[i]));
       const entry = (r, c) => rows.reduce((sum, row) => sum + row[r] * row[c], r === c ? 1e-4 : 0);
       const square = [..."xyz"].flatMap((r) => [..."xyz"].map((c) => entry(r, c)));
       off.applyMatrix3(new three.Matrix3().set(...square).invert());
-      rows.forEach((row, i) => (q[i] = three.MathUtils.clamp(q[i] + row.dot(off), low[i], high[i])));
+      rows.forEach((row, i) => (q[i] = three.MathUtils.clamp(q[i] + back[i] + row.dot(off), low[i], high[i])));
     }
     this.target = q;
   }
@@ -120,9 +122,9 @@ class Stage {
     this.renderer = new three.WebGLRenderer({ canvas, antialias: true, alpha: true });
     this.camera = new three.PerspectiveCamera(38, 1, 0.05, 50);
     this.camera.up.set(0, 0, 1);
-    this.camera.position.set(0.1, -4, 2.4);
+    this.camera.position.set(3.8, -3.1, 2.4);
     this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.target.set(1, 0, 0.95);
+    this.controls.target.set(1.25, 0, 0.95);
     this.ray = new three.Raycaster();
     this.ball = new three.Mesh(new three.SphereGeometry(0.04), new three.MeshStandardMaterial({ color: 0x2f9e44 }));
     canvas.addEventListener("pointerdown", (event) => this.press(event), { capture: true });
