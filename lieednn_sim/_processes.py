@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any
 
 
-class Worker(SpawnProcess):
+class WorkerProcess(SpawnProcess):
     """A fresh process that ends at once when its starter does, even by SIGKILL, and leaves Ctrl-C to it.
 
     Both begin before it imports what it works with, which may take seconds.
@@ -32,13 +32,13 @@ class Worker(SpawnProcess):
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
-    def __reduce__(self) -> tuple[Callable[..., Worker], tuple[Any, ...], dict[str, Any]]:
+    def __reduce__(self) -> tuple[Callable[..., WorkerProcess], tuple[Any, ...], dict[str, Any]]:
         # What is called comes before the rest in the stream, and so before what the rest imports.
         rest = {name: value for name, value in vars(self).items() if name not in ("_starter", "_held")}
         return _begun, (type(self), self._starter), rest
 
 
-class LoneWorker(Worker):
+class LoneWorkerProcess(WorkerProcess):
     """A worker that does not run the program of the one that started it, which may be a script that moves a robot.
 
     It may be idle when that ends, which is therefore not to wait for it.
@@ -55,18 +55,14 @@ class LoneWorker(Worker):
 
 
 class WorkerContext(SpawnContext):
-    """Context of `multiprocessing` whose processes are of `Worker`."""
+    """Context of `multiprocessing` whose processes are of a kind of `WorkerProcess`."""
 
-    Process = Worker
-
-
-class LoneWorkerContext(SpawnContext):
-    """Context of `multiprocessing` whose processes are of `LoneWorker`."""
-
-    Process = LoneWorker
+    def __init__(self, kind: type[WorkerProcess] = WorkerProcess) -> None:
+        super().__init__()
+        self.Process = kind  # type: ignore[misc]
 
 
-def _begun(kind: type[Worker], starter: Connection) -> Worker:
+def _begun(kind: type[WorkerProcess], starter: Connection) -> WorkerProcess:
     # Ctrl-C reaches the whole process group; the main process stops the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_after, args=(starter,), daemon=True).start()

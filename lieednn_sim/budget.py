@@ -5,7 +5,8 @@
     with reporting(print):
         ...  # work inside that knows how much there is calls `report`
 
-The CPU time is that of the calling thread, so that other load on the machine does not count. Only that error depends on
+The CPU time is that of the calling thread, so that other load on the machine does not count; within `one_blas_thread`
+it is all. Only that error depends on
 the clock: work that ends within its budget has the same result as without one.
 """
 
@@ -16,6 +17,8 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
+from functools import cache
+from typing import Any
 
 from lieednn_sim.errors import OutOfTimeError
 from lieednn_sim.validation import as_positive
@@ -88,3 +91,16 @@ def check_time() -> None:
             f"out of time: the budget of {limit[1]:g} s of CPU time is spent and the planner is not done; "
             "allow more (time_limit, --time-budget), or use another planner, target or seed"
         )
+
+
+@cache
+def _blas() -> Any:
+    # On first use: importing threadpoolctl sets an environment variable, which importing this package must not.
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+def one_blas_thread() -> contextlib.AbstractContextManager[Any]:
+    """Context in which BLAS uses one thread: for small matrices more are slower, and results depend on the machine."""
+    return _blas().limit(limits=1, user_api="blas")

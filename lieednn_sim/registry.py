@@ -110,8 +110,6 @@ class PolicyEntry(Entry):
     ended" at the end of a motion; anything else says what keeps it from moving on.
     """
 
-    arrives: bool = True  # whether it comes to rest at a target that rests, where nothing is in its way
-
 
 @dataclass(frozen=True)
 class FormatEntry(Entry):
@@ -278,7 +276,7 @@ def optional_module(name: str) -> Any:
 _PLANNERS = {
     "minimum-jerk": PlannerEntry("planning.baselines.interpolation:minimum_jerk", "straight in joint space"),
     "se3-geodesic": PlannerEntry("planning.baselines.interpolation:se3_geodesic", "compound joints on SE(3) geodesics"),
-    "dmp": PlannerEntry("planning.baselines.interpolation:dmp", "a dynamic movement primitive", "DmpOptions"),
+    "dmp": PlannerEntry("planning.baselines.interpolation:dmp", "a dynamic movement primitive"),
     "rrt-connect": PlannerEntry(
         "planning.baselines.sampling:rrt_connect", "OMPL's RRT-Connect", "RrtConnectOptions", "ompl"
     ),
@@ -422,7 +420,7 @@ SCENES = Registry("scene", _SCENES)
 
 _FORMATS = {
     "csv": FormatEntry(
-        "exports.csv_table:write", "a table of time, joints and end effector, for a spreadsheet, MATLAB, R or pandas"
+        "exports.formats:write_csv", "a table of time, joints and end effector, for a spreadsheet, MATLAB, R or pandas"
     ),
     "ros2": FormatEntry(
         "exports.ros2:write",
@@ -471,7 +469,7 @@ _RIVALS = {
     "promp": Entry(
         "learning.demonstrations.primitives:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"
     ),
-    "lpv-ds": Entry("learning.demonstrations.stable_mixture:StableMixture.fit", "a stable mixture of linear ones"),
+    "lpv-ds": Entry("learning.demonstrations.models:StableMixture.fit", "a stable mixture of linear ones"),
     "linear-attractor": Entry("learning.demonstrations.models:LinearAttractor.fit", "the same rate everywhere"),
 }
 #: Models of demonstrations with which a shaped network is compared: functions of demonstrations and of the number of

@@ -45,7 +45,8 @@ def frozen(cls: type[_Class]) -> type[_Class]:
         return all(_equal(getattr(self, name), getattr(other, name)) for name in compared)
 
     def __hash__(self: Any) -> int:
-        return hash((type(self), *(np.shape(vars(self)[name]) for name in compared if _is_array(vars(self)[name]))))
+        values = (vars(self)[name] for name in compared)
+        return hash((type(self), *(item.shape for item in values if isinstance(item, np.ndarray))))
 
     def __setstate__(self: Any, state: dict[str, Any]) -> None:
         # Unpickled and deep-copied arrays are writable.
@@ -72,7 +73,7 @@ def weakly_cached(function: Callable[..., _Class]) -> Callable[..., _Class]:
 def set_fields(value: Any, /, **fields: Any) -> None:
     """Set fields of a frozen dataclass, for its own `__post_init__`; arrays are copied and made read-only."""
     for name, item in fields.items():
-        object.__setattr__(value, name, read_only(item.copy()) if _is_array(item) else item)
+        object.__setattr__(value, name, read_only(item.copy()) if isinstance(item, np.ndarray) else item)
 
 
 def check_fields(value: Any, check: Callable[..., Any], *names: str, **how: Any) -> None:
@@ -85,10 +86,6 @@ def read_only(array: Floats) -> Floats:
     """Make an array read-only, and return it."""
     array.setflags(write=False)
     return array
-
-
-def _is_array(item: object) -> bool:
-    return isinstance(item, np.ndarray)
 
 
 def _as_read_only(item: Any) -> Any:

@@ -15,10 +15,15 @@ _PACKAGES, _OPTIONAL = ("lieednn_sim", "mujoco", "numpy", "scipy"), ("daqp", "om
 def versions(*, optional: bool = False) -> dict[str, str]:
     """Versions by package, optionally with those of the planners' installed libraries."""
     result = {name: metadata.version(name) for name in _PACKAGES}
-    for name in _OPTIONAL if optional else ():
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            result[name] = metadata.version(name)
-    return result
+    found = {name: installed(name) for name in _OPTIONAL} if optional else {}
+    return result | {name: version for name, version in found.items() if version}
+
+
+def installed(name: str) -> str | None:
+    """Version of a package; None if it is not installed."""
+    with contextlib.suppress(metadata.PackageNotFoundError):
+        return metadata.version(name)
+    return None
 
 
 @cache

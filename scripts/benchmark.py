@@ -24,14 +24,14 @@ from benchmark_rows import HEADINGS, epoch_costs, ratio_rows, seconds
 from threadpoolctl import threadpool_info
 
 from lieednn_sim import io
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
+from lieednn_sim.budget import one_blas_thread
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.planning import PLANNERS
 from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.studies import Comparison, Row, write_summary
 from lieednn_sim.studies.comparison.rows import COLUMNS
-from lieednn_sim.studies.markdown import table
 from lieednn_sim.studies.report import write_page
 from lieednn_sim.synthesis import ShapingOptions, Synthesis, shape, synthesize
 
@@ -193,16 +193,18 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         "",
         f"`python scripts/benchmark.py{suffix}`, {os.cpu_count()} processors, BLAS threads: {threads}, "
         f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}.",
-        *table(rows[0], (row.values() for row in rows)),
-        *table(
+        *markdown_table(rows[0], (row.values() for row in rows)),
+        *markdown_table(
             ["CPU time [ms]", *(f"N = {size}" for size in SIZES), "exponent"],
             ([name, *values] for name, values in grown.items()),
         ),
-        *table(["learning, N = 4", "one epoch [us]"], ([name, f"{np.median(c):.0f}"] for name, c in epochs.items())),
+        *markdown_table(
+            ["learning, N = 4", "one epoch [us]"], ([name, f"{np.median(c):.0f}"] for name, c in epochs.items())
+        ),
         "",
         "Ratios of times in this run, each measured several times; what it should be at least or at most is the aim.",
-        *table(HEADINGS, (row.cells() for row in ratios)),
-        *table(["peak memory", "MB"], memories.items()),
+        *markdown_table(HEADINGS, (row.cells() for row in ratios)),
+        *markdown_table(["peak memory", "MB"], memories.items()),
     ]
     path = directory / "benchmark.md"
     with io.atomic_text(path) as stream:

@@ -41,8 +41,8 @@ from lieednn_sim.rendering.overlay import Overlay
 from lieednn_sim.rendering.video import Camera, mp4_writer, render_video
 from lieednn_sim.simulation import Disturbances, Rollout, Simulation, follow, simulate, simulate_many
 from lieednn_sim.simulation.controllers import make_controller
-from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference
+from lieednn_sim.simulation.simulation import make_plant
 from lieednn_sim.synthesis import ShapingOptions, shape, synthesize, synthesize_many
 
 HEADINGS = ("what", "minimum", "median", "maximum", "aim")

@@ -29,12 +29,12 @@ import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import NoSolutionError
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE, save_figure
 from lieednn_sim.planning import PLANNERS
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.studies.comparison.study import arm_and_target
-from lieednn_sim.studies.markdown import table
 
 SCENE, FIRST_SEED = "poles", 2000
 _CHECKS = "max_collision_checks"
@@ -101,7 +101,7 @@ def report(runs: Sequence[dict[str, Any]], command: str) -> str:
         f"`{command}`: median length of joint paths over the shortest that any planner has for the problem, of {count} "
         "problems, by CPU time; in brackets the number of problems solved by then; a dash where fewer than half are "
         "solved. Beyond its longest run a planner was given no more work.",
-        *table(["planner", *(f"{t:g} s" for t in TIMES), "longest run [s]"], rows),
+        *markdown_table(["planner", *(f"{t:g} s" for t in TIMES), "longest run [s]"], rows),
     ]
     return "\n".join(lines) + "\n"
 

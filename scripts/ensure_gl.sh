@@ -5,9 +5,17 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 say() { printf '%s\n' "$*" >&2; }
-ask() { .venv/bin/python -m lieednn_sim.rendering.opengl 2>/dev/null; }
+# Prints the packages that are missing; succeeds where there is OpenGL.
+ask() {
+    (.venv/bin/lieednn-sim doctor --json || true) | .venv/bin/python -c '
+import json, sys
+found = json.load(sys.stdin)
+print(*found["debian_packages_to_install"])
+print(found["opengl"]["detail"], file=sys.stderr)
+sys.exit(found["opengl"]["backend"] == "disable")'
+}
 
-if packages=$(ask); then exit 0; fi
+if packages=$(ask 2>/dev/null); then exit 0; fi
 
 as_root=
 if [ "$(id -u)" != 0 ]; then
@@ -20,9 +28,9 @@ if [ -n "$packages" ] && [ "$as_root" != none ] && command -v apt-get >/dev/null
     $as_root apt-get update -qq >&2 || true
     # shellcheck disable=SC2086  # both are lists of words
     $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends $packages >/dev/null || true
-    if ask >/dev/null; then exit 0; fi
+    if ask >/dev/null 2>&1; then exit 0; fi
 fi
 
 say "No rendering: going on without video."
-.venv/bin/python -m lieednn_sim.rendering.opengl >/dev/null || true
+ask >/dev/null || true
 if [ -n "$packages" ]; then say "To get video: apt-get install $packages   (as root)"; fi

@@ -21,10 +21,10 @@ from saved_rows import saved_rows
 
 import lieednn_sim as ls
 from lieednn_sim import io
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.simulation import Following
-from lieednn_sim.studies.markdown import table
 from lieednn_sim.studies.reactions.disturbing import PUSH_DEVIATION, PUSH_TIME, UndisturbedPath, pushing_force
 
 # Speed of motions [1/s]: rho times the network's own; time simulated [s]; pushes for one target.
@@ -100,7 +100,7 @@ def summary(rows: list[dict[str, Any]], command: str) -> str:
         "be left. The peak velocity is mostly the push's own. The default coupling takes most of a push along to the "
         "network's state, so that what is measured is the network's own return, as e^-t, while the clock goes on rho "
         "as fast.",
-        *table([*headings, "end [mm], worst"], cells),
+        *markdown_table([*headings, "end [mm], worst"], cells),
     ]
     return "\n".join(lines) + "\n"
 

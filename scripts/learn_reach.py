@@ -35,8 +35,8 @@ from lieednn_sim import io
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.gymnasium import ENVIRONMENTS, Environment
 from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.evaluation.figure_layout import STYLE, save_figure
-from lieednn_sim.studies.markdown import table
 from lieednn_sim.values import Floats
 
 NAME = next(iter(ENVIRONMENTS))
@@ -204,7 +204,7 @@ def report(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
         f"`{NAME}` with ten actions a second, {MANY} fixed episodes for each of {max(map(len, runs.values()))} "
         "seeds. Success: within 1 mm and 0.1 degrees and at rest at the end of 6 s. Errors at the end and, as medians, "
         f"the jerk of the joints in their ranges, and the time until success for good{libraries}.",
-        *table([*headings, "goal [s]", "CPU min per seed"], rows),
+        *markdown_table([*headings, "goal [s]", "CPU min per seed"], rows),
     ]
     return "\n".join(lines) + "\n"
 

@@ -11,16 +11,14 @@ says how the problems are posed. Each robot's rows are a table below the output,
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from exit_code import exit_code
 from rich.console import Console
 
 from lieednn_sim import io
-from lieednn_sim.studies.markdown import table
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.problems.study import PublishedProblems, Solution
 from lieednn_sim.studies.study import compute
@@ -67,14 +65,14 @@ def report(rows: dict[str, Sequence[Solution]]) -> str:
         METHOD.format(budget=BUDGET)
         + " Four numbers are mean / median / 75 % / 98 %. [How the problems are posed, and "
         "what others publish](../../docs/howto/published_problems.md).",
-        *table(HEADINGS, cells),
+        *markdown_table(HEADINGS, cells),
         *("", "What searching planners did not solve:", ""),
         *(failures or ["- nothing that could be posed"]),
     ]
     return "\n".join(lines) + "\n"
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> None:
     """Compute missing rows, then write the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="VAMP's resources")
@@ -84,20 +82,16 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, help="worker processes (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=Path("results/motion_bench_maker"))
     given = parser.parse_args(arguments)
-    console = Console(stderr=True)
-
-    def work() -> Path:
-        rows: dict[str, Sequence[Solution]] = {}
-        for robot in given.robots:
-            study = PublishedProblems(ProblemSets(given.folder / robot), given.planners, given.problems, BUDGET)
-            rows[robot] = compute(study, given.output / robot, jobs=given.jobs, console=console).sorted_rows()
-        path = given.output / "motion_bench_maker.md"
-        with io.atomic_text(path) as stream:
-            stream.write(report(rows))
-        return path
-
-    return exit_code(work, console, "problems")
+    rows: dict[str, Sequence[Solution]] = {}
+    for robot in given.robots:
+        study = PublishedProblems(ProblemSets(given.folder / robot), given.planners, given.problems, BUDGET)
+        made = compute(study, given.output / robot, jobs=given.jobs, console=Console(stderr=True))
+        rows[robot] = list(made.rows.values())
+    path = given.output / "motion_bench_maker.md"
+    with io.atomic_text(path) as stream:
+        stream.write(report(rows))
+    print(path)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

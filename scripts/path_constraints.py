@@ -18,8 +18,8 @@ from scipy.spatial.transform import RigidTransform
 
 import lieednn_sim as ls
 from lieednn_sim.errors import NoSolutionError
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.planning.path_constraints import followed
-from lieednn_sim.studies.markdown import table
 
 HEADINGS = ("arm", "kept", "drawn", "can be followed", "planned", "off [mm]", "off [degrees]", "CPU [s]", "longest")
 KINDS = ("line", "orientation")
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--ways", type=int, default=20, help="ways of each kind that the arm can follow")
     options = parser.parse_args(arguments)
     arms = [ls.Arm.load(name) for name in options.arms]
-    print(*table(HEADINGS, (row(arm, kind, options.ways) for arm in arms for kind in KINDS)), sep="\n")
+    print(*markdown_table(HEADINGS, (row(arm, kind, options.ways) for arm in arms for kind in KINDS)), sep="\n")
 
 
 if __name__ == "__main__":

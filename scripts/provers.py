@@ -23,15 +23,14 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim import io
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.obstacles import shapes
-from lieednn_sim.budget import cpu_time
+from lieednn_sim.budget import cpu_time, one_blas_thread
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation import evaluate
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.planning import Plan, find_tube, plan
 from lieednn_sim.simulation import simulate
-from lieednn_sim.studies.markdown import table
 from lieednn_sim.studies.problems.motion_bench_maker import PublishedProblem
 from lieednn_sim.values import Floats
 
@@ -165,7 +164,7 @@ def report(rows: Sequence[Proof]) -> str:
         "# Continuous-time collision certificates",
         "",
         METHOD,
-        *table(HEADINGS, cells),
+        *markdown_table(HEADINGS, cells),
         "",
         f"At {INSTANTS} random instants of each of these {len(solved)} motions, mostly between samples, MuJoCo's least "
         f"distance was below what is proved in {len(broken(rows))} motions; in the median, what is proved is "

@@ -23,8 +23,8 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.importer.loading import load_spec
 from lieednn_sim.arm.surroundings import moved_together
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.studies.markdown import table
 
 # Models of MuJoCo Menagerie, then URDFs with meshes of ROS packages; with the base or links of one of two arms.
 ROBOTS: dict[str, dict[str, Any]] = {
@@ -186,7 +186,7 @@ def as_markdown(rows: list[dict[str, Any]], folder: str) -> str:
             cells[-1] += [f"{row['penetration_mm']:.2g}", ratio, f"{row['seconds']:.0f}"]
     lines = [
         f"Models: {folder}",
-        *table(headings, cells),
+        *markdown_table(headings, cells),
         "",
         "Plans are from home to random targets, then followed; a controller counts where every link ends within 1 mm "
         "and 0.1 degrees. Deepest: how deep any plan is in anything in the model as it came, but for the contacts that "

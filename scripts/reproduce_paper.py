@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from pathlib import Path
 
 # Set before NumPy loads, and inherited by the workers: the matrices are far too small for threads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from exit_code import exit_code
 from paper import figures, report
 from paper.plan import FULL, QUICK, Plan, jobs
 from paper.results import Results, load, run_all
@@ -36,7 +34,7 @@ def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, comma
     return report.write(results, drawn, command, failures, output)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="few targets and epochs, in a minute")
     parser.add_argument("--output", default="results/paper", help="directory (default: %(default)s)")
@@ -45,18 +43,13 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.jobs < 1:
         parser.error(f"argument --jobs: must be at least 1, got {options.jobs}")
-    console = Console(stderr=True)
-    plan = QUICK if options.quick else FULL
     command = "python scripts/reproduce_paper.py" + (" --quick" if options.quick else "")
-
-    def work() -> Path:
-        if options.fresh:
-            for path in (Path(options.output) / "jobs").glob("*.npz"):
-                path.unlink()
-        return reproduce(plan, options.output, options.jobs, command, console)
-
-    return exit_code(work, console, "experiments")
+    if options.fresh:
+        for path in (Path(options.output) / "jobs").glob("*.npz"):
+            path.unlink()
+    plan = QUICK if options.quick else FULL
+    print(reproduce(plan, options.output, options.jobs, command, Console(stderr=True)))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

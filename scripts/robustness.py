@@ -21,10 +21,10 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim import io
-from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import one_blas_thread
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.stability import Robustness, find_certificate, find_contraction
-from lieednn_sim.studies.markdown import table
 from lieednn_sim.synthesis import synthesize
 
 KINDS = ("synthesized", "scaled", "cascade")
@@ -213,10 +213,10 @@ def report(cases: int, jobs: int) -> tuple[str, int]:
         "with a clock. Pushes (0.01 to 3), target velocities (0.001 to 0.1) and starts in random directions of the "
         "visible neurons. Measured over bound; of time steps the proved one over the one at which the linearisation at "
         f"the equilibrium turns unstable. Above 1 is broken: {broken} of {sum(map(len, ratios.values()))}.",
-        *table(["bound", "network", "cases", "broken", "median", "95 %", "largest"], rows),
+        *markdown_table(["bound", "network", "cases", "broken", "median", "95 %", "largest"], rows),
         "",
         "Rate of contraction over that of the best diagonal Lyapunov matrix, of every fourth network:",
-        *table(
+        *markdown_table(
             ["network", "proved", "median where proved"],
             (
                 [kind, f"{len(some)} of {len(rates[kind])}", f"{np.median(some):.3g}" if some else "-"]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lieednn_sim import io
-from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import FileError, LieEDNNError
 
 

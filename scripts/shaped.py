@@ -21,10 +21,10 @@ import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.evaluation.metrics import motion_metrics
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.registry import DEFAULT_ARMS
-from lieednn_sim.studies.markdown import table
 
 HEADINGS = (
     *("arm", "scene", "motions", "certified", "off the path [mm]", "gap [mm]", "joint jerk", "effector jerk", "path"),
@@ -47,12 +47,6 @@ def effort(arm: ls.Arm, motion: Motion) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def clearance(arm: ls.Arm, motion: Motion) -> float:
-    """Least clearance along the motion [mm]."""
-    collisions = Collisions(arm)
-    return 1e3 * min(collisions.clearance(q) for q in motion.q[::STRIDE])
-
-
 def verified_after_loading(network: ls.LieEDNN) -> bool:
     """Whether the network is certified after saving and loading, which verifies the certificate again."""
     with tempfile.TemporaryDirectory() as directory:
@@ -69,6 +63,7 @@ def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
     assert plan.guide is not None
     motion, guide = plan.motion, plan.guide.motion
     mine, given = motion_metrics(room, motion), motion_metrics(room, guide)
+    near = [1e3 * Collisions(room).clearance(each.q[::STRIDE]) for each in (motion, guide)]
     return {
         "guide": plan.guide.planner,
         "hidden": plan.network.n_hidden,
@@ -80,8 +75,8 @@ def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
         "effector_jerk": mine.jerk_effector / given.jerk_effector,
         "path": mine.path_ranges / given.path_ranges,
         "effort": effort(room, motion) / effort(room, guide),
-        "clearance_mm": clearance(room, motion),
-        "guide_clearance_mm": clearance(room, guide),
+        "clearance_mm": near[0],
+        "guide_clearance_mm": near[1],
         "motion_s": mine.motion_s,
         "fit_ms": 1e3 * plan.details.fit_time,
         "guide_s": plan.guide.cpu_time,
@@ -109,7 +104,7 @@ def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
         cells[-1] += [worst[name] for name in ("deviation_mm", "gap_mm", "jerk", "effector_jerk", "path", "effort")]
         cells[-1] += [worst["clearance_mm"], worst["guide_clearance_mm"]]
         cells[-1] += [worst[name] for name in ("fit_ms", "planning_s")]
-    yield from table(HEADINGS, cells)
+    yield from markdown_table(HEADINGS, cells)
     obstacles = [row for row in groups["all", "obstacles"] if not row["reason"]]
     if obstacles:
         off = np.array([row["deviation_mm"] for row in obstacles])

@@ -64,12 +64,9 @@ class Outcome:
 
     def clearance(self) -> float:
         """Least distance of the arm from anything in its simulations [m]."""
-        least = np.inf
-        for found, run in zip(self.plans, self.runs, strict=True):
-            collisions = Collisions(found.arm)
-            rows = np.linspace(0, len(found.t) - 2, _LOOKS).astype(int)
-            least = min(least, *map(collisions.clearance, run.q[rows]))
-        return float(least)
+        rows = [np.linspace(0, len(found.t) - 2, _LOOKS).astype(int) for found in self.plans]
+        each = zip(self.plans, self.runs, rows, strict=True)
+        return min(Collisions(found.arm).clearance(run.q[some]) for found, run, some in each)
 
 
 class Task:

@@ -25,8 +25,8 @@ from task_shelf import Shelf
 import lieednn_sim as ls
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.rendering import opengl
-from lieednn_sim.studies.markdown import table
 
 TASKS: dict[str, type[Task]] = {
     "boom": Boom,
@@ -131,7 +131,7 @@ def as_markdown(results: dict[str, dict[str, Any]]) -> str:
                 case, why = missed[0]
                 failures.append(f"- {planner}, {len(missed)} of {len(cases)}, such as case {case}: {why}")
         headings = ["planner", "passed", "planned", *task.columns.values(), "CPU [s]"]
-        lines += ["", f"## {task.title}", "", task.published, *table(headings, cells)]
+        lines += ["", f"## {task.title}", "", task.published, *markdown_table(headings, cells)]
         lines += ["", "What failed:", "", *failures] if failures else ["", "Nothing failed."]
     return "\n".join(lines) + "\n"
 

@@ -17,9 +17,9 @@ import numpy as np
 
 import lieednn_sim as ls
 from lieednn_sim import io
-from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import one_blas_thread
+from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.simulation import tracking_bound
-from lieednn_sim.studies.markdown import table
 
 ARMS = ("telescopic_pr", "telescopic_rrp")
 # Scales of masses, and the largest payload [kg].
@@ -73,7 +73,7 @@ def main() -> int:
     )
     options.output.parent.mkdir(parents=True, exist_ok=True)
     with io.atomic_text(options.output) as file:
-        file.write(head + "\n".join(table(headings, rows)) + "\n")
+        file.write(head + "\n".join(markdown_table(headings, rows)) + "\n")
     return int(broken > 0)
 
 

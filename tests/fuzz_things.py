@@ -32,7 +32,7 @@ from lieednn_sim.simulation.tracking import as_reference
 
 # Calls change these: a new one is made for each.
 CHANGING = {"Environment", "VectorEnvironment", "Reach", "Track", "ControlEnvironment", "Camera", "Table"}
-CHANGING |= {"Simulation", "MjSpec", "Controller", "FilteredPolicy"}
+CHANGING |= {"Simulation", "MjSpec", "Controller", "FilteredPolicy", "ChunkStep"}
 
 
 @functools.cache
@@ -132,6 +132,7 @@ MAKERS: dict[str, Callable[[], Any]] = {
     "Simulation": lambda: simulation.Simulation(thing("Arm")),
     "Log": lambda: simulation.Log(simulation.Simulation(thing("Arm"))),
     **{name: functools.partial(_policy, kind) for name, kind in POLICY_CLASSES.items()},
+    "ChunkStep": lambda: policies.ChunkStep(_policy("lieednn-chunks"), 0.02),
     "FilteredPolicy": lambda: policies.FilteredPolicy(_policy("linear-attractor")),
     "Reference": lambda: as_reference(thing("Arm"), thing("Motion"), len(thing("Motion").q), None),
     "Controller": lambda: simulation.CONTROLLERS["position-servo"].load()(thing("Arm"), thing("Reference")),

@@ -70,7 +70,7 @@ def conditions():
         yield lambda w, g, m: stability.find_certificate(w, gamma=g, mu=m), square, *rates
         yield from ((of, square) for of in (stability.log_norms, stability.weighted_norm))
         yield stability.smallest_one_norm, square, square
-        yield lambda w, jacobian, g, m: stability.assess(w, gamma=g, mu=m, jacobian=jacobian), square, square, *rates
+        yield lambda w, jacobian, g, m: stability.assess(w, gamma=g, mu=m).locally(jacobian), square, square, *rates
         yield lambda w, x, s, g, m: theory.smoothness_bounds(w, x, s, gamma=g, mu=m), square, vector, float, *rates
         yield theory.curvature, vector, vector
     for rule in BIAS_RULES:

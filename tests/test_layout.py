@@ -21,7 +21,6 @@ GROUND = (
     "io",
     "budget",
     "registry",
-    "_blas",
     "_mujoco",
     "_processes",
 )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from lieednn_sim.studies.workers import worker_pool
+from lieednn_sim.studies.study import worker_pool
 
 # Worker processes run it too, as a part of the main module.
 HIDING = '''

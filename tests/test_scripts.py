@@ -96,7 +96,7 @@ def test_the_table_of_demonstrations(tmp_path, monkeypatch):
     turns = np.concatenate([np.cos(0.4 * s), np.sin(0.4 * s), 0.0 * s, 0.0 * s], axis=1)
     rows = [np.concatenate([20.0 * (1.0 - s), k * s * (1.0 - s), 0.0 * s, turns], axis=1) for k in (8.0, 9.0)]
     np.save(tmp_path / "robottasks" / "bend.npy", rows)
-    monkeypatch.setattr("lieednn_sim.evaluation.paths.SAMPLES", 60)
+    monkeypatch.setattr("lieednn_sim.studies.demonstrations.models.SAMPLES", 60)
     words = [str(tmp_path), "--starts", "3", "--output", str(tmp_path / "out")]
     evaluate_demonstrations.main(words)
     first = (tmp_path / "out" / "demonstrations.md").read_text()

@@ -21,7 +21,7 @@ from lieednn_sim.studies import Settings
 planners = ["minimum-jerk", "se3-geodesic", "dmp", "lieednn-certified", "lieednn-shaped"]
 case = {"arms": ["telescopic_pr"], "scenes": ["free"], "controllers": ["inverse-dynamics"]}
 settings = Settings(duration=2.0, hold=0.2)
-rows = ls.compare("comparison", planners=planners, seeds=3, **case, settings=settings).sorted_rows()
+rows = list(ls.compare("comparison", planners=planners, seeds=3, **case, settings=settings).rows.values())
 runs = {name: [row for row in rows if row.planner == name] for name in planners}
 measures, values = ("path_m", "jerk_joints", "gap_mm"), {}
 print(f"{'planner':<18}  arrived  proof   path [m]  jerk [ranges/s³]  gap [mm]")

@@ -19,16 +19,16 @@ from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, fixed_body, grow_bodies, move_bodies, without_clearance
 from lieednn_sim.arm.equalities import loop_closures
 from lieednn_sim.arm.fingerprint import arm_fingerprint, model_fingerprint
+from lieednn_sim.arm.grasp import add_payload, load_body
 from lieednn_sim.arm.importer.importing import import_model
 from lieednn_sim.arm.importer.loading import compile_spec, read_model
 from lieednn_sim.arm.importer.report import ImportOptions, ImportReport
 from lieednn_sim.arm.model_arm import LIMITS, ModelArm
-from lieednn_sim.arm.models import chosen, find_model, has_frames, label_of
+from lieednn_sim.arm.models import chosen, find_model, label_of
 from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.parsing import read_arm, read_chain
-from lieednn_sim.arm.payload import add_payload, load_body
 from lieednn_sim.arm.scenes import add_obstacles
-from lieednn_sim.arm.surroundings import check_data, home_data, name_of, state_of
+from lieednn_sim.arm.surroundings import check_data, home_data, state_of
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import Seed, as_choice, as_floats, as_nonnegative, as_path, as_seed, quoted
@@ -119,7 +119,8 @@ class Arm(ModelArm):
     ) -> Arm:
         """The arm of a file or a spec, as it is in ``spec``: by its sites, or imported."""
         given = chosen(options)
-        if has_frames(spec) and not given:
+        # The sites of the package's arms at their link frames.
+        if not given and spec.site("base_frame") is not None and spec.site("link1_frame") is not None:
             compiled = compile_spec(spec)
             if not loop_closures(compiled):
                 return cls(name=name, source=source, spec=spec, model=compiled, **read_arm(compiled, name))
@@ -180,7 +181,9 @@ class Arm(ModelArm):
         if said := without_clearance(model):
             warnings.warn(said, stacklevel=3)  # through the check of arguments
         more = {"clearance": float(as_floats("clearance", clearance, ())), "state": state_of(model, data)}
-        return cls.viewing(model, data, named, name=name_of(model), source=Path("a compiled model"), spec=None, **more)
+        own = model.names[: model.names.index(b"\0")].decode("utf-8", "replace")
+        name = "arm" if own in ("", "MuJoCo Model") else own
+        return cls.viewing(model, data, named, name=name, source=Path("a compiled model"), spec=None, **more)
 
     def at(self, data: mujoco.MjData) -> Arm:
         """This view in another state of its model, with nothing in its hand; raises as `of`.

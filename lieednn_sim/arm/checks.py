@@ -9,13 +9,12 @@ from lieednn_sim.arm.kinematics import CompoundJoint, least_singular_value
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
-JOINT_KINDS = {
-    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
-    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
-    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
-}
+FREE, BALL, SLIDE, HINGE = (
+    int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL", "SLIDE", "HINGE")
+)
+JOINT_KINDS = {HINGE: "hinge", SLIDE: "slide", BALL: "ball"}
 # Kinds of joints with one dof.
-SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+SCALAR = (HINGE, SLIDE)
 _NUMBERS = (
     *(f"body_{what}" for what in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")),
     *(f"jnt_{what}" for what in ("pos", "axis", "range", "stiffness")),

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.arm.collision import Collisions, Pairs
+from lieednn_sim.arm.collision import AT_ONCE, Collisions, Pairs
 from lieednn_sim.arm.deviations import Group
 from lieednn_sim.arm.equalities import dof_addresses
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -34,8 +34,6 @@ from lieednn_sim.values import Floats
 
 # Distance below which normals are lost in rounding, so that nothing is proved [m].
 _TOUCHING = 1e-6
-# Configurations whose pairs of geoms are in memory at once.
-_AT_ONCE = 32
 
 
 class ClearanceBounds:
@@ -96,7 +94,7 @@ class ClearanceBounds:
         Returns:
             The scales ``(I,)``, those without the path (c = 0), and the geoms ``(I, 2)`` that limit the latter, or -1.
         """
-        if len(q) > _AT_ONCE:
+        if len(q) > AT_ONCE:
             return _in_parts(partial(self, most=most), q, path, rest, spread)
         each = spread @ self._members
         # Displacements of joints: along the path, without it, and by the deviation.
@@ -122,7 +120,7 @@ class ClearanceBounds:
             rest: ``(I, n)`` bounds.
             cutoff: distance beyond which geoms do not count [m].
         """
-        if len(q) > _AT_ONCE:
+        if len(q) > AT_ONCE:
             return _in_parts(partial(self.least, cutoff=cutoff), q, path, rest)
         steps = self._displacements(np.stack([np.abs(path) + rest, 0.0 * rest, 0.0 * rest]))
         rests, still = np.stack([rest, 0.0 * rest], axis=1), np.zeros((len(q), len(self._members)))
@@ -151,7 +149,7 @@ class ClearanceBounds:
         table += np.swapaxes(table, 1, 2)
         moved = table.reshape(len(q), -1).take(self._first * table.shape[1] + self._second, axis=1)
         at, index, gaps, points = self._collisions.separations(
-            qpos, place.geoms, place.turns, moved + (cutoff + self._margin)
+            place.geoms, place.turns, moved + (cutoff + self._margin)
         )
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
         margin = self._margin + self._collisions.offsets(pairs)
@@ -168,8 +166,9 @@ class ClearanceBounds:
         constant, linear = constant + (also * taken[:2]).sum(axis=-1), linear + (also * taken[2]).sum(axis=-1)
         slope = deviated + linear[..., None]
         # Each corner against the plane at the other geom, or all of them against the measured gap.
-        support = (self._support(place, at, fixed, normals) + margin)[:, None]
-        free = places - come - support - constant[..., None]
+        within = np.matvec(self._points(fixed), np.vecmat(normals, place.turns[at, fixed])).max(axis=1)
+        support = np.vecdot(place.geoms[at, fixed], normals) + within + self._round[fixed] + margin
+        free = places - come - support[:, None] - constant[..., None]
         gap = gaps - margin - come.max(axis=-1, initial=0.0) - constant
         # No plane separates what is not convex; and where geoms touch, there is no normal.
         touching = gaps - margin <= _TOUCHING
@@ -206,11 +205,6 @@ class ClearanceBounds:
         """Corners ``(P, V, 3)`` of the hulls of geoms in their frames, as many as the one with the most has."""
         return self._hulls[geoms, : self._counts[geoms].max(initial=1)]
 
-    def _support(self, place: _Places, at: NDArray[np.int_], geoms: NDArray[np.int_], normals: Floats) -> Floats:
-        """How far geoms reach along normals, ``(P,)``."""
-        within = np.matvec(self._points(geoms), np.vecmat(normals, place.turns[at, geoms])).max(axis=1)
-        return np.asarray(np.vecdot(place.geoms[at, geoms], normals) + within + self._round[geoms])
-
     def _corners(
         self,
         place: _Places,
@@ -232,8 +226,9 @@ class ClearanceBounds:
         turned = self._points(geoms) @ np.swapaxes(place.turns[at, geoms], -1, -2)
         points, ahead = place.geoms[at, geoms][:, None] + turned, normals[:, None]
         axes, anchors = place.axes[:, self._joints], place.anchors[:, self._joints]
-        if self._is_ball.any():
-            axes = place.ball_axes(self._arm.model, axes)
+        for joint in np.flatnonzero(self._is_ball):
+            turns = place.bodies[:, self._arm.model.jnt_bodyid[joint]].reshape(-1, 3, 3)
+            axes[:, self._joints == joint] = np.swapaxes(turns, -1, -2)
         # n . (z x (x - o)) = z . (x x n) - (z x o) . n
         turn = np.swapaxes(axes * self._dof_turns[:, None], -1, -2)
         shift = np.swapaxes(np.where(self._dof_turns[:, None], -np.cross(axes, anchors), axes), -1, -2)
@@ -273,33 +268,25 @@ class _Places:
         turns: ``(I, ngeom, 3, 3)``.
         anchors: ``(I, njnt, 3)``.
         axes: ``(I, njnt, 3)``.
+        bodies: ``(I, nbody, 9)`` rotations of the bodies.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats) -> None:
         count = len(qpos)
         self.geoms, self.turns = np.empty((count, model.ngeom, 3)), np.empty((count, model.ngeom, 9))
         self.anchors, self.axes = np.empty((count, model.njnt, 3)), np.empty((count, model.njnt, 3))
-        self._bodies = np.empty((count, model.nbody, 9))
+        self.bodies = np.empty((count, model.nbody, 9))
         for k, data.qpos[:] in enumerate(qpos):
             mujoco.mj_kinematics(model, data)
             self.geoms[k], self.turns[k] = data.geom_xpos, data.geom_xmat
-            self.anchors[k], self.axes[k], self._bodies[k] = data.xanchor, data.xaxis, data.xmat
+            self.anchors[k], self.axes[k], self.bodies[k] = data.xanchor, data.xaxis, data.xmat
         self.turns = self.turns.reshape(count, model.ngeom, 3, 3)
-
-    def ball_axes(self, model: mujoco.MjModel, axes: Floats) -> Floats:
-        """Axes ``(I, nv, 3)`` of all degrees of freedom, from those of scalar joints."""
-        axes = axes.copy()
-        for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_BALL):
-            first = model.jnt_dofadr[joint]
-            turn = self._bodies[:, model.jnt_bodyid[joint]].reshape(-1, 3, 3)
-            axes[:, first : first + 3] = np.swapaxes(turn, -1, -2)
-        return axes
 
 
 def _in_parts(bound: Callable[..., tuple[NDArray[Any], ...]], *rows: Floats) -> Any:
     """The arrays that a function makes of rows ``(I, ...)``, of which it is given at most so many at once."""
-    parts = range(0, len(rows[0]), _AT_ONCE)
-    made = [bound(*(values[k : k + _AT_ONCE] for values in rows)) for k in parts]
+    parts = range(0, len(rows[0]), AT_ONCE)
+    made = [bound(*(values[k : k + AT_ONCE] for values in rows)) for k in parts]
     return tuple(map(np.concatenate, zip(*made, strict=True)))
 
 

@@ -1,10 +1,12 @@
 """Closed forms of the nearest configuration: one screw, a hinge and a slide, three slides below a ball joint.
 
-Except for the first, the distance is that of `nearest.NearestPose`, 4 sin^2(angle / 2) + ||shift||^2 / length^2.
+Each is solved for all of its links at once. Except for the first, the distance is that of
+`nearest.NearestPose`, 4 sin^2(angle / 2) + ||shift||^2 / length^2.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +14,7 @@ import numpy as np
 
 from lieednn_sim.arm.deviations import Deviations, Group
 from lieednn_sim.arm.kinematics import CompoundJoint
-from lieednn_sim.lie import exp, hat, left_jacobian_so3, rotations, spatial_twist
+from lieednn_sim.lie import exp, hat, left_jacobian_so3, rotation_vectors, rotations, spatial_twist
 from lieednn_sim.values import Floats
 
 
@@ -65,20 +67,22 @@ class HingeSlide:
     There the configuration jumps; `motion.check_motion` rejects motions that cross it.
     """
 
-    def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:
-        hinge = next(factor for factor in joint.factors if factor.kind == "hinge")
-        slides = [factor for factor in joint.factors if factor.kind == "slide"]
-        self._link = link
-        self.indices = np.concatenate([hinge.indices, slides[0].indices])
-        n = hinge.axes[:, 0]
-        direction = np.sum([slide.ratio * slide.axes[:, 0] for slide in slides], axis=0)
-        self._stretch = float(np.linalg.norm(direction))
-        e = direction / self._stretch
-        along = (n @ e) * n if joint.factors[0] is hinge else e
+    def __init__(self, joints: Sequence[CompoundJoint], links: list[int], length: float) -> None:
+        self._links, self._length = links, length
+        self.indices, self._stretch = np.empty((len(links), 2), int), np.empty(len(links))
         # x, y, a, b, c are linear in the pose: rows for R, flattened, and for p.
-        self._of_rotation = np.stack([np.eye(3) - np.outer(n, n), hat(n)]).reshape(2, 9)
-        self._of_translation = np.stack([along, e - along, np.cross(n, e - along)]) / length
-        self._length = length
+        self._rows = np.zeros((len(links), 5, 12))
+        for k, joint in enumerate(joints):
+            hinge = next(factor for factor in joint.factors if factor.kind == "hinge")
+            slides = [factor for factor in joint.factors if factor.kind == "slide"]
+            self.indices[k] = np.concatenate([hinge.indices, slides[0].indices])
+            n = hinge.axes[:, 0]
+            direction = np.sum([slide.ratio * slide.axes[:, 0] for slide in slides], axis=0)
+            self._stretch[k] = np.linalg.norm(direction)
+            e = direction / self._stretch[k]
+            along = (n @ e) * n if joint.factors[0] is hinge else e
+            self._rows[k, :2, :9] = np.stack([np.eye(3) - np.outer(n, n), hat(n)]).reshape(2, 9)
+            self._rows[k, 2:, 9:] = np.stack([along, e - along, np.cross(n, e - along)]) / length
 
     @staticmethod
     def fits(joint: CompoundJoint) -> bool:
@@ -95,13 +99,13 @@ class HingeSlide:
         )
 
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
-        """Displacements ``(..., 2)`` (angle, slide) and their rates by the implicit function theorem.
+        """Displacements ``(..., L, 2)`` (angle, slide) and their rates by the implicit function theorem.
 
         Angles that the pose does not determine get a rate of zero.
         """
-        link = self._link
-        rotation = poses.rotation[..., link, :, :]
-        x, y, a, b, c = self._coefficients(rotation, poses.translation[..., link, :])
+        links = self._links
+        rotation = poses.rotation[..., links, :, :]
+        x, y, a, b, c = self._coefficients(rotation, poses.translation[..., links, :])
         angle = _highest(x + 2.0 * a * b, y + 2.0 * a * c, b, c)
         cos, sin = np.cos(angle), np.sin(angle)
         m, slope, bend = a + b * cos + c * sin, c * cos - b * sin, -(b * cos + c * sin)
@@ -110,8 +114,8 @@ class HingeSlide:
         if poses.rates is None:
             return offset, None
         omega, velocity = poses.rates
-        spin = hat(omega[..., link, :]) @ rotation
-        x_rate, y_rate, a_rate, b_rate, c_rate = self._coefficients(spin, velocity[..., link, :])
+        spin = hat(omega[..., links, :]) @ rotation
+        x_rate, y_rate, a_rate, b_rate, c_rate = self._coefficients(spin, velocity[..., links, :])
         m_rate, slope_rate = a_rate + b_rate * cos + c_rate * sin, c_rate * cos - b_rate * sin
         curvature = x * cos + y * sin - 2.0 * (slope**2 + m * bend)
         pull = y_rate * cos - x_rate * sin + 2.0 * (m_rate * slope + m * slope_rate)
@@ -121,11 +125,11 @@ class HingeSlide:
 
     @property
     def groups(self) -> list[Group]:
-        """Angle and slide."""
-        return [(self.indices[:1], np.ones(1)), (self.indices[1:], np.ones(1))]
+        """Angle and slide of each link."""
+        return [(index, np.ones(1)) for index in self.indices.reshape(-1, 1)]
 
     def spread(self, deviations: Deviations) -> Floats:
-        """Bounds ``(K, 2)`` of the changes of angle and slide.
+        """Bounds ``(K, 2 L)`` of the changes of angles and slides.
 
         At the highest point u = (cos theta, sin theta) is parallel to the gradient of g, of length lambda, and unique
         where lambda > 2 (b^2 + c^2) (More and Sorensen). With h = (b, c), its parts h_u along u and h_t across, and
@@ -135,15 +139,15 @@ class HingeSlide:
 
         f being the part of the slide that turns with the hinge, and |dm| <= |dp| / length + |h_t d theta|.
         """
-        link, length = self._link, self._length
+        links, length = self._links, self._length
         poses = MovingPoses(deviations.twist, None)
-        x, y, a, b, c = self._coefficients(poses.rotation[..., link, :, :], poses.translation[..., link, :])
+        x, y, a, b, c = self._coefficients(poses.rotation[..., links, :, :], poses.translation[..., links, :])
         angle = _highest(x + 2.0 * a * b, y + 2.0 * a * c, b, c)
         cos, sin = np.cos(angle), np.sin(angle)
         along, across, size = b * cos + c * sin, np.abs(c * cos - b * sin), np.hypot(b, c)
         m, level, beside = a + along, x * cos + y * sin, np.abs(y * cos - x * sin)
-        f = float(np.linalg.norm(self._of_translation[1])) * length
-        wide, far = deviations.wide[:, link], deviations.far[:, link] / length
+        f = np.linalg.norm(self._rows[:, 3], axis=1) * length
+        wide, far = deviations.wide[:, links], deviations.far[:, links] / length
 
         def turned(most: Floats, turn: Floats, shift: Floats) -> tuple[Floats, Floats]:
             """Bounds of |h_t| and |d theta| for angles that change by up to ``most``; infinite where u may jump."""
@@ -158,16 +162,15 @@ class HingeSlide:
 
         most = np.minimum(1.5 * turned(np.zeros_like(wide), wide, far)[1], np.pi)
         kept = (turned(most, wide, far)[1] <= most) & (np.abs(angle) + most < np.pi)
-        shift = deviations.shift[:, link] / length
-        off, turn = turned(most, np.broadcast_to(deviations.turn[link], wide.shape), shift)
+        shift = deviations.shift[:, links] / length
+        off, turn = turned(most, np.broadcast_to(deviations.turn[links], wide.shape), shift)
         slide = (shift + off * np.where(kept, turn, 0.0)) * length / self._stretch
-        return np.where(kept[:, None], np.stack([turn, slide], axis=-1), np.inf)
+        return np.where(kept[..., None], np.stack([turn, slide], axis=-1), np.inf).reshape(len(kept), -1)
 
     def _coefficients(self, rotation: Floats, translation: Floats) -> tuple[Floats, ...]:
         """x, y and, in units of ``length``, a, b, c, each ``(...)``; linear in ``(..., 3, 3)`` and ``(..., 3)``."""
-        flat = rotation.reshape(*rotation.shape[:-2], 9)
-        rows = np.concatenate([flat @ self._of_rotation.T, translation @ self._of_translation.T], axis=-1)
-        return tuple(np.moveaxis(rows, -1, 0))
+        pose = np.concatenate([rotation.reshape(*rotation.shape[:-2], 9), translation], axis=-1)
+        return tuple(np.moveaxis(np.matvec(self._rows, pose), -1, 0))
 
 
 def _highest(p: Floats, q: Floats, b: Floats, c: Floats) -> Floats:
@@ -205,12 +208,12 @@ class OneScrew:
     agrees with the nearest pose to second order in the residual.
     """
 
-    def __init__(self, joint: CompoundJoint, link: int, length: float) -> None:
-        assert joint.screw is not None
-        self._link = link
-        self.indices = joint.indices
-        dual = joint.screw / np.repeat([1.0, length**2], 3)
-        self._dual = dual / (dual @ joint.screw)
+    def __init__(self, joints: Sequence[CompoundJoint], links: list[int], length: float) -> None:
+        self._links = links
+        self.indices = np.array([joint.indices for joint in joints])
+        screws = np.array([joint.screw for joint in joints])
+        dual = screws / np.repeat([1.0, length**2], 3)
+        self._dual = dual / np.vecdot(dual, screws)[:, None]
 
     @staticmethod
     def fits(joint: CompoundJoint) -> bool:
@@ -218,30 +221,31 @@ class OneScrew:
         return joint.screw is not None
 
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
-        """Displacements ``(..., 1)`` and their rates."""
-        offset = poses.twist[..., self._link, :] @ self._dual[:, None]
-        return offset, None if poses.twist_rate is None else poses.twist_rate[..., self._link, :] @ self._dual[:, None]
+        """Displacements ``(..., L, 1)`` and their rates."""
+        given = [poses.twist] if poses.twist_rate is None else [poses.twist, poses.twist_rate]
+        offset, *rate = (np.vecdot(twist[..., self._links, :], self._dual)[..., None] for twist in given)
+        return offset, rate[0] if rate else None
 
     @property
     def groups(self) -> list[Group]:
-        """Its one coordinate."""
-        return [(self.indices, np.ones(1))]
+        """Each coordinate."""
+        return [(index, np.ones(1)) for index in self.indices]
 
     def spread(self, deviations: Deviations) -> Floats:
-        """Bound ``(K, 1)`` of its change, which is linear in that of the twist."""
-        lengths = np.linalg.norm(self._dual.reshape(2, 3), axis=1)
-        return np.full((len(deviations.twist), 1), lengths @ deviations.size[self._link])
+        """Bounds ``(K, L)`` of their changes, which are linear in those of the twists."""
+        lengths = np.linalg.norm(self._dual.reshape(-1, 2, 3), axis=2)
+        return np.tile(np.vecdot(lengths, deviations.size[self._links]), (len(deviations.twist), 1))
 
 
 class SixDof:
     """Trans(S s) Rot(A w), three slides below a ball joint: every pose is met exactly."""
 
-    def __init__(self, joint: CompoundJoint, link: int) -> None:
-        *slides, ball = joint.factors
-        self._link = link
-        self.indices = np.concatenate([factor.indices for factor in joint.factors])
-        self._inverse = np.linalg.inv(np.column_stack([slide.ratio * slide.axes[:, 0] for slide in slides]))
-        self._ball = ball.axes
+    def __init__(self, joints: Sequence[CompoundJoint], links: list[int], _: float) -> None:
+        self._links = links
+        self.indices = np.array([joint.coordinates for joint in joints])
+        slides = [[slide.ratio * slide.axes[:, 0] for slide in joint.factors[:3]] for joint in joints]
+        self._inverse = np.linalg.inv(np.swapaxes(slides, 1, 2))
+        self._ball = np.array([joint.factors[3].axes.T for joint in joints])
 
     @staticmethod
     def fits(joint: CompoundJoint) -> bool:
@@ -254,24 +258,26 @@ class SixDof:
         return abs(float(np.linalg.det(axes))) > 1e-3
 
     def __call__(self, poses: MovingPoses, near: Floats | None = None) -> tuple[Floats, Floats | None]:
-        """Displacements ``(..., 6)`` and their rates."""
-        link = self._link
-        rotvec = rotations(poses.rotation[..., link, :, :]).as_rotvec()
-        offset = np.concatenate([poses.translation[..., link, :] @ self._inverse.T, rotvec @ self._ball], axis=-1)
+        """Displacements ``(..., L, 6)`` and their rates."""
+        links = self._links
+        rotvec = rotation_vectors(rotations(poses.rotation[..., links, :, :]))
+        parts = np.matvec(self._inverse, poses.translation[..., links, :]), np.matvec(self._ball, rotvec)
+        offset = np.concatenate(parts, axis=-1)
         if poses.rates is None:
             return offset, None
         omega, velocity = poses.rates
-        turning = np.linalg.solve(left_jacobian_so3(rotvec), omega[..., link, :, None])[..., 0]
-        return offset, np.concatenate([velocity[..., link, :] @ self._inverse.T, turning @ self._ball], axis=-1)
+        turning = np.linalg.solve(left_jacobian_so3(rotvec), omega[..., links, :, None])[..., 0]
+        parts = np.matvec(self._inverse, velocity[..., links, :]), np.matvec(self._ball, turning)
+        return offset, np.concatenate(parts, axis=-1)
 
     @property
     def groups(self) -> list[Group]:
-        """The three slides and the ball joint."""
-        return [(self.indices[:3], np.ones(3)), (self.indices[3:], np.ones(3))]
+        """The three slides and the ball joint of each link."""
+        return [(indices, np.ones(3)) for indices in self.indices.reshape(-1, 3)]
 
     def spread(self, deviations: Deviations) -> Floats:
-        """Bounds ``(K, 2)`` of the changes of the slides and of the rotation vector, omega below half a turn."""
-        link = self._link
-        slide = float(np.linalg.norm(self._inverse, 2)) * deviations.shift[:, link]
-        turn = np.where(deviations.angle[:, link] < np.pi, deviations.turn[link], np.inf)
-        return np.stack([slide, turn], axis=-1)
+        """Bounds ``(K, 2 L)`` of the changes of slides and of rotation vectors, omega below half a turn."""
+        links = self._links
+        slide = np.linalg.norm(self._inverse, 2, axis=(1, 2)) * deviations.shift[:, links]
+        turn = np.where(deviations.angle[:, links] < np.pi, deviations.turn[links], np.inf)
+        return np.stack([slide, turn], axis=-1).reshape(len(slide), -1)

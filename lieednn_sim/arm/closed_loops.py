@@ -233,7 +233,11 @@ class ClosedLoops:
         if moving:
             parts = {j: free[:, np.isin(self.dofs, dof_addresses(model, [j]))] for j in self._joints}
             loose = [j for j, part in parts.items() if np.abs(part).max() > 1e-6]
-            chosen = _determining(model, loose, free, self.dofs)
+            scalars = [j for j in loose if model.jnt_type[j] in SCALAR]
+            columns = free[:, np.searchsorted(self.dofs, model.jnt_dofadr[scalars])]
+            # Those that move most first.
+            triangle, order = scipy.linalg.qr(columns, mode="r", pivoting=True)
+            chosen = [scalars[k] for k, left in zip(order, np.diag(triangle), strict=False) if abs(left) > 1e-6]
             more = f"add {len(chosen)} of these to them, for example {names(model, chosen)}, or " if chosen else ""
             raise InputError(
                 f"joints {names(model, loose)} are moved by the arm's loops but not determined by its independent "
@@ -264,11 +268,3 @@ class ClosedLoops:
         joints = dict.fromkeys(map(int, self._model.dof_jntid[self._drivers]))
         values = ((names(self._model, [j]), qpos[position_addresses(self._model, [j])]) for j in joints)
         return ", ".join(f"{name} = {' '.join(f'{x:.4g}' for x in value)}" for name, value in values)
-
-
-def _determining(model: mujoco.MjModel, loose: Sequence[int], free: Floats, dofs: Indices) -> list[int]:
-    """Hinges and slides that determine the free directions ``(F, D)``, those that move most first."""
-    scalars = [j for j in loose if model.jnt_type[j] in SCALAR]
-    columns = free[:, np.searchsorted(dofs, model.jnt_dofadr[scalars])]
-    triangle, order = scipy.linalg.qr(columns, mode="r", pivoting=True)
-    return [scalars[k] for k, left in zip(order, np.diag(triangle), strict=False) if abs(left) > 1e-6]

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.arm.contacts import ContactOffsets, geom_name, move_bodies, moving_geoms
+from lieednn_sim.arm.contacts import ContactFinder, ContactOffsets, geom_name, move_bodies, moving_geoms
 from lieednn_sim.errors import InputError
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_count, as_floats
@@ -29,6 +29,8 @@ Pairs = NDArray[np.int_]
 
 # A plane is a half-space: for the bounds, a box of this half size [m].
 _PLANE_SIZE = 1e3
+# Configurations whose pairs of geoms are in memory at once.
+AT_ONCE = 32
 # Rounding of the bounds [m].
 _SLACK = 1e-9
 
@@ -78,7 +80,6 @@ class Collisions:
         # MuJoCo's bounding sphere is smaller than the box's, but centred at the geom's frame: used where these agree.
         centred = ~planes & (np.abs(self._center).max(axis=1) < _SLACK) & (model.geom_rbound[used] > 0.0)
         self._radius[centred] = np.minimum(self._radius, model.geom_rbound[used])[centred]
-        self._segment = np.zeros(6)
         # The moving bodies, which of them each geom belongs to, and their Jacobians; the last is zero, for fixed ones.
         bodies = np.unique(model.geom_bodyid[used])
         self._bodies = bodies[model.body_weldid[bodies] != 0]
@@ -118,8 +119,8 @@ class Collisions:
         limits = np.broadcast_to(as_floats("cutoff", limits, self.pairs.shape[: limits.ndim]), len(self.pairs))
         if (limits <= 0.0).any():
             raise InputError(f"cutoff must be positive, got {limits.min():g}")
-        data, turns = self._data, self._data.geom_xmat.reshape(1, -1, 3, 3)
-        _, index, distance, points = self.separations(data.qpos[None].copy(), data.geom_xpos[None], turns, limits[None])
+        places, turns = self._data.geom_xpos[None], self._data.geom_xmat.reshape(1, -1, 3, 3)
+        _, index, distance, points = self.separations(places, turns, limits)
         apart = distance - self._offset[index]
         order = np.argsort(apart, kind="stable")
         pairs = self.pairs[index[order]]
@@ -129,118 +130,86 @@ class Collisions:
         return Distances(apart[order], slopes @ self.arm.unit_rates(q), pairs)
 
     def separations(
-        self, qpos: Floats, places: Floats, turns: Floats, cutoff: Floats
+        self, places: Floats, turns: Floats, cutoff: Floats | float
     ) -> tuple[NDArray[np.int_], NDArray[np.int_], Floats, Floats]:
-        """Distances of the geoms themselves, without their offsets, at positions ``(I, nq)`` at once, unsorted.
+        """Distances of the geoms themselves, without their offsets, at I configurations at once, unsorted; unchecked.
 
         Args:
-            qpos: positions of everything in the model.
-            places: ``(I, ngeom, 3)`` of all geoms there.
+            places: ``(I, ngeom, 3)`` of all geoms.
             turns: ``(I, ngeom, 3, 3)`` their rotations.
-            cutoff: ``(I, P)`` [m].
+            cutoff: ``(I, P)``, ``(P,)`` or ``()`` [m].
 
         Returns:
-            Which of the positions each is at, ``(C,)``, which pair it is, distances, and witness points.
+            Which of the configurations each is at, ``(C,)``, which pair it is, distances, and witness points.
         """
-        model, count = self.arm.geometry, len(as_floats("qpos", qpos, ("I", self.arm.model.nq)))
-        as_floats("cutoff", cutoff, (count, len(self.pairs)), largest=np.inf)
-        places = as_floats("places", places, (count, model.ngeom, 3))
-        turns = as_floats("turns", turns, (count, model.ngeom, 3, 3))[:, self._used]
-        center = places[:, self._used] + (turns @ self._center[:, :, None])[..., 0]
-        reach, first, second = self._radius, self._first, self._second
-        wanted = cutoff + self._offset + _SLACK
-        places = np.ascontiguousarray(np.moveaxis(center, -1, 0))
-        x, y, z = places.take(second, axis=-1) - places.take(first, axis=-1)
-        apart = np.sqrt(x * x + y * y + z * z) - reach[first] - reach[second]
-        at, index = np.nonzero(apart < wanted)
+        used, first, second, limits = turns[:, self._used], self._first, self._second, cutoff + self._offset
+        center = places[:, self._used] + (used @ self._center[:, :, None])[..., 0]
+        parts = np.ascontiguousarray(np.moveaxis(center, -1, 0))
+        x, y, z = parts.take(second, axis=-1) - parts.take(first, axis=-1)
+        reach = self._radius[first] + self._radius[second] + _SLACK
+        at, index = np.nonzero(x * x + y * y + z * z < np.square(np.maximum(limits + reach, 0.0)))
+        limits = np.broadcast_to(limits, x.shape)
         # Boxes along the normals of the faces of each.
         one, other = first[index], second[index]
         between = center[at, other] - center[at, one]
-        cosines = np.swapaxes(turns[at, one], -1, -2) @ turns[at, other]
-        half, halves = self._half[one], self._half[other]
-        beyond = np.abs(np.vecmat(between, turns[at, one])) - half - np.matvec(np.abs(cosines), halves)
-        back = np.abs(np.vecmat(between, turns[at, other])) - halves - np.vecmat(half, np.abs(cosines))
-        near = np.maximum(beyond.max(axis=1), back.max(axis=1)) < wanted[at, index]
-        at, index = at[near], index[near]
-        # Of the geoms themselves, without their offsets.
-        limits, last = cutoff[at, index] + self._offset[index], -1
-        distance, segments = np.empty(len(at)), np.empty((len(at), 6))
+        beyond = np.abs(np.vecmat(between, used[at, one])) - self._half[one]
+        near = beyond.max(axis=1) - self._radius[other] < limits[at, index] + _SLACK
+        at, index, one, other, between, beyond = (part[near] for part in (at, index, one, other, between, beyond))
+        back = np.abs(np.vecmat(between, used[at, other])) - self._half[other]
+        cosines = np.abs(np.swapaxes(used[at, one], -1, -2) @ used[at, other])
+        beyond -= np.matvec(cosines, self._half[other])
+        back -= np.vecmat(self._half[one], cosines)
+        near = np.maximum(beyond.max(axis=1), back.max(axis=1)) < limits[at, index] + _SLACK
+        at, index, last = at[near], index[near], -1
+        limits, distance, segments = limits[at, index], np.empty(len(at)), np.empty((len(at), 6))
         rows = zip(at.tolist(), self.pairs[index].tolist(), limits.tolist(), segments, strict=True)
-        for row, (k, (first, second), limit, segment) in enumerate(rows):
+        for row, (k, pair, limit, segment) in enumerate(rows):
             if k != last:
-                self._move_to(qpos[k])
-                last = k
-            distance[row] = mujoco.mj_geomDistance(model, self._data, first, second, limit, segment)
+                self._data.geom_xpos[:], self._data.geom_xmat[:], last = places[k], turns[k].reshape(-1, 9), k
+            distance[row] = mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, limit, segment)
         kept = distance < limits
         return at[kept], index[kept], distance[kept], segments[kept].reshape(-1, 2, 3)
 
     def clearance(self, q: ArrayLike) -> float:
-        """The smallest signed distance at ``q`` ``(n,)`` [m]; negative in penetration, infinite without pairs."""
-        self._move(q)
-        return self._least()
-
-    def _least(self) -> float:
-        bounds = self._lower_bounds()
-        best = np.inf
-        for index in np.argsort(bounds, kind="stable").tolist():
-            if bounds[index] >= best:
-                break
-            best = min(best, self._measure(index, best if np.isfinite(best) else bounds[index] + 2.0 * _PLANE_SIZE))
-        return best
-
-    def least_clearance(self, q: ArrayLike) -> float:
-        """The smallest `clearance` at configurations ``(K, n)`` [m]; fastest where consecutive ones are close."""
-        return self.least_clearance_at(self.arm.qpos(as_floats("q", q, ("K", self.arm.n_joints))))
+        """Smallest signed distance at all ``q`` ``(..., n)`` [m]; negative in penetration, infinite without pairs."""
+        rows = as_floats("q", q, (self.arm.n_joints,), batched=True).reshape(-1, self.arm.n_joints)
+        return self.least_clearance_at(self.arm.qpos(rows))
 
     def least_clearance_at(self, qpos: ArrayLike) -> float:
-        """The same at positions ``(K, nq)`` of everything in the model.
-
-        A pair is measured again only where it may have come closer than the least so far: no point of a geom moves
-        further than its bounding sphere's centre plus what the rotation moves it about that centre.
-        """
+        """The same at positions ``(K, nq)`` of everything in the model."""
         rows = as_floats("qpos", qpos, ("K", self.arm.model.nq))
-        if not len(rows):
-            return np.inf
-        self._move_to(rows[0])
-        least = self._least()
-        bounds, (center, rotation) = self._lower_bounds(), self._frames()
-        model, data = self.arm.geometry, self._data
-        # Penetration depths are not bounded by how far geoms move.
-        deep = -np.minimum(self._offset, 0.0)
-        for data.qpos[:] in rows[1:]:
-            mujoco.mj_kinematics(model, data)
-            before, (center, rotation) = (center, rotation), self._frames()
-            # The 2-norm of a difference of rotations is its Frobenius norm over sqrt(2).
-            turned = np.sqrt(0.5 * np.square(rotation - before[1]).sum(axis=(1, 2)))
-            moved = np.linalg.norm(center - before[0], axis=1) + self._radius * turned
-            bounds -= moved[self._first] + moved[self._second]
-            for index in np.flatnonzero(bounds < np.maximum(max(least, 0.0), deep)).tolist():
-                # Measured a little further, so that it is skipped until the geoms have moved as much.
-                bounds[index] = value = self._measure(index, max(least, 0.0) + 0.1)
-                least = min(least, value)
-        return least
+        least, cutoff = np.inf, 0.05
+        # At a few of them first, further and further out, so that only what is nearer is measured at the others.
+        while len(rows) and least == np.inf and cutoff < 2.0 * _PLANE_SIZE:
+            least, cutoff = self._nearer(rows[:: len(rows) // AT_ONCE + 1], cutoff).min(initial=np.inf), 4.0 * cutoff
+        # Boxes do not bound depths as MuJoCo measures them: whatever overlaps is measured.
+        deep = np.where(np.isfinite(self._offset), np.maximum(-self._offset, 0.0), 0.0)
+        for k in range(0, len(rows) if least < np.inf else 0, AT_ONCE):
+            least = self._nearer(rows[k : k + AT_ONCE], np.maximum(deep, least)).min(initial=least)
+        return float(least)
 
     def is_free(self, q: ArrayLike, margin: float = 0.0, *, own: float | None = None) -> bool:
         """Whether all pairs are further apart than ``margin`` [m] at ``q`` ``(n,)``, and the arm's own than ``own``."""
-        self._move(q)
-        limit = float(as_floats("margin", margin, ()))
+        qpos, limit = self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))), float(as_floats("margin", margin, ()))
         limits = np.where(self.own, limit if own is None else float(as_floats("own", own, ())), limit)
-        near = np.flatnonzero(self._lower_bounds() <= limits)
-        return all(self._measure(index, abs(limits[index]) + 1.0) > limits[index] for index in near.tolist())
+        return not len(self._nearer(qpos[None], np.nextafter(limits, np.inf)))
 
-    def _measure(self, index: int, most: float) -> float:
-        """Distance of a pair [m], or ``most`` where its geoms are further apart; the witness points are `_segment`."""
-        (first, second), offset = self.pairs[index].tolist(), float(self._offset[index])
-        most += offset
-        return float(mujoco.mj_geomDistance(self.arm.geometry, self._data, first, second, most, self._segment)) - offset
+    def _nearer(self, rows: Floats, cutoff: Floats | float) -> Floats:
+        """Distances ``(C,)`` below a cutoff, ``()`` or ``(P,)`` [m], at positions ``(K, nq)``."""
+        count = self.arm.geometry.ngeom
+        places, turns = np.empty((len(rows), count, 3)), np.empty((len(rows), count, 3, 3))
+        for k, row in enumerate(rows):
+            self._move_to(row)
+            places[k], turns[k] = self._data.geom_xpos, self._data.geom_xmat.reshape(-1, 3, 3)
+        _, index, distance, _ = self.separations(places, turns, cutoff)
+        return np.asarray(distance - self._offset[index])
 
     def names(self, pair: ArrayLike) -> tuple[str, str]:
         """Names of two geoms by id; an unnamed geom is called after its body."""
-        first, second = as_floats("pair", pair, (2,))
-        return self._name(int(first)), self._name(int(second))
-
-    def _name(self, geom: int) -> str:
-        return geom_name(self.arm.model, as_count("geom", geom, 0, self.arm.model.ngeom - 1))
+        model = self.arm.model
+        ids = (as_count("geom", int(geom), 0, model.ngeom - 1) for geom in as_floats("pair", pair, (2,)))
+        first, second = (geom_name(model, geom) for geom in ids)
+        return first, second
 
     def _move(self, q: ArrayLike) -> None:
         self._move_to(self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))))
@@ -248,28 +217,6 @@ class Collisions:
     def _move_to(self, qpos: Floats) -> None:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self.arm.geometry, self._data)
-
-    def _frames(self) -> tuple[Floats, Floats]:
-        """Centres ``(G, 3)`` and rotations ``(G, 3, 3)`` of the geoms' boxes."""
-        rotation = self._data.geom_xmat[self._used].reshape(-1, 3, 3)
-        return self._data.geom_xpos[self._used] + (rotation @ self._center[:, :, None])[:, :, 0], rotation
-
-    def _lower_bounds(self) -> Floats:
-        """Lower bounds ``(P,)`` of the distances, from boxes along their faces' normals and from bounding spheres."""
-        count, half, first, second = len(self._used), self._half, self._first, self._second
-        if not count:
-            return np.zeros(0)
-        center, rotation = self._frames()
-        # All geoms at once, in arrays (geom, its axis, other geom): a few large products beat many small ones.
-        axes = np.ascontiguousarray(rotation.transpose(0, 2, 1)).reshape(-1, 3)
-        own = (rotation.transpose(0, 2, 1) @ center[:, :, None]).reshape(-1, 1)
-        beyond = (np.abs(axes @ center.T - own) - half.reshape(-1, 1)).reshape(count, 3, count)
-        extent = np.einsum("ghk,hk->gh", np.abs(axes @ axes.T).reshape(-1, count, 3), half)
-        faces = (beyond - extent.reshape(count, 3, count)).max(axis=1)
-        balls = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=1)) - self._radius
-        # A sphere whose centre is inside the box says nothing about the depth.
-        table = np.maximum(faces, np.where(balls > 0.0, balls, -np.inf))
-        return np.asarray(np.maximum(table[first, second], table[second, first]) - self._offset - _SLACK)
 
     def _slopes(self, pairs: Pairs, points: Floats, distance: Floats) -> Floats:
         """Derivatives ``(P, nv)``, in MuJoCo's velocities, of distances just found between points ``(P, 2, 3)``."""
@@ -286,6 +233,65 @@ class Collisions:
         arms = points - data.xpos[model.geom_bodyid[pairs]]
         wrenches = np.concatenate([along, np.cross(arms, along)], axis=2)
         return np.asarray((wrenches[:, :, None] @ self._jacobians[self._slots[pairs]])[:, :, 0].sum(axis=1))
+
+
+class ContactSlopes(ContactFinder):
+    """Distances of near geoms and their derivatives along a path, from MuJoCo's constraint Jacobian.
+
+    It takes about as long as the collision detection itself, a tenth of `Collisions`. Holds a `mujoco.MjData` of its
+    own: one instance for each thread.
+
+    Args:
+        arm: the arm, in its scene.
+        margin: distance below which geoms count [m].
+        own: whether two geoms of moving bodies count.
+    """
+
+    def __init__(self, arm: Arm, margin: float, *, own: bool) -> None:
+        bare = arm.without_visuals
+        super().__init__(bare.geometry, margin, bare.offsets, bare.leaving_qpos)
+        self._arm, model = arm, self._model
+        types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
+        # Bits of their own for each direction of MuJoCo's filter, which has 31, so that a fixed geom meets the same
+        # moving ones as before.
+        if not own and (types | affinities).max(initial=0) < 2**15:
+            moving = moving_geoms(model)
+            model.geom_contype[:] = np.where(moving, types | affinities << 15, 0)
+            model.geom_conaffinity[:] = np.where(moving, 0, affinities | types << 15)
+        # One row of the Jacobian for each contact, its normal's, and none for anything else.
+        model.geom_condim[:] = 1
+        model.pair_dim[:] = 1
+        for flag in ("EQUALITY", "FRICTIONLOSS", "LIMIT"):
+            model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}"))
+        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        self._data = mujoco.MjData(model)
+
+    def along(self, q: Floats) -> tuple[NDArray[np.int_], Floats, Floats]:
+        """Near geoms at configurations ``(K, n)``.
+
+        Returns:
+            For each contact of C, the index of its configuration ``(C,)``, its distance ``(C,)`` [m], negative in
+            penetration, and the derivatives of that in the joint coordinates ``(C, n)`` [m/rad, m/m].
+        """
+        model, data, positions = self._model, self._data, self._arm.qpos(q, strict=False)
+        at, distances, kept, rows = list[int](), [np.zeros(0)], [np.zeros(0, dtype=bool)], list[Floats]()
+        # Where loops cannot be closed, no place of a geom is known.
+        for k in np.flatnonzero(~np.isnan(positions).any(axis=1)).tolist():
+            if not self._found(positions[k]):
+                continue
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_makeConstraint(model, data)
+            at.append(k)
+            distances.append(np.array(self._distances()))
+            # Those have a row of the Jacobian each, in their order.
+            kept.append(data.contact.exclude == 0)
+            rows.append(data.efc_J.reshape(-1, model.nv).copy())
+        # MuJoCo's velocities for a unit rate of each joint, which depend on the position of ball joints alone.
+        rates = self._arm.unit_rates(q[at])
+        slopes = np.concatenate([q[:0], *map(np.matmul, rows, rates)])
+        index, distance = np.repeat(np.array(at, dtype=int), list(map(len, rows))), np.concatenate(distances)
+        near = (distance := distance[np.concatenate(kept)]) < self._margin
+        return index[near], distance[near], slopes[near]
 
 
 def _colliding_pairs(model: mujoco.MjModel) -> Pairs:

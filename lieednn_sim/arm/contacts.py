@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
@@ -117,10 +116,8 @@ class ContactFinder:
         Distances are from where the geoms begin to push each other.
         """
         # Nearly always there are none, and making arrays takes as long as finding that out.
-        return self._near() if self._found(qpos) else _NOTHING
-
-    def _near(self) -> tuple[Floats, NDArray[np.int_]]:
-        """As `geoms`, where contacts have been found."""
+        if not self._found(qpos):
+            return _NOTHING
         distance = self._distances()
         # MuJoCo may also report pairs that are not nearer than the margin.
         near = distance < self._margin
@@ -179,11 +176,6 @@ def without_clearance(model: mujoco.MjModel) -> str:
         f"MuJoCo sees geoms of the type sdf in penetration alone, so that motions keep no clearance of {shown}; other "
         "types, such as meshes, have one"
     )
-
-
-def moved_by(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
-    """Which degrees of freedom ``(nv,)`` move a body."""
-    return np.isin(model.dof_bodyid, ancestry(model, body))
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:

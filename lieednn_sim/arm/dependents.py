@@ -9,7 +9,6 @@ import numpy as np
 import scipy
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.checks import JOINT_KINDS
 from lieednn_sim.arm.closed_loops import ClosedLoops
 from lieednn_sim.arm.coordinates import Line, Sum
 from lieednn_sim.arm.equalities import (
@@ -46,7 +45,7 @@ class Dependents:
     Args:
         model: the compiled model, which is not changed.
         data: its state: which equalities are active, where mocap bodies are, and on which branch the loops are.
-        independent: ids of the arm's independent hinge, slide and ball joints.
+        independent: different ids of the arm's independent hinge, slide and ball joints, one at least.
 
     Attributes:
         independent: their ids, in the model's order.
@@ -65,11 +64,6 @@ class Dependents:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, independent: Sequence[int]) -> None:
         self._model = model
         self.independent = tuple(sorted(int(joint) for joint in independent))
-        joints = self.independent
-        if not joints or len(set(joints)) < len(joints) or not all(0 <= joint < model.njnt for joint in joints):
-            raise InputError(f"independent joints must be different ids from 0 to {model.njnt - 1}, got {list(joints)}")
-        if free := [joint for joint in joints if int(model.jnt_type[joint]) not in JOINT_KINDS]:
-            raise InputError(f"{names(model, free)} is free; independent joints are hinges, slides and balls")
         self.dofs = dof_addresses(model, self.independent)
         off = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
         active = np.flatnonzero(data.eq_active * (not model.opt.disableflags & off))

@@ -195,15 +195,9 @@ def joint_range(model: mujoco.MjModel, joint: int) -> Floats:
 
 def tendon_joints(model: mujoco.MjModel, tendon: int) -> set[int]:
     """Joints that change the length of a fixed or spatial tendon."""
-    start = int(model.tendon_adr[tendon])
-    bodies, joints = [], set()
-    for kind, item in zip(
-        model.wrap_type[start : start + model.tendon_num[tendon]], model.wrap_objid[start:], strict=False
-    ):
-        if kind == int(mujoco.mjtWrap.mjWRAP_JOINT):
-            joints.add(int(item))
-        elif kind == int(mujoco.mjtWrap.mjWRAP_SITE):
-            bodies.append(int(model.site_bodyid[item]))
-        elif kind in (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER)):
-            bodies.append(int(model.geom_bodyid[item]))
-    return joints | _between(model, bodies)
+    wraps, kinds = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon]), mujoco.mjtWrap
+    places = {int(kinds.mjWRAP_SITE): model.site_bodyid}
+    places |= dict.fromkeys((int(kinds.mjWRAP_SPHERE), int(kinds.mjWRAP_CYLINDER)), model.geom_bodyid)
+    items = list(zip(model.wrap_type[wraps].tolist(), model.wrap_objid[wraps].tolist(), strict=True))
+    bodies = [int(places[kind][item]) for kind, item in items if kind in places]
+    return {item for kind, item in items if kind == int(kinds.mjWRAP_JOINT)} | _between(model, bodies)

@@ -55,19 +55,10 @@ def actuator_moments(model: mujoco.MjModel) -> Floats:
     return moments
 
 
-def on_fixed_tendon(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether an actuator pulls at a tendon whose length is a sum of joint positions."""
-    tendon = int(model.actuator_trnid[actuator, 0])
-    return bool(
-        model.actuator_trntype[actuator] == int(mujoco.mjtTrn.mjTRN_TENDON)
-        and model.wrap_type[model.tendon_adr[tendon]] == int(mujoco.mjtWrap.mjWRAP_JOINT)
-    )
-
-
 def constant_moments(model: mujoco.MjModel) -> Floats:
     """The `actuator_moments` of actuators on joints and fixed tendons, which are constant; zero for the others."""
-    constant = [model.actuator_trntype[a] in ON_JOINTS or on_fixed_tendon(model, a) for a in range(model.nu)]
-    return np.where(np.array(constant, dtype=bool)[:, None], actuator_moments(model), 0.0)
+    constant = np.isin(model.actuator_trntype, ON_JOINTS) | _on_fixed_tendons(model)
+    return np.where(constant[:, None], actuator_moments(model), 0.0)
 
 
 def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
@@ -79,15 +70,11 @@ def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 def drivable(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Which actuators ``(nu,)`` controllers know: see `DRIVABLE`; in a parent's frame, those of hinges and slides."""
-    kinds, targets, (joint, in_parent) = model.actuator_trntype, model.actuator_trnid[:, 0], ON_JOINTS
-    constant = [
-        kinds[a] == joint
-        or (kinds[a] == in_parent and model.jnt_type[targets[a]] in SCALAR)
-        or on_fixed_tendon(model, a)
-        for a in range(model.nu)
-    ]
+    kinds, (joint, in_parent) = model.actuator_trntype, ON_JOINTS
+    scalar = np.isin(model.jnt_type[np.where(kinds == in_parent, model.actuator_trnid[:, 0], 0)], SCALAR)
+    constant = (kinds == joint) | ((kinds == in_parent) & scalar) | _on_fixed_tendons(model)
     static = model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_NONE)
-    return np.asarray(affine_actuators(model) & static & np.array(constant, dtype=bool))
+    return np.asarray(affine_actuators(model) & static & constant)
 
 
 def compensating_dofs(model: mujoco.MjModel) -> NDArray[np.bool_]:
@@ -202,6 +189,13 @@ def servo_gains(model: mujoco.MjModel, rates: Floats) -> tuple[Floats, Floats]:
 def dry_friction(model: mujoco.MjModel, rates: Floats) -> Floats:
     """Largest force ``(n,)`` of the joints' dry friction against each coordinate [N m, N]."""
     return np.asarray(model.dof_frictionloss @ np.abs(rates))
+
+
+def _on_fixed_tendons(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which actuators ``(nu,)`` pull at a tendon whose length is a sum of joint positions."""
+    on = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
+    on[on] = model.wrap_type[model.tendon_adr[model.actuator_trnid[on, 0]]] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+    return np.asarray(on)
 
 
 def _sum_of_ranges(weights: Floats, ranges: Floats) -> Floats:

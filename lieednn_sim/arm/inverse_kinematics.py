@@ -178,11 +178,11 @@ class _Search:
         Those of ball joints are along the axes of their bodies; that of a rotation vector is the angular Jacobian, up
         to terms that vanish at the goal, and do not change the gradient of its square.
         """
-        model, data, jacobian = self._arm.model, self._data, np.empty((2, 3, self._arm.model.nv))
+        model, data = self._arm.model, self._data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         (place,), (turn,) = self._tip.poses(data.xpos, data.xmat)
-        self._tip.jacobian(model, data, 0, jacobian)
+        jacobian = self._tip.jacobian(model, data, 0)
         slopes, parts = jacobian.reshape(6, -1) @ self._basis, list[tuple[Floats, Floats]]()
         if isinstance(self._goal, _Point):
             error = self._goal.error(place, turn)

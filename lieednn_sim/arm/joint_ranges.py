@@ -7,15 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.checks import joint_kind
+from lieednn_sim.arm.checks import BALL, SLIDE, joint_kind
+from lieednn_sim.arm.compound_joints import Couplings
 from lieednn_sim.arm.coordinates import Coordinates
-from lieednn_sim.arm.coupled_joints import Couplings
 from lieednn_sim.arm.equalities import joint_range
 from lieednn_sim.arm.forces import affine_actuators, constant_moments, control_ranges, tangent_basis
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
-_BALL, _SLIDE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _WIDEST = 0.99 * np.pi  # the logarithm of a rotation is unique below pi
 _DEFAULT = 0.95 * np.pi  # of a hinge or ball joint without a range
 _ENDLESS = 1e3  # half a range from which on there is none [rad, m]
@@ -123,9 +122,9 @@ def narrow_to_servos(
 def _span(model: mujoco.MjModel, joint: int, notes: list[str], around: Floats, *, alone: bool) -> Floats:
     name, kind = model.joint(joint).name, int(model.jnt_type[joint])
     given = joint_range(model, joint) if model.jnt_limited[joint] else np.array([-np.inf, np.inf])
-    if kind == _SLIDE:
+    if kind == SLIDE:
         return given
-    if kind == _BALL:
+    if kind == BALL:
         widest = given[1] if model.jnt_limited[joint] else _DEFAULT
         span = np.array([0.0, min(widest, _WIDEST)])
     elif alone and model.jnt_limited[joint]:

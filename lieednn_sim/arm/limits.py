@@ -1,12 +1,18 @@
-"""Limits of rates: an arm's custom numerics, those that a caller gives, and accelerations that force limits leave."""
+"""Limits besides the positions of coordinates: of rates, and the ranges of what else an arm moves.
+
+Limits of rates are a model's custom numerics, those that a caller gives, and accelerations that force limits leave.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
+from lieednn_sim.arm.checks import BALL, FREE, SLIDE
+from lieednn_sim.arm.equalities import free_ranges, joint_range, names, tendon_joints
 from lieednn_sim.arm.forces import required_forces
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice, as_positive
@@ -14,6 +20,8 @@ from lieednn_sim.values import Floats
 
 # Fraction of an actuator's spare force used for acceleration: the rest is for friction and coupling to other joints.
 _ACCELERATING_FRACTION = 0.5
+# How far beyond a range rounding may lead [rad, m].
+_ROUNDING = 1e-6
 
 
 def check_rates(limits: Any) -> None:
@@ -70,3 +78,77 @@ def spare_acceleration(model: mujoco.MjModel, configurations: Floats, rates: Flo
     # A limit of zero would allow no motion; where an actuator cannot hold its load, plans and runs say so.
     known = (force > load) & (inertia > 0.0)
     return np.where(known, _ACCELERATING_FRACTION * (force - load) / np.where(known, inertia, 1.0), np.inf)
+
+
+class Stops:
+    """The ranges of joints that an arm moves by loops or curves and of limited tendons, at positions of a model.
+
+    Args:
+        model: the compiled model, which is not changed.
+        joints: ids of the dependent joints; those with a range count, and that all can be solved.
+        moving: ids of all joints that the arm moves: limited tendons between them count.
+        loops: whether rows may be NaN, because loops cannot be closed there.
+    """
+
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[int], moving: Sequence[int], *, loops: bool) -> None:
+        self._model, self._loops = model, loops
+        self._joints = [joint for joint in joints if model.jnt_limited[joint] and model.jnt_type[joint] != FREE]
+        self._tendons = [
+            tendon
+            for tendon in np.flatnonzero(model.tendon_limited).tolist()
+            if tendon_joints(model, tendon).intersection(moving)
+        ]
+        ranges = [*(joint_range(model, joint) for joint in self._joints)]
+        ranges += [*free_ranges(model.tendon_range[self._tendons], model.tendon_margin[self._tendons])]
+        self._low, self._high = np.array(ranges, dtype=float).reshape(-1, 2).T
+        self._data = mujoco.MjData(model) if self._tendons else None
+
+    def __len__(self) -> int:
+        """How many ranges there are, one more for loops."""
+        return len(self._low) + self._loops
+
+    def excess(self, qpos: Floats) -> Floats:
+        """How far joints and tendons ``(..., L)`` are beyond their ranges at ``(..., nq)`` [rad, m]; negative inside.
+
+        Infinite in rows that are NaN, where loops cannot be closed.
+        """
+        rows = qpos.reshape(-1, self._model.nq)
+        values, excess = self._values(rows), np.full((len(rows), len(self)), -np.inf)
+        excess[:, : len(self._low)] = np.maximum(self._low - values, values - self._high) - _ROUNDING
+        excess[np.isnan(rows).any(axis=1)] = np.inf
+        return excess.reshape(*qpos.shape[:-1], len(self))
+
+    def describe(self, qpos: Floats, index: int) -> str:
+        """The message that one of them is beyond its range at ``(nq,)``."""
+        value, low, high = self._values(qpos[None])[0, index], self._low[index], self._high[index]
+        if index >= len(self._joints):
+            tendon = self._model.tendon(self._tendons[index - len(self._joints)])
+            return f"tendon {tendon.name!r} would be at {value:.4g}, its range is [{low:.4g}, {high:.4g}]"
+        joint = self._joints[index]
+        unit = "m" if self._model.jnt_type[joint] == SLIDE else "rad"
+        return (
+            f"joint {names(self._model, [joint])}, which the arm's joints move, would be at {value:.4g} {unit}, its "
+            f"range is [{low:.4g}, {high:.4g}]"
+        )
+
+    def _values(self, rows: Floats) -> Floats:
+        """Positions of joints and lengths of tendons ``(K, L)`` at ``(K, nq)``."""
+        model, data, values = self._model, self._data, np.empty((len(rows), len(self._low)))
+        for column, joint in zip(values.T, self._joints, strict=False):
+            first = model.jnt_qposadr[joint]
+            if model.jnt_type[joint] == BALL:
+                turn = np.linalg.norm(rows[:, first + 1 : first + 4], axis=1)
+                column[:] = 2.0 * np.arctan2(turn, np.abs(rows[:, first]))
+            else:
+                column[:] = rows[:, first]
+        if data is not None:
+            for value, row in zip(values[:, len(self._joints) :], rows, strict=True):
+                if np.isnan(row[0]):
+                    value[:] = np.nan
+                    continue
+                data.qpos[:] = row
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_comPos(model, data)
+                mujoco.mj_tendon(model, data)
+                value[:] = data.ten_length[self._tendons]
+        return values

@@ -11,17 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.checks import SCALAR
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, moved_by
+from lieednn_sim.arm.checks import SCALAR, ancestry
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder
 from lieednn_sim.arm.dependents import Dependents
 from lieednn_sim.arm.equalities import dof_addresses
+from lieednn_sim.arm.fingerprint import discard_visuals, moves_alike
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.grasp import Grasp, find_grasp
+from lieednn_sim.arm.limits import Stops
 from lieednn_sim.arm.serial_arm import SerialArm
-from lieednn_sim.arm.stops import Stops
 from lieednn_sim.arm.surroundings import home_data, rigid_groups, standing
 from lieednn_sim.arm.view import read_view
-from lieednn_sim.arm.visuals import discard_visuals, moves_alike
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie import rotations
 from lieednn_sim.validation import as_choice, as_count, as_floats
@@ -194,7 +194,8 @@ class ModelArm(SerialArm):
         """Which degrees of freedom ``(nv,)`` move a body, by its id; for what is carried, those of what carries it."""
         body = as_count("body", body, 0, self.model.nbody - 1)
         carried = self.grasp is not None and body in self.grasp.bodies
-        return moved_by(self.model, self.grasp.carrier if self.grasp is not None and carried else body)
+        mover = self.grasp.carrier if self.grasp is not None and carried else body
+        return np.isin(self.model.dof_bodyid, ancestry(self.model, mover))
 
     @property
     def keyframes(self) -> tuple[str, ...]:

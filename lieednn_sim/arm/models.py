@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lieednn_sim import io
-from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.importer.loading import macros_left
 from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import FileError, InputError
@@ -112,8 +111,3 @@ def chosen(options: ImportOptions) -> ImportOptions:
         raise InputError(f"no option {', '.join(map(repr, sorted(unknown)))} of an import; allowed: {allowed}")
     usual = {"servos": "keep", "overlaps": "ignore", "floor": "auto"}
     return {name: value for name, value in options.items() if value not in (None, (), [], {}, usual.get(name))}  # type: ignore[return-value]
-
-
-def has_frames(spec: mujoco.MjSpec) -> bool:
-    """Whether a spec has the sites of the package's arms at its link frames."""
-    return spec.site("base_frame") is not None and spec.site("link1_frame") is not None

@@ -106,7 +106,7 @@ class NearestPose:
             check_time()
             last = known[-1]
             stride = min(stride, len(goal) - 1 - last)
-            trial, there = self._approach(q[last], goal[last + stride], steps, evaluated)
+            trial, there = self._approach(q[last], goal[last + stride], steps, evaluated, enough=0.02)
             clear = float(least_singular_value(there[1]).min())
             if stride > longest and clear < _CLEAR:
                 stride = longest
@@ -116,12 +116,13 @@ class NearestPose:
                 known.append(leap)
                 evaluated = self._evaluate(q[leap])
                 continue
-            if stride > 1 and np.abs(trial - q[last]).max() > _LONG:
+            moved = float(np.abs(trial - q[last]).max())
+            if stride > 1 and moved > _LONG:
                 stride //= 2
                 continue
             q[last + stride], evaluated = trial, there
             known.append(last + stride)
-            stride = min(2 * stride, longest * (4 if clear >= _CLEAR else 1))
+            stride = min(2 * stride if moved < 0.5 * _LONG else stride, longest * (8 if clear >= _CLEAR else 1))
         if len(known) == len(goal):
             return q
         return np.asarray(scipy.interpolate.PchipInterpolator(known, q[known])(np.arange(len(goal))))
@@ -160,29 +161,37 @@ class NearestPose:
         return q
 
     def _approach(
-        self, q: Floats, goal: Floats, steps: int = 40, known: tuple[Floats, Floats] | None = None
+        self,
+        q: Floats,
+        goal: Floats,
+        steps: int = 40,
+        known: tuple[Floats, Floats] | None = None,
+        enough: float = 1e-3,  # near enough for Newton's method
     ) -> tuple[Floats, tuple[Floats, Floats]]:
         """Configurations close to these minima, by Levenberg-Marquardt steps, and the result of `_evaluate` there.
 
-        ``known`` is its result at ``q``, if available.
+        ``known`` is its result at ``q``, if available. It ends after a step of at most ``enough``.
         """
-        damping = np.full(len(goal), 1e-3)
+        damping, one = np.full(len(goal), 1e-3), np.eye(q.shape[-1])
         values, jacobian = self._evaluate(q) if known is None else known
         for _ in range(steps):
             residual = values - goal
             transposed = np.swapaxes(jacobian, -1, -2)
             square = transposed @ jacobian
-            scale = np.trace(square, axis1=-2, axis2=-1) / square.shape[-1]
+            scale = np.einsum("bii->b", square) / square.shape[-1]
             weight = (damping * np.maximum(scale, 1e-12))[:, None, None]
-            step = np.linalg.solve(square + weight * np.eye(square.shape[-1]), transposed @ residual[..., None])[..., 0]
+            step = np.linalg.solve(square + weight * one, transposed @ residual[..., None])[..., 0]
             trial = q - step
             new_values, new_jacobian = self._evaluate(trial)
-            better = ((new_values - goal) ** 2).sum(axis=-1) <= (residual**2).sum(axis=-1)
-            q, values = np.where(better[:, None], trial, q), np.where(better[:, None], new_values, values)
-            jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
-            damping = np.clip(np.where(better, 0.2, 5.0) * damping, 1e-12, 1e6)
-            # Near enough for Newton's method.
-            if np.abs(step).max() < 1e-3:
+            left = new_values - goal
+            better = np.vecdot(left, left) <= np.vecdot(residual, residual)
+            if better.all():
+                q, values, jacobian = trial, new_values, new_jacobian
+            else:
+                q, values = np.where(better[:, None], trial, q), np.where(better[:, None], new_values, values)
+                jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
+            damping = np.minimum(np.maximum(np.where(better, 0.2, 5.0) * damping, 1e-12), 1e6)
+            if np.abs(step).max() < enough:
                 break
         return q, (values, jacobian)
 

@@ -97,8 +97,8 @@ def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
 def describe(obstacles: mujoco.MjSpec) -> tuple[str, str]:
     """A summary of a file's obstacles, and their fingerprint."""
     model = compile_spec(obstacles)
-    kinds = {int(kind): kind.name.removeprefix("mjGEOM_").lower() for kind in mujoco.mjtGeom.__members__.values()}
-    results = [kinds[int(kind)] for kind in model.geom_type[colliding_geoms(model)]]
+    kinds = map(mujoco.mjtGeom, model.geom_type[colliding_geoms(model)].tolist())
+    results = [kind.name.removeprefix("mjGEOM_").lower() for kind in kinds]
     counts = [f"{results.count(kind)} {kind}" for kind in dict.fromkeys(results)]
     goals = len(_goals(model))
     where = f"targets in {goals} goal{'s' if goals > 1 else ''}" if goals else "targets anywhere"

@@ -12,7 +12,6 @@ import scipy
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.chain import joint_groups
 from lieednn_sim.arm.checks import (
     check_independent,
     check_integrator,
@@ -25,7 +24,7 @@ from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import joint_range
 from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, drivable, force_ranges, tangent_basis
-from lieednn_sim.arm.frames import BodyFrames, Frame, site_frame
+from lieednn_sim.arm.frames import BodyFrames, Frame, joint_groups, site_frame
 from lieednn_sim.arm.joint_ranges import narrow_to_servos
 from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
 from lieednn_sim.arm.limits import read_numeric
@@ -138,12 +137,12 @@ def read_coordinates(
         units += ["m"] if joint_kind(model, joint) == "slide" else ["rad"] * len(index[joint])
     coupling, rates, offset = np.zeros((model.nq, len(names))), np.zeros((model.nv, len(names))), rest.copy()
     for joint in joints:
+        address = model.jnt_qposadr[joint]
         if joint_kind(model, joint) == "ball":
-            offset[_quaternion(model, joint)] = 0.0
+            offset[address : address + 4] = 0.0
             continue
         leader, ratio, shift = leaders.get(joint, (joint, 1.0, 0.0))
         ratios, shift = sums.get(joint, ({leader: ratio}, shift))
-        address = model.jnt_qposadr[joint]
         for leader, ratio in ratios.items():
             coupling[address, index[leader]] = rates[model.jnt_dofadr[joint], index[leader]] = ratio
         offset[address] = shift
@@ -159,10 +158,8 @@ def read_coordinates(
         scalar_addresses=model.jnt_qposadr[scalars].astype(int),
         scalar_rate_addresses=model.jnt_dofadr[scalars].astype(int),
         balls=np.array([index[joint] for joint in balls], dtype=int).reshape(-1, 3),
-        ball_addresses=np.array([_quaternion(model, joint) for joint in balls], dtype=int).reshape(-1, 4),
-        ball_rate_addresses=np.array([model.jnt_dofadr[joint] + np.arange(3) for joint in balls], dtype=int).reshape(
-            -1, 3
-        ),
+        ball_addresses=model.jnt_qposadr[balls][:, None] + np.arange(4),
+        ball_rate_addresses=model.jnt_dofadr[balls][:, None] + np.arange(3),
     )
 
 
@@ -253,7 +250,3 @@ def _factors(
 
 def _orientation(data: mujoco.MjData, body: int) -> Rotation:
     return scipy.spatial.transform.Rotation.from_matrix(data.xmat[body].reshape(3, 3))
-
-
-def _quaternion(model: mujoco.MjModel, joint: int) -> NDArray[np.int_]:
-    return model.jnt_qposadr[joint] + np.arange(4)

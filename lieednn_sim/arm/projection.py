@@ -18,7 +18,7 @@ import numpy as np
 
 from lieednn_sim.arm.closed_forms import HingeSlide, MovingPoses, OneScrew, SixDof
 from lieednn_sim.arm.deviations import Deviations, Group, spread_of_nearest
-from lieednn_sim.arm.kinematics import CompoundJoints, Factor
+from lieednn_sim.arm.kinematics import CompoundJoints
 from lieednn_sim.arm.nearest import NearestPose
 from lieednn_sim.budget import check_time
 from lieednn_sim.values import Floats, frozen
@@ -160,32 +160,19 @@ class _Nearest:
 
 
 def _solvers(joints: CompoundJoints, length: float) -> list[OneScrew | HingeSlide | SixDof | _Nearest]:
-    solvers: list[OneScrew | HingeSlide | SixDof | _Nearest] = []
+    """The solvers: closed forms, and others for all groups of links with the same geometry."""
+    closed: dict[type[OneScrew | HingeSlide | SixDof], list[int]] = {OneScrew: [], HingeSlide: [], SixDof: []}
     searched: dict[Hashable, list[tuple[int, ...]]] = {}
     for links in _sharing(joints):
-        joint = joints.joints[links[0]]
-        if len(links) == 1 and OneScrew.fits(joint):
-            solvers.append(OneScrew(joint, links[0], length))
-        elif len(links) == 1 and HingeSlide.fits(joint):
-            solvers.append(HingeSlide(joint, links[0], length))
-        elif len(links) == 1 and SixDof.fits(joint):
-            solvers.append(SixDof(joint, links[0]))
+        members = [joints.joints[link] for link in links]
+        kind = next((kind for kind in closed if kind.fits(members[0])), None) if len(links) == 1 else None
+        if kind is not None:
+            closed[kind].append(links[0])
         else:
-            searched.setdefault(_build(joints, links), []).append(links)
-    return [*solvers, *(_Nearest(joints, groups, length) for groups in searched.values())]
-
-
-def _build(joints: CompoundJoints, links: tuple[int, ...]) -> Hashable:
-    """A key that is equal for links with the same joints, whichever coordinates they have."""
-    group = [joints.joints[link] for link in links]
-    indices = np.unique(np.concatenate([joint.indices for joint in group]))
-
-    def described(factor: Factor) -> Hashable:
-        # Rounded, since imported models differ in the last bits; adding 0.0 turns -0.0 into 0.0.
-        numbers = np.round([factor.ratio, *factor.axes.flat, *factor.anchor], 12) + 0.0
-        return factor.kind, numbers.tobytes(), np.searchsorted(indices, factor.indices).tobytes()
-
-    return tuple(tuple(map(described, joint.factors)) for joint in group)
+            indices = np.unique(np.concatenate([joint.indices for joint in members]))
+            searched.setdefault(tuple(joint.geometry(indices) for joint in members), []).append(links)
+    made = [kind([joints.joints[link] for link in links], links, length) for kind, links in closed.items() if links]
+    return [*made, *(_Nearest(joints, groups, length) for groups in searched.values())]
 
 
 def _sharing(joints: CompoundJoints) -> list[tuple[int, ...]]:

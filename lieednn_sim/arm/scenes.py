@@ -17,7 +17,6 @@ from lieednn_sim.arm.contacts import colliding_geoms
 from lieednn_sim.arm.serial_arm import SerialArm
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import SCENES
-from lieednn_sim.validation import as_seed
 from lieednn_sim.values import Floats
 
 # Distance that every obstacle keeps from the arm at home [m].
@@ -56,20 +55,17 @@ class _Surroundings:
         return {"pos": self.origin, "quat": [np.cos(self.yaw / 2.0), 0.0, 0.0, np.sin(self.yaw / 2.0)]}
 
 
-def add_obstacles(spec: mujoco.MjSpec, arm: SerialArm, scene: str, seed: int = 0) -> None:
-    """Add the obstacles of a scene of `SCENES` to a copy of the spec of an arm without any; ``free`` adds nothing.
+def add_obstacles(spec: mujoco.MjSpec, arm: SerialArm, scene: str, seed: int) -> None:
+    """Add the obstacles of a scene of `SCENES`, not ``free``, to a copy of the spec of an arm without any.
 
     New bodies, geoms, materials and sites are named ``obstacle_...``; visible geoms are in group 2. The same seed gives
-    the same positions and sizes. `InputError` for no such scene, a bad seed, or no place around this arm.
+    the same positions and sizes. `InputError` if there is no place around this arm.
     """
-    entry = SCENES.find(scene)
-    rng = np.random.default_rng([as_seed("seed", seed), list(SCENES).index(scene)])
-    if scene == "free":
-        return
+    rng = np.random.default_rng([seed, list(SCENES).index(scene)])
     room = _surroundings(arm)
     for name, colour in _MATERIALS.items():
         spec.add_material(name=name, rgba=colour, specular=0.25, shininess=0.35)
-    entry.load()(spec, spec.worldbody.add_body(name=f"{PREFIX}{scene}", **room.place), room, rng)
+    SCENES[scene].load()(spec, spec.worldbody.add_body(name=f"{PREFIX}{scene}", **room.place), room, rng)
 
 
 def window(spec: mujoco.MjSpec, body: mujoco.MjsBody, room: _Surroundings, rng: np.random.Generator) -> None:

@@ -237,7 +237,7 @@ class SerialArm:
         for twist, data.qpos[:] in zip(twists, self.space.to_qpos(flat), strict=True):
             mujoco.mj_kinematics(self.model, data)
             mujoco.mj_comPos(self.model, data)
-            self.frames.jacobian(self.model, data, last, twist.reshape(2, 3, -1)[::-1])
+            twist.reshape(2, 3, -1)[::-1] = self.frames.jacobian(self.model, data, last)
         rates = self.space.to_qvel(flat[:, None], np.eye(self.n_joints))
         return (twists @ np.swapaxes(rates, -1, -2)).reshape(*q.shape[:-1], 6, self.n_joints)
 

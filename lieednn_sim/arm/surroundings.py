@@ -23,12 +23,6 @@ def check_data(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         raise InputError("data holds positions that are NaN or infinite")
 
 
-def name_of(model: mujoco.MjModel) -> str:
-    """The model's own name, or ``arm`` if nobody gave it one."""
-    name = model.names[: model.names.index(b"\0")].decode("utf-8", "replace")
-    return "arm" if name in ("", "MuJoCo Model") else name
-
-
 def home_data(model: mujoco.MjModel) -> mujoco.MjData:
     """Data at the keyframe ``home``, or at the reference position of a model without it."""
     data = mujoco.MjData(model)

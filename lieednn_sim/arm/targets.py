@@ -122,7 +122,7 @@ def _towards(arm: Arm, data: Any, q: Floats, point: Floats, low: Floats, high: F
         if np.linalg.norm(away) < 1e-3:
             return q
         mujoco.mj_comPos(arm.model, data)
-        slope, _ = tip.jacobian(arm.model, data, 0)
+        slope = tip.jacobian(arm.model, data, 0)[0]
         # Joints that would be pushed into their limits are left out, so that the others make up for them.
         jacobian = slope @ arm.space.to_qvel(np.broadcast_to(q, (len(q), len(q))), np.eye(len(q))).T
         pushed = jacobian.T @ away

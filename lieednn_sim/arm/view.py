@@ -9,20 +9,17 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.chain import chain_base, chosen_joints, common_path, joint_groups, named_frames, tip_frame
 from lieednn_sim.arm.checks import ancestry, check_numbers, joints_of
-from lieednn_sim.arm.compound_joints import cut
+from lieednn_sim.arm.compound_joints import Couplings, along_tendons, cut
 from lieednn_sim.arm.contacts import without_clearance
 from lieednn_sim.arm.coordinates import Coordinates
-from lieednn_sim.arm.coupled_joints import Couplings, along_tendons
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import dof_addresses, names
 from lieednn_sim.arm.forces import tangent_basis
-from lieednn_sim.arm.frames import Frame, body_frame, find_frame
+from lieednn_sim.arm.frames import Frame, body_frame, chosen_joints, find_frame, joint_groups, named_frames
 from lieednn_sim.arm.joint_ranges import drop_endless_ranges, joint_ranges
-from lieednn_sim.arm.limits import check_rates, spare_acceleration
+from lieednn_sim.arm.limits import Stops, check_rates, spare_acceleration
 from lieednn_sim.arm.parsing import Chain, read_arm
-from lieednn_sim.arm.stops import Stops
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import log
@@ -86,7 +83,9 @@ def read_view(
     else:
         inner, path, joints_of_chain = _chain(own, dependents, qpos, chosen, tip, base)
         last = body_frame(own, path[-1])
-        end = last if tip is None else tip_frame(own, tip, last)
+        end = last if tip is None else find_frame(own, tip)
+        if last.body not in ancestry(own, end.body):
+            raise InputError(f"the tip {tip!r} is not carried by the last link, {last.name!r}")
     held, weld = _welded(own, data, dependents, end.body)
     if held is not None:
         # It is carried: a rigid part of the hand, without any iterations.
@@ -149,12 +148,23 @@ def _chain(
                 f"moves {names(model, moved)} there, so name that in its place: coordinates are joints of the chain, "
                 "but targets may be given by others, see `coordinates_at`"
             )
-    path = common_path(model, chosen)
+    for joint in chosen:
+        if paths[joint] != longest[: len(paths[joint])]:
+            raise InputError(
+                f"joint {model.joint(joint).name!r} is not on the way to body {model.body(longest[-1]).name!r}: an arm "
+                "is one chain; leave out the joints of its hand"
+            )
     # A telescope's last stages may follow the one that is named.
-    path = max((paths[joint] for joint in paths if paths[joint][: len(path)] == path), key=len)
+    path = max((paths[joint] for joint in paths if paths[joint][: len(longest)] == longest), key=len)
     arm = {*dependents.independent, *dependents.lines, *dependents.sums}
     chain = tuple(joint for body in path for joint in joints_of(model, body) if joint in arm)
-    return chain_base(model, path, chain, base), path, chain
+    first = int(model.jnt_bodyid[chain[0]])
+    if base is None:
+        return body_frame(model, int(model.body_parentid[first])), path, chain
+    start = find_frame(model, base)
+    if start.body not in path or path.index(start.body) >= path.index(first):
+        raise InputError(f"joint {model.joint(chain[0]).name!r} does not move against the base {base!r}")
+    return start, path, chain
 
 
 def _check_chain(model: mujoco.MjModel, dependents: Dependents, bodies: Sequence[int], chain: Sequence[int]) -> None:

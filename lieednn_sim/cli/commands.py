@@ -1,9 +1,10 @@
-"""The commands of the pipeline, each of which reads a run directory and writes into it."""
+"""The commands of the pipeline, each of which reads a run directory and writes into it, and ``export``."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Annotated, Any
 
 from lieednn_sim import io
 from lieednn_sim.cli.arguments import Look, Planning, Simulating, still_look
@@ -13,7 +14,10 @@ from lieednn_sim.cli.planning import plan_run
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError, SimulationError
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
+from lieednn_sim.exports import export as export_sources
+from lieednn_sim.exports.formats import record
 from lieednn_sim.planning.motion import check_motion
+from lieednn_sim.registry import FORMATS
 from lieednn_sim.rendering import opengl
 from lieednn_sim.rendering.video import check_rate, check_view, render_video
 from lieednn_sim.simulation import simulate as simulate_motion
@@ -116,6 +120,57 @@ def render(run: Directory, *, output: File | None = None, look: Look) -> None:
     io.check_outputs([path])
     with directory.at_work(shared=True):
         _render(directory, path, look)
+
+
+def export(
+    runs: list[File] = [],  # noqa: B006, it is not changed
+    *,
+    format: str,
+    rate: float | None = None,
+    output: Directory = "results/export",
+    episodes: int | None = None,
+    recorded: Annotated[dict[str, Any], record, "arm", "scene", "scene_seed", "planner", "seed"],
+) -> None:
+    """Write runs or comparisons in the file formats of other tools, or episodes of an expert.
+
+    Runs must have been simulated. The directory must be new, empty, or one of exports.
+
+    Args:
+        runs: run directories, or for plannerarena directories of 'compare'; none with --episodes.
+        format: a name of `FORMATS`.
+        rate: samples per second (default: every step of the simulation).
+        output: directory of the files.
+        episodes: record so many successful episodes of the expert of the learning environment TelescopicReach-v0
+            instead; for lerobot.
+        recorded: the episodes.
+    """
+    chosen = FORMATS.require(format)
+    if episodes is not None:
+        if format != "lerobot" or runs:
+            raise InputError("--episodes are recorded in the format lerobot, and of no runs")
+        with progress("record"):
+            written = record(output, episodes, **recorded)
+        wrote(*written)
+        return
+    if recorded:
+        raise InputError(f"--{next(iter(recorded)).replace('_', '-')} is for --episodes")
+    if not runs:
+        raise InputError("name the directories to export, or the number of --episodes to record")
+    sources: dict[str, Any] = {}
+    for text in runs:
+        path = as_path("the name of a run directory", text)
+        name = path.resolve().name
+        if name in sources:
+            raise InputError(f"two of the directories are called {name!r}; export them into different directories")
+        if chosen.of_comparison:
+            sources[name] = path
+            continue
+        run = RunDirectory(path).existing()
+        with io.locked(run.path, shared=True):
+            sources[name] = run.load_rollout(*run.load_task())
+    with progress("export"):
+        written = export_sources(sources, output, format=format, rate=rate)
+    wrote(*written)
 
 
 def _simulate(run: RunDirectory, simulating: Simulating) -> None:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 from lieednn_sim import io
 from lieednn_sim.arm.obstacles import describe, load_obstacles
-from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, progress, to_stderr, wrote
+from lieednn_sim.cli.console import console, print_import_report, progress, to_stderr, wrote
 from lieednn_sim.cli.kinds import CommandLine, Directory, File
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS
@@ -21,28 +19,9 @@ from lieednn_sim.studies.reactions.study import Reactions, write_reactions
 from lieednn_sim.studies.report import View, choose_problems, view, write_page
 from lieednn_sim.studies.user_files import ARM, bare_arm
 from lieednn_sim.validation import as_count
-from lieednn_sim.values import check_fields
 
 # What is written beside the table.
 _OUTPUTS = ("comparison.csv", "comparison.md", "comparison.html", "reactions.csv", "reactions.md")
-
-
-@dataclass(frozen=True)
-class Shown:
-    """What the page of a comparison shows.
-
-    Attributes:
-        reactive: number of seeds for a benchmark of policies that are pushed, loaded and given another target.
-        views: number of problems that the page shows in 3D, with the motions of several planners.
-        date: date to print at the top of the page (default: none).
-    """
-
-    reactive: int = 0
-    views: int = 1
-    date: str = ""
-
-    def __post_init__(self) -> None:
-        check_fields(self, as_count, "reactive", "views", least=0)
 
 
 def compare(
@@ -52,7 +31,9 @@ def compare(
     merge: list[File] | None = None,
     output: Directory = "results/comparison",
     jobs: int | None = None,
-    shown: Shown,
+    reactive: int = 0,
+    views: int = 1,
+    date: str = "",
     line: CommandLine,
 ) -> None:
     """Compare planners on arms, scenes, controllers and seeds, in a table and a page.
@@ -65,12 +46,15 @@ def compare(
         merge: run nothing, but add the rows of the tables in other directories, such as those of --shard.
         output: directory of the table.
         jobs: number of worker processes (default: one for each core).
-        shown: the page.
+        reactive: number of seeds for a benchmark of policies that are pushed, loaded and given another target.
+        views: number of problems that the page shows in 3D, with the motions of several planners.
+        date: date to print at the top of the page (default: none).
         line: the words of the command, which the page shows.
     """
     study = Comparison(**cases, shard=None if shard is None else Shard.parse(shard))
     workers = as_count("jobs", os.cpu_count() or 1 if jobs is None else jobs)
-    if study.shard is not None and (shown.reactive or merge):
+    seeds, problems = as_count("reactive", reactive, least=0), as_count("views", views, least=0)
+    if study.shard is not None and (seeds or merge):
         raise InputError("--shard makes only a part of the table; it takes no --reactive or --merge")
     for name, reason in study.absent.items():
         console.print(f"not compared: {name} is not installed ({reason})")
@@ -86,17 +70,17 @@ def compare(
             wrote(table.path)
             return
         reactions = None
-        if shown.reactive:
-            pushed = Reactions(study.arms, study.scenes, shown.reactive, user_files=study.user_files)
+        if seeds:
+            pushed = Reactions(study.arms, study.scenes, seeds, user_files=study.user_files)
             reactions = compute(pushed, directory, **how)
         controller = study.controllers[0]
-        views = _views(table, choose_problems(table, shown.views, controller), controller)
-        head = {"command": line, "date": shown.date}
+        seen = _views(table, choose_problems(table, problems, controller), controller)
+        head = {"command": line, "date": date}
         outputs = [directory / name for name in _OUTPUTS if reactions is not None or not name.startswith("reactions")]
         with io.atomic_paths(outputs) as (rows, summary, page, *more):
             table.write_csv(rows)
             write_summary(summary, table, study.absent)
-            write_page(page, table, missing=study.absent, views=views, reactions=reactions, **head)
+            write_page(page, table, missing=study.absent, views=seen, reactions=reactions, **head)
             if reactions is not None:
                 reactions.write_csv(more[0])
                 write_reactions(more[1], reactions)

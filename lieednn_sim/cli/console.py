@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from lieednn_sim.arm import Arm
 from lieednn_sim.budget import reporting
 from lieednn_sim.errors import NotCertifiedError
+from lieednn_sim.evaluation.display import table
 from lieednn_sim.network import ComponentwiseNetwork
 
 
@@ -42,6 +44,19 @@ def progress(what: str) -> Iterator[None]:
         shown = bar.add_task(what, total=None)
         with reporting(lambda done, total: bar.update(shown, completed=done, total=total)):
             yield
+
+
+def print_import_report(arm: Arm) -> None:
+    """Print the report of an imported arm; nothing for another arm."""
+    if arm.import_report is None:
+        return
+    rows = table(f"{arm.name}: imported from {arm.source.name}", "what", "how")
+    rows.columns[1].justify = "left"
+    rows.columns[1].overflow = "fold"
+    for line in str(arm.import_report).splitlines():
+        what, _, how = line.partition(": ")
+        rows.add_row(what, how)
+    console.print(rows)
 
 
 def print_stability(network: ComponentwiseNetwork, xi: ArrayLike) -> None:

@@ -11,8 +11,7 @@ import numpy as np
 from lieednn_sim import io
 from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.cli.arguments import ChosenArm
-from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, progress, wrote
+from lieednn_sim.cli.console import console, print_import_report, progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 import sys
-from importlib import metadata
 from json import dumps
 
 from rich.table import Table
@@ -15,6 +14,7 @@ from lieednn_sim.cli.console import console
 from lieednn_sim.errors import FileError
 from lieednn_sim.registry import LIBRARIES, install_command, purpose
 from lieednn_sim.rendering import opengl
+from lieednn_sim.versions import installed
 
 _PACKAGES = (
     "mujoco",
@@ -33,11 +33,11 @@ def doctor(*, json: bool = False) -> int:
     Args:
         json: print JSON instead of a table.
     """
-    versions = {"lieednn-sim": _version("lieednn-sim"), "python": platform.python_version()}
-    versions |= {name: _version(name) for name in _PACKAGES}
+    versions = {"lieednn-sim": installed("lieednn-sim"), "python": platform.python_version()}
+    versions |= {name: installed(name) for name in _PACKAGES}
     extras = {
         library.distribution or module: {
-            "version": _version(library.distribution or module),
+            "version": installed(library.distribution or module),
             "install": install_command(module),
             "for": purpose(module),
         }
@@ -82,10 +82,3 @@ def doctor(*, json: bool = False) -> int:
     if healthy:
         console.print("everything works")
     return 0 if healthy else 1
-
-
-def _version(name: str) -> str | None:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None

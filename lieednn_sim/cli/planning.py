@@ -12,8 +12,7 @@ import numpy as np
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import time_limit
 from lieednn_sim.cli.arguments import RANDOM, Planning, joint_position, read_options
-from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
+from lieednn_sim.cli.console import console, one_norm, print_import_report, print_stability, progress, wrote
 from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory, Task
 from lieednn_sim.errors import InputError
@@ -152,12 +151,10 @@ def print_plan(result: Plan) -> None:
         rows.add_row("off its path", f"{1e3 * details.deviation:.2g} mm at the end effector")
     if network is None:
         rows.add_row("proof", "none, as this planner makes no network")
-        console.print(rows)
-        console.print(f"clearance: {result.clearance}")
-        return
-    goal = network.goal(motion.xi_target)
-    rows.add_row("largest bias", f"{np.abs(network.bias).max():.3g}")
-    rows.add_row("1-norm of W", one_norm(network, goal))
+    else:
+        rows.add_row("largest bias", f"{np.abs(network.bias).max():.3g}")
+        rows.add_row("1-norm of W", one_norm(network, goal := network.goal(motion.xi_target)))
     console.print(rows)
     console.print(f"clearance: {result.clearance}")
-    print_stability(network, goal)
+    if network is not None:
+        print_stability(network, goal)

@@ -10,8 +10,7 @@ import numpy as np
 
 from lieednn_sim import io
 from lieednn_sim.cli.arguments import Goal
-from lieednn_sim.cli.arms import print_import_report
-from lieednn_sim.cli.console import console, one_norm, print_stability, progress, wrote
+from lieednn_sim.cli.console import console, one_norm, print_import_report, print_stability, progress, wrote
 from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, PlanError
@@ -22,7 +21,7 @@ from lieednn_sim.learning import train as learn
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.planning.goals import candidates
 from lieednn_sim.planning.motion import check_motion
-from lieednn_sim.planning.network_path import make_motion
+from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.registry import ALGORITHMS
 from lieednn_sim.synthesis import bias_for
 from lieednn_sim.validation import as_count, as_positive
@@ -89,7 +88,7 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
         motion = refusal = None
         if network is not None:
             try:
-                motion = make_motion(arm, network, task.start, task.duration, arm.timestep)
+                motion = NetworkPath.integrate(arm, network, task.start).timed(task.duration, arm.timestep)
                 check_motion(arm, motion)
             except PlanError as error:
                 refusal = str(error)

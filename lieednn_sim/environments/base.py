@@ -17,12 +17,10 @@ from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLAT
 from lieednn_sim.planning.motion import steps_in
 from lieednn_sim.simulation import Simulation
 from lieednn_sim.simulation.actuators import Actuators
-from lieednn_sim.simulation.plant import make_plant
+from lieednn_sim.simulation.simulation import make_plant
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats
 
-# Which frames must reach their targets.
-GOALS = ("end-effector", "links")
 # Longest episode [s]; targets that move are drawn for all of it.
 _MAX_TIME_LIMIT = 1000.0
 
@@ -96,7 +94,7 @@ class ArmTask(ABC):
     """Base class of tasks in which joint velocities bring an arm to target positions that are observed.
 
     An object has two parts. The definition of the task is in `commands`, `draw`, `judge` and `look`, which work on
-    arrays with any leading axes, so that `vector.VectorEnvironment` can use them for many episodes. With `begin` and
+    arrays with any leading axes, so that `gymnasium.VectorEnvironment` can use them for many episodes. With `begin` and
     `step` it runs one episode in its simulation.
 
     An action a in [-1, 1]^n gives the joint velocities a |a|, as fractions of their limits, so that slow motions, which
@@ -119,8 +117,8 @@ class ArmTask(ABC):
         control_timestep: time between actions [s], a whole number of physics steps.
         time_limit: duration of an episode [s].
         goal: ``"end-effector"``: its frame is the goal frame; ``"links"``: all link frames are, and the worst counts.
-        position_tolerance: tolerance of success [m]; by default that of a settled frame in an `Evaluation`.
-        rotation_tolerance: the same [rad].
+        position_tolerance, rotation_tolerance: tolerances of success [m, rad]; by default those of a settled frame in
+            an `Evaluation`, unless a subclass has others.
 
     Attributes:
         arm, simulation: the arm, and its simulation.
@@ -137,6 +135,8 @@ class ArmTask(ABC):
         InputError: an argument is malformed, or the arm has infinite position or velocity limits.
     """
 
+    position_tolerance, rotation_tolerance = SETTLED_TRANSLATION, SETTLED_ROTATION
+
     def __init__(
         self,
         arm: str | os.PathLike[str] | Arm = "telescopic_pr",
@@ -146,8 +146,8 @@ class ArmTask(ABC):
         control_timestep: float = 0.02,
         time_limit: float = 6.0,
         goal: str = "end-effector",
-        position_tolerance: float = SETTLED_TRANSLATION,
-        rotation_tolerance: float = SETTLED_ROTATION,
+        position_tolerance: float | None = None,
+        rotation_tolerance: float | None = None,
     ) -> None:
         if isinstance(arm, Arm):
             self.arm = arm.with_scene(scene, scene_seed)
@@ -165,9 +165,10 @@ class ArmTask(ABC):
                 f"{_MAX_TIME_LIMIT:g} s, got {time_limit:g} s"
             )
         self.steps = int(np.ceil(self.time_limit / self.control_timestep - 1e-6))
-        self.goal = as_choice("goal", goal, GOALS)
-        self.position_tolerance = as_positive("position_tolerance", position_tolerance)
-        self.rotation_tolerance = as_positive("rotation_tolerance", rotation_tolerance)
+        self.goal = as_choice("goal", goal, ("end-effector", "links"))
+        for name, value in {"position_tolerance": position_tolerance, "rotation_tolerance": rotation_tolerance}.items():
+            if value is not None:
+                setattr(self, name, as_positive(name, value))
         self.commands = Commands(self.arm, self.substeps)
         self.frames = slice(-1, None) if self.goal == "end-effector" else slice(None)
         frames = len(range(self.arm.n_links)[self.frames])
@@ -241,7 +242,7 @@ class ArmTask(ABC):
         """Joint target ``(n,)`` at a time of the episode [s]."""
         if self.episode == 0:
             raise InputError("no episode has begun: reset first")
-        return self._target.position(time)
+        return self._target.position(float(as_floats("time", time, ())))
 
     def begin(self, rng: np.random.Generator, options: dict[str, Any] | None = None) -> Observation:
         """Begin an episode: the arm rests at ``home``, and the target is drawn from the generator.

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline
 
+from lieednn_sim.arm import Arm
 from lieednn_sim.environments.base import ArmTask
-from lieednn_sim.environments.tasks import Track, planned
+from lieednn_sim.environments.tasks import Track, pace
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning import OBSTACLE_PLANNER
+from lieednn_sim.planning import plan
 from lieednn_sim.policies import MotionTracker, Policy, make_policy
 from lieednn_sim.registry import PLANNERS, POLICIES
 from lieednn_sim.typecheck import typecheck_public
@@ -18,19 +20,22 @@ from lieednn_sim.values import Floats
 
 __all__ = ["Expert"]
 
+# Duration with which plans are made before they are sped up [s]; minimum jerk gives the same path in any duration.
+_PLANNING_DURATION = 10.0
+
 
 class Expert:
     """An expert policy for imitation learning, which has access to the arm and the task.
 
-    In `Reach` it plans a certified network's motion from ``home`` to each episode's target, around obstacles if there
-    are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands the target's next
-    position. With ``policy`` it follows that policy, made anew for each episode, which sees the measured joints and the
-    target. Its actions are within [-1, 1].
+    In `Reach` it plans a motion from ``home`` to each episode's target, by default that of a certified network, around
+    obstacles if there are any, and commands its positions, as fast as 90 % of the limits allow. In `Track` it commands
+    the target's next position. With ``policy`` it follows that policy, made anew for each episode, which sees the
+    measured joints and the target. Its actions are within [-1, 1].
 
     Args:
         environment: an `ArmTask`, an environment of `suite.load`, or a Gymnasium one, wrapped or not.
         policy: a name of `policies.POLICIES`.
-        planner: a name of `planning.PLANNERS`; by default a certified LieEDNN, and among obstacles `OBSTACLE_PLANNER`.
+        planner: a name of `planning.PLANNERS`; by default the `default_planner` of the task's arm.
         seed: seed of the draws.
 
     Attributes:
@@ -57,8 +62,6 @@ class Expert:
             if planner is not None:
                 raise InputError(f"give a policy or a planner, got {policy!r} and {planner!r}")
             POLICIES.find(policy)
-        elif planner is None and task.arm.scene != "free":
-            planner = OBSTACLE_PLANNER
         if planner is not None:
             PLANNERS.require(planner)
         self._task, self._kind, self._planner, self._seed = task, policy, planner, as_seed("seed", seed)
@@ -76,6 +79,9 @@ class Expert:
         task = self._task
         if task.episode == 0:
             raise InputError("the environment has not been reset")
+        target = task.target(task.time + task.control_timestep)
+        if self._kind is None and isinstance(task, Track):
+            return task.commands.towards(task.command, target)
         if self._episode != task.episode:
             self.certificate = ""
             self._policy = self._make(task)
@@ -83,7 +89,7 @@ class Expert:
             # A plan is from the beginning of the episode on, while a policy by name begins where the arm is.
             self._periods = 0 if self._kind is None else task.state.steps
             self._policy.reset(task.arm.keyframe("home") if self._kind is None else task.command)
-        measured, target = task.observe()["position"], task.target(task.time + task.control_timestep)
+        measured = task.observe()["position"]
         # Others may have acted since; asked again at the same time, it answers the same.
         while self._periods <= task.state.steps:
             self._policy.step(measured, target)
@@ -94,19 +100,22 @@ class Expert:
         arm, rate, target = task.arm, 1.0 / task.control_timestep, task.target(0.0)
         if self._kind is not None:
             return make_policy(self._kind, arm, target, rate=rate, start=task.command, seed=self._seed)
-        if isinstance(task, Track):
-            return _TargetFollower(arm, rate)
-        result = planned(arm, target, planner=self._planner, seed=self._seed)
-        self.certificate = result.certificate
-        return MotionTracker(arm, result.spline, rate)
+        motion, self.certificate = planned(arm, target, planner=self._planner, seed=self._seed)
+        return MotionTracker(arm, motion, rate)
 
 
-class _TargetFollower(Policy):
-    """A policy whose reference is the target."""
+def planned(
+    arm: Arm, target: ArrayLike | str, *, planner: str | None = None, seed: Seed = 0
+) -> tuple[CubicHermiteSpline, str]:
+    """A planned motion from the keyframe ``home``, as fast as 90 % of the velocity and acceleration limits allow.
 
-    def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
-        """See `Policy`."""
-        return target, np.zeros_like(target)
+    Besides, the proof of stability of the network that it comes from, in words; empty without one. Raises as `plan`.
+    """
+    result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
+    motion, certificate = result.motion, "" if result.network is None else str(result.network.certificate)
+    # The rest of the limits is left to the servos. Nothing moves if it is already there.
+    factor = pace(arm, motion.t, motion.qd, 0.9) or 1.0
+    return CubicHermiteSpline(motion.t * factor, motion.q, motion.qd / factor), certificate
 
 
 typecheck_public(globals())

@@ -4,9 +4,12 @@ Gymnasium finds environments of other packages when their module is named or imp
 
     import gymnasium
 
-    environment = gymnasium.make("lieednn_sim.environments.gymnasium:LieEDNN/TelescopicReach-v0")
+    name = "lieednn_sim.environments.gymnasium:LieEDNN/TelescopicReach-v0"
+    environment = gymnasium.make(name)
+    many = gymnasium.make_vec(name, num_envs=64, vectorization_mode="vector_entry_point")
 
-or, after ``import lieednn_sim.environments.gymnasium``, by the name alone.
+or, after ``import lieednn_sim.environments.gymnasium``, by the name alone. Many environments are stepped at once by
+`mujoco.rollout`, in threads.
 """
 
 from __future__ import annotations
@@ -16,28 +19,40 @@ import os
 from typing import Any
 
 import numpy as np
+from mujoco import rollout
+from numpy.typing import NDArray
 
+from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
-from lieednn_sim.environments.observations import Observation
+from lieednn_sim.environments.observations import Bounds, LinkFrames, Observation, State, Target
 from lieednn_sim.environments.tasks import make_task
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.rendering.video import Camera, check_view
+from lieednn_sim.typecheck import typecheck_public
+from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_workers, quoted
 from lieednn_sim.values import Floats
 
 try:
     import gymnasium
     from gymnasium import spaces
+    from gymnasium.utils import seeding
+    from gymnasium.vector import AutoresetMode
+    from gymnasium.vector.utils import batch_space
 except ImportError:
     raise LieEDNNError("this module needs gymnasium: pip install 'lieednn_sim[gymnasium]'") from None
-
-from lieednn_sim.environments.vector import VectorEnvironment, observation_space
-from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import as_seed, quoted
 
 __all__ = ["ENVIRONMENTS", "Environment", "VectorEnvironment"]
 
 #: Name of the task of each registered Gymnasium environment, by the environment's id.
 ENVIRONMENTS = {"LieEDNN/TelescopicReach-v0": "reach", "LieEDNN/TelescopicTrack-v0": "track"}
+
+Stepped = tuple[dict[str, Floats], Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
+def observation_space(bounds: Bounds) -> spaces.Dict:
+    """Space of a task's observations."""
+    return spaces.Dict({name: spaces.Box(low, high, dtype=np.float64) for name, (low, high) in bounds.items()})
 
 
 class Environment(gymnasium.Env[Any, Floats]):
@@ -115,6 +130,165 @@ class Environment(gymnasium.Env[Any, Floats]):
 
     def _shown(self, observation: Observation) -> Any:
         return spaces.flatten(self._space, observation) if self._flat else observation
+
+
+class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, Any]):
+    """Many environments that are stepped together, as a Gymnasium vector environment.
+
+    Each is equal to an `Environment` with its seed, up to rounding.
+
+    Args:
+        num_envs: number of environments, B.
+        task, arm, scene, options: as of `Environment`.
+        autoreset_mode: when the next episode begins, see Gymnasium.
+        threads: number of threads; by default, the number of processors.
+
+    Attributes:
+        task: the definition of the task; its own episode is not used.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        task: str = "reach",
+        *,
+        arm: str | os.PathLike[str] | Arm = "telescopic_pr",
+        scene: str | os.PathLike[str] = "free",
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        **options: Any,
+    ) -> None:
+        self.task = make_task(task, arm, scene=scene, **options)
+        self.num_envs = as_count("num_envs", num_envs, most=2**16)
+        if not isinstance(autoreset_mode, AutoresetMode):
+            modes = [mode.value for mode in AutoresetMode]
+            autoreset_mode = AutoresetMode(as_choice("autoreset_mode", autoreset_mode, modes))
+        self.autoreset_mode = autoreset_mode
+        self.metadata = {"autoreset_mode": self.autoreset_mode, "render_fps": round(1.0 / self.task.control_timestep)}
+        self.single_observation_space = observation_space(self.task.bounds)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.arm.n_joints,), np.float64)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        workers = as_workers("threads", os.cpu_count() or 1 if threads is None else threads)
+        self._rollouts, self._model = rollout.Rollout(nthread=workers), self.task.simulation.model
+        self._data = [mujoco.MjData(self._model) for _ in range(workers)]
+        self._link_frames = LinkFrames(self.task.arm, self._model, self._data[0], self.task.frames)
+        self._home = self.task.arm.keyframe("home")
+        self.task.simulation.reset(self._home)
+        self._first = np.zeros(mujoco.mj_stateSize(self._model, _STATE))
+        mujoco.mj_getState(self._model, self.task.simulation.data, self._first, _STATE)
+        self._states = np.tile(self._first, (num_envs, 1))
+        command, row = (np.zeros((num_envs, size)) for size in (len(self._home), self.task.observations.size))
+        # Before the first reset, all are over.
+        steps, success, failure = np.full(num_envs, self.task.steps), np.zeros(num_envs, dtype=bool), [""] * num_envs
+        reward, distance, angle = np.zeros((3, num_envs))
+        self._seen = State(steps, command, row, reward, success, distance, angle, np.array(failure, dtype=object))
+        self._targets: dict[int, Target] = {}
+        self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Floats], dict[str, Any]]:
+        """Begin episodes, with seed + i in environment i; ``options`` may hold Gymnasium's ``reset_mask``."""
+        if seed is None or isinstance(seed, int | np.integer):
+            seed = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise InputError(f"seed must be a number or a list of {self.num_envs}, got one of {len(seed)}")
+        chosen = dict(options or {})
+        try:
+            mask = np.asarray(chosen.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        except ValueError:
+            mask = np.empty(0)
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise InputError(f"reset_mask must be an array of {self.num_envs} truth values, one of them true")
+        which = np.flatnonzero(mask)
+        for i in which:
+            if (own := seed[i]) is not None:
+                self._generators[i] = seeding.np_random(as_seed("seed", own))[0]
+        self._begin(which, chosen)
+        return self._observed(), self._infos(mask)
+
+    def step(self, actions: Floats) -> Stepped:
+        """Do one control step with actions ``(B, n)``; an environment that begins an episode ignores its action.
+
+        `InputError` if an episode is over and autoreset is disabled.
+        """
+        given = as_floats("actions", actions, (self.num_envs, self.task.arm.n_joints))
+        task, seen = self.task, self._seen
+        waiting = seen.over(task.steps)
+        if waiting.any() and self.autoreset_mode == AutoresetMode.DISABLED:
+            raise InputError(f"the episodes of environments {np.flatnonzero(waiting)} are over: reset them first")
+        self._advance(np.flatnonzero(~waiting), given)
+        terminated = ~waiting & (seen.failure != "")
+        truncated = ~waiting & ~terminated & seen.over(task.steps)
+        rewards, infos = np.where(waiting, 0.0, seen.reward), dict[str, Any]()
+        for i in np.flatnonzero(terminated).tolist():
+            infos = self._add_info(infos, {"failure": seen.failure[i]}, i)
+        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            over = terminated | truncated
+            for i in np.flatnonzero(over).tolist():
+                last = State._make(values[i] for values in seen)
+                ended = {"final_obs": task.observations.split(last.row.copy()), "final_info": last.info()}
+                infos = self._add_info(infos, ended, i)
+            waiting |= over
+        self._begin(np.flatnonzero(waiting), {})
+        return self._observed(), rewards, terminated, truncated, infos | self._infos(np.ones_like(waiting))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Stop the threads."""
+        self._rollouts.close()
+
+    def _observed(self) -> dict[str, Floats]:
+        # Contiguous copies.
+        return {name: values.copy() for name, values in self.task.observations.split(self._seen.row).items()}
+
+    def _infos(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
+        infos = dict[str, Any]()
+        for name in ("success", "distance", "angle"):
+            infos[name], infos[f"_{name}"] = getattr(self._seen, name) * mask, mask.copy()
+        return infos
+
+    def _begin(self, which: NDArray[np.int_], options: dict[str, Any]) -> None:
+        """Begin episodes of some environments."""
+        # All are drawn before any episode ends.
+        drawn = {i: self.task.draw(self._generators[i], dict(options)) for i in which.tolist()}
+        self._targets |= drawn
+        self._states[which] = self._first
+        self._look(which, np.zeros_like(which), np.tile(self._home, (len(which), 1)))
+
+    def _advance(self, which: NDArray[np.int_], actions: Floats) -> None:
+        """Step some environments with their actions among ``(B, n)``."""
+        if not len(which):
+            return
+        task, seen, before = self.task, self._seen, self._states[which]
+        start = seen.command[which]
+        command = task.commands.moved(start, actions[which])
+        controls = task.commands.controls(start, command)
+        with QuietWarnings():
+            after = self._rollouts.rollout(self._model, self._data, before, controls)[0][:, -1]
+        # After a warning, MuJoCo's time stands still, or restarts.
+        late = np.abs(after[:, 0] - before[:, 0] - task.control_timestep) > 0.5 * task.simulation.timestep
+        failed = late | ~np.isfinite(after).all(axis=1)
+        for i, state, own in zip(which[failed].tolist(), before[failed], controls[failed], strict=True):
+            # The reason is found by repeating the control step, one physics step after the other.
+            mujoco.mj_setState(self._model, task.simulation.data, state, _STATE)
+            task.simulation.steps = int(seen.steps[i]) * task.substeps
+            seen.failure[i] = task.simulate(own) or "the state is not finite"
+            seen.reward[i], seen.success[i] = 0.0, False
+        good = which[~failed]
+        self._states[good] = after[~failed]
+        self._look(good, seen.steps[good] + 1, command[~failed])
+
+    def _look(self, which: NDArray[np.int_], steps: NDArray[np.int_], command: Floats) -> None:
+        """Update what is known of some environments."""
+        if not len(which):
+            return
+        qpos, qvel = np.split(self._states[which, 1 : 1 + self._model.nq + self._model.nv], [self._model.nq], axis=1)
+        rows = (self._targets[i].after(k) for i, k in zip(which.tolist(), steps.tolist(), strict=True))
+        target = [np.array(values) for values in zip(*rows, strict=True)]
+        result = self.task.look(steps, command, qpos, qvel, self._link_frames.at(qpos), *target)
+        for known, values in zip(self._seen, result, strict=True):
+            known[which] = values
 
 
 for _id, _task in ENVIRONMENTS.items():

@@ -5,38 +5,31 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Collection
-from dataclasses import dataclass
 from functools import cached_property
 from inspect import signature
 from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments.base import ArmTask
 from lieednn_sim.environments.observations import Bounds, Target, goal_frames, reach
-from lieednn_sim.errors import InputError, NoSolutionError, NotCertifiedError, PlanError
-from lieednn_sim.planning import CertifiedOptions, plan
+from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.validation import Seed, as_choice, as_count, as_floats, as_positive, quoted
+from lieednn_sim.validation import as_choice, as_count, as_positive, quoted
 from lieednn_sim.values import Floats
 
-__all__ = ["REFERENCES", "TASKS", "Reach", "Track", "make_task"]
+__all__ = ["TASKS", "Reach", "Track", "make_task"]
 
 # Joints are at rest below this fraction of their velocity limits.
 REST = 0.01
-#: Sources of the moving target of `Track`.
-REFERENCES = ("band-limited", "plan")
 # Errors [m, rad] at which the near and the fine part of a reward fall to a tenth.
 _NEAR, _FINE = (0.05, 0.1), (0.005, 0.01)
-_ATTEMPTS = 10
-# Duration with which plans are made before they are sped up [s]; minimum jerk gives the same path in any duration.
-_PLANNING_DURATION = 10.0
 # Number of sines of a random trajectory, and of attempts to draw one.
 _SINES, _DRAWS = 3, 40
 
@@ -51,27 +44,20 @@ class Closeness:
     """
 
     def __init__(self, task: ArmTask, *more: tuple[float, float]) -> None:
-        self._position, self._rotation = task.position_tolerance, task.rotation_tolerance
         self._farthest = np.array([reach(task.arm), np.pi])
-        allowed = 2 * (self._position, self._rotation)
+        allowed = 2 * (task.position_tolerance, task.rotation_tolerance)
         self._allowed, self._margins = np.array([*zip(allowed, (*_NEAR, *_FINE), strict=True), *more]).T
 
-    def __call__(self, distance: Floats, angle: Floats, *more: Floats) -> Floats:
-        """Closeness ``(...)`` at distances [m], angles [rad] and further errors ``(...)``."""
+    def __call__(self, distance: Floats, angle: Floats, *more: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Closeness at distances [m], angles [rad] and further errors, and whether all are allowed; all ``(...)``."""
         errors = np.array([distance, angle, distance, angle, *more]).T
         beyond = np.maximum(errors - self._allowed, 0.0)
         far, far_turn = np.minimum(beyond[..., :2] / self._farthest, 1.0).T
-        near, near_turn, *fine = tail(beyond / self._margins).T
-        return np.asarray(0.25 * (2.0 - far - far_turn + near * near_turn + math.prod(fine)))
-
-    def within(self, distance: Floats, angle: Floats) -> NDArray[np.bool_]:
-        """Whether both are within their tolerances."""
-        return np.asarray((distance <= self._position) & (angle <= self._rotation))
-
-
-def tail(margins: Floats | float) -> Floats:
-    """1 at the tolerance, 1 / (1 + 9 x^2) at x margins beyond it, as dm_control's ``tolerance``."""
-    return np.asarray(1.0 / (1.0 + 9.0 * margins * margins))
+        # A term is 1 / (1 + 9 x^2) at x margins beyond the tolerance, as that of dm_control.
+        margins = beyond / self._margins
+        near, near_turn, *fine = (1.0 / (1.0 + 9.0 * margins * margins)).T
+        closeness = np.asarray(0.25 * (2.0 - far - far_turn + near * near_turn + math.prod(fine)))
+        return closeness, np.asarray((errors <= self._allowed).all(axis=-1)).T
 
 
 class Reach(ArmTask):
@@ -102,40 +88,28 @@ class Reach(ArmTask):
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """See `ArmTask`; unchecked."""
         speed = np.maximum.reduce(np.abs(qd / self.arm.velocity_limits), axis=-1)
-        return self._closeness(distance, angle, speed), self._closeness.within(distance, angle) & (speed <= REST)
+        return self._closeness(distance, angle, speed)
 
 
 class Track(ArmTask):
-    """Task: keep up with a target that moves from ``home`` within the arm's limits, free of contact.
+    """Task: keep up with a target that moves from ``home`` within the arm's limits, free of contact (`band_limited`).
 
     Additional observations are ``target_velocity`` ``(n,)`` and ``preview`` ``(P, n)``, the target positions at the
-    ends of this and the following control steps. Success: the goal frames are within the tolerances now. The reward is
-    the closeness, 1 exactly at success.
+    ends of this and the following control steps. Success: the goal frames are within the tolerances now, by default
+    half a centimetre, since no servo tracks exactly. The reward is the closeness, 1 exactly at success.
 
     Args:
         arm: as in `ArmTask`.
-        reference: ``"band-limited"``, a random endless joint trajectory; or ``"plan"``, a LieEDNN plan to a random
-            target, which takes a second for each episode.
         preview: number P of previewed target positions.
-        position_tolerance: tolerance of success [m]; half a centimetre by default, since no servo tracks exactly.
-        rotation_tolerance: the same [rad].
         options: further options of `ArmTask`.
     """
 
-    def __init__(
-        self,
-        arm: str | Arm = "telescopic_pr",
-        *,
-        reference: str = "band-limited",
-        preview: int = 5,
-        position_tolerance: float = 5e-3,
-        rotation_tolerance: float = float(np.deg2rad(0.5)),
-        **options: Any,
-    ) -> None:
-        self.reference = as_choice("reference", reference, REFERENCES)
+    position_tolerance, rotation_tolerance = 5e-3, float(np.deg2rad(0.5))
+
+    def __init__(self, arm: str | Arm = "telescopic_pr", *, preview: int = 5, **options: Any) -> None:
         # Its targets must fit into the memory of a learner.
         self.preview = as_count("preview", preview, most=10_000)
-        super().__init__(arm, position_tolerance=position_tolerance, rotation_tolerance=rotation_tolerance, **options)
+        super().__init__(arm, **options)
 
     def _more_bounds(self) -> Bounds:
         velocity = self.arm.velocity_limits
@@ -150,30 +124,17 @@ class Track(ArmTask):
         """See `ArmTask`."""
         _refuse("reset options", options)
         ends = self.control_timestep * np.arange(self.steps + self.preview + 1)
-        if self.reference == "band-limited":
-            trajectory = band_limited(self.arm, rng, (self.steps + self.preview) * self.control_timestep)
-        else:
-            trajectory = self._draw_plan(rng)
-        q = trajectory.position(ends)
+        path = band_limited(self.arm, rng, (self.steps + self.preview) * self.control_timestep)
+        q = path(ends)
         now = slice(self.steps + 1)
         # A window for each row, which is not copied: previews overlap.
         previews = sliding_window_view(q[1:].ravel(), self.preview * self.arm.n_joints)[:: self.arm.n_joints]
-        rows = q[now], goal_frames(self.arm, q[now], self.frames), trajectory.velocity(ends[now]), previews
-        return Target(trajectory.position, rows)
-
-    def _draw_plan(self, rng: np.random.Generator) -> JointTrajectory:
-        refusal = ""
-        for _ in range(_ATTEMPTS):
-            seed = int(rng.integers(2**32))
-            try:
-                return planned(self.arm, draw_target(self.arm, seed), seed=seed)
-            except (PlanError, NotCertifiedError) as error:
-                refusal = str(error)
-        raise NoSolutionError(f"no plan was found for {_ATTEMPTS} random targets; the last one: {refusal}")
+        rows = q[now], goal_frames(self.arm, q[now], self.frames), path(ends[now], 1), previews
+        return Target(lambda time: path(np.clip(time, 0.0, path.x[-1])), rows)
 
     def judge(self, distance: Floats, angle: Floats, qd: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """See `ArmTask`; unchecked."""
-        return self._closeness(distance, angle), self._closeness.within(distance, angle)
+        return self._closeness(distance, angle)
 
 
 #: Tasks by name.
@@ -195,63 +156,13 @@ def _refuse(what: str, unknown: Collection[str], known: Collection[str] = ()) ->
         raise InputError(f"unknown {what}: {names}; known: {', '.join(sorted(known)) or 'none'}")
 
 
-@dataclass(frozen=True, eq=False)
-class JointTrajectory:
-    """A joint trajectory [rad, m] that begins at t = 0; before and after it, the joints rest.
-
-    The certificate is the proof of stability of the network that it comes from, in words; empty without one.
-    """
-
-    spline: CubicHermiteSpline
-    certificate: str = ""
-
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        return float(self.spline.x[-1])
-
-    def position(self, time: ArrayLike) -> Floats:
-        """Joint positions at times ``(...)``, shape ``(..., n)``."""
-        times = as_floats("time", time, (), batched=True)
-        return np.asarray(self.spline(np.clip(times, 0.0, self.duration)))
-
-    def velocity(self, time: ArrayLike) -> Floats:
-        """Joint velocities at times ``(...)``, shape ``(..., n)``."""
-        times = as_floats("time", time, (), batched=True)
-        inside = (times >= 0.0) & (times < self.duration)
-        return np.where(inside[..., None], self.spline(np.clip(times, 0.0, self.duration), 1), 0.0)
-
-
-def planned(arm: Arm, target: ArrayLike | str, *, planner: str | None = None, seed: Seed = 0) -> JointTrajectory:
-    """A planned motion from the keyframe ``home``, as fast as 90 % of the velocity and acceleration limits allow.
-
-    The planner is by default a certified LieEDNN, of which two networks are drawn at first; if their motions break
-    limits, four times as many are drawn, and then sixteen times as many. Raises as `plan`.
-    """
-    if planner is not None:
-        result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
-    else:
-        # Few networks suffice for most targets, and each takes time.
-        for count in (2, 8, 32):
-            options = CertifiedOptions(n_networks=count)
-            try:
-                result = plan(arm, target, duration=(_PLANNING_DURATION,) * 2, options=options, seed=seed)
-                break
-            except (PlanError, NotCertifiedError):
-                if count == 32:
-                    raise
-    motion, certificate = result.motion, "" if result.network is None else str(result.network.certificate)
-    # The rest of the limits is left to the servos. Nothing moves if it is already there.
-    pace = _pace(arm, motion.t, motion.qd, 0.9) or 1.0
-    return JointTrajectory(CubicHermiteSpline(motion.t * pace, motion.q, motion.qd / pace), certificate)
-
-
-def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTrajectory:
-    """A random trajectory that starts at rest at ``home`` and keeps the limits free of contact.
+def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> CubicHermiteSpline:
+    """A random joint trajectory ``(n,)`` [rad, m] over time [s], within the limits and free of contact.
 
     q(t) = home + r(t) (m + h u(t) - home), elementwise, where u is a sum of sines of 0.1 to 0.5 Hz with random
-    weights, frequencies and phases, |u| <= 1; m - h and m + h are random positions within the limits; r rises from 0
-    to 1 by the minimum-jerk law. If it exceeds half the velocity or acceleration limits, it is slowed down as a whole.
+    weights, frequencies and phases, |u| <= 1; m - h and m + h are random positions within the limits; r rises from 0,
+    at rest at ``home``, to 1 by the minimum-jerk law. If it exceeds half the velocity or acceleration limits, it is
+    slowed down as a whole.
     `NoSolutionError` if every attempt touches something.
     """
     total = as_positive("duration", duration)
@@ -259,14 +170,14 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> JointTr
     home, spread = arm.keyframe("home"), 0.8
     for _ in range(_DRAWS):
         trajectory = _draw(arm, rng, home, total, spread)
-        checked = trajectory.position(np.linspace(0.0, total, int(np.ceil(10.0 * total)) + 1))
+        checked = trajectory(np.linspace(0.0, total, int(np.ceil(10.0 * total)) + 1))
         if not any(arm.contacts(q) for q in checked):
             return trajectory
         spread *= 0.85
     raise NoSolutionError(f"no random trajectory of arm {arm.name!r} is free of contact; use another scene or seed")
 
 
-def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread: float) -> JointTrajectory:
+def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread: float) -> CubicHermiteSpline:
     n = len(home)
     low, high = arm.position_limits.T.copy()
     for ball in arm.space.balls:
@@ -286,11 +197,11 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
     onset = min(1.5, total)
     rise, slope = (values[:, None] for values in minimum_jerk_law(np.minimum(t / onset, 1.0)))
     q, qd = home + rise * wave, slope / onset * wave + rise * wave_rate
-    slowdown = max(1.0, _pace(arm, t, qd, 0.5))
-    return JointTrajectory(CubicHermiteSpline(t * slowdown, q, qd / slowdown))
+    slowdown = max(1.0, pace(arm, t, qd, 0.5))
+    return CubicHermiteSpline(t * slowdown, q, qd / slowdown)
 
 
-def _pace(arm: Arm, t: Floats, qd: Floats, fraction: float) -> float:
+def pace(arm: Arm, t: Floats, qd: Floats, fraction: float) -> float:
     """Factor of time with which the fastest joint reaches a fraction of its limits; 0 if nothing moves."""
     velocity = (np.abs(qd) / arm.velocity_limits).max()
     acceleration = (np.abs(np.gradient(qd, t, axis=0)) / arm.acceleration_limits).max()

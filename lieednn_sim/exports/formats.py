@@ -1,7 +1,8 @@
-"""The function that writes any format, the one that records an expert's episodes, and what the writers share."""
+"""The function that writes any format, the simplest format, what writers share, and recorded episodes of an expert."""
 
 from __future__ import annotations
 
+import csv
 import importlib
 import os
 import shutil
@@ -87,6 +88,34 @@ def export(
 def samples(rollout: Rollout, rate: float | None) -> slice:
     """The rows of a rollout at a rate [Hz], or all; `InputError` if the rate does not divide the simulation's."""
     return slice(None, None, 1 if rate is None else steps_of_rate("rate", rate, rollout.timestep))
+
+
+def write_csv(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = None) -> None:
+    """Write ``<name>.csv`` for each rollout; see `export`.
+
+    The columns are the time, for each joint coordinate its planned and measured position and velocity, and the
+    measured pose of the end effector in the world, its rotation as a unit quaternion without jumps of sign. Numbers are
+    exact.
+    """
+    for name, rollout in rollouts.items():
+        arm, rows = rollout.arm, samples(rollout, rate)
+        header, columns = ["time [s]"], [rollout.t]
+        for j, joint in enumerate(arm.joint_names):
+            for what, values, unit in (
+                ("planned position", rollout.q_ref, arm.unit(j)),
+                ("measured position", rollout.q, arm.unit(j)),
+                ("planned velocity", rollout.qd_ref, f"{arm.unit(j)}/s"),
+                ("measured velocity", rollout.qd, f"{arm.unit(j)}/s"),
+            ):
+                header.append(f"{joint} {what} [{unit}]")
+                columns.append(values[:, j])
+        header += [f"end effector {axis} [m]" for axis in "xyz"] + [f"end effector q{part} [1]" for part in "wxyz"]
+        pose = np.hstack([rollout.link_position[:, -1], rollout.link_quaternion[:, -1]])
+        with (folder / f"{name}.csv").open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(header)
+            # Python writes the shortest decimals that are read as the same numbers.
+            writer.writerows(np.column_stack([*columns, pose])[rows].tolist())
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from pathlib import Path
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.comparison.study import Comparison, settings_of
-from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.rows import grouped
 
 # Names and SQL types of what each run tells; OMPL's own names for the first two.
 _PROPERTIES = (
@@ -39,7 +39,7 @@ def write(comparisons: Mapping[str, str | os.PathLike[str]], folder: Path) -> No
             "setup": json.dumps({"settings": table.settings, "versions": table.versions}),
             "limit": f"{settings_of(table).time_budget:g}",
         }
-        for part in grouped(table.sorted_rows(), ("arm", "scene", "controller")):
+        for part in grouped(table.rows.values(), ("arm", "scene", "controller")):
             experiment = "-".join("_".join(str(word).split()) for word in part.key)
             lines = _log(experiment, part.rows, **head)
             (folder / f"{name}-{experiment}.log").write_text("\n".join(lines) + "\n", encoding="utf-8")

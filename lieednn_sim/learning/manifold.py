@@ -44,7 +44,7 @@ class SE3Weights:
     dimension = 6
 
     def project(self, weight: Floats, alpha: Floats, kind: str, near: WeightPoint | None = None) -> WeightPoint:
-        """Project weights ``(Nd, Nd)``; ``kind`` is one of `options.PROJECTIONS`, and "scaled" ignores alpha.
+        """Project weights ``(Nd, Nd)``; ``kind`` is a projection of `TrainingOptions`, and "scaled" ignores alpha.
 
         ``near`` is a point from which a search may start; no projection here needs it.
         """

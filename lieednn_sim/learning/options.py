@@ -6,14 +6,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.learning.sensitivity import LOSSES
 from lieednn_sim.validation import as_choice, as_count, as_positive
 from lieednn_sim.values import check_fields
-
-DIRECTIONS = ("gradient", "gauss-newton")
-EQUILIBRIA = ("newton", "rk45")
-PROJECTIONS = ("block-wise", "exact", "scaled", "none")
-STEP_CONTROLS = ("adaptive", "tracked")
 
 
 @dataclass(frozen=True)
@@ -51,7 +45,7 @@ class LearningOptions:
 
     def __post_init__(self) -> None:
         # Checked values are stored as plain numbers, which JSON can hold.
-        as_choice("direction", self.direction, DIRECTIONS)
+        as_choice("direction", self.direction, ("gradient", "gauss-newton"))
         check_fields(self, as_count, "max_start_epochs", "stability_interval")
         check_fields(self, as_count, "restarts", least=0)
         check_fields(self, as_positive, "initial_rate", "min_rate", "max_rate")
@@ -112,10 +106,10 @@ class TrainingOptions(LearningOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        as_choice("loss", self.loss, LOSSES)
-        as_choice("equilibrium", self.equilibrium, EQUILIBRIA)
-        as_choice("projection", self.projection, PROJECTIONS)
-        as_choice("step control", self.step_control, STEP_CONTROLS)
+        as_choice("loss", self.loss, ("squared", "norm"))
+        as_choice("equilibrium", self.equilibrium, ("newton", "rk45"))
+        as_choice("projection", self.projection, ("block-wise", "exact", "scaled", "none"))
+        as_choice("step control", self.step_control, ("adaptive", "tracked"))
         check_fields(self, as_count, "period", "max_epochs")
         check_fields(self, lambda _, flag: bool(flag), "learn_alpha", "verified_stop")
 
@@ -153,25 +147,18 @@ class RiemannianOptions(LearningOptions):
     Attributes:
         certified: learn a certificate of global stability along with the weights, and give up a start that ends
             without one; Gauss-Newton only.
-        barrier: fraction of gamma/mu, below 1, at which the certificate starts to push back.
-        damping: Levenberg damping of the Gauss-Newton equations.
     """
 
     certified: bool = False
-    barrier: float = 0.8
-    damping: float = 1e-6
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_fields(self, lambda _, flag: bool(flag), "certified")
-        check_fields(self, as_positive, "barrier", "damping")
         largest = 1.0 if self.direction == "gauss-newton" else 1e6  # gradient steps could overflow beyond theirs
         if self.max_rate > largest:
             raise InputError(f"max_rate must be at most {largest:g} for {self.direction}, got {self.max_rate:g}")
         if self.certified and self.direction != "gauss-newton":
             raise InputError(f"certified training needs the direction 'gauss-newton', got {self.direction!r}")
-        if self.barrier >= 1.0:
-            raise InputError(f"barrier must lie below 1, where the certificate ends, got {self.barrier:g}")
 
     @classmethod
     def stability_aware(cls, **changes: Any) -> RiemannianOptions:

@@ -33,6 +33,8 @@ from lieednn_sim.stability.certificate import log_scale_gradient, smooth_largest
 from lieednn_sim.stability.norms import scale
 from lieednn_sim.values import Floats
 
+_DAMPING = 1e-6  # Levenberg damping of the Gauss-Newton equations
+_BARRIER = 0.8  # fraction of gamma/mu at which the certificate starts to push back
 _AIM = 0.4  # fraction of the largest jump at which a Gauss-Newton step aims, to leave room for second-order terms
 # In one epoch the barrier asks for this fraction of the excess, and at most this much. Where the squared slope is below
 # the last number it asks for less, so that the weights come to rest at a minimum.
@@ -162,7 +164,7 @@ class RiemannianTraining(Training[RiemannianOptions]):
         row = self.epoch
         self.epoch += 1
         if self._followed(before, trial, decrease) and (not due or self.stable(trial)):
-            self.recorder.add(row, before.equilibrium.x, before.rate, before.weight)
+            self.record(row, before, before.rate)
             if due:
                 self._checked_at = self.epoch
             return trial._replace(rate=min(options.max_rate, before.rate * options.grow)), None
@@ -201,17 +203,17 @@ class RiemannianTraining(Training[RiemannianOptions]):
         delta = now.equilibrium.x - self.goal
         longest = _AIM * self.options.max_jump
         aim = delta * (longest / max(longest, np.abs(delta).max()))
-        equations = RowEquations(differential(now.point, now.equilibrium.output), self.options.damping)
+        equations = RowEquations(differential(now.point, now.equilibrium.output), _DAMPING)
         step = equations.shortest(nearby.matrix @ (-now.rate / self.ratio * aim))
         log_scale = now.log_scale
         sharpness = 16.0  # the smoothed eigenvalue lies above the largest by at most log(3N) / sharpness
         if self.options.certified:
             value, in_point, in_log_scale = smoothed_eigenvalue(now.point, log_scale, self.ratio, sharpness)
-            if value > self.options.barrier:
+            if value > _BARRIER:
                 # Not scaled by the rate: the certificate takes precedence over the target.
                 neutral = equations.neutral(in_point)
                 slope = float(np.vdot(neutral, neutral) + in_log_scale @ in_log_scale)
-                drop = min(_BARRIER_GAIN * (value - self.options.barrier), _LARGEST_DROP)
+                drop = min(_BARRIER_GAIN * (value - _BARRIER), _LARGEST_DROP)
                 length = drop / max(slope, _LEAST_SQUARED_SLOPE)
                 step, log_scale = step - length * neutral, log_scale - length * in_log_scale
         return self._moved(now, step, log_scale, nearby)

@@ -23,10 +23,9 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning.manifold import block_view
 from lieednn_sim.lie import adjoint
 from lieednn_sim.network import ACTIVATIONS, LieEDNN
-from lieednn_sim.validation import as_choice, as_floats
+from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
-LOSSES = ("squared", "norm")
 _TOLERANCE = 1e-12
 _ACCEPTED = 1e-9  # residual that rounding may leave; a point with a larger one is not an equilibrium
 _LONGEST_STEP = 1.0
@@ -40,7 +39,7 @@ class Sensitivity:
     """The equilibrium error and its derivatives in the weights.
 
     Attributes:
-        loss: E^2/2 ("squared") or E ("norm"), E = ||xi* - xi_d||_2.
+        loss: E^2/2 with E = ||xi* - xi_d||_2.
         equilibrium: ``(N, 6)`` xi*.
         matrix: ``(6N, 6N)`` S = I - (mu/gamma) W diag(phi'(xi*)).
         weight: ``(6N, 6N)`` derivative of the loss in W.
@@ -54,19 +53,17 @@ class Sensitivity:
     alpha: Floats
 
 
-def sensitivity(network: LieEDNN, target: ArrayLike, *, loss: str = "squared") -> Sensitivity:
+def sensitivity(network: LieEDNN, target: ArrayLike) -> Sensitivity:
     """Loss and gradients of a network whose equilibrium should be ``target`` (paper, eqs. 3.15 to 3.19).
 
     Args:
         network: its equilibrium is searched for from zero.
         target: ``(N - M, 6)`` xi_d of the visible neurons.
-        loss: a name of `LOSSES`.
 
     Raises:
-        InputError: no equilibrium is found, S is singular there, or the loss is the norm and E is 0.
+        InputError: no equilibrium is found, or S is singular there.
     """
     goal = as_floats("target", target, (network.n_visible, 6))
-    as_choice("loss", loss, LOSSES)
     result = network.equilibrium()
     if not result.success:
         raise InputError(f"the gradient needs an equilibrium: {result.message}")
@@ -74,20 +71,13 @@ def sensitivity(network: LieEDNN, target: ArrayLike, *, loss: str = "squared") -
     output = network.phi(result.xi).ravel()
     delta = np.zeros_like(result.xi)  # hidden neurons do not count
     delta[: network.n_visible] = network.visible(result.xi) - goal
-    delta = delta.ravel()
-    error = float(np.linalg.norm(delta))
-    if loss == "norm" and error == 0.0:
-        raise InputError("E = ||xi* - xi_d|| has no gradient at E = 0; use the squared loss")
-    ratio = network.mu / network.gamma
     try:
-        multiplier = np.asarray(np.linalg.solve(matrix.T, delta), dtype=np.float64)
-        weight = weight_gradient(multiplier, output, ratio)
+        multiplier = np.asarray(np.linalg.solve(matrix.T, delta.ravel()), dtype=np.float64)
     except np.linalg.LinAlgError:
         raise InputError("the sensitivity matrix is singular: the equilibrium bifurcates here") from None
-    if loss == "norm":
-        weight /= error
+    weight = weight_gradient(multiplier, output, network.mu / network.gamma)
     alpha = strength_gradient(weight, adjoint(network.rotation, network.translation))
-    return Sensitivity(error if loss == "norm" else 0.5 * error**2, result.xi, matrix, weight, alpha)
+    return Sensitivity(0.5 * float(np.linalg.norm(delta)) ** 2, result.xi, matrix, weight, alpha)
 
 
 def weight_gradient(multiplier: Floats, output: Floats, ratio: float) -> Floats:

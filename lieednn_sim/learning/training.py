@@ -73,37 +73,6 @@ class History:
             raise FileError(f"{path} is not a valid training history: {error}") from None
 
 
-class Recorder:
-    """Collects the rows of a `History` for a target ``(N, d)``; can be truncated to an earlier length."""
-
-    def __init__(self, target: Floats, tolerance: float) -> None:
-        self._target, self._tolerance = target, tolerance
-        self._scalars: list[tuple[float, float, float, float]] = []
-        self._equilibria: list[Floats] = []
-
-    def __len__(self) -> int:
-        return len(self._scalars)
-
-    def add(self, epoch: int, x: Floats, rate: float, weight: Floats) -> None:
-        """Append a row for flat weights with the flat equilibrium ``x``, which is not copied."""
-        # LAPACK's norms of the transpose, which is in its memory order, in a third of the time of NumPy's reductions.
-        transposed = weight.T
-        self._scalars.append((epoch, rate, dlange("I", transposed), dlange("1", transposed)))
-        self._equilibria.append(x)
-
-    def cut(self, length: int) -> None:
-        """Delete all rows from ``length`` on."""
-        del self._scalars[length:], self._equilibria[length:]
-
-    def history(self) -> History:
-        """The rows so far, as arrays."""
-        epoch, rate, one_norm, infinity_norm = np.array(self._scalars, dtype=np.float64).reshape(-1, 4).T.copy()
-        equilibrium = np.array(self._equilibria, dtype=np.float64).reshape(-1, *self._target.shape)
-        delta = (equilibrium - self._target).reshape(len(epoch), self._target.size)
-        accuracy = (np.abs(delta) < self._tolerance).mean(axis=1)
-        return History(epoch, np.linalg.norm(delta, axis=1), accuracy, rate, one_norm, infinity_norm, equilibrium)
-
-
 class StopReason(StrEnum):
     """Why a training stopped."""
 
@@ -207,7 +176,7 @@ class Training(ABC, Generic[_Options]):
         self.problem, self.options = problem, options
         self.manifold, self.goal, self.ratio = problem.manifold, problem.target.ravel(), problem.ratio
         self.solver = EquilibriumSolver(problem.bias, problem.ratio, problem.activation)
-        self.recorder = Recorder(problem.target, options.tolerance)
+        self.rows: list[tuple[float, float, float, float, Floats]] = []  # of the history of a start
         self.epoch = 0  # epochs done, over all starts
 
     @abstractmethod
@@ -242,14 +211,28 @@ class Training(ABC, Generic[_Options]):
 
     def _descend(self, weight: Floats, end: int) -> tuple[Iterate, StopReason]:
         """The last iterate of a start, and why it ends there, at the epoch ``end`` at the latest."""
-        self.recorder.cut(0)
+        self.rows.clear()
         now = self.initial(weight)
         reason = None if now.equilibrium.success else StopReason.LOST_EQUILIBRIUM
         while reason is None:
             now, reason = self.advance(now, end)
             report(self.epoch, self.options.most_epochs)
-        self.recorder.add(self.epoch, now.equilibrium.x, now.rate, now.weight)
+        self.record(self.epoch, now, now.rate)
         return now, reason
+
+    def record(self, epoch: int, now: Iterate, rate: float) -> None:
+        """Append a row to the history: the iterate at the beginning of an epoch, whose learning rate is ``rate``."""
+        # LAPACK's norms of the transpose, which is in its memory order, in a third of the time of NumPy's reductions.
+        transposed = now.weight.T
+        self.rows.append((epoch, rate, dlange("I", transposed), dlange("1", transposed), now.equilibrium.x))
+
+    def _history(self) -> History:
+        *scalars, states = zip(*self.rows, strict=True)
+        epoch, rate, one_norm, infinity_norm = (np.array(column, dtype=np.float64) for column in scalars)
+        equilibrium = np.array(states).reshape(-1, *self.problem.target.shape)
+        delta = equilibrium.reshape(len(epoch), -1) - self.goal
+        accuracy = (np.abs(delta) < self.options.tolerance).mean(axis=1)
+        return History(epoch, np.linalg.norm(delta, axis=1), accuracy, rate, one_norm, infinity_norm, equilibrium)
 
     def arrived(self, now: Iterate) -> bool:
         """Whether every coordinate is within the tolerance."""
@@ -272,5 +255,5 @@ class Training(ABC, Generic[_Options]):
         tolerance, size = self.options.tolerance, max(np.linalg.norm(weight), np.finfo(float).tiny)
         stable = error < tolerance and self.solver.sensitivity(weight, equilibrium).stable()
         outcome = stable and self.accepts(network), reason, network, weight, error, tolerance
-        lost, history = float(np.linalg.norm(weight - nearest) / size), self.recorder.history()
+        lost, history = float(np.linalg.norm(weight - nearest) / size), self._history()
         return TrainingResult(*outcome, lost, history, self.epoch, starts, cpu_time=0.0)

@@ -86,8 +86,15 @@ def log(pose: RigidTransform) -> Floats:
 def logarithm(rotation: Floats, translation: Floats) -> Floats:
     """`log` of rotations ``(..., 3, 3)`` and translations ``(..., 3)``: unchecked, in half of the time of SciPy's."""
     turn = scipy.spatial.transform.Rotation.from_matrix(rotation.reshape(-1, 3, 3), assume_valid=True)
-    omega, p = turn.as_rotvec().T.copy(), translation.reshape(-1, 3).T.copy()
+    omega, p = rotation_vectors(turn).T.copy(), translation.reshape(-1, 3).T.copy()
     return np.concatenate([omega, moving(omega, p, p)]).T.reshape(*translation.shape[:-1], 6)
+
+
+def rotation_vectors(rotation: Rotation) -> Floats:
+    """`Rotation.as_rotvec`, ``(..., 3)`` [rad], in a tenth of its time, by modified Rodrigues parameters n tan(a/4)."""
+    parameters = rotation.as_mrp()
+    size = np.sqrt(np.vecdot(parameters, parameters))
+    return np.asarray(parameters * (4.0 * np.arctan(size) / np.maximum(size, 1e-150))[..., None])
 
 
 def moving(omega: Floats, total: Floats, difference: Floats) -> Floats:
@@ -185,25 +192,17 @@ def left_jacobian_se3(twist: ArrayLike) -> Floats:
     Exp(xi + d) = Exp(J d) Exp(xi) to first order, J = [[J_so3, 0], [Q, J_so3]]
     with Q of Barfoot 2017, eq. 7.86, rewritten for this order of the twist.
     """
-    vector = as_floats("twist", twist, (6,), batched=True, largest=_LARGEST_TWIST)
-    w, v = skew(vector[..., :3]), skew(vector[..., 3:])
-    angle = np.linalg.norm(vector[..., :3], axis=-1)
-    c, d, e = (k[..., None, None] for k in _coefficients(angle, 3, 4, 5))
-    wv, vw = w @ v, v @ w
-    wvw = w @ vw
-    result = np.zeros((*vector.shape[:-1], 6, 6))
-    result[..., :3, :3] = result[..., 3:, 3:] = left_jacobian_so3(vector[..., :3])
-    result[..., 3:, :3] = (
-        0.5 * v + c * (wv + vw + wvw) + d * (w @ wv + vw @ w - 3.0 * wvw) + 0.5 * (d - 3.0 * e) * (wvw @ w + w @ wvw)
-    )
-    return result
+    vector = as_floats("twist", twist, (6,), batched=True, largest=_LARGEST_TWIST)[..., None, :]
+    shape = (*vector.shape[:-2], 6, 6)
+    # Its columns are the spatial twists at unit rates.
+    columns = spatial_twist(np.broadcast_to(vector, shape), np.broadcast_to(np.eye(6), shape))
+    return np.swapaxes(columns, -1, -2)
 
 
 def spatial_twist(twist: ArrayLike, rate: ArrayLike) -> Floats:
     """Spatial twist ``(..., 6)`` of Exp(xi) where xi ``(..., 6)`` changes at a rate ``(..., 6)``: J xi'.
 
-    The same as `left_jacobian_se3` times the rate, in a tenth of the time: products are with vectors, not matrices, and
-    components of all vectors are contiguous.
+    J is that of `left_jacobian_se3`, here without any matrix; components of all vectors are contiguous, for speed.
     """
     vector = as_floats("twist", twist, (6,), batched=True, largest=_LARGEST_TWIST)
     change = as_floats("rate", rate, vector.shape)

@@ -17,10 +17,9 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target, goes_to_extended
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.live.panel import Panel
-from lieednn_sim.live.scene import ArmScene
+from lieednn_sim.live.scene import ArmScene, Observer
 from lieednn_sim.live.session import Session
 from lieednn_sim.live.settings import Settings
-from lieednn_sim.live.snapshot import Observer
 from lieednn_sim.registry import optional_module
 from lieednn_sim.rendering.viser_server import quiet_server
 from lieednn_sim.validation import Seed, as_count, as_seed
@@ -32,7 +31,7 @@ _RATE, _TABLE = 30.0, 5
 _DRAG_ENDS = 1.0
 
 
-class Page:
+class Page(contextlib.AbstractContextManager["Page"]):
     """A session that is shown in the browser; `close` ends it, as does the end of a ``with`` block.
 
     Args:
@@ -63,9 +62,6 @@ class Page:
         self._thread = threading.Thread(target=self._show, name="page", daemon=True)
         session.run()
         self._thread.start()
-
-    def __enter__(self) -> Page:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

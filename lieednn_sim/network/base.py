@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim import io, stability
 from lieednn_sim.errors import FileError, InputError, LieEDNNError, NotCertifiedError
 from lieednn_sim.network.dynamics import INTEGRATORS, Equilibrium, Trajectory, find_equilibrium, integrate
-from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, as_ratio
+from lieednn_sim.validation import as_choice, as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats, read_only
 
 
@@ -122,7 +122,7 @@ class BlockNetwork(ABC):
         def jacobian(x: Floats) -> Floats:
             return self.jacobian(np.concatenate([still, x]).reshape(self.bias.shape))[size:, size:]
 
-        equilibrium = find_equilibrium(field, jacobian, hidden, rate=self.gamma, tolerance=1e-12)
+        equilibrium = find_equilibrium(field, jacobian, hidden, rate=self.gamma)
         if not equilibrium.success:
             raise InputError(
                 f"the hidden neurons do not come to rest while the visible ones are at xi ({equilibrium.message}); "
@@ -225,15 +225,10 @@ class BlockNetwork(ABC):
         whole[..., every, every] -= self.gamma
         return whole
 
-    def equilibrium(self, start: ArrayLike | None = None, *, tolerance: float = 1e-12) -> Equilibrium:
+    def equilibrium(self, start: ArrayLike | None = None) -> Equilibrium:
         """Find an equilibrium by damped Newton steps, with the flow as fallback; see `dynamics.find_equilibrium`.
 
-        A certified network has exactly one equilibrium.
-
-        Args:
-            start: ``(N, d)`` first guess, zero by default.
-            tolerance: tolerance of the largest entry of the vector field, relative to gamma (1 + |xi|); a hundred times
-                as much is accepted if rounding keeps Newton's method from improving further.
+        A certified network has exactly one equilibrium. The search begins at ``start`` ``(N, d)``, by default at zero.
         """
         shape, driven = self.bias.shape, self.n_driven
         first = np.zeros(shape) if start is None else as_floats("start", start, shape)
@@ -248,7 +243,6 @@ class BlockNetwork(ABC):
             lambda x: self.mu * self._driven(whole(x).reshape(shape))[:, :size] - self.gamma * np.eye(size),
             first[:driven],
             rate=self.gamma,
-            tolerance=as_positive("tolerance", tolerance),
         )
         if driven == len(first):
             return result
@@ -370,24 +364,16 @@ class BlockNetwork(ABC):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the network to an ``.npz`` file, atomically."""
-        io.save_arrays(path, self._kind, *self.stored())
-
-    def stored(self) -> tuple[dict[str, Floats], dict[str, Any]]:
-        """The arrays and the metadata that a file holds, by name."""
         arrays = {field.name: getattr(self, field.name) for field in self._stored("Floats", "NDArray")}
-        return {name: values for name, values in arrays.items() if values is not None}, self._meta()
+        given = {name: values for name, values in arrays.items() if values is not None}
+        io.save_arrays(path, self._kind, given, self._meta())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read a network; `FileError` if there is none, or its certificate, verified from the weights, fails."""
         if inspect.isabstract(cls):
             raise InputError(f"a {cls.__name__} is read by its own class, such as LieEDNN.load")
-        return cls.restored(*io.load_arrays(path, cls._kind), path)
-
-    @classmethod
-    def restored(cls, arrays: Mapping[str, Floats], meta: Mapping[str, Any], path: str | os.PathLike[str]) -> Self:
-        """The network of what `stored` gave, read from a file, verified and raising as by `load`; unchecked."""
-        path = as_path("path", path)
+        arrays, meta = io.load_arrays(path, cls._kind)
         kept = cls._stored("Floats", "NDArray")
         names = [field.name for field in kept if field.name in arrays or not field.type.endswith("None")]
         values = dict(zip(names, io.take(arrays, path, *names), strict=True))

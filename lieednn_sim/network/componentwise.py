@@ -188,7 +188,11 @@ class ComponentwiseNetwork(BlockNetwork):
         weight, bias = self._scaled
         rate = bias - self.gamma * x
         # For one state the method is quicker.
-        rate[..., : len(weight)] += weight.dot(self.phi(x)) if x.ndim == 1 else self.phi(x) @ weight.T
+        driven = weight.dot(self.phi(x)) if x.ndim == 1 else self.phi(x) @ weight.T
+        if len(weight) == len(bias):
+            rate += driven
+        else:
+            rate[..., : len(weight)] += driven
         return rate
 
     @cached_property

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import BDF, DOP853, LSODA, RK45, DenseOutput, OdeSolution, OdeSolver, Radau
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
+from scipy.special import binom
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import InputError, LieEDNNError
@@ -21,6 +22,10 @@ VectorField = Callable[[Floats], Floats]
 
 # Evaluations of the vector field in one integration, which take some seconds; a usual one needs a thousand.
 _MAX_EVALUATIONS = 200_000
+
+# Coefficients of s to s^7 in the polynomials s^a (1 - s)^b of DOP853's interpolants, one row for each.
+_A, _B = np.arange(2, 9)[:, None] // 2, np.arange(1, 8)[:, None] // 2
+_ALTERNATING = (-1.0) ** (np.arange(1, 8) - _A) * binom(_B, np.arange(1, 8) - _A)
 
 _OVERFLOW = "the equilibrium cannot be found in double precision: weights, bias or start are too large"
 
@@ -37,7 +42,6 @@ class Equilibrium:
         xi: ``(N, d)`` the point found.
         residual: largest entry of the vector field there.
         spectral_abscissa: largest real part of the Jacobian's eigenvalues; negative when locally stable.
-        n_newton: Newton steps taken.
     """
 
     success: bool
@@ -45,7 +49,6 @@ class Equilibrium:
     xi: Floats
     residual: float
     spectral_abscissa: float
-    n_newton: int
 
     def __repr__(self) -> str:
         return f"<Equilibrium: {self.message}, residual {self.residual:.3g}, abscissa {self.spectral_abscissa:.3g}>"
@@ -77,20 +80,18 @@ class Trajectory:
         return flat.T.reshape(*times.shape, *self.xi.shape[1:])
 
 
-def find_equilibrium(
-    vector_field: VectorField, jacobian: VectorField, start: Floats, *, rate: float, tolerance: float
-) -> Equilibrium:
+def find_equilibrium(vector_field: VectorField, jacobian: VectorField, start: Floats, *, rate: float) -> Equilibrium:
     """Find an equilibrium by damped Newton steps from ``(N, d)``; if they stall, follow the flow and try again.
 
-    The decay rate scales residuals and times; the tolerance of the largest entry of the vector field is relative to
-    rate (1 + |x|). `LieEDNNError` if the numbers are so large that the search overflows.
+    The decay rate scales residuals and times; the largest entry of the vector field is below 1e-12 rate (1 + |x|), or a
+    hundred times as much if rounding keeps Newton's method from improving further. `LieEDNNError` if the numbers are so
+    large that the search overflows.
     """
-    x, steps, how = start.ravel().copy(), 0, "Newton converged"
+    x, how = start.ravel().copy(), "Newton converged"
     with np.errstate(all="ignore"):  # squares may overflow meanwhile; a result that is not finite is rejected below
         try:
             for attempt in range(3):
-                x, n, converged = _newton(vector_field, jacobian, x, rate * tolerance)
-                steps += n
+                x, converged = _newton(vector_field, jacobian, x, rate * 1e-12)
                 if converged:
                     break
                 if attempt < 2:
@@ -104,7 +105,7 @@ def find_equilibrium(
             raise LieEDNNError(f"{_OVERFLOW} ({error})") from None
     if not (np.isfinite(x).all() and np.isfinite([residual, abscissa]).all()):
         raise LieEDNNError(_OVERFLOW)
-    return Equilibrium(converged, how, x.reshape(start.shape), residual, abscissa, steps)
+    return Equilibrium(converged, how, x.reshape(start.shape), residual, abscissa)
 
 
 def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
@@ -120,16 +121,16 @@ def _follow(vector_field: VectorField, x: Floats, duration: float) -> Floats:
     return y
 
 
-def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, tolerance: float) -> tuple[Floats, int, bool]:
+def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, tolerance: float) -> tuple[Floats, bool]:
     value = vector_field(x)
-    for step in range(100):
+    for _ in range(100):
         limit = tolerance * (1.0 + np.abs(x).max())
         if np.abs(value).max() <= limit:
-            return x, step, True
+            return x, True
         try:
             direction = np.linalg.solve(jacobian(x), value)
         except np.linalg.LinAlgError:
-            return x, step, False
+            return x, False
         fraction = 1.0
         while fraction > 1e-4:
             trial = x - fraction * direction
@@ -139,9 +140,9 @@ def _newton(vector_field: VectorField, jacobian: VectorField, x: Floats, toleran
             fraction *= 0.5
         else:
             # At the rounding floor no step reduces the residual further.
-            return x, step, bool(np.abs(value).max() <= 100.0 * limit)
+            return x, bool(np.abs(value).max() <= 100.0 * limit)
         x, value = trial, trial_value
-    return x, 100, False
+    return x, False
 
 
 def runge_kutta_step(field: VectorField, x: Floats, h: float) -> Floats:
@@ -186,16 +187,21 @@ def integrate(solver: OdeSolver, away: Callable[[Floats], float] | None) -> tupl
         # SciPy's solvers refer to themselves, and so keep what their vector field refers to: a network, and its memory.
         vars(solver).clear()
     times = np.array(t)
-    dense = _polynomials(times, pieces) if isinstance(solver, RK45) else OdeSolution(times, pieces)
+    dense = _polynomials(times, pieces) if isinstance(solver, RK45 | DOP853) else OdeSolution(times, pieces)
     return times, np.array(x), dense
 
 
 def _polynomials(t: Floats, pieces: list[DenseOutput]) -> PPoly:
-    """The interpolants of RK45's steps as one object, which evaluates many times at once.
+    """The interpolants of the steps of RK45 or DOP853 as one object, which evaluates many times at once.
 
-    In a step h from time t they are y + h sum_k Q_k s^(k+1) with s = (time - t) / h.
+    In a step h from time t they are, with s = (time - t) / h, y + h sum_k Q_k s^(k+1) or y + sum_k F_k b_k, where b_0,
+    b_1, ... are s, s (1 - s), s^2 (1 - s), and so on, in turn.
     """
     steps = np.array([step.h for step in pieces])
-    slopes = np.array([step.Q for step in pieces]) / (steps[:, None] ** np.arange(4))[:, None]
+    if hasattr(pieces[0], "Q"):
+        slopes = np.array([step.Q for step in pieces]) * steps[:, None, None]
+    else:
+        slopes = np.swapaxes(np.array([step.F for step in pieces]), 1, 2) @ _ALTERNATING
+    slopes /= (steps[:, None] ** np.arange(1.0, 1.0 + slopes.shape[-1]))[:, None]
     states = np.array([step.y_old for step in pieces])
     return PPoly(np.concatenate([slopes[..., ::-1], states[..., None]], axis=-1).transpose(1, 2, 0), t, axis=1)

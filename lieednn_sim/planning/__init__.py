@@ -4,7 +4,6 @@
 a class of options here.
 """
 
-from lieednn_sim.planning.baselines.interpolation import DmpOptions
 from lieednn_sim.planning.baselines.optimisation import OptimisationOptions
 from lieednn_sim.planning.baselines.qshnn import QshnnOptions
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, RrtStarOptions
@@ -30,7 +29,6 @@ __all__ = [
     "PLANNERS",
     "Actuate",
     "CertifiedOptions",
-    "DmpOptions",
     "GuideOptions",
     "Motion",
     "Move",

@@ -9,12 +9,13 @@ from itertools import cycle, islice, pairwise
 from typing import Any
 
 import numpy as np
+from scipy.integrate import RK45
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time, report
 from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.network.batch_integration import integrate_batch
+from lieednn_sim.network.dynamics import integrate
 from lieednn_sim.planning.joint_space import joint_scale
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, least_duration
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
@@ -55,9 +56,6 @@ class CertifiedOptions(CandidateOptions):
         n_first: number of networks to begin with; the others are made only if none of these can be used.
         attempts: number of starts of `synthesize` for a network.
         last_attempts: number of starts for a last network if no other could be certified.
-        tried: largest number of networks whose exact motion is made and checked before the planner gives up.
-        hopeless_excess: after a refusal, networks whose roughly integrated path exceeds the limits by more than this
-            [rad, m] are not tried.
 
     Raises:
         InputError: a value is out of range.
@@ -69,8 +67,6 @@ class CertifiedOptions(CandidateOptions):
     n_first: int = 1
     attempts: int = 3
     last_attempts: int = 16
-    tried: int = 8
-    hopeless_excess: float = 0.01
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -188,13 +184,15 @@ def _best(problem: PlanningProblem, options: CertifiedOptions, result: list[_Can
     hurried = problem.duration <= 0.99 * least_duration(arm, problem.start, problem.target)
     refusals = list[tuple[str, float | None]]()
     for candidate in _promising(result):
-        if refusals and (candidate.touches or candidate.excess > options.hopeless_excess):
+        # After a refusal, networks whose rough path exceeds the limits by more than this [rad, m] are not tried.
+        if refusals and (candidate.touches or candidate.excess > 0.01):
             break
         try:
             motion = timed_motion(problem, candidate.path)
         except PlanError as error:
             refusals.append((str(error), getattr(error, "duration", None)))
-            if hurried or len(refusals) == options.tried:
+            # Exact motions of so many networks are made and checked.
+            if hurried or len(refusals) == 8:
                 break
             continue
         return candidate.network, motion
@@ -224,15 +222,25 @@ def _promising(result: list[_Candidate]) -> Iterator[_Candidate]:
 
 def _screened(arm: Arm, networks: list[LieEDNN], start: Floats) -> list[_Candidate]:
     """The networks, without hidden neurons and with one decay rate, with their roughly integrated paths."""
-    runs = integrate_batch(networks, arm.encode(start), 20.0 / networks[0].gamma, rtol=1e-4, atol=1e-6)
-    # Side by side, the shorter ones padded with their ends: a retraction without closed form costs nearly as much for
-    # one state as for a hundred.
-    length = max(map(len, runs))
-    side_by_side = np.stack([run[np.minimum(np.arange(length), len(run) - 1)] for run in runs], axis=1)
-    decoded = arm.decode(side_by_side, start=start)
+    # Side by side: a retraction without closed form costs nearly as much for one state as for a hundred.
+    decoded = arm.decode(_side_by_side(networks, arm.encode(start)), start=start)
     excess = arm.limit_excess(decoded.q).max(axis=(0, -1))
     gap = (decoded.gap_translation.max(axis=-1) + arm.length_scale * decoded.gap_rotation.max(axis=-1)).max(axis=0)
     return [
-        _Candidate(arm, network, start, decoded.q[: len(run), k], float(excess[k]), float(gap[k]))
-        for k, (network, run) in enumerate(zip(networks, runs, strict=True))
+        _Candidate(arm, network, start, decoded.q[:, k], float(excess[k]), float(gap[k]))
+        for k, network in enumerate(networks)
     ]
+
+
+def _side_by_side(networks: list[LieEDNN], start: Floats) -> Floats:
+    """States ``(K, B, N, 6)`` of the networks from one start ``(N, 6)``, as one system."""
+    first, weight = networks[0], np.array([network.mu * network.weight for network in networks])
+    bias = np.array([network.mu * network.bias.ravel() for network in networks])
+
+    def rate(_: float, x: Floats) -> Floats:
+        state = x.reshape(bias.shape)
+        return ((weight @ first.phi(state)[..., None])[..., 0] + bias - first.gamma * state).ravel()
+
+    begin = np.tile(start.ravel(), len(networks))
+    _, states, _ = integrate(RK45(rate, 0.0, begin, 20.0 / first.gamma, rtol=1e-4, atol=1e-6), None)
+    return states.reshape(-1, len(networks), *start.shape)

@@ -111,6 +111,11 @@ class ChunkCurve:
         weights = (s @ _SEGMENT).reshape(-1, 3, 4) / self.step ** np.arange(3.0)[:, None]
         return (weights @ self._windows[segment].swapaxes(1, 2)).swapaxes(0, 1)
 
+    def nearest(self, q: Floats, latest: float) -> float:
+        """The time of the curve, of 65 up to a latest one, at which it is nearest to a configuration ``(n,)``."""
+        u = np.linspace(0.0, latest, 65)
+        return float(u[np.square(self(u)[0] - q).sum(axis=1).argmin()])
+
     def excess(self, arm: Arm, begin: float) -> list[tuple[float, int, int]]:
         """Largest parts of the limits of velocity and acceleration from its time ``begin`` on, joints and rows."""
         first = min(int(begin / self.step), len(self._windows) - 1)
@@ -214,19 +219,21 @@ def judge(
         note("limits", "is at", row, joint, float(targets[row, joint]), float(mended[row, joint]))
     speed = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
     most = np.minimum(2.0 * step * arm.acceleration_limits, speed) * step
-    if len(mended) > 2:
-        bends, across = np.abs(np.diff(mended, n=2, axis=0)), np.abs(mended[2:] - mended[:-2])
-        most = most + 6.0 * np.median(bends, axis=0)
+    bends, jumps = np.abs(np.diff(mended, n=2, axis=0)), np.zeros((len(mended) - 1, arm.n_joints), dtype=bool)
+    # Where nothing bends more than that, nothing jumps either.
+    if (bends > most).any():
+        most, across = most + 6.0 * np.median(bends, axis=0), np.abs(mended[2:] - mended[:-2])
         # The neighbours of an outlier are bent half as much.
         largest = np.maximum(bends, np.maximum(np.roll(bends, 1, axis=0), np.roll(bends, -1, axis=0)))
         for row, joint in np.argwhere((bends > most) & (2.0 * across < bends) & (bends > 0.9 * largest)).tolist():
             note("outlier", "is off its neighbours by", row + 1, joint, 0.5 * bends[row, joint], 0.5 * most[joint])
             mended[row + 1, joint] = 0.5 * (mended[row, joint] + mended[row + 2, joint])
-    steps = np.diff(mended, axis=0)
-    usual = 0.5 * (np.concatenate([steps[1:], steps[-1:]]) + np.concatenate([steps[:1], steps[:-1]]))
-    jumps = (np.abs(steps) > 2.0 * step * speed) & (np.abs(steps - usual) > np.maximum(most, 0.5 * np.abs(steps)))
+        steps = np.diff(mended, axis=0)
+        usual = 0.5 * (np.concatenate([steps[1:], steps[-1:]]) + np.concatenate([steps[:1], steps[:-1]]))
+        jumps = (np.abs(steps) > 2.0 * step * speed) & (np.abs(steps - usual) > np.maximum(most, 0.5 * np.abs(steps)))
     for row, joint in np.argwhere(jumps).tolist():
-        note("jump", "jumps by", row + 1, joint, abs(steps[row, joint]), step * speed[joint])
+        jump = abs(mended[row + 1, joint] - mended[row, joint])
+        note("jump", "jumps by", row + 1, joint, jump, step * speed[joint])
     edges = [0, *(np.flatnonzero(jumps.any(axis=1)) + 1).tolist(), len(mended)]
     parts = [(a * step, ChunkCurve.through(arm, mended[a:b], step)) for a, b in pairwise(edges[: MOST_JUMPS + 2])]
     if len(edges) > MOST_JUMPS + 2:

@@ -20,11 +20,12 @@ from lieednn_sim.learning.demonstrations.alignment import GOALS, PHASES, Indices
 from lieednn_sim.learning.demonstrations.family import Response, with_response
 from lieednn_sim.learning.demonstrations.tables import TIME, TIME_UNITS, Layout, read_tables
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.planning.joint_space import travelled
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.shaped import lever_units
-from lieednn_sim.planning.time_laws import Law, recorded_law, step_lengths
+from lieednn_sim.planning.time_laws import Law, recorded_law
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
 from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import Floats, frozen
@@ -133,7 +134,7 @@ class JointDemonstrations:
 
     def length_fractions(self, q: Floats) -> Floats:
         """Fractions ``(K,)`` of a path's length, measured in `units`, at its joint positions ``(K, n)``."""
-        length = np.append(0.0, np.cumsum(step_lengths(self.arm.encode(q), self.units)))
+        length = travelled(self.arm.encode(q) * self.units)
         return length / max(length[-1], 1e-300)
 
     def without(self, index: int) -> JointDemonstrations:
@@ -187,7 +188,7 @@ class JointMotion:
         """
         arm, mean = demonstrations.arm, demonstrations.mean
         curve, fractions = arm.encode(mean), demonstrations.length_fractions(mean)
-        length = step_lengths(curve, demonstrations.units).sum()
+        length = travelled(curve * demonstrations.units)[-1]
         if length < _LEAST_LENGTH:
             raise InputError("the mean of the demonstrations does not move")
         asked = DEVIATION * float(length) if deviation is None else as_positive("deviation", deviation)

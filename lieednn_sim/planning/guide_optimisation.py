@@ -3,16 +3,18 @@
 A motion is a quintic B-spline in time with control points C, from rest to rest. In units of the joints' ranges and of
 the straight motion by minimum jerk, J is its squared jerk and E a bound on its squared length, the integral of
 |q'|^2 / s' over the fraction u of the duration, with s(u) the minimum-jerk law. The straight motion has J = E = 1, the
-least of all. Both are quadratic in C. With the least distance d from everything on the way, the measure is
+least of all. Both are quadratic in C. With the end effector's squared jerk F, in units of a straight metre by minimum
+jerk, and the least distance d from everything on the way, the measure is
 
-    log(J + E) - kappa log(d),
+    log(J + E) + beta log(F) - kappa (log(d) - d_0 / d),
 
 where d counts up to that of start and target, which no motion exceeds. It is minimised by sequential quadratic
 programming: at every step MuJoCo's contacts give the distances of all pairs and their slopes, a quadratic program in C
-and d is solved within a trust region, and the step is taken if it lowers the measure.
+and d is solved within a trust region, with F by Gauss and Newton, and the step is taken if it lowers the measure.
 
-If the end effector is to stay in a region, the program has its bounds, linearised, at a few more instants, and what the
-motion is outside counts in the measure. The samples of the final motion are projected onto the region.
+If the end effector is to stay in a region, beta and d_0 are 0. The program has the region's bounds, linearised, at a
+few more instants, and what the motion is outside counts in the measure. The samples of the final motion are projected
+onto the region.
 """
 
 from __future__ import annotations
@@ -22,9 +24,9 @@ import math
 import daqp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, CubicSpline
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
-from lieednn_sim.arm.contact_slopes import ContactSlopes
+from lieednn_sim.arm.collision import ContactSlopes
 from lieednn_sim.budget import check_time
 from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion, travelled
 from lieednn_sim.planning.motion import Motion
@@ -33,10 +35,16 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
-_TOUCHING = 2.5e-3  # clearance [m] below which a steep line continues the logarithm, so that contact is left first
+_TOUCHING = 2.5e-3  # clearance [m] below which a steep line continues its term, so that contact is left first
+_NEAR = 0.005  # the clearance d_0 [m], at which twice the clearance is worth twice as much as far away
+_EFFECTOR = 0.05  # beta, the weight of the end effector's jerk
+_SHORT = 0.05  # way of the end effector whose jerk is added to F, so that less than that is worth little [m]
 # Bounds on distances that may be broken where a step begins: the solver takes up all of them, in cubic time. Of more,
 # as when whole links are inside of obstacles, the deepest count.
 _DEEPEST = 600
+
+# Instants ``(C,)``, distances [m] and slopes ``(C, n)`` in units of the ranges of near pairs.
+_Near = tuple[NDArray[np.int_], Floats, Floats]
 
 
 class GuideOptimisation:
@@ -68,6 +76,7 @@ class GuideOptimisation:
     ) -> None:
         arm = problem.arm
         self._problem, self._scale, self._weight = problem, arm.ranges, weight
+        self._near = _NEAR if problem.path_constraint is None else 0.0
         # Distances between instants are less; 0.15 m is ample.
         self._enough = max(min(1.1 * ends, 0.15), _TOUCHING)
         # A step may bring a pair nearer by 3 cm.
@@ -90,6 +99,11 @@ class GuideOptimisation:
         u = (np.arange(intervals)[:, None] + 0.5 * (nodes + 1.0)).ravel() / intervals
         rate, jerk = (self._basis(u, nu=nu) for nu in (1, 3))
         share = np.tile(weights, intervals)[:, None] / (2 * intervals)
+        # F is that of the spline through the effector's places at these times, within 2 %. Differences of the places
+        # would be a third of it: they do not see what is between them, and a descent goes there.
+        even = np.linspace(0.0, 1.0, 3 * intervals + 1)
+        self._even_rows = self._basis(even)
+        self._thirds = make_interp_spline(even, np.eye(len(even)), SPLINE_DEGREE)(u, nu=3) * np.sqrt(share / 720.0)
         # At rest it is zero, and the bound on the length is divided by it.
         speed = np.maximum(minimum_jerk_law(u)[1], 0.02)[:, None]
         # A unit displacement has a squared jerk of 720. The unit is its length, at least a tenth of the joint space's.
@@ -131,32 +145,41 @@ class GuideOptimisation:
         control = self._control(free)
         return float(np.sum(control * (self._quadratic @ control)))
 
-    def measure(self, free: Floats, clearance: float) -> float:
-        """The measure of a motion with this clearance [m]."""
+    def measure(self, free: Floats, clearance: float, effector: float) -> float:
+        """The measure of a motion with this clearance [m] and F."""
         far = min(max(clearance, _TOUCHING), self._enough)
-        touching = 100.0 * max(_TOUCHING - clearance, 0.0)
-        return math.log(self.cost(free)) - self._weight * math.log(far) + touching + 30.0 * self._beyond(free)
+        away = math.log(far) - self._near / far
+        away -= (1.0 + self._near / _TOUCHING) * max(1.0 - clearance / _TOUCHING, 0.0) / 0.6
+        smooth = math.log(self.cost(free)) + _EFFECTOR * math.log(effector)
+        return smooth - self._weight * away + 30.0 * self._beyond(free)
 
-    def descend(self, free: Floats, steps: int) -> tuple[float, Floats, bool]:
+    def descend(self, free: Floats, steps: int, *, rough: bool = False) -> tuple[float, Floats, bool]:
         """The measure, the control points and whether they can be used after up to this many steps from a guess."""
-        distances = self._distances(free)
+        kept = self._problem.path_constraint is not None
+        # Rough ones have half of the instants and leave F out. Large steps would leave a region that is kept.
+        every, enough, wider = (1, 1e-3, 1.5) if kept else (2, 0.02, 2.0) if rough else (1, 2e-3, 2.0)
+        jerk_of = self._effector_jerk if not (rough or kept) else lambda _: (1.0, np.zeros(1), np.zeros(1))
+        distances, jerk = self._distances(free, every), jerk_of(free)
         # The trust region is the largest distance that a joint may move a link [m].
-        clearance, trust = self._least(distances), 0.1
-        measure = self.measure(free, clearance)
+        clearance, trust = distances[1].min(initial=self._enough), 0.1
+        measure = self.measure(free, clearance, jerk[0])
         for _ in range(steps):
             check_time()
-            new = self._step(free, distances, clearance, trust)
-            ahead = self._distances(new)
-            near = self._least(ahead)
-            lower = self.measure(new, near)
+            new, gain = self._step(free, distances, jerk, clearance, trust)
+            if gain < enough and clearance >= _TOUCHING and not kept:
+                break
+            ahead, smooth = self._distances(new, every), jerk_of(new)
+            near = ahead[1].min(initial=self._enough)
+            lower = self.measure(new, near, smooth[0])
             if lower < measure:
                 gain = measure - lower
-                free, distances, clearance, measure = new, ahead, near, lower
-                if gain < 1e-3:
+                free, distances, jerk, clearance, measure = new, ahead, smooth, near, lower
+                if gain < enough:
                     break
-                trust *= 1.5
+                trust *= wider
             else:
-                trust *= 0.4
+                # A step that ended inside the region would be the same in a region that it fits in.
+                trust = 0.4 * min(trust, float((np.abs(new - free) * self._sweep).max()))
                 if trust < 5e-3:
                     break
         # The projection of a motion that leaves the region by less on average is near it [m, rad].
@@ -198,21 +221,27 @@ class GuideOptimisation:
         control[self._free] = free
         return control
 
-    def _distances(self, free: Floats) -> tuple[NDArray[np.int_], Floats, Floats]:
-        """Instants ``(C,)``, distances [m] and slopes ``(C, n)`` in units of the ranges of near pairs."""
-        instant, distance, slope = self._slopes.along(self._scale * (self._rows @ self._control(free)))
-        return instant, distance, slope * self._scale
+    def _effector_jerk(self, free: Floats) -> tuple[float, Floats, Floats]:
+        """F, half its gradient and half its Hessian by Gauss and Newton in the free points, one joint after another."""
+        q, h = self._scale * (self._even_rows @ self._control(free)), 1e-5
+        # At the instants, and with each joint moved by a little of its range.
+        tip = self._problem.arm.tip(q[:, None] + h * np.pad(np.diag(self._scale), ((1, 0), (0, 0))))
+        slope = (tip[:, 1:] - tip[:, :1])[..., None] / h * self._even_rows[:, None, None, self._free]
+        jerk = (self._thirds @ tip[:, 0]).ravel()
+        slope = (self._thirds @ slope.swapaxes(1, 2).reshape(len(q), -1)).reshape(jerk.size, free.size)
+        return _SHORT**2 + float(jerk @ jerk), jerk @ slope, slope.T @ slope
 
-    def _least(self, distances: tuple[NDArray[np.int_], Floats, Floats]) -> float:
-        return float(distances[1].min(initial=self._enough))
+    def _distances(self, free: Floats, every: int = 1) -> _Near:
+        instant, distance, slope = self._slopes.along(self._scale * (self._rows[::every] @ self._control(free)))
+        return every * instant, distance, slope * self._scale
 
     def _step(
-        self, free: Floats, distances: tuple[NDArray[np.int_], Floats, Floats], clearance: float, trust: float
-    ) -> Floats:
-        """The control points after the quadratic program's step within the trust region."""
+        self, free: Floats, near: _Near, jerk: tuple[float, Floats, Floats], clearance: float, trust: float
+    ) -> tuple[Floats, float]:
+        """The control points after the quadratic program's step in the trust region, and what it expects to gain."""
         n, count = free.shape[1], len(free)
         radius = trust / self._sweep
-        instant, distance, slope = distances
+        instant, distance, slope = near
         # The last variable is the change of the clearance, relative to it: -log(1 + y) is about y^2 / 2 - y.
         known = min(max(clearance, _TOUCHING), self._enough)
         most = min(1.0, self._enough / known - 1.0)
@@ -221,10 +250,12 @@ class GuideOptimisation:
             reached &= (distance >= known) | (distance < np.partition(distance, _DEEPEST)[_DEEPEST])
         instant, distance, slope = instant[reached], distance[reached], slope[reached]
         x = free.T.ravel()
-        value = self._weight * self.cost(free) / 2.0
+        cost, near_by = self.cost(free), self._near / known
+        value, share = self._weight * cost / 2.0, _EFFECTOR * cost / jerk[0]
         hessian = self._program.copy()
-        hessian[-1, -1] = value
-        pull = (self._quadratic[self._free] @ self._control(free)).T.ravel()
+        hessian[:-1, :-1] += share * jerk[2]
+        hessian[-1, -1] = (1.0 + 2.0 * near_by) * value
+        pull = (self._quadratic[self._free] @ self._control(free)).T.ravel() + share * jerk[1]
         rows = np.empty((len(instant), n * count + 1))
         each = slope[:, :, None] * self._rows[instant][:, None, self._free]
         rows[:, :-1] = each.reshape(len(instant), n * count)
@@ -245,5 +276,6 @@ class GuideOptimisation:
         sense = np.zeros(len(upper), dtype=np.int32)
         # DAQP's mark of soft constraints.
         sense[n * count + 1 :] = 8
-        result = daqp.solve(hessian, np.append(pull, -value), rows, upper, lower, sense, rho_soft=1e-6)
-        return free + np.asarray(result[0])[:-1].reshape(n, count).T
+        linear = np.append(pull, -(1.0 + near_by) * value)
+        change, least, *_ = daqp.solve(hessian, linear, rows, upper, lower, sense, rho_soft=1e-6)
+        return free + np.asarray(change)[:-1].reshape(n, count).T, -2.0 * least / cost

@@ -40,7 +40,7 @@ class GuideOptions(PlannerOptions):
     Attributes:
         optimised: whether to optimise candidates; otherwise RRT-Connect's motion is taken if minimum jerk is not free.
         clearance_weight: kappa, the weight of clearance in the measure of `guide_optimisation`: twice the clearance is
-            worth 0.7 kappa of the sum of jerk and path length.
+            worth 0.7 kappa of the sum of jerk and path length, and more where it is a few millimetres.
         searches: number of paths searched for.
         collision_checks: largest number of configurations tested in a search.
         margin: clearance of paths, reduced where start or target is closer to something [m].
@@ -60,7 +60,7 @@ class GuideOptions(PlannerOptions):
     margin: float = 0.01
     spacing: float = field(default=0.06, metadata={"range": (1e-3, 1.0)})
     longest_edge: float = field(default=0.1, metadata={"range": (1e-3, 1.0)})
-    shortcuts: int = 40
+    shortcuts: int = 20
     intervals: int = field(default=8, metadata={"range": (2, 1000)})
     instants: int = field(default=96, metadata={"range": (1, 10_000)})
     steps: int = 12
@@ -107,7 +107,8 @@ def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[
     yield "minimum-jerk", partial(_straight, problem)
     if options.optimised or problem.path_constraint is not None:
         search = _Search(problem, options)
-        for _, name, optimisation, free in sorted(search.optimised(), key=itemgetter(0)):
+        for _, name, optimisation, guess in sorted(search.optimised(), key=itemgetter(0)):
+            free = guess if search.constrained else optimisation.descend(guess, options.steps)[1]
             yield f"{name}, optimised", partial(in_time, optimisation.motion, problem, free)
             # A finer optimisation from there keeps clear where the former does not.
             yield f"{name}, optimised", partial(search.finer, free)
@@ -156,7 +157,9 @@ class _Search:
         """Measure, name, optimisation and control points of each candidate that is clear."""
         optimisation = self.optimisation(own=False)
         for name, guess in self.guesses(optimisation):
-            measure, free, clear = optimisation.descend(optimisation.near_constraint(guess), self.options.steps)
+            guess = optimisation.near_constraint(guess)
+            # Roughly, until it is clear which is best.
+            measure, free, clear = optimisation.descend(guess, self.options.steps, rough=not self.constrained)
             if clear:
                 yield measure, name, optimisation, free
                 # The straight motion, which none is below, costs 2. Where a region is kept, any clear motion will do.

@@ -100,8 +100,9 @@ def joint_scale(arm: Arm) -> Floats:
 
 
 def travelled(points: Floats) -> Floats:
-    """Length ``(M,)`` of a path through points ``(M, n)`` up to each of them."""
-    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    """Length ``(M,)`` of a path through points ``(M, ...)`` up to each of them."""
+    steps = np.diff(points, axis=0).reshape(len(points) - 1, -1)
+    return np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
 
 
 @weakly_cached

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
-from lieednn_sim.budget import check_time, cpu_time, default_limit
+from lieednn_sim.budget import check_time, cpu_time, default_limit, one_blas_thread
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, PlanError
 from lieednn_sim.learning.demonstrations import LearnedMotion
 from lieednn_sim.planning.joint_space import joint_motion, joint_scale, travelled

@@ -19,12 +19,13 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, PchipInterpolator, make_interp_spline
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.projection import Retraction
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
-from lieednn_sim.planning.joint_space import joint_scale
+from lieednn_sim.planning.joint_space import joint_scale, travelled
 from lieednn_sim.planning.motion import JUMP, Motion, check_motion, count_steps, unexplained_steps
 from lieednn_sim.planning.problem import PlanningProblem
-from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law, step_lengths
+from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law
 from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.values import Floats
 
@@ -45,9 +46,7 @@ class NetworkPath:
         states: from positions ``(K,)`` to the states of all neurons there, or of the visible ones if there are joints.
         speed: the speed along the path as a function of position, up to its end: that of the joints in units of their
             limits, combined with the rate of convergence, or that of the network's states. None if nothing moves.
-        joints: joint coordinates ``(n,)`` as a function of position.
-        slopes: their derivatives.
-        gaps: mechanism gap ``(2, N)`` [m] and [rad] as a function of position.
+        joints: joints ``(n,)``, then mechanism gaps ``(N,)`` [m] and ``(N,)`` [rad], as functions of position.
         universal: whether positions are w.
     """
 
@@ -57,18 +56,20 @@ class NetworkPath:
     states: Callable[[Floats], Floats]
     speed: PchipInterpolator | None
     joints: BSpline
-    slopes: BSpline
-    gaps: PchipInterpolator
     universal: bool = False
 
     @classmethod
     def integrate(
         cls, arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, units: Floats | None = None
     ) -> NetworkPath:
-        """Integrate the network from joint position ``start`` ``(n,)``; raises as `make_motion`.
+        """Integrate the network from joint position ``start`` ``(n,)``.
 
         If ``units`` ``(N, 6)`` of the visible neurons' coordinates are given, the path's length is that of the states
         in these units, as in `law_of`.
+
+        Raises:
+            InputError: the start is out of limits, or network and arm differ in size.
+            PlanError: the network has no equilibrium or does not arrive there.
         """
         require_fit(arm, network)
         begin = arm.check_position(start, "start")
@@ -78,19 +79,20 @@ class NetworkPath:
             raise PlanError(f"the network cannot be used for a motion: {equilibrium.message}")
         target = equilibrium.xi
         if np.abs(origin - target).max() <= RESIDUAL:
-            still, none = make_interp_spline([0, 1], [begin, begin], 1), np.zeros((2, 2, arm.n_links))
-            rest = None, still, still.derivative(), PchipInterpolator([0, 1], none)
-            return cls(arm, network, network.visible(target), lambda at: np.stack([origin] * len(at)), *rest)
+            still = make_interp_spline([0, 1], [np.append(begin, np.zeros(2 * arm.n_links))] * 2, 1)
+            return cls(arm, network, network.visible(target), lambda at: np.stack([origin] * len(at)), None, still)
         # The pace is gamma's far from the equilibrium, and the slowest eigenvalue's close to it.
         pace = max(-equilibrium.spectral_abscissa, 1e-3 * network.gamma)
         longest = 100.0 / network.gamma + 40.0 / pace
         arrived = False
-        # The integrator's error, relative to the states, may keep it from a target with large entries; then a smaller
-        # tolerance is used. Where a slow clock ends the path, the speed is low, and the error must be small beside it.
-        usual = 1e-8 if units is None else max(1e-8 * min(1.0, pace / network.gamma) ** 2, 1e-12)
+        # Where a slow clock ends the path, the speed is low, and the integrator's error must be small beside it. That
+        # may keep it from a target with large entries, too; then a smaller tolerance is used.
+        usual = max(1e-8 * min(1.0, pace / network.gamma) ** 4, 1e-12)
         # An equilibrium that does not attract is not tried.
-        for rtol, atol in ((usual, 1e-10), (1e-10, 1e-10)) if equilibrium.spectral_abscissa < 0.0 else ():
-            trajectory = network.trajectory(origin, longest, until=target, distance=RESIDUAL, rtol=rtol, atol=atol)
+        for rtol in (usual, 1e-2 * usual) if equilibrium.spectral_abscissa < 0.0 else ():
+            trajectory = network.trajectory(
+                origin, longest, until=target, distance=RESIDUAL, method="DOP853", rtol=rtol, atol=1e-2 * rtol
+            )
             arrived = np.abs(network.visible(trajectory.xi[-1] - target)).max() <= 2.0 * RESIDUAL
             if arrived:
                 break
@@ -99,26 +101,26 @@ class NetworkPath:
                 "the network does not arrive at its equilibrium from this start, or too slowly (spectral abscissa "
                 f"{equilibrium.spectral_abscissa:.2g}); use another network"
             )
-        # Between its samples, the speed is interpolated with a lower order than the states.
-        between = trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * (np.arange(8) / 8)
+        # Between its samples, the speed is interpolated with a lower order than the states and the joints.
+        between = trajectory.t[:-1, None] + np.diff(trajectory.t)[:, None] * (np.arange(24) / 24)
         grid = np.append(between, trajectory.t[-1])
         states = trajectory(grid)
-        field = network.visible(network.vector_field(states))
-        decoded = arm.decode(network.visible(states), field, begin)
+        some = np.append(np.arange(0, len(grid) - 1, 4), len(grid) - 1)
+        known, field = grid[some], network.visible(network.vector_field(states[some]))
+        decoded = arm.decode(network.visible(states[some]), field, begin)
         # Where a link's joints are exactly singular, nothing bounds their rates.
-        if not (np.abs(decoded.qd) < 1e100).all() or unexplained_steps(grid, decoded.q, decoded.qd)[1].max() > JUMP:
+        if not (np.abs(decoded.qd) < 1e100).all() or unexplained_steps(known, decoded.q, decoded.qd)[1].max() > JUMP:
             raise PlanError("the joint positions nearest to the network's path jump; use another network")
+        joints = _through(known, decoded)
         if units is None:
             weights = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 1.0)
-            rates = np.linalg.norm(decoded.qd / weights, axis=-1)
+            rates = np.linalg.norm(joints(grid, 1)[:, : arm.n_joints] / weights, axis=-1)
             rates = np.hypot(rates, pace * np.linalg.norm(network.visible(states - target), axis=(-2, -1)))
         else:
-            rates = np.linalg.norm(field * units, axis=(-2, -1))
+            rates = np.linalg.norm(network.visible(network.vector_field(states)) * units, axis=(-2, -1))
         # Shape-preserving, so that the speed stays positive between its samples.
         speed = PchipInterpolator(grid, rates)
-        gaps = PchipInterpolator(grid, np.stack([decoded.gap_translation, decoded.gap_rotation], axis=1))
-        moving = *(make_interp_spline(grid, values, 5) for values in (decoded.q, decoded.qd)), gaps
-        return cls(arm, network, network.visible(target), trajectory, speed, *moving)
+        return cls(arm, network, network.visible(target), trajectory, speed, joints)
 
     @classmethod
     def encoded(cls, arm: Arm, network: LieEDNN, given: Motion, units: Floats) -> NetworkPath:
@@ -141,16 +143,13 @@ class NetworkPath:
         some = w[(np.arange(len(w)) % 3 == 0) | ((w > 0.95) & (w < 0.9999)) | (w == w[-1])]
         # Both paths have about the same length; guesses are taken from some samples of the motion's.
         known = np.append(np.arange(0, len(given.t) - 1, 4), len(given.t) - 1)
-        passed, length = np.append(0.0, np.cumsum(step_lengths(given.xi[known], units))), speed.antiderivative()(some)
+        passed, length = travelled(given.xi[known] * units), speed.antiderivative()(some)
         near = np.stack([np.interp(length, passed, joint) for joint in given.q[known].T], axis=1)
-        decoded = arm.decode(visible(some), start=near)
-        joints = make_interp_spline(some, decoded.q, 5)
-        gaps = PchipInterpolator(some, np.stack([decoded.gap_translation, decoded.gap_rotation], axis=1))
-        moving = joints, joints.derivative(), gaps
-        return cls(arm, network, network.bias[: network.n_visible], visible, speed, *moving, universal=True)
+        joints = _through(some, arm.decode(visible(some), start=near))
+        return cls(arm, network, network.bias[: network.n_visible], visible, speed, joints, universal=True)
 
     def timed(self, duration: float, timestep: float, law: Law | None = None) -> Motion:
-        """The motion along the path in ``duration``, sampled every ``timestep`` [s]; see `make_motion`.
+        """The motion along the path in ``duration``, sampled every ``timestep`` [s].
 
         The law maps fractions of the duration to fractions of the path's length. By default it is minimum jerk, slowed
         down where the path turns sharply.
@@ -158,7 +157,7 @@ class NetworkPath:
         if law is not None:
             return self._timed(duration, timestep, law)
         motion = self._timed(duration, timestep, minimum_jerk_law)
-        eased = eased_law(motion, minimum_jerk_law, joint_scale(self.arm))
+        eased = eased_law(motion, joint_scale(self.arm))
         return motion if eased is None else self._timed(duration, timestep, eased)
 
     def _timed(self, duration: float, timestep: float, law: Law) -> Motion:
@@ -172,9 +171,12 @@ class NetworkPath:
             rate = total * progress_rate / (t[-1] * np.maximum(speed(position), 1e-300))
         states = self.states(position)
         tau, xi = (-np.log1p(-position), states) if self.universal else (position, self.network.visible(states))
-        q, qd = self.joints(position), self.slopes(position) * rate[:, None]
+        n, values = self.arm.n_joints, self.joints(position)
+        # Copied, since checks are quicker where rows are next to each other.
+        q, gaps = values[:, :n].copy(), np.maximum(values[:, n:], 0.0)
+        qd = self.joints(position, 1)[:, :n] * rate[:, None]
         qd[[0, -1]] = 0.0
-        return Motion(t, tau, xi, self.target, q, qd, *np.moveaxis(self.gaps(position), 1, 0))
+        return Motion(t, tau, xi, self.target, q, qd, *np.split(gaps, 2, axis=1))
 
 
 def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> None:
@@ -185,24 +187,6 @@ def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> 
         )
     if certified and not network.certified:
         raise InputError("only a certified network follows every target; see network.certify()")
-
-
-def make_motion(arm: Arm, network: ComponentwiseNetwork, start: ArrayLike, duration: float, timestep: float) -> Motion:
-    """Decode the network's trajectory from joint position ``start`` ``(n,)`` and time it to ``duration`` [s].
-
-    Args:
-        arm: decodes states to joint positions.
-        network: a network with as many visible neurons as the arm has links.
-        start: joint position at rest.
-        duration: duration of the motion [s], rounded to a whole number of time steps.
-        timestep: sampling period [s], the simulation's step.
-
-    Raises:
-        InputError: the start is out of limits, or network and arm differ in size.
-        PlanError: the network has no equilibrium or does not arrive there.
-    """
-    count_steps(duration, timestep)
-    return NetworkPath.integrate(arm, network, start).timed(duration, timestep)
 
 
 def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Motion:
@@ -223,6 +207,12 @@ def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Moti
             "take a target on this side of the configurations at which a link's pose does not tell its joints apart"
         )
     return motion
+
+
+def _through(position: Floats, decoded: Retraction) -> BSpline:
+    """The joints and gaps of `NetworkPath` through those decoded at some positions ``(K,)``."""
+    values = decoded.q, decoded.gap_translation, decoded.gap_rotation
+    return make_interp_spline(position, np.concatenate(values, axis=1), 5)
 
 
 def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, wanted: Floats) -> Floats:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any, get_args, get_origin, get_type_hints
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION
 from lieednn_sim.validation import as_choice, as_count, as_positive, quoted
 from lieednn_sim.values import set_fields
+
+# What the annotations of a class say, found once.
+_kinds: Callable[[type], dict[str, Any]] = cache(get_type_hints)
 
 
 @dataclass(frozen=True)
@@ -25,7 +30,7 @@ class PlannerOptions:
     """
 
     def __post_init__(self) -> None:
-        kinds = get_type_hints(type(self))
+        kinds = _kinds(type(self))
         for entry in fields(self):
             value = _checked(entry.name, getattr(self, entry.name), kinds[entry.name])
             low, high = entry.metadata.get("range", (-math.inf, math.inf))

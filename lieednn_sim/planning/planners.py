@@ -11,9 +11,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, TaskSpaceRegion
-from lieednn_sim.budget import cpu_time, default_limit
+from lieednn_sim.budget import cpu_time, default_limit, one_blas_thread
 from lieednn_sim.errors import InputError, LieEDNNError, NoSolutionError, NotCertifiedError, PlanError
 from lieednn_sim.planning.goals import Goal, candidates
 from lieednn_sim.planning.motion import Motion, check_motion

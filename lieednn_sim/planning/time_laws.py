@@ -53,14 +53,9 @@ def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2
 
 
-def step_lengths(xi: Floats, units: Floats) -> Floats:
-    """Lengths ``(K - 1,)`` of the steps of states ``(K, N, 6)`` in ``units`` ``(N, 6)`` [m]."""
-    return np.asarray(np.linalg.norm(np.diff(xi, axis=0) * units, axis=(-2, -1)))
-
-
 def law_of(motion: Motion, units: Floats) -> Law:
     """The law by which a motion follows its path, whose length is that of its states in ``units`` ``(N, 6)``."""
-    length = np.append(0.0, np.cumsum(step_lengths(motion.xi, units)))
+    length = travelled(motion.xi * units)
     s, fraction = motion.t / motion.t[-1], length / length[-1]
     slope = np.gradient(fraction, s, edge_order=2)
     return _through(s, fraction, np.maximum(slope, 0.0))
@@ -91,8 +86,8 @@ def recorded_law(t: Floats, fraction: Floats) -> Law:
     return law_of_times((s - s[0])[kept], smooth[kept])
 
 
-def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
-    """A law that slows down where a motion by another law turns sharply; None if it does so nowhere.
+def eased_law(motion: Motion, units: Floats) -> Law | None:
+    """A law that slows down where a motion by `minimum_jerk_law` turns sharply; None if it does so nowhere.
 
     With a law that ignores the curvature kappa, the acceleration across the path, v^2 kappa, is unbounded. Here time is
     stretched around every instant at which it exceeds a bound, by the square root of their ratio. The path's length has
@@ -117,7 +112,7 @@ def eased_law(motion: Motion, law: Law, units: Floats) -> Law | None:
     slower = maximum_filter1d(np.sqrt(np.maximum(sharpness, 1.0)), len(window), mode="nearest")
     slower = convolve1d(slower, window / window.sum(), mode="nearest")
     s = motion.t / duration
-    return law_of_times(cumulative_trapezoid(slower, s, initial=0.0), law(s)[0])
+    return law_of_times(cumulative_trapezoid(slower, s, initial=0.0), minimum_jerk_law(s)[0])
 
 
 def _through(s: Floats, fraction: Floats, slope: Floats) -> Law:

@@ -2,8 +2,9 @@
 
 A chunk is judged before anything moves (`planning.chunks`): it is mended where that is safe, or refused, and then the
 old one goes on. The reference goes over to its curve at the time that it is now, with continuous velocity and
-acceleration: what has passed is dropped, and what the reference lacks is made up for as fast as the limits allow. When
-chunks run out, it rests at the last target.
+acceleration: what has passed is dropped, and what the reference lacks is made up for as fast as the limits allow. If it
+could not catch up before the curve is over, it goes on from an earlier time of the curve, the nearest one at the
+earliest, and is late. When chunks run out, it rests at the last target.
 
 What is proved: a change makes another code of one certified network. After the last one, once the arm keeps up and
 need not rest, it converges to the end of what is coded: the last target, or of a long chunk a point of its curve, from
@@ -261,10 +262,16 @@ class ChunkPolicy(ReplanningPolicy):
         options, error = self._options, ""
 
         def onto(now: Floats) -> ChunkMotion:
-            motion = go_over(self.arm, now, curve, begin, min(begin + horizon, curve.duration), options.fade)
-            t = np.linspace(0.0, motion.duration, _LOOKS)
-            samples.append((t, *motion(t)[:2]))
-            self._require_clear(samples[-1][1], motion.duration)
+            # Where the reference is so far behind that the curve would be over first, from an earlier time of it on.
+            for late in (0.0, 0.25, 0.5, 0.75, 1.0):
+                u = begin - late * (begin - curve.nearest(now[0], begin)) if late else begin
+                motion = go_over(self.arm, now, curve, u, min(u + horizon, curve.duration), options.fade)
+                if motion.fade <= motion.base.x[-1]:
+                    break
+            # Every third of its 97 samples.
+            q, qd, _ = motion.even
+            samples.append((np.linspace(0.0, motion.duration, _LOOKS), q[::3], qd[::3]))
+            self._require_clear(q[::3], motion.duration)
             return motion
 
         # A shorter part has a smaller code, which is nearer to it. The rest comes back to it by further codes.

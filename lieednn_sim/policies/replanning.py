@@ -33,7 +33,7 @@ from lieednn_sim.policies.coded_policy import RESTS, SOONEST, CodedPolicy
 from lieednn_sim.policies.evasion import evasion
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.making import PolicyTask
-from lieednn_sim.policies.searching import aside, found, ready
+from lieednn_sim.policies.searching import aside, found, get_ready
 from lieednn_sim.policies.surroundings import Surroundings, path_around
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
@@ -121,11 +121,15 @@ class ReplanningPolicy(CodedPolicy):
         half = float(straight(self.arm, q, q + 0.5 * self.range, SOONEST).x[-1])
         self._horizon = min(lead + half, _FORESEEN)
         self._clear_way()
-        aside(self.arm, ready)
+        if self.arm.scene != "free":
+            get_ready(self.arm)
 
     def see(self, places: Mapping[str, Floats]) -> None:
         """See `Policy`; raises `InputError` for names of no obstacles."""
         super().see(places)
+        # The process of the searches takes a second to start, and memory that arms without obstacles can do without.
+        if places and not self._surroundings.places:
+            get_ready(self.arm)
         self._surroundings.see(places)
 
     @property

@@ -13,9 +13,9 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, TypeVar
 
-from lieednn_sim._blas import one_blas_thread
-from lieednn_sim._processes import LoneWorkerContext
+from lieednn_sim._processes import LoneWorkerProcess, WorkerContext
 from lieednn_sim.arm import Arm
+from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.registry import optional_module
 
@@ -44,8 +44,12 @@ def found(search: Future[_T]) -> _T:
         raise PlanError("the process that searched has ended") from None
 
 
-def ready(_: Arm) -> None:
-    """To be called `aside` ahead of the first search: the process starts, and imports what searches take."""
+def get_ready(arm: Arm) -> None:
+    """Ahead of the first search: the process starts, and imports what searches take."""
+    aside(arm, _import)
+
+
+def _import(_: Arm) -> None:
     optional_module("ompl.geometric")
 
 
@@ -53,7 +57,7 @@ class _Searcher:
     # One worker, since OMPL's random numbers are global.
     def __init__(self) -> None:
         self._lock, self._last = threading.Lock(), _NOTHING
-        self._pool: Executor = ProcessPoolExecutor(1, mp_context=LoneWorkerContext())
+        self._pool: Executor = ProcessPoolExecutor(1, mp_context=WorkerContext(LoneWorkerProcess))
 
     def submit(self, arm: Arm, *call: Any) -> Future[Any]:
         with self._lock:

@@ -3,8 +3,7 @@
 MuJoCo reads ``MUJOCO_GL`` when it is imported; if unset it takes GLFW, which needs a display. `configure` finds a
 backend by drawing a frame in a child process, and lets MuJoCo choose again. Until then nothing is probed or set.
 
-``python -m lieednn_sim.rendering.opengl`` prints the backend; if there is none, it prints the packages to install and
-fails. This module needs only the standard library.
+``lieednn-sim doctor`` prints the backend and the packages to install. This module needs only the standard library.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 
 from lieednn_sim.errors import RenderingUnavailableError
 
@@ -46,8 +46,6 @@ _PROBE_TIMEOUT = 60.0  # [s]; takes about 1 s, or more with a cold disk or a sle
 
 # Passes the result of `configure` to child processes, so that they neither probe again nor take it for the user's own.
 _INHERITED = "LIEEDNN_SIM_GL"
-
-_configured: Backend | None = None
 
 
 @dataclass(frozen=True)
@@ -81,13 +79,6 @@ class Backend:
             return []
         return list(_PACKAGES.get(_SYNONYMS.get(self.requested.lower(), "") if self.requested else "egl", []))
 
-    @property
-    def remedy(self) -> str:
-        """What the user can do about a backend that does not render."""
-        packages = self.missing_packages
-        install = [f"On Debian or Ubuntu: apt-get install {' '.join(packages)}"] if packages else []
-        return ". ".join(install + (["Unset MUJOCO_GL to let lieednn_sim choose"] if self.requested else []))
-
 
 def choose_backend() -> Backend:
     """Find a backend that works by trying each once, without importing MuJoCo or changing the environment.
@@ -119,26 +110,25 @@ def choose_backend() -> Backend:
     return Backend("disable", f"{verdict} ({'; '.join(failures)})", requested)
 
 
+@cache
 def configure() -> Backend:
     """Set ``MUJOCO_GL`` (and ``PYOPENGL_PLATFORM`` to match) for this process and its children, and tell MuJoCo.
 
     Later calls change nothing. It never fails: without OpenGL it turns rendering off.
     """
-    global _configured
-    if _configured is None:
-        _configured = choose_backend()
-        os.environ.update(_variables(_configured.name))
-        os.environ[_INHERITED] = json.dumps(asdict(_configured))
-        # The module in which MuJoCo decides which OpenGL context its renderer makes.
-        contexts = sys.modules.get("mujoco.rendering.classic.gl_context")
-        if contexts is not None and _configured.renders:
-            # It was imported before, with other settings.
-            importlib.reload(contexts)
-        mujoco = sys.modules.get("mujoco")
-        if mujoco is not None and _configured.renders and not hasattr(mujoco, "Renderer"):
-            # It was imported with a PYOPENGL_PLATFORM other than MUJOCO_GL, and went on without its renderer.
-            vars(mujoco)["Renderer"] = importlib.import_module("mujoco.rendering.classic.renderer").Renderer
-    return _configured
+    backend = choose_backend()
+    os.environ.update(_variables(backend.name))
+    os.environ[_INHERITED] = json.dumps(asdict(backend))
+    # The module in which MuJoCo decides which OpenGL context its renderer makes.
+    contexts = sys.modules.get("mujoco.rendering.classic.gl_context")
+    if contexts is not None and backend.renders:
+        # It was imported before, with other settings.
+        importlib.reload(contexts)
+    mujoco = sys.modules.get("mujoco")
+    if mujoco is not None and backend.renders and not hasattr(mujoco, "Renderer"):
+        # It was imported with a PYOPENGL_PLATFORM other than MUJOCO_GL, and went on without its renderer.
+        vars(mujoco)["Renderer"] = importlib.import_module("mujoco.rendering.classic.renderer").Renderer
+    return backend
 
 
 def require() -> Backend:
@@ -149,20 +139,11 @@ def require() -> Backend:
     """
     backend = configure()
     if not backend.renders:
-        raise RenderingUnavailableError(f"cannot render: {backend.detail}. {backend.remedy}")
+        packages = backend.missing_packages
+        remedy = [f"On Debian or Ubuntu: apt-get install {' '.join(packages)}"] if packages else []
+        remedy += ["Unset MUJOCO_GL to let lieednn_sim choose"] if backend.requested else []
+        raise RenderingUnavailableError(f"cannot render: {backend.detail}. {'. '.join(remedy)}")
     return backend
-
-
-def main() -> int:
-    """Print the backend and succeed, or print the packages to install and fail; the reason goes to stderr."""
-    backend = configure()
-    print(f"OpenGL: {backend.name}, by {backend.source}: {backend.detail}", file=sys.stderr)
-    packages = backend.missing_packages
-    if backend.renders or packages:
-        print(*(packages or [backend.name]))
-    else:
-        print(backend.remedy, file=sys.stderr)
-    return 0 if backend.renders else 1
 
 
 def _variables(name: str) -> dict[str, str]:
@@ -195,7 +176,3 @@ def _probe(name: str) -> tuple[str, str]:
     if done.returncode < 0:
         return "", f"crashed (signal {-done.returncode})"
     return "", (done.stderr.strip().splitlines() or [f"failed (exit status {done.returncode})"])[-1]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

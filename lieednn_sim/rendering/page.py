@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lieednn_sim import io
-from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim._mujoco import kinematics_at
 from lieednn_sim.budget import report
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import optional_module
@@ -92,7 +92,7 @@ def render_page(rollout: Rollout, path: str | os.PathLike[str], *, camera: str |
         colour = f"rgb({255 * red:.0f} {255 * green:.0f} {255 * blue:.0f})"
         texts.append(f'<i style="background:{colour}"></i>{word} path')
     page = player(
-        base64.b64encode(recording.content).decode("ascii"),
+        recording.base64,
         title=f"{title or 'Motion'} on {place}",
         style=_STYLE.replace("RATIO", f"{recording.ratio:.3f}"),
         header="<header>" + "".join(f"<span>{text}</span>" for text in texts) + "</header>",
@@ -111,6 +111,11 @@ class Recording(NamedTuple):
 
     content: bytes
     ratio: float
+
+    @property
+    def base64(self) -> str:
+        """The content as text, for `player`."""
+        return base64.b64encode(self.content).decode("ascii")
 
 
 def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: str | None = None) -> Recording:
@@ -176,8 +181,7 @@ class _Copy:
     ) -> None:
         self._rollout, self._nodes = rollout, viser_scene.ModelNodes(scene, shapes, name, offset=offset)
         self._way = rollout.link_position[:, -1]
-        self._data = mujoco.MjData(shapes.model)
-        scene_setup.mark(rollout.arm, self._data, marker, rollout.target)
+        scene_setup.mark(rollout.arm, self._nodes.data, marker, rollout.target)
         self._samples = np.unique(np.linspace(0, len(rollout.t) - 1, 101, dtype=int))
         self._plan = scene_setup.planned_frames(rollout)[self._samples, -1, :3, 3]
         off = np.linalg.norm(self._plan - self._way[self._samples], axis=1)
@@ -191,9 +195,7 @@ class _Copy:
         """Move to a time [s] after the beginning, or to the end."""
         rollout = self._rollout
         k = min(round(time / rollout.timestep), len(rollout.t) - 1)
-        self._data.qpos[:] = rollout.qpos[k]
-        mujoco.mj_kinematics(self._nodes.model, self._data)
-        self._nodes.show(self._data)
+        self._nodes.show(rollout.qpos[k])
         tip = self._way[k]
         if np.linalg.norm(tip - self._tip[-1]) > 1e-3:
             self._tip.append(tip)

@@ -9,10 +9,9 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import imageio_ffmpeg
 import numpy as np
@@ -35,8 +34,7 @@ __all__ = ["PRESETS", "Camera", "render_video"]
 Image = NDArray[np.uint8]
 
 
-@dataclass(frozen=True)
-class Preset:
+class Preset(NamedTuple):
     """Rendering quality: the settings that take most of a software renderer's time."""
 
     shadows: bool
@@ -78,7 +76,7 @@ def check_rate(fps: float, path: str | os.PathLike[str]) -> float:
     return rate
 
 
-class Camera:
+class Camera(contextlib.AbstractContextManager["Camera"]):
     """Renders an arm from a named camera; use as a context manager, which frees the OpenGL context.
 
     Args:
@@ -118,9 +116,6 @@ class Camera:
             self._renderer = mujoco.Renderer(self._model, size[1], size[0], max_geom=20_000)
         except Exception as error:  # MuJoCo passes on exceptions of several GL bindings, which have no common base
             raise RenderingUnavailableError(f"OpenGL failed to start: {error}; run 'lieednn-sim doctor'") from None
-
-    def __enter__(self) -> Camera:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._renderer.close()

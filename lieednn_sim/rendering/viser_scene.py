@@ -96,6 +96,7 @@ class ModelNodes:
 
     def __init__(self, scene: Any, shapes: Shapes, root: str, *, offset: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         self.model = model = shapes.model
+        self.data = mujoco.MjData(model)
         scene.add_frame(root, show_axes=False, position=np.asarray(offset))
         # Nodes by the ids of bodies: each body's that has a geometry, and of its surfaces, whose `color` can be set.
         self.bodies: dict[int, Any] = {}
@@ -119,8 +120,11 @@ class ModelNodes:
             name = f"{root}/tendons {len(self.tendons)}"
             self.tendons.append((add_path(scene, name, np.zeros((2, 3)), rgba, radius), tendons))
 
-    def show(self, data: mujoco.MjData) -> None:
-        """Move the nodes to the poses of the bodies in ``data``, whose kinematics are up to date."""
+    def show(self, qpos: Floats) -> None:
+        """Move the nodes to where the bodies are at positions ``(nq,)``, and to the mocap poses in ``data``."""
+        data = self.data
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(self.model, data)
         for body, node in self.bodies.items():
             node.position = np.round(data.xpos[body] / _RESOLUTION) * _RESOLUTION
             node.wxyz = np.round(data.xquat[body] / _RESOLUTION) * _RESOLUTION

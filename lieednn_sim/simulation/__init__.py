@@ -7,11 +7,10 @@
 from lieednn_sim.registry import CONTROLLERS
 from lieednn_sim.simulation.controllers import register_controller
 from lieednn_sim.simulation.controllers.base import Controller
-from lieednn_sim.simulation.disturbances import Disturbances, Push
+from lieednn_sim.simulation.disturbances import Disturbances, MovingObstacle, Push
 from lieednn_sim.simulation.following import Following, follow
 from lieednn_sim.simulation.log import Channel, Log
 from lieednn_sim.simulation.many import Rollouts, simulate_many
-from lieednn_sim.simulation.moving_obstacles import MovingObstacle
 from lieednn_sim.simulation.rollout import Rollout
 from lieednn_sim.simulation.simulation import Simulation
 from lieednn_sim.simulation.tracking import default_controller, simulate

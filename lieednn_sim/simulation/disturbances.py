@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -14,7 +13,6 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.errors import InputError
-from lieednn_sim.simulation.moving_obstacles import MovingObstacle
 from lieednn_sim.validation import as_floats, as_nonnegative, as_positive, as_seed, quoted
 from lieednn_sim.values import Floats, check_fields, set_fields
 
@@ -66,6 +64,39 @@ class Push:
 
 
 @dataclass(frozen=True)
+class MovingObstacle:
+    """An obstacle that moves along straight lines between given places, at constant speed on each of them.
+
+    It rests before the first time and after the last one. It is a body without joints that is put to its new place in
+    each step: contacts act where it is, but know nothing of its velocity, so it drags nothing along by friction.
+
+    Attributes:
+        body: name of a body of the scene without joints.
+        times: ``(K,)`` increasing times since the start of the rollout [s].
+        positions: ``(K, 3)`` positions of the body at these times, in the frame of its parent [m].
+
+    Raises:
+        InputError: the times do not increase, or a value is malformed.
+    """
+
+    body: str
+    times: tuple[float, ...]
+    positions: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        times = as_floats("times", self.times, ("K",))
+        positions = as_floats("positions", self.positions, (len(times), 3))
+        if not len(times) or (np.diff(times) <= 0.0).any():
+            raise InputError(f"times must hold at least one time, and increase, got {self.times}")
+        set_fields(self, times=tuple(times.tolist()), positions=tuple(map(tuple, positions.tolist())))
+
+    def at(self, time: float) -> Floats:
+        """Position of the body ``(3,)`` at a time [s]; `InputError` if that is no finite number."""
+        now = float(as_floats("time", time, ()))
+        return np.array([np.interp(now, self.times, column) for column in zip(*self.positions, strict=True)])
+
+
+@dataclass(frozen=True)
 class Disturbances:
     """Disturbances of a simulation that the controller does not know of; none by default.
 
@@ -104,13 +135,9 @@ class Disturbances:
         """What loads the arm without the controller's knowledge, in words: it can hold a joint off its target."""
         return [*_said(self, _OF_ARM), *(["pushes"] if self.pushes else [])]
 
-    def to_json(self) -> dict[str, Any]:
-        """The values in types that JSON has."""
-        return dataclasses.asdict(self)
-
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> Disturbances:
-        """The inverse of `to_json`; raises InputError for malformed values."""
+        """The inverse of `dataclasses.asdict`; raises InputError for malformed values."""
         try:
             pushes = tuple(Push(**push) for push in value["pushes"])
             obstacles = tuple(MovingObstacle(**each) for each in value.get("obstacles", ()))

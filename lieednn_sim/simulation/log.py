@@ -127,10 +127,6 @@ class Log:
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise InputError(f"every channel needs a name of its own, there are several of {', '.join(twice)}")
 
-    def __len__(self) -> int:
-        """Return the number of instants."""
-        return self._rows
-
     def step(self) -> None:
         """Do one step within `QuietWarnings`; if it does not fail, keep the instant before it."""
         for write, view in self._before:

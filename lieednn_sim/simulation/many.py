@@ -140,7 +140,7 @@ def _states(
     """The states ``(K + 1, size)`` along a reference, in MuJoCo's order, and the controls ``(K, nu)`` of its steps."""
     model, data, total, kind = simulation.model, simulation.data, len(reference.q), mujoco.mjtState.mjSTATE_FULLPHYSICS
     simulation.reset(reference.q[0])
-    inputs = driver.inputs(range(total), simulation.first_noise(total))
+    inputs = driver.inputs(range(total), simulation.sensors.first(total))
     if inputs is None:
         raise InputError(
             f"the controller {controller} needs the state at every step, so its rollouts are made one by one, by "

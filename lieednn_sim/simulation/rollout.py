@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import asdict, field
 from functools import cached_property
 
 import numpy as np
@@ -191,7 +191,7 @@ class Rollout:
             "motion_end": self.motion_end,
             "controller": self.controller,
             "reference_rate": self.reference_rate,
-            "disturbances": self.disturbances.to_json(),
+            "disturbances": asdict(self.disturbances),
             "payload": self.arm.payload,
             "channel_units": dict(self.channel_units),
             "steps": [list(step) for step in self.steps],

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,10 +13,11 @@ from numpy.typing import ArrayLike
 from lieednn_sim._mujoco import QuietWarnings, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import fixed_body
+from lieednn_sim.arm.grasp import load_body
 from lieednn_sim.arm.step_stability import step_remedy
+from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import InputError, SimulationError
 from lieednn_sim.simulation.disturbances import Disturbances, Noise, Pushes, Sensors
-from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.validation import as_count, as_floats
 from lieednn_sim.values import Floats
 
@@ -38,6 +42,7 @@ class Simulation:
         model: the plant.
         data: its state.
         pushes: applies the pushes of the disturbances.
+        sensors: draws the measurement errors.
         steps: number of steps since the last reset.
         noise: measurement errors at the present time, to be added to qpos (by `mj_integratePos`) and qvel.
     """
@@ -56,7 +61,7 @@ class Simulation:
         names = [each.body for each in self.disturbances.obstacles]
         if twice := {name for name in names if names.count(name) > 1}:
             raise InputError(f"an obstacle can move in one way only, got more than one for {', '.join(sorted(twice))}")
-        self._sensors = Sensors(arm, self.disturbances)
+        self.sensors = Sensors(arm, self.disturbances)
         self.steps = 0
         self.noise: Noise
         self.reset(arm.coordinates(arm.model.qpos0 if arm.qpos_home is None else arm.qpos_home))
@@ -92,10 +97,6 @@ class Simulation:
         q = self.arm.coordinates(qpos)
         return q, self.arm.rates(q, self.data.qvel + self.noise.velocity)
 
-    def first_noise(self, count: int) -> Noise:
-        """Errors ``(m, nv)`` of the first measurements after a reset."""
-        return self._sensors.first(count)
-
     def move_obstacles(self) -> dict[str, Floats]:
         """Put moving obstacles where they are at the present time; returns positions ``(3,)`` by names of bodies."""
         places = {obstacle.body: obstacle.at(self.time) for obstacle, _ in self._moving}
@@ -123,8 +124,8 @@ class Simulation:
         self.data.qpos[:] = self._begin = self.arm.qpos(position)
         self.steps = 0
         self.move_obstacles()
-        self._sensors.reset()
-        self.noise = self._sensors.draw()
+        self.sensors.reset()
+        self.noise = self.sensors.draw()
 
     def advance(self, steps: int = 1, controls: Floats | None = None) -> None:
         """Do steps without logging them.
@@ -158,8 +159,8 @@ class Simulation:
         if not finite or any(self._warnings.tolist()):
             raise failure(self.data, repr(self.arm.name), self.time, step_remedy(self.model, self._begin))
         self.steps += 1
-        if self._sensors.noisy:
-            self.noise = self._sensors.draw()
+        if self.sensors.noisy:
+            self.noise = self.sensors.draw()
 
 
 def failure(data: mujoco.MjData, what: str, time: float, remedy: str = "") -> SimulationError:
@@ -170,3 +171,41 @@ def failure(data: mujoco.MjData, what: str, time: float, remedy: str = "") -> Si
         problem = str(mujoco.mju_warningText(index, int(data.warning.lastinfo[index])))
     message = f"the simulation of {what} failed at t = {time:.4f} s: {problem}"
     return SimulationError(f"{message.rstrip('.')}; {remedy}" if remedy else message)
+
+
+def make_plant(
+    arm: Arm, disturbances: Disturbances | None = None, add_bodies: Callable[[Any], None] | None = None
+) -> mujoco.MjModel:
+    """A model to simulate.
+
+    Args:
+        arm: the arm; neither its model nor its spec is changed.
+        disturbances: what changes the arm itself is used; gravity compensation stays that of the arm without them.
+        add_bodies: called with a copy of the arm's spec, to add bodies after the arm's.
+
+    Raises:
+        InputError: bodies are to be added to a view of a compiled model, or a payload to a body of one that MuJoCo
+            compensates for gravity, at its centre of mass.
+    """
+    changes = Disturbances() if disturbances is None else disturbances
+    view = arm.spec is None
+    loaded = arm if view else arm.with_payload(changes.payload)
+    if add_bodies is None:
+        plant = copy.deepcopy(loaded.model)
+    else:
+        spec = loaded.copied_spec()
+        add_bodies(spec)
+        plant = spec.compile()
+        plant.actuator_gainprm[:], plant.actuator_biasprm[:] = arm.model.actuator_gainprm, arm.model.actuator_biasprm
+    if changes.mass_scale != 1.0:
+        own = np.flatnonzero(moved_together(arm.model, arm.dofs))
+        if plant.nbody > arm.model.nbody:
+            own = np.array([plant.body(arm.model.body(k).name).id for k in own.tolist()])
+        plant.body_mass[own] *= changes.mass_scale
+        plant.body_inertia[own] *= changes.mass_scale
+        plant.body_gravcomp[own] /= changes.mass_scale
+    if view and changes.payload > 0.0:
+        load_body(plant, arm, changes.payload)
+    elif changes.mass_scale != 1.0:
+        mujoco.mj_setConst(plant, mujoco.MjData(plant))
+    return plant

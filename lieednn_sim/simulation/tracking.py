@@ -25,10 +25,9 @@ from lieednn_sim.simulation.controllers import make_controller
 from lieednn_sim.simulation.controllers.base import Controller, Inputs
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.simulation.log import ChannelSource, Log
-from lieednn_sim.simulation.plant import make_plant
 from lieednn_sim.simulation.reference import Reference
 from lieednn_sim.simulation.rollout import Rollout
-from lieednn_sim.simulation.simulation import Simulation
+from lieednn_sim.simulation.simulation import Simulation, make_plant
 from lieednn_sim.validation import as_nonnegative, as_positive
 from lieednn_sim.values import Floats
 
@@ -175,12 +174,11 @@ def simulate(
                     shown = time.monotonic()
                     report(min(len(seen), total), total)
     except SimulationError as error:
-        if len(record) > 1:
-            ended = {"motion_end": len(record) * arm.timestep, **({} if play is None else {"steps": tuple(play.begun)})}
+        if len(seen) > 1:
+            ended = {"motion_end": len(seen) * arm.timestep, **({} if play is None else {"steps": tuple(play.begun)})}
             # What was logged may be out of range before the state is.
             with contextlib.suppress(InputError):
-                rows_done = seen[: len(record)]
-                error.rollout = record.rollout(reference.q[rows_done], reference.qd[rows_done], **ended, **meta)
+                error.rollout = record.rollout(reference.q[seen], reference.qd[seen], **ended, **meta)
         raise
     if play is not None:
         end, meta["steps"] = play.end, tuple(play.begun)
@@ -241,7 +239,7 @@ class _Play:
 def _drive(driver: Controller, simulation: Simulation, total: int | None) -> Callable[[int], None]:
     """A function that sets the controls of a step after a reset; if they follow from known steps, beforehand."""
     model, data = simulation.model, simulation.data
-    inputs = None if total is None else driver.inputs(range(total), simulation.first_noise(total))
+    inputs = None if total is None else driver.inputs(range(total), simulation.sensors.first(total))
     if inputs is None:
         return lambda k: driver.act(data, k, simulation.noise)
     kind, rows = joined(inputs)

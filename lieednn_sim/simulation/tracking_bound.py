@@ -24,7 +24,7 @@ from lieednn_sim.planning import Plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY
 from lieednn_sim.simulation.disturbances import Disturbances
-from lieednn_sim.simulation.plant import make_plant
+from lieednn_sim.simulation.simulation import make_plant
 from lieednn_sim.simulation.tracking import as_loaded, as_motion
 from lieednn_sim.validation import as_floats, as_nonnegative, as_positive
 from lieednn_sim.values import Floats

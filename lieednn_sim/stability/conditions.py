@@ -18,7 +18,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.stability.certificate import Certificate, known_or_found, verify
 from lieednn_sim.stability.contraction import Contraction, find_contraction
 from lieednn_sim.stability.norms import as_weight, frobenius, log_norms, weighted_norm
-from lieednn_sim.validation import as_floats, as_positive, as_ratio, quoted
+from lieednn_sim.validation import as_positive, as_ratio, quoted
 from lieednn_sim.values import Floats
 
 #: Names of the stability conditions in hierarchical order; a verdict's level is one of these, or "none".
@@ -67,7 +67,7 @@ class Verdict:
     """The verdict on a network: all stability conditions, evaluated, and the proofs behind them.
 
     Attributes:
-        conditions: in the order of `CONDITIONS`; "local" only when a Jacobian was given.
+        conditions: in the order of `CONDITIONS`; "local" only by `locally`.
         certificate: the diagonal Lyapunov matrix behind its condition, valid or not.
         contraction: the norm behind its condition, valid or not.
         stiffness: strongest coupling of two neurons in units of gamma/mu: |alpha_ij| where W_R is known, else the
@@ -92,11 +92,12 @@ class Verdict:
             "integration takes many small steps; make alpha smaller, or integrate with method='Radau'"
         )
 
-    def locally(self, jacobian: Floats) -> Verdict:
-        """This verdict with the condition on the Jacobian ``(n, n)`` at an equilibrium; unchecked."""
+    def locally(self, jacobian: ArrayLike) -> Verdict:
+        """This verdict with the condition on the Jacobian ``(n, n)`` of the vector field at an equilibrium."""
+        matrix = as_weight("jacobian", jacobian)
         # Backward error of the eigenvalues; the forward error of ill-conditioned ones is not bounded by it.
-        rounding = len(jacobian) * np.finfo(float).eps * frobenius(jacobian)
-        abscissa = float(np.linalg.eigvals(jacobian).real.max() + rounding)
+        rounding = len(matrix) * np.finfo(float).eps * frobenius(matrix)
+        abscissa = float(np.linalg.eigvals(matrix).real.max() + rounding)
         local = Condition("local", abscissa < 0.0, abscissa, 0.0, max(0.0, -abscissa), "local")
         return replace(self, conditions=(*self.conditions, local))
 
@@ -152,7 +153,6 @@ def assess(
     gamma: float,
     mu: float,
     rotational_weight: ArrayLike | None = None,
-    jacobian: ArrayLike | None = None,
     lyapunov_diagonal: ArrayLike | None = None,
 ) -> Verdict:
     """Evaluate every stability condition for a network x' = -gamma x + mu W phi(x) + mu b.
@@ -170,7 +170,6 @@ def assess(
         weight: W, ``(n, n)``; n = 6N with interleaved twists (omega, v) when `rotational_weight` is given.
         gamma, mu: decay rate and scale of the interaction, positive.
         rotational_weight: W_R, ``(3N, 3N)``, on which the last global conditions are then evaluated.
-        jacobian: Jacobian ``(n, n)`` of the vector field at an equilibrium, for the local condition.
         lyapunov_diagonal: a known diagonal P, of the size of `rotational_weight` or else of `weight`; it saves the
             search when it is valid.
 
@@ -204,8 +203,7 @@ def assess(
     blocks = core.reshape(len(core) // size, size, -1, size)
     # The spectral norm of a block alpha R is |alpha|.
     stiffness = float(np.linalg.norm(blocks, 2, axis=(1, 3)).max()) / bound
-    verdict = Verdict(tuple(conditions), certificate, contraction, stiffness)
-    return verdict if jacobian is None else verdict.locally(as_floats("jacobian", jacobian, matrix.shape))
+    return Verdict(tuple(conditions), certificate, contraction, stiffness)
 
 
 def _rotational_part(weight: Floats, rotational_weight: ArrayLike) -> Floats:

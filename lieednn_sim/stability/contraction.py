@@ -23,8 +23,7 @@ from scipy.linalg import block_diag, schur, solve_triangular
 from scipy.optimize import minimize_scalar
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.stability.certificate import find_certificate
-from lieednn_sim.stability.method_of_centres import minimise_by_centres
+from lieednn_sim.stability.certificate import find_certificate, minimise_by_centres
 from lieednn_sim.stability.norms import EPS, as_weight, frobenius, scale
 from lieednn_sim.validation import as_floats, as_positive, as_ratio
 from lieednn_sim.values import Floats, frozen

@@ -10,16 +10,15 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, Self
 
 from lieednn_sim import io
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.studies.rows import TableRow, columns_of
+from lieednn_sim.studies.rows import R, TableRow, columns_of
 from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.validation import as_path
 from lieednn_sim.versions import commit, versions
 
-R = TypeVar("R", bound=TableRow)
 SUFFIX = ".sqlite"
 # Types of columns by the annotations of a row's fields.
 _TYPES = {"str": "TEXT", "bool": "INTEGER", "int": "INTEGER", "float": "REAL"}
@@ -115,10 +114,6 @@ class Table(Generic[R]):
                 rows = (self._kind(**dict(zip(given, values, strict=True))) for values in every)
                 self._rows = {row.key: row for row in rows}
         return self._rows
-
-    def sorted_rows(self) -> list[R]:
-        """All rows in the order of their keys."""
-        return list(self.rows.values())
 
     def add(self, rows: Sequence[R]) -> None:
         """Add rows, or put them in the place of those with the same keys, all at once or none."""

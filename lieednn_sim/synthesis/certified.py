@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.budget import cpu_time
+from lieednn_sim.budget import cpu_time, one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
+from lieednn_sim.network.base import as_rates
 from lieednn_sim.network.componentwise import as_activation
 from lieednn_sim.stability import Certificate
 from lieednn_sim.synthesis.bias import bias_for, equation_columns, impossibility
@@ -27,6 +27,7 @@ from lieednn_sim.values import Floats, frozen
 #: Largest entry of the vector field at the target, in units of gamma, with which the target counts as the
 #: equilibrium; the solution is usually exact to 1e-13.
 RESIDUAL_TOLERANCE = 1e-9
+_LARGEST_TRANSLATION = 20.0  # largest |t_ij| allowed
 _LARGEST_NORM = 1e3  # largest norm of W_R that is searched for, in units of gamma/mu
 _LARGEST_STACK = 2**23  # most derivatives of entries of the symmetric matrices in a stack: 64 MB
 # Tried in turn: the less the quaternions move, the better the certificate survives, but the larger the translations.
@@ -44,7 +45,6 @@ class Synthesis:
         residual: largest entry of the vector field at the target.
         largest_translation: largest |t_ij| of the weights.
         attempts: number of starts tried.
-        iterations: number of iterations of all searches.
         cpu_time: CPU time since the beginning of the call [s].
     """
 
@@ -54,7 +54,6 @@ class Synthesis:
     residual: float
     largest_translation: float
     attempts: int
-    iterations: int
     cpu_time: float
 
     @property
@@ -83,14 +82,13 @@ def synthesize(
     mu: float = 1.0,
     activation: str = DEFAULT_ACTIVATION,
     seed: Seed = 0,
-    max_translation: float = 20.0,
     max_attempts: int = 16,
 ) -> Synthesis:
     """Make a network whose only equilibrium is ``xi``, with a proof that it is globally attractive.
 
     xi is an equilibrium exactly when W phi(xi) = (gamma/mu) xi - b. The 3N rotational equations are solved for
     (alpha, R) under the eigenvalue bound of `stability`, the 3N translational ones then almost always for t alone. If
-    that fails, the outcome's `message` says whether no such network exists or none was found.
+    that fails, the outcome's `message` says whether no such network exists or none was found. No |t_ij| exceeds 20.
 
     Args:
         xi: ``(N, 6)`` target, twists (omega, v).
@@ -99,15 +97,13 @@ def synthesize(
         gamma, mu: decay rate and scale of the interaction.
         activation: a name of `network.ACTIVATIONS`.
         seed: seed of the random starts; the same seed gives the same network.
-        max_translation: largest |t_ij| allowed.
         max_attempts: number of starts to try.
     """
     target = as_floats("xi", xi, ("N", 6))
-    _require_neurons(target)
     offset = bias if isinstance(bias, str) else as_floats("bias", bias, target.shape)[None]
     magnitudes = [as_positive("bias_magnitude", bias_magnitude)]
-    options = _Options(gamma, mu, activation, max_translation, max_attempts)
-    return _attempt_all(target[None], offset, magnitudes, [as_generator("seed", seed)], options)[0]
+    how: dict[str, Any] = {"gamma": gamma, "mu": mu, "activation": activation, "max_attempts": max_attempts}
+    return _attempt_all(target[None], offset, magnitudes, [as_generator("seed", seed)], **how)[0]
 
 
 def synthesize_many(
@@ -119,7 +115,6 @@ def synthesize_many(
     mu: float = 1.0,
     activation: str = DEFAULT_ACTIVATION,
     seed: Seed = 0,
-    max_translation: float = 20.0,
     max_attempts: int = 16,
 ) -> list[Synthesis]:
     """Make a network for each of many targets, as `synthesize` makes one, in a fraction of the time; in their order.
@@ -133,45 +128,16 @@ def synthesize_many(
         bias: a name of `BIAS_RULES` or an array ``(B, N, 6)``.
         bias_magnitude: as in `synthesize`, one number or one for each target ``(B,)``.
         seed: seed from which a generator for each target's starts is spawned.
-        gamma, mu, activation, max_translation, max_attempts: as in `synthesize`, for each target.
+        gamma, mu, activation, max_attempts: as in `synthesize`, for each target.
     """
     targets = as_floats("xi", xi, ("B", "N", 6))
-    _require_neurons(targets)
     count = len(targets)
     offset = bias if isinstance(bias, str) else as_floats("bias", bias, targets.shape)
     given = as_floats("bias_magnitude", bias_magnitude, (), batched=True)
     given = np.broadcast_to(as_floats("bias_magnitude", given, (count,) if given.ndim else ()), (count,))
     magnitudes = [as_positive("bias_magnitude", float(item)) for item in given]
-    options = _Options(gamma, mu, activation, max_translation, max_attempts)
-    return _attempt_all(targets, offset, magnitudes, as_generator("seed", seed).spawn(count), options)
-
-
-def _require_neurons(target: Floats) -> None:
-    if target.shape[-2] == 0:
-        raise InputError(f"xi must have shape (..., N, 6) with N >= 1, got {target.shape}")
-
-
-@dataclass(frozen=True)
-class _Options:
-    """The arguments of `synthesize` that are the same for all networks of a stack, checked."""
-
-    gamma: float
-    mu: float
-    activation: str
-    max_translation: float
-    max_attempts: int
-
-    def __post_init__(self) -> None:
-        as_activation(self.activation)
-        for name in ("gamma", "mu", "max_translation"):
-            as_positive(name, getattr(self, name))
-        # Some minutes of searching: where thousands of starts find nothing, more don't either.
-        as_count("max_attempts", self.max_attempts, most=10_000)
-
-    @property
-    def ratio(self) -> float:
-        """gamma/mu, the unit of weights and biases."""
-        return self.gamma / self.mu
+    how: dict[str, Any] = {"gamma": gamma, "mu": mu, "activation": activation, "max_attempts": max_attempts}
+    return _attempt_all(targets, offset, magnitudes, as_generator("seed", seed).spawn(count), **how)
 
 
 @dataclass(eq=False)
@@ -182,15 +148,15 @@ class _Task:
     state: Floats  # phi(target)
     offset: Floats  # the bias
     rng: np.random.Generator
-    options: _Options
+    rates: dict[str, Any]  # gamma, mu and the activation
     begun: float  # time of the start, by `cpu_time`
     attempts: int = 0
-    iterations: int = 0
     outcome: Synthesis | None = None
 
     def __post_init__(self) -> None:
         # What W phi(target) must be, in units of gamma/mu: W' = W mu/gamma has bound 1.
-        self.required = self.target - self.offset / self.options.ratio
+        self.ratio = self.rates["gamma"] / self.rates["mu"]
+        self.required = self.target - self.offset / self.ratio
         # Column sets that W_R is to meet, tried in turn: those that suit the target, then the rotational ones alone
         # where the translations t may meet the others.
         self.choices = [equation_columns(self.target)]
@@ -208,16 +174,17 @@ class _Task:
         if network is not None:
             residual = float(np.abs(network.vector_field(self.target)).max())
             largest = float(np.linalg.norm(network.translation, axis=-1).max())
-        counts = self.attempts, self.iterations
-        self.outcome = Synthesis(impossible, message, network, residual, largest, *counts, cpu_time() - self.begun)
+        self.outcome = Synthesis(
+            impossible, message, network, residual, largest, self.attempts, cpu_time() - self.begun
+        )
         return self.outcome
 
     def offer(self, network: LieEDNN) -> None:
         """End with this network if it is certified, has the target as equilibrium, and t is not too large."""
         if network.certified:
             result = self.end("certified", network)
-            exact = result.residual < RESIDUAL_TOLERANCE * self.options.gamma
-            if not (exact and result.largest_translation < self.options.max_translation):
+            exact = result.residual < RESIDUAL_TOLERANCE * self.rates["gamma"]
+            if not (exact and result.largest_translation < _LARGEST_TRANSLATION):
                 self.outcome = None
 
     def refuse(self) -> None:
@@ -241,20 +208,29 @@ def _attempt_all(
     bias: str | Floats,
     magnitudes: Sequence[float],
     generators: Sequence[np.random.Generator],
-    options: _Options,
+    *,
+    gamma: float,
+    mu: float,
+    activation: str,
+    max_attempts: int,
 ) -> list[Synthesis]:
     """The outcomes of `synthesize` for targets ``(B, N, 6)``; the bias is a rule or an array ``(B, N, 6)``."""
+    if targets.shape[1] == 0:
+        raise InputError("xi must have shape (..., N, 6) with N >= 1, got N = 0")
+    rates = {**as_rates(gamma, mu), "activation": as_activation(activation)}
+    # Some minutes of searching: where thousands of starts find nothing, more don't either.
+    as_count("max_attempts", max_attempts, most=10_000)
     start, solved = cpu_time(), isinstance(bias, str) and bias == "solved"
     tasks = []
-    for k, (target, state) in enumerate(zip(targets, ACTIVATIONS[options.activation].phi(targets), strict=True)):
-        offset = bias_for(bias, target, state, options.ratio, magnitudes[k]) if isinstance(bias, str) else bias[k]
-        tasks.append(_Task(target, state, offset, generators[k], options, start))
+    for k, (target, state) in enumerate(zip(targets, ACTIVATIONS[activation].phi(targets), strict=True)):
+        offset = bias_for(bias, target, state, gamma / mu, magnitudes[k]) if isinstance(bias, str) else bias[k]
+        tasks.append(_Task(target, state, offset, generators[k], rates, start))
         if not solved:
             tasks[k].refuse()
     at_once = max(1, _LARGEST_STACK // ((3 * targets.shape[1]) ** 4 // 4))
     fast_attempts = 4  # starts of the fast search before the patient one takes over
     with one_blas_thread():
-        for attempt in range(options.max_attempts):
+        for attempt in range(max_attempts):
             left = [task for task in tasks if task.outcome is None]
             if solved or attempt < fast_attempts:
                 # All problems in a stack have the same number of equations, which an attempt changes.
@@ -288,9 +264,7 @@ def _fast_attempt(stack: Sequence[_Task], solved: bool) -> None:
         for task, network in zip(stack, _networks(stack, problem, contracted(problem, start), still), strict=True):
             task.offer(network.retarget(task.target))
         return
-    unknowns, feasible, iterations = feasible_points(problem, start, aim=0.85, accept=0.97)
-    for task, count in zip(stack, iterations.tolist(), strict=True):
-        task.iterations += count
+    unknowns, feasible = feasible_points(problem, start, aim=0.85, accept=0.97)
     result = np.flatnonzero(feasible)
     _offer_polished([stack[k] for k in result.tolist()], problem.of(result), unknowns[result])
 
@@ -301,8 +275,7 @@ def _patient_attempt(task: _Task) -> None:
     bound = QUATERNION_BOUNDS[task.attempts // len(task.choices) % len(QUATERNION_BOUNDS)]
     problem, start = _start([task])
     task.attempts += 1
-    unknowns, count = smallest_eigenvalue_point(problem.of(0), start[0], accept=0.9999, quaternion_bound=bound)
-    task.iterations += count
+    unknowns = smallest_eigenvalue_point(problem.of(0), start[0], accept=0.9999, quaternion_bound=bound)
     if unknowns is not None:
         _offer_polished([task], problem, unknowns[None])
 
@@ -330,8 +303,6 @@ def _networks(stack: Sequence[_Task], problem: Problem, unknowns: Floats, transl
     diagonal = np.exp(2.0 * unknowns[:, problem.n_quaternion :])
     result = []
     for k, task in enumerate(stack):
-        options, alpha = task.options, task.options.ratio * problem.signs[k] * size[k]
-        rates: dict[str, Any] = {"gamma": options.gamma, "mu": options.mu, "activation": options.activation}
-        parts = alpha, rotation[k], translation[k], task.offset
-        result.append(LieEDNN(*parts, **rates, lyapunov_diagonal=diagonal[k]))
+        parts = task.ratio * problem.signs[k] * size[k], rotation[k], translation[k], task.offset
+        result.append(LieEDNN(*parts, **task.rates, lyapunov_diagonal=diagonal[k]))
     return result

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.lie.se3 import skew
-from lieednn_sim.synthesis.problem import Indices, Point, Problem, pairs
+from lieednn_sim.synthesis.problem import Point, Problem, pairs
 from lieednn_sim.values import Floats
 
 Flags = NDArray[np.bool_]
@@ -28,7 +28,7 @@ _LOG_SCALE_BOUND = 8.0
 QUATERNION_BOUNDS = (3.0, 60.0)
 
 
-def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: float) -> tuple[Floats, Flags, Indices]:
+def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: float) -> tuple[Floats, Flags]:
     """Levenberg-Marquardt on the distance to feasibility, for each problem of a stack.
 
     Minimises w^2 |W_R u - c|^2 + ||(A - aim I)_+||_F^2 with A = sym(S W_R S^-1), w = 3: the squared distance
@@ -37,8 +37,7 @@ def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: floa
 
     Each problem has its own damping, and leaves the stack when it is solved or given up: its result does not depend on
     the others, to the last bit. It is solved when the largest eigenvalue is below ``accept`` and the equations are
-    roughly met. Returns the unknowns, as the start ``(B, 4 N^2 + 3N)``, whether they are feasible ``(B,)``, and the
-    number of iterations ``(B,)``.
+    roughly met. Returns the unknowns, as the start ``(B, 4 N^2 + 3N)``, and whether they are feasible ``(B,)``.
     """
     unknowns, feasible, iterations = start.copy(), np.zeros(len(start), bool), np.zeros(len(start), int)
     # For the problems left in the stack: their indices, points, and linear least squares there.
@@ -55,7 +54,7 @@ def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: floa
         if len(kept) < len(stack):
             unknowns[stack], feasible[stack] = point.unknowns, solved
             if not len(kept):
-                return unknowns, feasible, iterations
+                return unknowns, feasible
             problem, point, stack, moved = problem.of(kept), point.of(kept), stack[kept], moved[kept]
             value, damping, linear = value[kept], damping[kept], [linear[k] for k in kept]
         fresh = moved.nonzero()[0]
@@ -151,14 +150,14 @@ def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
 
 def smallest_eigenvalue_point(
     problem: Problem, start: Floats, *, accept: float, quaternion_bound: float
-) -> tuple[Floats | None, int]:
+) -> Floats | None:
     """Minimise a smoothed lambda_max under the equations by sequential quadratic programming (SciPy's SLSQP).
 
     Slower than `feasible_points` by an order of magnitude, but it finds the large weights that targets near the edge of
     what can be certified need. Where smaller weights suffice, a start may still run off to weights in the thousands,
     with translations as large: hence a bound on every quaternion, from `QUATERNION_BOUNDS`.
     """
-    unknowns, iterations = start, 0
+    unknowns = start
     bounds = [(-quaternion_bound, quaternion_bound)] * problem.n_quaternion
     bounds += [(-_LOG_SCALE_BOUND, _LOG_SCALE_BOUND)] * problem.size
 
@@ -170,14 +169,13 @@ def smallest_eigenvalue_point(
     how = {"jac": True, "bounds": bounds, "constraints": equations, "options": {"maxiter": 400, "ftol": 1e-6}}
     for sharpness in (20.0, 80.0, 320.0, 1280.0):
         solution = minimize(largest, unknowns, (sharpness,), "SLSQP", **how)
-        iterations += solution.nit
         if not np.isfinite(solution.x).all():
-            return None, iterations
+            return None
         unknowns = solution.x
         point = problem.evaluate(unknowns)
         if point.values[-1] < accept and np.abs(point.residual).max() < _ROUGH:
-            return unknowns, iterations
-    return None, iterations
+            return unknowns
+    return None
 
 
 def polish(

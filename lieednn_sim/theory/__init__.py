@@ -5,8 +5,10 @@ special cases; `EquivariantLieEDNN` has an activation that commutes with Ad. `tr
 planner needs this subpackage.
 """
 
-from lieednn_sim.theory.equivariant import EquivariantLieEDNN
-from lieednn_sim.theory.group_network import (
+from lieednn_sim.theory.groups import GROUPS, affine, group
+from lieednn_sim.theory.matrix_group import MatrixLieGroup
+from lieednn_sim.theory.networks import (
+    EquivariantLieEDNN,
     GroupLieEDNN,
     complex_network,
     complex_state,
@@ -15,8 +17,6 @@ from lieednn_sim.theory.group_network import (
     quaternion_state,
     quaternion_values,
 )
-from lieednn_sim.theory.groups import GROUPS, affine, group
-from lieednn_sim.theory.matrix_group import MatrixLieGroup
 from lieednn_sim.theory.smoothness import SmoothnessBounds, curvature, smoothness_bounds
 from lieednn_sim.typecheck import typecheck_public
 

@@ -1,7 +1,7 @@
 """The catalogue of matrix Lie groups, and the affine group over each real one.
 
 In the adjoint of ``affine(C^x)`` and ``affine(H^x)`` the block that acts on the translations is complex, and left
-quaternion, multiplication: see `group_network`.
+quaternion, multiplication: see `networks`.
 """
 
 from __future__ import annotations
@@ -30,19 +30,14 @@ _LARGEST_DIMENSION = 128  # the same for affine groups of affine groups
 
 def group(name: str) -> MatrixLieGroup:
     """The group called ``name``: of `GROUPS`, "GL(n)" with n up to 8, or "affine(...)" of one; else `InputError`."""
-    linear, times = name, 0
-    while isinstance(linear, str) and linear.startswith("affine(") and linear.endswith(")"):
-        linear, times = linear.removeprefix("affine(").removesuffix(")"), times + 1
-    general = re.fullmatch(r"GL\(([0-9]{1,4})\)", linear) if isinstance(linear, str) else None
-    if general is not None:
-        item = general_linear(int(general[1]))
-    elif isinstance(linear, str) and linear in GROUPS:
-        item = GROUPS[linear]()
-    else:
-        raise InputError(f"no group {quoted(name)}; allowed: {', '.join(GROUPS)}, GL(n), affine(...)")
-    for _ in range(times):
-        item = affine(item)
-    return item
+    if isinstance(name, str):
+        if name in GROUPS:
+            return GROUPS[name]()
+        if general := re.fullmatch(r"GL\(([0-9]{1,4})\)", name):
+            return general_linear(int(general[1]))
+        if over := re.fullmatch(r"affine\((.{1,200})\)", name):
+            return affine(group(over[1]))
+    raise InputError(f"no group {quoted(name)}; allowed: {', '.join(GROUPS)}, GL(n), affine(...)")
 
 
 def catalogue_name(item: MatrixLieGroup) -> str:

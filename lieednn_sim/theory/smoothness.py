@@ -22,15 +22,14 @@ class SmoothnessBounds:
 
     Attributes:
         velocity: on |xi'|_inf: gamma R + mu ||W||_inf M + mu |b|_inf.
-        acceleration: on |xi''|_inf: (gamma + mu L ||W||_inf) times that.
-        curvature: on each component's curvature, equal to `acceleration`, since (1 + xi_i'^2)^(3/2) is at least 1.
+        acceleration: on |xi''|_inf, and on each component's curvature, since (1 + xi_i'^2)^(3/2) is at least 1:
+            (gamma + mu L ||W||_inf) times that.
         closing: the paper's closing bound gamma (1 + L) (gamma R + gamma M + mu |b|_inf), which for tanh is
             2 gamma (gamma R + gamma + mu b_max). Valid only when ||W||_inf < gamma/mu, None otherwise.
     """
 
     velocity: float
     acceleration: float
-    curvature: float
     closing: float | None
 
 
@@ -69,7 +68,7 @@ def smoothness_bounds(
     if norm < as_ratio(decay, scale):
         closing = decay * (1.0 + slope) * (decay * size + decay * most + scale * drive)
     as_finite("a bound on the motion", np.array([velocity, acceleration, closing or 0.0]))
-    return SmoothnessBounds(velocity, acceleration, acceleration, closing)
+    return SmoothnessBounds(velocity, acceleration, closing)
 
 
 def curvature(xi_dot: ArrayLike, xi_ddot: ArrayLike) -> Floats:

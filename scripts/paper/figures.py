@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from lieednn_sim.studies.statistics import wilson
+from lieednn_sim.studies.rows import wilson
 from paper import network_figures, style
 from paper.plan import INSIDE, OUTSIDE, PERIODS, TOLERANCE
 from paper.results import Results, column, curves
@@ -42,7 +42,7 @@ def draw(results: Results, directory: Path) -> dict[str, str]:
     }
     captions = {}
     for name, make in makers.items():
-        with style.context():
+        with matplotlib.rc_context(style.STYLE):
             made = make(results)
             if made is not None:
                 captions[style.save(made[0], directory, name)] = made[1]
@@ -62,8 +62,9 @@ def training(results: Results) -> tuple[Figure, str] | None:
         if row == 0 and results["literal"]:
             lines.append(("literal", "as printed, $P=10$", style.GREY, ":"))
         for name, label, colour, dash in lines:
-            error = curves(results[name], "error_median", grid)
-            style.band(axes[row, 0], grid, error, colour, levels=(0.25, 0.75), ls=dash, label=label)
+            low, middle, high = np.quantile(curves(results[name], "error_median", grid), [0.25, 0.5, 0.75], axis=0)
+            axes[row, 0].fill_between(grid, low, high, color=colour, alpha=0.15, lw=0)
+            axes[row, 0].plot(grid, middle, color=colour, ls=dash, label=label)
             axes[row, 1].plot(grid, curves(results[name], "accuracy", grid).mean(axis=0), color=colour, ls=dash)
         axes[row, 0].axhline(style.SETTLED, color="0.3", lw=0.8, ls=(0, (1, 2)))
         axes[row, 0].set_ylabel(r"loss $E = \|\xi^*-\xi_d\|_2$")
@@ -193,13 +194,9 @@ def epochs(results: Results) -> tuple[Figure, str] | None:
     axis.set(xscale="log", xlabel="epochs, of all starts together", ylabel="fraction of targets learned")
     axis.set_xlim(10, results.plan.max_epochs * 1.05)
     axis.set_ylim(-0.02, 1.03)
-    _legend_beside(drawn, axis)
+    handles, labels = axis.get_legend_handles_labels()
+    drawn.legend(handles, labels, loc="outside right center")
     return drawn, (
         "Fraction of the random targets learned within a number of epochs (steps for the Riemannian methods); in "
         "brackets how many in the end. Each has its own limit of epochs, listed in the tables."
     )
-
-
-def _legend_beside(drawn: Figure, axis: Axes) -> None:
-    handles, labels = axis.get_legend_handles_labels()
-    drawn.legend(handles, labels, loc="outside right center")

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from lieednn_sim.learning import StopReason
-from lieednn_sim.studies.statistics import wilson
+from lieednn_sim.studies.rows import wilson
 from paper.plan import INSIDE, OUTSIDE, TOLERANCE
 from paper.results import Record, Results, column, fraction, quantiles, seeds
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from lieednn_sim import io
-from lieednn_sim.studies.markdown import table
-from lieednn_sim.studies.statistics import wilson
+from lieednn_sim.evaluation.display import markdown_table
+from lieednn_sim.studies.rows import wilson
 from paper.checks import CHECKS
 from paper.claims import judge
 from paper.measures import FAILS, FEW, HOLDS, MOST, PART, UNKNOWN
@@ -52,7 +52,7 @@ def write(results: Results, figures: dict[str, str], command: str, failures: lis
         f"Verdicts follow from the numbers: a fraction of {MOST:.0%} or more holds, one below {FEW:.0%} does not, what "
         "lies between, or needs a condition that the paper does not state, holds in part.\n",
         _counted([claim.verdict for claim in claims]),
-        *table(
+        *markdown_table(
             ("claim", "where", "measured", "verdict"),
             [(claim.text, claim.source, claim.measured, f"**{claim.verdict}**") for claim in claims],
         ),
@@ -97,7 +97,7 @@ def compared(results: Results) -> list[str]:
             same = [record for record in results["P=10"] if record.job.parameters["seed"] in seeds(records)]
             good = [record for record in same if record["success"] and record["epochs"] <= results.plan.slow_epochs]
             rows.append(_compared("repaired, as few targets and epochs", same, good))
-    return table((*head, *sizes), rows)
+    return markdown_table((*head, *sizes), rows)
 
 
 def _compared(label: str, records: list[Record], good: list[Record]) -> tuple[str, ...]:
@@ -125,7 +125,7 @@ def _table_of(results: Results, names: dict[str, str], head: str) -> list[str]:
         rows.append(
             (label, rate(len(results.successes(name)), len(records)), *spent, number(quantiles(each, 0.5)[0], "{:.0f}"))
         )
-    return table((head, "learned (95 %)", "epochs, 10 %", "median", "90 %", "time of an epoch [us]"), rows)
+    return markdown_table((head, "learned (95 %)", "epochs, 10 %", "median", "90 %", "time of an epoch [us]"), rows)
 
 
 def reasons(results: Results) -> list[str]:
@@ -136,7 +136,7 @@ def reasons(results: Results) -> list[str]:
     for name in names:
         ends = [record["reason"] for record in results[name] if not record["success"]]
         rows.append((COMPARED.get(name, name), *(str(ends.count(kind)) for kind in kinds)))
-    return table(("run", *kinds), rows) if rows else ["", "None did."]
+    return markdown_table(("run", *kinds), rows) if rows else ["", "None did."]
 
 
 def rate(good: int, count: int) -> str:

@@ -13,9 +13,9 @@ import numpy as np
 from rich.console import Console
 
 from lieednn_sim import io
-from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import FileError
-from lieednn_sim.studies.workers import run_each
+from lieednn_sim.studies.study import run_each
 from paper import experiments
 from paper.plan import INSIDE, Job, Plan
 
@@ -165,4 +165,4 @@ def curves(records: list[Record], name: str, grid: np.ndarray) -> np.ndarray:
     for record in records:
         epoch = record.arrays["epoch"]
         rows.append(record.arrays[name][np.clip(np.searchsorted(epoch, grid, side="right") - 1, 0, None)])
-    return np.array(rows).reshape(len(rows), *np.shape(grid), *np.shape(records[0].arrays[name])[1:])
+    return np.array(rows)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -49,15 +48,6 @@ def letter(axis: Axes, text: str) -> None:
     axis.set_title(f"({text})", loc="left", fontsize=8.5, pad=4)
 
 
-def band(
-    axis: Axes, x: np.ndarray, values: np.ndarray, colour: str, *, levels: tuple[float, float], **line: Any
-) -> None:
-    """Median over the first axis, with a band between two quantiles."""
-    low, middle, high = np.quantile(values, [levels[0], 0.5, levels[1]], axis=0)
-    axis.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
-    axis.plot(x, middle, color=colour, **line)
-
-
 def save(drawn: Figure, directory: Path, name: str) -> str:
     """Write a PDF for print and a PNG for the report; returns the PNG's name."""
     fix_layout(drawn, drawn.dpi)  # the layout is the same for both
@@ -67,8 +57,3 @@ def save(drawn: Figure, directory: Path, name: str) -> str:
     with io.atomic_path(directory / f"{name}.png") as path:
         drawn.savefig(path, dpi=150, metadata={"Software": None})
     return f"{name}.png"
-
-
-def context() -> Any:
-    """Matplotlib's settings for a figure."""
-    return matplotlib.rc_context(STYLE)

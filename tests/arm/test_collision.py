@@ -52,7 +52,7 @@ def test_the_least_along_a_path_is_that_of_all_its_postures(scene, first, last, 
     arm, collisions = ARMS[scene], COLLISIONS[scene]
     path = np.linspace(posture(arm, first), posture(arm, last), count)
     # How deep geoms are in each other MuJoCo finds to a micrometre, which depends on how far it is asked to look.
-    assert collisions.least_clearance(path) == pytest.approx(min(map(collisions.clearance, path)), abs=2e-6)
+    assert collisions.clearance(path) == pytest.approx(min(map(collisions.clearance, path)), abs=2e-6)
 
 
 @pytest.mark.parametrize("before", [True, False])
@@ -69,8 +69,8 @@ def test_the_least_along_a_path_sees_what_turns_on_the_spot(before, tmp_path):
     collisions = Collisions(Arm.load(path, floor="none"))
     turn = np.deg2rad(np.arange(0.0, 136.0, 3.0))[:, None]
     # At right angles they are deepest: the face of the bar is 5 cm and that of the ball 10 cm from the ball's middle.
-    assert collisions.least_clearance(turn) == pytest.approx(-0.15, abs=1e-3)
-    assert collisions.least_clearance(turn[:10]) == pytest.approx(0.25)
+    assert collisions.clearance(turn) == pytest.approx(-0.15, abs=1e-3)
+    assert collisions.clearance(turn[:10]) == pytest.approx(0.25)
 
 
 def test_the_least_along_a_path_is_right_where_depths_jump(tmp_path):
@@ -79,7 +79,7 @@ def test_the_least_along_a_path_is_right_where_depths_jump(tmp_path):
     body = f'<geom type="box" size="0.3 0.1 0.05"/><body euler="0 45 0">{capsule}</body>'
     (tmp_path / "capsule.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     collisions, path = Collisions(Arm.load(tmp_path / "capsule.xml", floor="none")), np.linspace(0.0, 0.5, 101)[:, None]
-    assert collisions.least_clearance(path) == pytest.approx(min(map(collisions.clearance, path)), abs=2e-6)
+    assert collisions.clearance(path) == pytest.approx(min(map(collisions.clearance, path)), abs=2e-6)
 
 
 @pytest.mark.parametrize("scene", ARMS)
@@ -164,7 +164,7 @@ def test_refusals_say_why():
     collisions = COLLISIONS["poles"]
     with pytest.raises(InputError, match="cutoff must be positive, got 0"):
         collisions.distances(ARMS["poles"].keyframe("home"), 0.0)
-    with pytest.raises(InputError, match=r"q must have shape \(8\)"):
+    with pytest.raises(InputError, match=r"q must have shape \(\.\.\., 8\)"):
         collisions.clearance(np.zeros(3))
     with pytest.raises(InputError, match="arm must be an Arm, got 'telescopic_pr'"):
         Collisions("telescopic_pr")

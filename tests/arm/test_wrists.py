@@ -1,5 +1,7 @@
 """Links of three hinges: a pose has two postures, a way of poses one branch, and some postures have no pose alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.kinematics import least_singular_value
 from lieednn_sim.arm.singularities import NEARLY_SINGULAR, singularity_margin
+from lieednn_sim.environments.expert import planned
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning import default_planner, plan
 
@@ -108,3 +111,10 @@ def test_the_other_posture_with_the_same_poses_is_not_the_target():
     assert plan(arm, [0.1, 0.5, 0.6, 0.4], planner="linear-attractor").motion.q[-1] == pytest.approx(
         [0.1, 0.5, 0.6, 0.4]
     )
+
+
+def test_an_expert_has_the_default_planner_of_such_an_arm():
+    arm = replace(wrist(0.8), velocity_limits=np.ones(4), acceleration_limits=np.full(4, 5.0))
+    motion, certificate = planned(arm, [0.1, 0.5, 0.6, 0.4])
+    assert motion(motion.x[-1]) == pytest.approx([0.1, 0.5, 0.6, 0.4], abs=1e-6)
+    assert certificate.startswith("globally stable")

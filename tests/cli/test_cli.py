@@ -18,7 +18,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli import commands, main
 from lieednn_sim.errors import RenderingUnavailableError
 from lieednn_sim.evaluation import plots
-from lieednn_sim.learning import projected
+from lieednn_sim.learning import algorithms
 from lieednn_sim.planning import Motion
 
 FAST = ["--option", "n_networks=3", "--duration", "2"]
@@ -122,7 +122,7 @@ def test_a_training_that_is_ended_says_so_and_leaves_nothing_half_made(run, tmp_
     def ending(*_):
         raise error
 
-    monkeypatch.setattr(projected.ProjectedTraining, "_step", ending)
+    monkeypatch.setattr(algorithms.ProjectedTraining, "_step", ending)
     code, said = (130, "interrupted") if isinstance(error, KeyboardInterrupt) else (2, "No space left on device")
     directory = tmp_path / "run"
     shutil.copytree(run, directory)

@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 
 from lieednn_sim.cli import demonstrations, main
-from lieednn_sim.evaluation import paths
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import Motion
+from lieednn_sim.studies.demonstrations import models as paths
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from lieednn_sim.learning import TrainingOptions
 from lieednn_sim.learning import train as learn
 from lieednn_sim.planning import Plan, reference_network
 from lieednn_sim.planning.certified import CertifiedDetails
-from lieednn_sim.planning.network_path import make_motion
+from lieednn_sim.planning.network_path import NetworkPath
 
 
 def test_what_is_printed_is_no_markup(capsys):
@@ -65,7 +65,7 @@ def test_a_signal_during_an_import_ends_the_command_cleanly(tmp_path, start):
 def test_large_objects_are_shown_in_a_line():
     arm = Arm.load("telescopic_pr")
     network = reference_network(arm)
-    motion = make_motion(arm, network, arm.keyframe("home"), 0.4, arm.timestep)
+    motion = NetworkPath.integrate(arm, network, arm.keyframe("home")).timed(0.4, arm.timestep)
     rollout = make_rollout(arm, motion.q)
     learned = learn(0.1 * np.ones((2, 6)), TrainingOptions.tracked(max_epochs=2))
     shown = {

@@ -124,7 +124,7 @@ def test_options_go_to_the_parameters_that_they_are_of(monkeypatch):
     seen = given_to(monkeypatch, "compare", *words.split())
     assert seen["cases"]["planners"] == ["dmp", "stomp", "own"]
     assert seen["cases"]["arms"] == ["a.xml:one,two"]
-    assert (seen["shown"].date, seen["merge"]) == ("2030-01-02", ["x", "y"])
+    assert (seen["date"], seen["merge"]) == ("2030-01-02", ["x", "y"])
     assert seen["line"] == f"lieednn-sim compare {words}"
     assert given_to(monkeypatch, "view")["imported"] == {}
     assert given_to(monkeypatch, "export", "a", "b", "--format", "csv")["runs"] == ["a", "b"]

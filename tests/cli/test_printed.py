@@ -140,7 +140,7 @@ def test_doctor_is_content_where_nothing_is_missing(monkeypatch, capsys, what):
             raise metadata.PackageNotFoundError
         return installed(name)
 
-    monkeypatch.setattr(doctor.metadata, "version", version)
+    monkeypatch.setattr(metadata, "version", version)
     backend = Backend("disable", "no GPU") if what == "rendering" else Backend("egl", "a renderer")
     monkeypatch.setattr(doctor.opengl, "configure", lambda: backend)
     monkeypatch.setattr("sys.platform", "linux")

@@ -19,7 +19,7 @@ from lieednn_sim.cli.run_directory import RunDirectory, Task
 from lieednn_sim.errors import FileError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Motion, Plan, plan
-from lieednn_sim.planning.network_path import make_motion
+from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.registry import PLANNERS, PlannerEntry
 from lieednn_sim.simulation import Disturbances, Push, Rollout, simulate
 
@@ -77,7 +77,10 @@ def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsy
 
     def hidden(problem):
         network = cascade(problem.arm.encode(problem.target), 0.02)
-        return Plan(make_motion(problem.arm, network, problem.start, problem.duration, problem.timestep), network)
+        return Plan(
+            NetworkPath.integrate(problem.arm, network, problem.start).timed(problem.duration, problem.timestep),
+            network,
+        )
 
     monkeypatch.setitem(PLANNERS.entries, "hidden", PlannerEntry(hidden))
     directory = str(tmp_path / "run")
@@ -245,7 +248,9 @@ def test_a_run_can_be_made_again_from_task_and_metrics(tmp_path, capsys):
         assert contents[0] == contents[1], name
     arm = Arm.load(task["arm"])
     network, motion = LieEDNN.load(first / "network.npz"), Motion.load(first / "motion.npz")
-    np.testing.assert_array_equal(make_motion(arm, network, task["start"], 3.0, arm.timestep).q, motion.q)
+    np.testing.assert_array_equal(
+        NetworkPath.integrate(arm, network, task["start"]).timed(3.0, arm.timestep).q, motion.q
+    )
     one, other = (Rollout.load(directory / "rollout.npz", arm) for directory in (first, second))
     push = Push("end effector", (0.0, -3.0, 5.5), 0.4, 0.1)
     noise = {"position_noise": 1e-5, "velocity_noise": 1e-4, "seed": 4}

@@ -298,7 +298,7 @@ def test_a_run_is_inside_its_proof_or_it_is_said_when_it_is_not(controller, dist
     times = np.sort(np.random.default_rng(0).uniform(0.0, rollout.t[-1], 300))
     q = np.stack([np.interp(times, rollout.t, joint) for joint in rollout.q.T], axis=1)
     outside = ((times[:, None] > result.unproved[:, 0]) & (times[:, None] < result.unproved[:, 1])).any(axis=1)
-    assert result.bound <= collisions.least_clearance(q[~outside]) + 1e-9
+    assert result.bound <= collisions.clearance(q[~outside]) + 1e-9
     touching = rollout.t[rollout.contacts > 0]
     assert all(((result.unproved[:, 0] <= time) & (time <= result.unproved[:, 1])).any() for time in touching)
     evaluation = evaluate(rollout)

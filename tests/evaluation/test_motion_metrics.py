@@ -8,7 +8,7 @@ from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.metrics import least_clearance, motion_metrics, rms_curvature, violations
+from lieednn_sim.evaluation.metrics import evaluate, motion_metrics, rms_curvature, violations
 from lieednn_sim.planning.motion import Motion
 
 
@@ -94,12 +94,12 @@ def test_clearance_is_looked_at_every_fifth_sample_and_at_contacts(gantry):
     q = np.zeros((12, 4))
     q[:, 2] = 0.1 * np.arange(12) + 1.0
     q[5, 2], q[7, 2], q[8, 2] = -0.25, -0.75, -1.0
-    assert least_clearance(rollout_of(gantry, q, np.zeros_like(q))) == pytest.approx(0.65)
+    assert evaluate(rollout_of(gantry, q, np.zeros_like(q))).clearance_mm == pytest.approx(650.0)
     touching = np.zeros(12, dtype=int)
     touching[8] = 3
     # The motion is looked at, not what it should have been.
     rollout = dataclasses.replace(rollout_of(gantry, q, np.zeros_like(q), touching), q_ref=np.zeros_like(q))
-    assert least_clearance(rollout) == pytest.approx(-0.1)
+    assert evaluate(rollout).clearance_mm == pytest.approx(-100.0)
 
 
 def test_violations_by_hand(gantry):

@@ -16,7 +16,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.live import Page, Session, Settings
 from lieednn_sim.live.page import warning
-from lieednn_sim.live.snapshot import Observer
+from lieednn_sim.live.scene import Observer
 
 pytest.importorskip("viser")
 WIDTH, HEIGHT = 720, 560

@@ -12,9 +12,9 @@ from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError
 from lieednn_sim.live.panel import Plots
+from lieednn_sim.live.scene import Observer, status
 from lieednn_sim.live.session import Session, Worker
 from lieednn_sim.live.settings import Settings
-from lieednn_sim.live.snapshot import Observer, status
 from lieednn_sim.planning import plan
 from lieednn_sim.policies import MotionTracker
 

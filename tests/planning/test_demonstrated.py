@@ -9,12 +9,12 @@ import pytest
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import FileError, InputError
-from lieednn_sim.evaluation import paths
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
 from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.policies import NetworkPolicy
 from lieednn_sim.simulation import follow
 from lieednn_sim.studies.demonstrations import joints as study
+from lieednn_sim.studies.demonstrations import models as paths
 from lieednn_sim.synthesis import ShapingOptions
 
 S = np.linspace(0.0, 1.0, 200)

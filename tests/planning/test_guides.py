@@ -8,8 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lieednn_sim.arm.collision import Collisions
-from lieednn_sim.arm.contact_slopes import ContactSlopes
+from lieednn_sim.arm.collision import Collisions, ContactSlopes
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.evaluation.metrics import motion_metrics
@@ -104,13 +103,64 @@ def test_a_optimised_motion_is_no_worse_than_its_start_and_keeps_limits_and_clea
     assert clear
     motion = one.motion(poles, free)
     check_motion(poles.arm, motion)
-    least = Collisions(poles.arm).least_clearance(motion.q)
-    assert measure == pytest.approx(one.measure(free, least), abs=0.05)
+    least = Collisions(poles.arm).clearance(motion.q)
+    assert measure == pytest.approx(one.measure(free, least, one._effector_jerk(free)[0]), abs=0.05)
     # A larger weight of clearance gives more of it, at the cost of length and jerk.
     wide = optimisation(poles, weight=1.0)
     wider = wide.motion(poles, wide.descend(free, 12)[1])
-    assert Collisions(poles.arm).least_clearance(wider.q) > 1.1 * least
+    assert Collisions(poles.arm).clearance(wider.q) > 1.1 * least
     assert wide.cost(wide.descend(free, 12)[1]) > one.cost(free)
+
+
+def test_the_effectors_jerk_is_that_of_the_motion_and_a_larger_weight_gives_less(poles, monkeypatch):
+    one = optimisation(poles)
+    guess = one.near(guides._Search(poles, GuideOptions()).path(0))
+    _, gradient, hessian = one._effector_jerk(guess)
+    step = 1e-4 * np.random.default_rng(0).normal(size=guess.shape)
+    ahead, behind = (one._effector_jerk(guess + side * step)[0] for side in (1.0, -1.0))
+    assert 4.0 * gradient @ step.T.ravel() == pytest.approx(ahead - behind, rel=1e-3)
+    assert (np.linalg.eigvalsh(hessian) > -1e-6).all()
+    jerks = []
+    for weight in (0.0, 0.3):
+        monkeypatch.setattr(guide_optimisation, "_EFFECTOR", weight)
+        free = one.descend(guess, 12)[1]
+        jerks.append(one._effector_jerk(free)[0])
+        # Also there, where a descent has led that may have found what a coarse value does not see.
+        metres = motion_metrics(poles.arm, one.motion(replace(poles, duration=20.0), free)).jerk_effector * 20.0**3
+        assert jerks[-1] == pytest.approx(metres**2 / 720.0, rel=0.03)
+    assert jerks[1] < 0.9 * jerks[0]
+
+
+def test_no_step_is_tried_twice(monkeypatch):
+    problem, tried = problem_of("shelf", 5), []
+    one = optimisation(problem, weight=0.15)
+    step = one._step
+
+    def noted(*given):
+        tried.append(step(*given)[0])
+        return step(*given)
+
+    monkeypatch.setattr(one, "_step", noted)
+    one.descend(one.straight, 40)
+    assert 5 < len(tried) < 40
+    assert all(np.abs(first - second).max() > 1e-6 for first, second in pairwise(tried))
+
+
+@pytest.mark.parametrize("near_by", [0.0, 0.1])
+def test_a_small_step_gains_what_it_expects_to(near_by, poles, monkeypatch):
+    free = (one := optimisation(poles)).descend(one.near(guides._Search(poles, GuideOptions()).path(0)), 3)[1]
+    monkeypatch.setattr(guide_optimisation, "_NEAR", near_by)
+    one = optimisation(poles, weight=0.5)
+
+    def seen(free):
+        near, jerk = one._distances(free), one._effector_jerk(free)
+        clearance = float(near[1].min())
+        return near, jerk, clearance, one.measure(free, clearance, jerk[0])
+
+    near, jerk, clearance, measure = seen(free)
+    assert clearance < one._enough
+    new, gain = one._step(free, near, jerk, clearance, 5e-4)
+    assert measure - seen(new)[-1] == pytest.approx(gain, rel=0.03)
 
 
 def test_of_very_many_broken_bounds_the_deepest_count_and_all_that_hold(poles, monkeypatch):
@@ -126,7 +176,8 @@ def test_of_very_many_broken_bounds_the_deepest_count_and_all_that_hold(poles, m
         return solve(hessian, pull, rows, upper, lower, sense, **settings)
 
     monkeypatch.setattr(guide_optimisation.daqp, "solve", noted)
-    assert np.isfinite(one._step(one.straight, given, float(deep.min()), 0.1)).all()
+    new, _ = one._step(one.straight, given, one._effector_jerk(one.straight), float(deep.min()), 0.1)
+    assert np.isfinite(new).all()
     kept = np.sort(guide_optimisation._TOUCHING - taken[0])
     np.testing.assert_allclose(kept, np.sort(np.concatenate([np.sort(deep)[: guide_optimisation._DEEPEST], near])))
 
@@ -134,10 +185,11 @@ def test_of_very_many_broken_bounds_the_deepest_count_and_all_that_hold(poles, m
 def test_the_winner_has_the_least_measure_whatever_the_order(poles, monkeypatch):
     one = optimisation(poles, weight=GuideOptions().clearance_weight)
     guesses = [one.near(guides._Search(poles, GuideOptions()).path(k)) for k in range(2)]
-    found = [one.descend(guess, steps) for guess, steps in zip(guesses, (12, 2), strict=True)]
+    found = [one.descend(guess, steps) for guess, steps in zip(guesses, (12, 4), strict=True)]
     assert all(clear for _, _, clear in found)
-    better, worse = (one.motion(poles, free) for _, free, _ in sorted(found, key=lambda each: each[0]))
-    assert motion_metrics(poles.arm, better).jerk_joints < motion_metrics(poles.arm, worse).jerk_joints
+    refined = (one.descend(free, GuideOptions().steps)[1] for _, free, _ in sorted(found, key=lambda each: each[0]))
+    better, worse = (one.motion(poles, free) for free in refined)
+    assert np.abs(better.q - worse.q).max() > 1e-5
     given = [(measure, "given", one, free) for measure, free, _ in found]
     for order in (given, given[::-1]):
         monkeypatch.setattr(guides._Search, "optimised", lambda _, order=order: iter(order))
@@ -149,7 +201,7 @@ def test_a_guide_is_the_same_for_a_seed_and_needs_no_optional_library(poles, no_
     assert first.planner == "rrt-connect, optimised"
     np.testing.assert_array_equal(first.motion.q, second.motion.q)
     other = best_guide(replace(poles, seed=1), GuideOptions())
-    assert np.abs(other.motion.q - first.motion.q).max() > 1e-3
+    assert np.abs(other.motion.q - first.motion.q).max() > 1e-5
     with pytest.raises(LieEDNNError, match="ompl is not installed"):
         best_guide(poles, GuideOptions(optimised=False))
 

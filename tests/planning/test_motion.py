@@ -17,11 +17,15 @@ from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import CertifiedOptions, certified, network_path, plan
 from lieednn_sim.planning.motion import Motion, check_limits, check_motion, count_steps
-from lieednn_sim.planning.network_path import RESIDUAL, _invert, make_motion
+from lieednn_sim.planning.network_path import RESIDUAL, NetworkPath, _invert
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.synthesis import synthesize, synthesize_many
 
 from .arms import coarse
+
+
+def make_motion(arm, network, start, duration, timestep):
+    return NetworkPath.integrate(arm, network, start).timed(duration, timestep)
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +179,7 @@ def test_where_no_candidate_is_certified_the_last_one_is_looked_for_with_patienc
     asked = []
 
     def none_found(*args, **options):
-        return synthesize_many(*args, **(options | {"max_translation": 1e-9}))
+        return [dataclasses.replace(one, network=None) for one in synthesize_many(*args, **options)]
 
     def patient(*args, **options):
         asked.append(options)
@@ -300,13 +304,13 @@ def _length(arm, motion):
 def test_candidates_are_screened_by_hand(gantry, monkeypatch):
     """One way through y = 2.25, where y ends at 2; one that turns link 1 by 0.1 rad about x, which no joint does."""
     arm = dataclasses.replace(gantry, length_scale=2.0)
-    ways = [arm.encode(np.zeros((count, 4))) for count in (3, 5)]
-    ways[0][1] = arm.encode([0.0, 2.25, 0.0, 0.0])
-    ways[1][2, 0, 0] = 0.1
-    monkeypatch.setattr(certified, "integrate_batch", lambda networks, start, longest, **tolerances: ways)
-    one, other = certified._screened(arm, [SimpleNamespace(gamma=1.0)] * 2, np.zeros(4))
+    ways = arm.encode(np.zeros((3, 2, 4)))
+    ways[1, 0] = arm.encode([0.0, 2.25, 0.0, 0.0])
+    ways[1, 1, 0, 0] = 0.1
+    monkeypatch.setattr(certified, "_side_by_side", lambda networks, start: ways)
+    one, other = certified._screened(arm, [SimpleNamespace()] * 2, np.zeros(4))
     np.testing.assert_allclose(one.q, [[0.0] * 4, [0.0, 2.25, 0.0, 0.0], [0.0] * 4], atol=1e-9)
-    np.testing.assert_allclose(other.q, np.zeros((5, 4)), atol=1e-9)
+    np.testing.assert_allclose(other.q, np.zeros((3, 4)), atol=1e-9)
     assert (one.excess, one.gap) == pytest.approx((0.25, 0.0), abs=1e-9)
     assert other.gap == pytest.approx(0.1 * 2.0)
     assert other.excess <= 0.0
@@ -314,6 +318,19 @@ def test_candidates_are_screened_by_hand(gantry, monkeypatch):
     assert (one.rank[2], other.rank[2]) == pytest.approx((2.25, 0.0), abs=1e-8)
     # To keep the limits counts more than to have no gap.
     assert other.rank < one.rank
+
+
+def test_networks_side_by_side_go_as_each_does_alone():
+    rng = np.random.default_rng(3)
+    targets = rng.uniform(-0.8, 0.8, (4, 3, 6))
+    networks = [synthesize(xi, bias="sign-matched").unwrap() for xi in targets]
+    start = rng.uniform(-0.5, 0.5, (3, 6))
+    states = certified._side_by_side(networks, start)
+    np.testing.assert_array_equal(states[0], np.tile(start, (4, 1, 1)))
+    for k, network in enumerate(networks):
+        exact = network.trajectory(start, 20.0)(np.linspace(0.0, 20.0, 4001))
+        assert np.abs(states[:, k, None] - exact).max(axis=(2, 3)).min(axis=1).max() < 5e-3
+        np.testing.assert_allclose(states[-1, k], exact[-1], atol=1e-3)
 
 
 def test_candidates_that_touch_something_come_last_and_the_best_first():

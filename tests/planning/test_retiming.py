@@ -150,7 +150,7 @@ def turning(gantry, radius):
 def test_sharp_turns_are_taken_slowly(gantry):
     """In the middle minimum jerk is at 1.875 L / T: across a turn of radius R that is 3.5 L^2 / (R T^2)."""
     sharp, length = turning(gantry, 0.05)
-    law = eased_law(sharp, minimum_jerk_law, np.ones(4))
+    law = eased_law(sharp, np.ones(4))
     s = np.linspace(0.0, 1.0, 401)
     share, slope = law(s)
     assert (share[0], share[-1]) == pytest.approx((0.0, 1.0))
@@ -170,9 +170,9 @@ def test_a_turn_is_sharp_from_ten_lengths_over_the_squared_duration_on(gantry):
         assert 1.875**2 * length / radius == pytest.approx(bound, rel=2e-3)
         for units in (np.ones(4), np.array([2.0, 0.5, 1.0, 1.0])):
             stretched = dataclasses.replace(motion, q=motion.q * units, qd=motion.qd * units)
-            law = eased_law(stretched, minimum_jerk_law, units)
+            law = eased_law(stretched, units)
             assert (law is None) == (bound < 10.0)
-    with_units, without = (eased_law(one, minimum_jerk_law, u) for one, u in ((stretched, units), (motion, np.ones(4))))
+    with_units, without = (eased_law(one, u) for one, u in ((stretched, units), (motion, np.ones(4))))
     np.testing.assert_allclose(with_units(motion.t / 4.0), without(motion.t / 4.0), atol=1e-12)
 
 
@@ -201,7 +201,7 @@ def test_a_straight_way_has_no_turns_however_sharply_it_accelerates(gantry):
     q, qd = 1.6 * share[:, None] * np.array([0.6, 0.0, 0.8, 0.0]), np.zeros_like(motion.qd)
     qd[:] = 1.6 * slope[:, None] / (0.1 * motion.t[-1]) * np.array([0.6, 0.0, 0.8, 0.0])
     # Along the way, 580 times its length over the squared duration.
-    assert eased_law(dataclasses.replace(motion, q=q, qd=qd), minimum_jerk_law, np.ones(4)) is None
+    assert eased_law(dataclasses.replace(motion, q=q, qd=qd), np.ones(4)) is None
 
 
 def test_a_sharp_corner_does_not_slow_down_the_whole_motion(gantry):

@@ -159,7 +159,7 @@ def test_less_is_left_with_a_margin_and_with_errors_of_tracking():
     arm, made, tube = tubed("telescopic_pr")
     less = [find_tube(arm, made, **more).size for more in ({"margin": 0.004}, {"tracking": 5e-4})]
     assert 0.0 < min(less) <= max(less) < 0.9 * tube.size
-    clearance = Collisions(arm).least_clearance(made.motion.q)
+    clearance = Collisions(arm).clearance(made.motion.q)
     assert clearance > 0.004
     with pytest.raises(PlanError, match=r"there is no tube.*: the motion comes too close to contact"):
         find_tube(arm, made, margin=clearance)

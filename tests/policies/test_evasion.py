@@ -197,7 +197,7 @@ def test_a_worker_of_a_study_ends_though_its_policy_has_such_a_process(tmp_path,
         textwrap.dedent("""
         from lieednn_sim.arm import Arm
         from lieednn_sim.policies.searching import aside
-        from lieednn_sim.studies.workers import worker_pool
+        from lieednn_sim.studies.study import worker_pool
 
         def search():
             return aside(Arm.load("telescopic_pr"), getattr, "name").result()

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
+from functools import cache
 
 import pytest
 
@@ -19,7 +21,7 @@ def fresh(monkeypatch):
         # Set before deleting, so that what `configure` writes is undone too.
         monkeypatch.setenv(variable, "")
         monkeypatch.delenv(variable)
-    monkeypatch.setattr(opengl, "_configured", None)
+    monkeypatch.setattr(opengl, "configure", cache(opengl.configure.__wrapped__))
     monkeypatch.delitem(sys.modules, "mujoco.rendering.classic.gl_context", raising=False)
 
 
@@ -135,7 +137,7 @@ def test_child_process_inherits_the_answer(working, monkeypatch, libraries):
     asked = working(*libraries)
     parent = opengl.configure()
     asked.clear()
-    monkeypatch.setattr(opengl, "_configured", None)
+    monkeypatch.setattr(opengl, "configure", cache(opengl.configure.__wrapped__))
     assert opengl.configure() == parent  # the reason too, and not taken for the user's choice
     assert asked == []
 
@@ -143,7 +145,7 @@ def test_child_process_inherits_the_answer(working, monkeypatch, libraries):
 def test_users_later_choice_beats_the_inherited(working, monkeypatch):
     working("egl", "osmesa")
     opengl.configure()
-    monkeypatch.setattr(opengl, "_configured", None)
+    monkeypatch.setattr(opengl, "configure", cache(opengl.configure.__wrapped__))
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     assert opengl.configure().requested == "osmesa"
 
@@ -211,16 +213,6 @@ def test_missing_packages(working, monkeypatch, requested, expected):
 
 
 @pytest.mark.parametrize(
-    ("libraries", "status", "line"), [(("egl",), 0, "egl"), ((), 1, "libegl1 libgl1")], ids=["works", "nothing"]
-)
-def test_command_answers_in_one_line(working, monkeypatch, capsys, libraries, status, line):
-    working(*libraries)
-    monkeypatch.setattr(sys, "platform", "linux")
-    assert opengl.main() == status
-    assert capsys.readouterr().out == line + "\n"
-
-
-@pytest.mark.parametrize(
     ("code", "expected"),
     [
         ("print('a GPU')", ("a GPU", "")),
@@ -263,7 +255,9 @@ print(os.environ["MUJOCO_GL"])
 
 
 @pytest.mark.rendering
-def test_command_as_the_makefile_runs_it():
-    done = run_python("-m", "lieednn_sim.rendering.opengl")
-    assert (done.returncode, done.stdout.strip()) in [(0, "egl"), (0, "osmesa")], done.stderr
+def test_the_doctor_is_asked_as_by_the_makefile():
+    done = run_python("-m", "lieednn_sim", "doctor", "--json")
+    found = json.loads(done.stdout)
+    assert found["opengl"]["backend"] in ("egl", "osmesa"), done.stderr
+    assert found["debian_packages_to_install"] == []
     assert "Warning" not in done.stderr

@@ -186,7 +186,7 @@ def test_legs_are_drawn_between_their_ends():
         data = kinematics_at(model, arm.qpos(arm.keyframe(name)))
         with quiet_server() as server:
             nodes = viser_scene.ModelNodes(server.scene, shapes, "/arm")
-            nodes.show(data)
+            nodes.show(data.qpos)
             legs = [pair for node, tendons in nodes.tendons for pair in zip(tendons, node.points, strict=True)]
             drawn = {model.tendon(k).name: piece for k, piece in legs}
         assert drawn.keys() == ends.keys()

@@ -1,5 +1,7 @@
 """Obstacles that move in a simulation: when they touch, who is told, and what is refused."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
@@ -32,7 +34,7 @@ def test_an_obstacle_touches_when_it_comes(beside, travel):
         # It is 0.3 m from the centre of the arm's ball at x = 1.3 m, 0.85 s later.
         assert rollout.t[np.argmax(rollout.contacts > 0)] == pytest.approx(1.35, abs=0.011)
     assert not simulate(beside, travel(beside, still, still, 0.02), hold=1.5).contacts.any()
-    assert Disturbances.from_json(changes.to_json()) == changes
+    assert Disturbances.from_json(asdict(changes)) == changes
     # A reset begins anew.
     simulation = Simulation(beside, disturbances=changes)
     simulation.advance(130)

@@ -11,7 +11,7 @@ import pytest
 import lieednn_sim as ls
 from lieednn_sim import simulation
 from lieednn_sim.errors import InputError
-from lieednn_sim.simulation.plant import make_plant
+from lieednn_sim.simulation.simulation import make_plant
 
 # A motor, a servo and a joint without an actuator; a stage that follows; a gripper, and a ball that falls on the floor.
 ROBOT = """

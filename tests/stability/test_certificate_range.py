@@ -113,4 +113,4 @@ def test_the_ends_of_the_range_are_accepted():
     assert find_certificate([[0.0, 1e100], [0.0, 0.0]], gamma=1e92).valid
     # No Jacobian so small that its rounding vanishes.
     slopes = 1e-170 * np.array([[-1e-17, 1.0], [0.0, -1e-17]])
-    assert assess(np.full((2, 2), 1e100), gamma=1e-100, mu=1.0, jacobian=slopes).level == "none"
+    assert assess(np.full((2, 2), 1e100), gamma=1e-100, mu=1.0).locally(slopes).level == "none"

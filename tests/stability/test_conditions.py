@@ -86,14 +86,14 @@ def test_no_global_proof_leaves_the_local_one():
     # phi' at the saturated equilibria of x' = -x + 2 tanh(x): both are stable, so no global proof can exist.
     equilibrium = 1.9150080481545375
     jacobian = np.diag([-1.0 + 2.0 / np.cosh(equilibrium) ** 2, -1.0])
-    verdict = assess(weight, gamma=1.0, mu=1.0, jacobian=jacobian)
+    verdict = assess(weight, gamma=1.0, mu=1.0).locally(jacobian)
     assert (verdict.level, verdict.globally_stable, verdict.best_rate) == ("local", False, 0.0)
     assert verdict.strongest.scope == "local"
     assert verdict.strongest.rate == pytest.approx(1.0 - 2.0 / np.cosh(equilibrium) ** 2)
     assert str(verdict).startswith("locally stable only")
     # A faster local rate never hides a global proof.
-    assert assess([[0.5]], gamma=1.0, mu=1.0, jacobian=[[-0.9]]).strongest.scope == "global"
-    unstable = assess(weight, gamma=1.0, mu=1.0, jacobian=np.eye(2))
+    assert assess([[0.5]], gamma=1.0, mu=1.0).locally([[-0.9]]).strongest.scope == "global"
+    unstable = assess(weight, gamma=1.0, mu=1.0).locally(np.eye(2))
     assert (unstable.level, unstable.strongest) == ("none", None)
     assert str(unstable).startswith("no proof of stability")
 
@@ -127,7 +127,7 @@ def test_a_given_diagonal_is_used_when_it_proves_and_replaced_when_it_does_not()
 
 
 def test_report_has_one_aligned_line_for_each_rung():
-    lines = str(assess([[0.5, 30.0], [-3.0, 0.5]], gamma=2.0, mu=2.0, jacobian=-np.eye(2))).splitlines()
+    lines = str(assess([[0.5, 30.0], [-3.0, 0.5]], gamma=2.0, mu=2.0).locally(-np.eye(2))).splitlines()
     assert lines[0] == "globally stable by the diagonal Lyapunov, at a rate of at least 1"
     assert len(lines) == 1 + len(CONDITIONS)
     assert len({line.index("<") for line in lines[1:]}) == 1
@@ -159,7 +159,7 @@ def test_wrong_input_is_named():
     cases = [
         (lambda: assess(np.ones((2, 3)), gamma=1.0, mu=1.0), "weight must have shape"),
         (lambda: assess(weight, gamma=0.0, mu=1.0), "gamma must be positive"),
-        (lambda: assess(weight, gamma=1.0, mu=1.0, jacobian=np.eye(3)), r"jacobian must have shape \(12, 12\)"),
+        (lambda: assess(weight, gamma=1.0, mu=1.0).locally(np.ones((2, 3))), r"jacobian must have shape \(n, n\)"),
         (lambda: assess(weight, gamma=1.0, mu=1.0, rotational_weight=np.eye(3)), r"\(3N, 3N\) for a weight \(6N, 6N\)"),
         (lambda: assess(weight, gamma=1.0, mu=1.0, rotational_weight=1.1 * core), "must be the rotational blocks"),
         (lambda: assess(both_ways, gamma=1.0, mu=1.0, rotational_weight=core), "v drives omega"),

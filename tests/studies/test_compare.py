@@ -18,7 +18,7 @@ from lieednn_sim.studies import Case, Comparison, Settings, compute, run_case, w
 from lieednn_sim.studies.comparison import study
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
 from lieednn_sim.studies.comparison.summary import failures
-from lieednn_sim.studies.statistics import numbers, wilson
+from lieednn_sim.studies.rows import Group, wilson
 
 CASE = Case("telescopic_pr", "free", "minimum-jerk", 0)
 SMALL = Comparison(("minimum-jerk", "se3-geodesic"), ("telescopic_pr",), ("free",), ("position-servo",), seeds=1)
@@ -127,10 +127,10 @@ def test_rows_are_not_computed_again_and_a_larger_selection_adds(finished, tmp_p
     shutil.copy(finished / "comparison.sqlite", tmp_path)
     # A mark in a row survives only where the row is not computed again.
     table = Comparison(common=QUICK).open(tmp_path)
-    table.add([replace(row, reason="contact: marked") for row in table.sorted_rows()])
+    table.add([replace(row, reason="contact: marked") for row in table.rows.values()])
     larger = Comparison(("minimum-jerk",), ("telescopic_pr",), ("free",), ("position-servo", "mocap"), seeds=1)
     table = compute(replace(larger, common=QUICK), tmp_path)
-    assert [(row.planner, row.controller, row.reason) for row in table.sorted_rows()] == [
+    assert [(row.planner, row.controller, row.reason) for row in table.rows.values()] == [
         ("minimum-jerk", "mocap", ""),
         ("minimum-jerk", "position-servo", "contact: marked"),
         ("se3-geodesic", "position-servo", "contact: marked"),
@@ -193,7 +193,7 @@ def test_failures_that_differ_in_names_and_numbers_are_counted_together():
     assert (plan.step, plan.total, plan.counts) == ("plan", 3, (("r", 2), ("p", 1)))
     assert (arrival.step, arrival.total) == ("arrival", 2)
     # A plan's number counts once, whatever the number of controllers.
-    assert numbers(rows, "planning_s") == [1.0, 1.0, 1.0, 1.0]
+    assert Group((), tuple(rows)).values("planning_s") == [1.0, 1.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize(

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from demonstration_sets import DemonstrationSets, models
+from evaluate_demonstrations import DemonstrationSets, models
 
 from lieednn_sim.errors import FileError
-from lieednn_sim.evaluation import paths
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.registry import Entry, Registry
 from lieednn_sim.studies.demonstrations import models as compared
+from lieednn_sim.studies.demonstrations import models as paths
 from lieednn_sim.studies.demonstrations.models import compare_models
 from lieednn_sim.studies.study import compute
 from lieednn_sim.synthesis import ShapingOptions

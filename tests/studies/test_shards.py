@@ -42,7 +42,7 @@ def shards(tmp_path):
 
 
 def untimed(folder):
-    return [replace(row, planning_s=None) for row in Comparison.read(folder).sorted_rows()]
+    return [replace(row, planning_s=None) for row in Comparison.read(folder).rows.values()]
 
 
 def test_which_shard_has_a_case_depends_on_its_name_alone():

@@ -14,7 +14,7 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import load_description
 from lieednn_sim.studies import Case, Comparison, Settings, compute, replay
 from lieednn_sim.studies.comparison.study import Shard, merge
-from lieednn_sim.studies.statistics import grouped
+from lieednn_sim.studies.rows import grouped
 from lieednn_sim.studies.user_files import SCENE, load, resolve
 
 POST = {"shape": "box", "name": "post", "size": [0.1, 0.1, 2.0], "position": [0.0, 0.0, 1.2]}
@@ -45,7 +45,7 @@ def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, caps
     assert f"{LINKED}: imported from two.xml" in printed
     assert f"scene post: 1 box; targets anywhere, from {folder}/post.json" in printed
     table = Comparison.read("out")
-    reasons = {group.key: group.rows[0].reason for group in grouped(table.sorted_rows(), ("arm", "scene"))}
+    reasons = {group.key: group.rows[0].reason for group in grouped(table.rows.values(), ("arm", "scene"))}
     assert reasons == {(arm, scene): "" for arm in (PLAIN, LINKED) for scene in ("free", "post")}
     assert (folder / "out" / "comparison.html").read_text().count(f'data-arm="{LINKED}" data-scene="post"') == 1
     assert f"| {LINKED} | post | minimum-jerk | 1 of 1 |" in (folder / "out" / "comparison.md").read_text()

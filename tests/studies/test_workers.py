@@ -15,8 +15,8 @@ from rich.console import Console
 
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Entry
-from lieednn_sim.studies import workers
-from lieednn_sim.studies.workers import run_each, worker_pool
+from lieednn_sim.studies import study as workers
+from lieednn_sim.studies.study import run_each, worker_pool
 
 
 def test_workers_import_the_modules_of_ones_own_planners_policies_and_controllers(monkeypatch):

@@ -15,7 +15,7 @@ def test_bounds_by_hand():
     bounds = smoothness_bounds(WEIGHT, [0.1, -0.4], 2.0, gamma=2.0, mu=3.0, output_bound=0.5, lipschitz=0.8)
     # ||W||_inf = 0.5, |b|_inf = 0.4: 2*2 + 3*0.5*0.5 + 3*0.4, times 2 + 3*0.8*0.5.
     assert bounds.velocity == pytest.approx(5.95)
-    assert bounds.acceleration == bounds.curvature == pytest.approx(5.95 * 3.2)
+    assert bounds.acceleration == pytest.approx(5.95 * 3.2)
     assert bounds.closing == pytest.approx(2.0 * 1.8 * (2.0 * 2.0 + 2.0 * 0.5 + 1.2))
     assert bounds.acceleration < bounds.closing
     # The closing bound needs ||W||_inf < gamma/mu, strictly.

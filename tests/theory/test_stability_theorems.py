@@ -72,7 +72,7 @@ def test_theorem_smoothness_and_curvature_bound(seed, rates, small):
     acceleration = -gamma * velocity + mu * (slopes * velocity) @ weight.T
     assert np.abs(velocity).max() <= bounds.velocity
     assert np.abs(acceleration).max() <= bounds.acceleration
-    assert curvature(velocity, acceleration).max() <= np.abs(acceleration).max() <= bounds.curvature
+    assert curvature(velocity, acceleration).max() <= np.abs(acceleration).max() <= bounds.acceleration
     assert (bounds.closing is not None) == small
     if small:
         assert bounds.acceleration < bounds.closing

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
-from paper.check_measures import CHECKED
 from paper.checks import CHECKS
+from paper.claims import CHECKED
 from paper.measures import HOLDS, PART
 
 # What holds only in part, by the numbers of the report; all else holds.

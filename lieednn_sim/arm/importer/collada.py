@@ -25,9 +25,9 @@ def read_points(path: Path) -> Floats:
         with opened(path, 2 * 10**8) as stream:
             root = ElementTree.parse(stream).getroot()
         elements = {element.get("id"): element for element in root.iter() if element.get("id")}
-        unit = next((float(unit.get("meter", "1")) for unit in _all(root, "unit")), 1.0)
-        scenes = [node for scene in _all(root, "visual_scene") for node in scene if _tag(node) == "node"]
-        parts = [part for node in scenes for part in _placed(node, np.eye(4), elements)]
+        unit = next((float(unit.get("meter", "1")) for unit in root.iterfind(".//{*}unit")), 1.0)
+        nodes = root.iterfind(".//{*}visual_scene/{*}node")
+        parts = [part for node in nodes for part in _placed(node, np.eye(4), elements)]
         points = unit * np.concatenate(parts)
     except (ElementTree.ParseError, KeyError, ValueError, RecursionError) as error:
         raise FileError(f"{path} cannot be read as COLLADA: {error}; convert it to .stl or .obj") from None
@@ -54,12 +54,11 @@ def _placed(node: ElementTree.Element, outer: Floats, elements: _ById) -> Iterat
 
 
 def _positions(geometry: ElementTree.Element, elements: _ById) -> Iterator[Floats]:
-    for given in _all(geometry, "input"):
-        if given.get("semantic") == "POSITION":
-            source = elements[_reference(given, "source")]
-            array = next(_all(source, "float_array"))
-            stride = int(next((accessor.get("stride", "3") for accessor in _all(source, "accessor")), "3"))
-            yield np.array((array.text or "").split(), dtype=np.float64).reshape(-1, stride)[:, :3]
+    for given in geometry.iterfind(".//{*}input[@semantic='POSITION']"):
+        source = elements[_reference(given, "source")]
+        numbers = source.findtext(".//{*}float_array", "").split()
+        stride = next((int(accessor.get("stride", "3")) for accessor in source.iterfind(".//{*}accessor")), 3)
+        yield np.array(numbers, dtype=np.float64).reshape(-1, stride)[:, :3]
 
 
 def _transform(kind: str, values: Floats) -> Floats:
@@ -74,10 +73,6 @@ def _transform(kind: str, values: Floats) -> Floats:
         axis = values[:3] / np.linalg.norm(values[:3])
         matrix[:3, :3] = scipy.spatial.transform.Rotation.from_rotvec(np.deg2rad(values[3]) * axis).as_matrix()
     return matrix
-
-
-def _all(element: ElementTree.Element, tag: str) -> Iterator[ElementTree.Element]:
-    return (child for child in element.iter() if _tag(child) == tag)
 
 
 def _tag(element: ElementTree.Element) -> str:

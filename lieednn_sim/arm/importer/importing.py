@@ -10,22 +10,19 @@ from typing import Any, Unpack
 import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.chain import chosen_joints, joint_groups, named_frames
 from lieednn_sim.arm.checks import ancestry
+from lieednn_sim.arm.frames import chosen_joints, joint_groups, named_frames
+from lieednn_sim.arm.importer import mending
 from lieednn_sim.arm.importer.floor import AUTO, add_floor, as_floor
 from lieednn_sim.arm.importer.home import choose_home, give_controls, move_inside, take_controls
 from lieednn_sim.arm.importer.loading import compile_spec, load_spec
-from lieednn_sim.arm.importer.mending import fix_base, mend_inertias, replace_integrator, tie_stages
 from lieednn_sim.arm.importer.overlaps import ignore_overlaps
 from lieednn_sim.arm.importer.remarks import draw, remarks
 from lieednn_sim.arm.importer.report import Coupling, ImportOptions, ImportReport, Servo
 from lieednn_sim.arm.importer.serial_chain import choose_chain
 from lieednn_sim.arm.importer.servos import SERVOS, add_servos, describe_servos
-from lieednn_sim.arm.importer.urdf import Joints, mend_joints, planar_joints, read_joints, velocities
-from lieednn_sim.arm.limits import check_rates
 from lieednn_sim.arm.model_arm import ModelArm
 from lieednn_sim.arm.view import View, read_view
-from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
 
@@ -56,20 +53,17 @@ def import_model(
     rule = as_choice("choice of servos", given.get("servos", "keep"), SERVOS)
     overlaps = as_choice("choice of overlaps", given.get("overlaps", "ignore"), ("ignore", "keep"))
     floor = as_floor(given.get("floor", AUTO))
-    check_rates(given.get("limits"))
-    if "links" in given and ("joints" in given or "tip" in given):
-        raise InputError("name either the links, of which the last one is the tip, or the joints and the tip")
     notes: list[str] = []
     spec = load_spec(model, notes)
-    joints = read_joints(source, notes)
-    mend_joints(spec, joints, notes)
+    joints = mending.read_joints(source, notes)
+    mending.mend_joints(spec, joints, notes)
     if source.suffix.lower() == ".urdf":
-        mend_inertias(spec, notes)
-    replace_integrator(spec, notes)
+        mending.mend_inertias(spec, notes)
+    mending.replace_integrator(spec, notes)
     compiled = compile_spec(spec)
     label, keyframe, qpos = choose_home(spec, compiled, given.get("keyframe"), given.get("home", {}), notes)
-    named = choose_chain(compiled, qpos, options, planar_joints(joints), notes)
-    qpos = fix_base(spec, compiled, _first_body(compiled, named), qpos, notes)
+    named = choose_chain(compiled, qpos, options, mending.planar_joints(joints), notes)
+    qpos = mending.fix_base(spec, compiled, _first_body(compiled, named), qpos, notes)
 
     def viewed() -> ModelArm:
         now = compile_spec(spec)
@@ -78,8 +72,8 @@ def import_model(
     if len(qpos) < compiled.nq:
         compiled = compile_spec(spec)
     view = read_view(compiled, kinematics_at(compiled, qpos), name=name, **named)
-    tie_stages(spec, compiled, view.couplings, notes)
-    named["limits"] = _limits(view, compiled, joints, given.get("limits", {}), notes)
+    mending.tie_stages(spec, compiled, view.couplings, notes)
+    named["limits"] = _limits(view, compiled, mending.velocities(joints, notes), given.get("limits", {}), notes)
     arm = viewed()
     home, samples = move_inside(arm, notes), draw(arm, 64, seed=0)
     if overlaps == "ignore":
@@ -112,16 +106,12 @@ def _first_body(model: mujoco.MjModel, named: dict[str, Any]) -> int:
 
 
 def _limits(
-    view: View, model: mujoco.MjModel, joints: Joints, given: Mapping[str, Mapping[str, float]], notes: list[str]
+    view: View, model: Any, urdf: Mapping[str, float], given: Mapping[str, Mapping[str, float]], notes: list[str]
 ) -> dict[str, dict[str, float]]:
     """Limits of rates by coordinate: those given, else the velocities of a URDF, of all joints that it moves."""
-    space, known = view.fields["space"], dict[str, float]()
-    try:
-        known = velocities(joints)
-    except ValueError as error:
-        notes.append(f"velocity limits, if there are any, could not be read: {error}")
+    space = view.fields["space"]
     most = np.full(len(space), np.inf)
-    for name, velocity in known.items():
+    for name, velocity in urdf.items():
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         rates = np.abs(space.rates[model.jnt_dofadr[joint]]) if joint >= 0 else np.zeros(len(space))
         most = np.minimum(most, np.divide(velocity, rates, out=np.full(len(space), np.inf), where=rates > 0.0))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.checks import ancestry, joints_of
+from lieednn_sim.arm.checks import SLIDE, ancestry, joints_of
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.importer.home import MARGIN
 from lieednn_sim.arm.importer.loading import unused
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 # Two ids, the smaller one first: of geoms or of bodies.
 _Pair = tuple[int, int]
 _Distances = Mapping[_Pair, float]
-_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Planned motions keep 2 mm between geoms that may collide: parts that are closer by design could not move at all [m].
 _CLOSE = 0.0025
 _FRACTIONS = np.linspace(0.02, 1.0, 50)  # of a range by which home is moved
@@ -149,7 +148,7 @@ class _Overlaps:
     def telescopic(self, pair: _Pair) -> bool:
         """Whether only slides along one line move the bodies against each other."""
         between = self._between(pair)
-        if not between or any(self.model.jnt_type[joint] != _SLIDE for joint in between):
+        if not between or any(self.model.jnt_type[joint] != SLIDE for joint in between):
             return False
         axes = self._data.xaxis[between]
         return bool(np.all(np.abs(axes @ axes[0]) > 1.0 - 1e-6))

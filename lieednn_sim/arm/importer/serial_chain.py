@@ -11,17 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.chain import chain_joints, joint_groups
-from lieednn_sim.arm.checks import ancestry, joints_of
-from lieednn_sim.arm.coupled_joints import coefficients, driven_directly, driven_tendons
+from lieednn_sim.arm.checks import FREE, ancestry, joints_of
+from lieednn_sim.arm.compound_joints import coefficients, driven_directly, driven_tendons
 from lieednn_sim.arm.dependents import freely_moving, tied_joints
 from lieednn_sim.arm.equalities import involved_joints, loop_closures
-from lieednn_sim.arm.frames import Frame, body_frame, find_frame, listed
+from lieednn_sim.arm.frames import Frame, body_frame, chain_joints, find_frame, joint_groups, listed
 from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _TOOL = re.compile(r"tcp|tool|(^|_)ee($|_)|end.?effector|flange|grasp|pinch|attachment", re.IGNORECASE)
 _FINGER = re.compile(r"jaw|finger|fngr|claw|pincer", re.IGNORECASE)
 _GRIPPER = re.compile(_FINGER.pattern + r"|grip", re.IGNORECASE)  # a body of that name may be the one it is fixed to
@@ -49,7 +47,10 @@ def choose_chain(
     if hands := [model.joint(joint).name for joint in behind if is_gripper(model, joint)]:
         notes.append(f"taken for a gripper, and no part of the arm: {', '.join(hands)}; name the links to move it")
     (chain,) = joint_groups(model, (inner, body_frame(model, last)))
-    if tip is None and (tools := _tools(model, last)):
+    fixed = np.flatnonzero(model.body_weldid == model.body_weldid[last])
+    names = [model.body(body).name for body in fixed if body != last]
+    names += [model.site(site).name for site in np.flatnonzero(np.isin(model.site_bodyid, fixed))]
+    if tip is None and (tools := [name for name in names if _TOOL.search(name)]):
         notes.append(
             f"the end effector is {body_frame(model, last).name!r}; tip={tools[0]!r} (--tip) would choose that, of the "
             f"frames named like a tool: {', '.join(tools)}"
@@ -63,14 +64,6 @@ def choose_chain(
             "and give its slides ranges"
         )
     return {**named, "joints": moving}
-
-
-def _tools(model: mujoco.MjModel, last: int) -> list[str]:
-    """Names of the bodies and sites that are fixed to the last link and named like a tool."""
-    fixed = np.flatnonzero(model.body_weldid == model.body_weldid[last])
-    names = [model.body(body).name for body in fixed if body != last]
-    names += [model.site(site).name for site in np.flatnonzero(np.isin(model.site_bodyid, fixed))]
-    return [name for name in names if _TOOL.search(name)]
 
 
 def longest_chain(model: mujoco.MjModel, base: str | None, tip: int | None = None) -> tuple[Frame, int]:
@@ -142,7 +135,7 @@ def is_gripper(model: mujoco.MjModel, joint: int) -> bool:
 
 
 def _driven_joints(model: mujoco.MjModel) -> set[int]:
-    usable = {joint for joint in range(model.njnt) if model.jnt_type[joint] != _FREE}
+    usable = {joint for joint in range(model.njnt) if model.jnt_type[joint] != FREE}
     driven = usable & driven_directly(model).union(*(coefficients(model, t) for t in driven_tendons(model)))
     if not driven:
         return usable

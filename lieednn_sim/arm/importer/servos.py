@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.chain import chain_joints
 from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.dependents import tied_joints
 from lieednn_sim.arm.equalities import dof_addresses
 from lieednn_sim.arm.forces import actuator_moments, force_ranges, servo_gains
+from lieednn_sim.arm.frames import chain_joints
 from lieednn_sim.arm.importer.loading import compile_spec, unused
 from lieednn_sim.arm.importer.report import Servo
 from lieednn_sim.arm.limits import largest_inertia

@@ -50,7 +50,6 @@ class MovementPrimitive:
     duration: float  # mean duration of the demonstrations [s]
     dof: int  # 2, 3 or 6
 
-    name: ClassVar[str] = "dmp"
     durations: ClassVar[float] = 1.0
 
     @classmethod
@@ -143,7 +142,6 @@ class ProbabilisticPrimitive:
     duration: float  # mean duration of the demonstrations [s]
     n_parameters: int  # number of weights of recorded entries; the covariance is not counted
 
-    name: ClassVar[str] = "promp"
     durations: ClassVar[float] = 1.0
 
     @classmethod

@@ -134,9 +134,7 @@ class ShapedMotion(LearnedMotion):
         drawn = rng.normal(size=(as_count("count", count), root.shape[1])) @ root.T
         return tuple(self._coded(code) for code in drawn)
 
-    def condition(
-        self, via: ArrayLike, *, fraction: float | None = None, time: float | None = None, noise: float = 0.0
-    ) -> ShapedMotion:
+    def condition(self, via: ArrayLike, *, fraction: float, noise: float = 0.0) -> ShapedMotion:
         """The motion that passes a via point, with the most likely code; as a probabilistic primitive is conditioned.
 
         The change of the code c is the least in the metric of its covariance C: it minimises c^T C^-1 c + |miss|^2 /
@@ -146,8 +144,7 @@ class ShapedMotion(LearnedMotion):
 
         Args:
             via: position ``(3,)`` relative to the goal [m], or twist ``(6,)`` where poses were recorded.
-            fraction: fraction of the demonstrations' path at which it is passed, between 0 and 1; or
-            time: the time [s].
+            fraction: fraction of the demonstrations' path at which it is passed, between 0 and 1.
             noise: standard deviation with which it should be passed [m], a radian counting for the demonstrations'
                 lever.
 
@@ -159,19 +156,13 @@ class ShapedMotion(LearnedMotion):
         miss = float(as_floats("noise", noise, ()))
         if miss < 0.0:
             raise InputError(f"noise must be at least 0, got {miss:g}")
-        if fraction is not None and time is None:
-            name, value, knots = "fraction", as_positive("fraction", fraction), np.linspace(0.0, 1.0, len(self.t))
-        elif time is not None and fraction is None:
-            name, value, knots = "time", as_positive("time", time), self.t
-        else:
-            raise InputError("condition needs the fraction of the way or the time at which the via point is, not both")
-        if value >= knots[-1]:
-            raise InputError(f"{name} must be between 0 and {knots[-1]:g}, got {value:g}")
-        tau = np.array([0.0, np.interp(value, knots, self.tau)])
+        if as_positive("fraction", fraction) >= 1.0:
+            raise InputError(f"fraction must be between 0 and 1, got {fraction:g}")
+        tau = np.array([0.0, np.interp(fraction, np.linspace(0.0, 1.0, len(self.t)), self.tau)])
         passing: Floats = np.asarray(np.kron(spread.basis(tau[1:]), np.eye(6))[seen], dtype=float)
         deviation = np.asarray(np.linalg.norm(passing @ spread.root, axis=1))
         if not (deviation > 0.0).all():
-            raise InputError(f"no code moves the motion at {name} {value:g}, when it is at its goal")
+            raise InputError(f"no code moves the motion at fraction {fraction:g}, when it is at its goal")
         noises = miss / spread.units[seen]
         gain = spread.gain(passing, noises)
         code = np.zeros(len(gain))

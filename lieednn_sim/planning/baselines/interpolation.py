@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from scipy.interpolate import BPoly
 
@@ -13,23 +11,9 @@ from lieednn_sim.learning.demonstrations.primitives import ALPHA, BETA, forcing,
 from lieednn_sim.lie import exp, left_jacobian_se3, log
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion, check_motion
-from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
-
-
-@dataclass(frozen=True)
-class DmpOptions(PlannerOptions):
-    """Options of the planner ``dmp``.
-
-    Attributes:
-        basis_functions: number of radial basis functions of the forcing term, from 2 to 1000.
-        least_fraction: fraction of its range that a joint must move in the demonstration to be imitated in shape.
-    """
-
-    basis_functions: int = field(default=20, metadata={"range": (2, 1000)})
-    least_fraction: float = 0.01
 
 
 def minimum_jerk(problem: PlanningProblem, *, guiding: bool = False) -> Motion:
@@ -79,7 +63,7 @@ def se3_geodesic(problem: PlanningProblem) -> Motion:
     return motion
 
 
-def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
+def dmp(problem: PlanningProblem) -> Motion:
     """The motion of a primitive from start to target; it imitates minimum jerk from home to `reference_configuration`.
 
     A critically damped spring to the goal and a learned forcing term that fades (Ijspeert et al., Neural Computation
@@ -89,7 +73,7 @@ def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
 
     The forcing f is scaled by the joint's displacement over that in the demonstration, which keeps the demonstrated
     shape at every amplitude; an unscaled forcing of a long demonstration would throw a joint with a short displacement
-    over its limits. A joint that moves less than ``least_fraction`` of its range in the demonstration gets no forcing:
+    over its limits. A joint that moves less than a hundredth of its range in the demonstration gets no forcing:
     the spring alone takes it from start to target. All joints follow the same time law in the demonstration, so one
     row of weights, times a joint's displacement, serves them all.
 
@@ -103,11 +87,11 @@ def dmp(problem: PlanningProblem, options: DmpOptions) -> Motion:
     phase = np.exp(-DECAY * t / t[-1])
     # Fractions of the path, by the spring with its smooth start and by each weight.
     spring = ALPHA * BETA * (1.0 - phase)[:, None]
-    fractions = responses(np.hstack([spring, forcing(options.basis_functions, phase)]), problem.timestep / t[-1])
+    fractions = responses(np.hstack([spring, forcing(20, phase)]), problem.timestep / t[-1])
     # Responses to neighbouring functions are similar, so small singular values are not inverted.
     weights = np.linalg.pinv(fractions[:, 1:], rcond=1e-6) @ (sigma - fractions[:, 0])
     shown = reference_configuration(problem.arm) - problem.arm.keyframe("home")
-    imitates = np.abs(shown) > options.least_fraction * problem.arm.ranges
+    imitates = np.abs(shown) > 0.01 * problem.arm.ranges
     law = np.where(imitates, (fractions @ np.append(1.0, weights))[:, None], fractions[:, :1])
     q = problem.start + law * (problem.target - problem.start)
     qd = np.gradient(q, problem.timestep, axis=0, edge_order=2)

@@ -32,6 +32,9 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
+# Distance below which a pair's hinge loss grows [m]; the loss is soft, so this is well above what must be kept. And the
+# fraction of the velocity and acceleration limits above which theirs grow.
+_INFLUENCE, _RATE_FRACTION = 0.04, 0.95
 _FIXED = 3  # control points at each end, by its position and zero velocity and acceleration
 
 
@@ -43,14 +46,10 @@ class OptimisationOptions(PlannerOptions):
         margin: clearance by which first guesses are judged, as far as start and target keep it [m].
         intervals: number of intervals of the spline, from 2 to 1000.
         instants: number of instants at which distances and rates are weighed, up to 10 000.
-        influence: distance below which a pair's hinge loss grows [m]; the loss is soft, so choose it well above the
-            distance that must be kept.
-        rate_fraction: fraction of the velocity and acceleration limits above which their hinge losses grow.
         weights: weights of the hinge losses against smoothness, one for each descent from a guess.
         evaluations: largest number of evaluations of the cost in a descent.
         guesses: number of first guesses to descend from.
         drawn: number of bent guesses drawn; the clearest are used.
-        inset: fraction of a joint's range that control points keep from its limits if start and target keep it.
 
     Raises:
         InputError: a value is out of range.
@@ -59,13 +58,10 @@ class OptimisationOptions(PlannerOptions):
     margin: float = 0.01
     intervals: int = field(default=12, metadata={"range": (2, 1000)})
     instants: int = field(default=100, metadata={"range": (1, 10_000)})
-    influence: float = 0.04
-    rate_fraction: float = 0.95
     weights: tuple[float, ...] = (300.0, 3000.0)
     evaluations: int = 20
     guesses: int = 6
     drawn: int = 150
-    inset: float = field(default=1e-9, metadata={"range": (0.0, 0.1)})
 
 
 def trajectory_optimisation(problem: PlanningProblem, options: OptimisationOptions) -> Motion:
@@ -95,7 +91,7 @@ class _Descent:
         self.problem, self.arm, self.options = problem, problem.arm, options
         intervals, count = options.intervals, options.instants
         self.workspace, self.scale = Workspace(problem, options.margin), joint_scale(problem.arm)
-        self.near = ClearanceTest(problem.arm, options.influence)
+        self.near = ClearanceTest(problem.arm, _INFLUENCE)
         # The minimum-jerk motion of free space is such a quintic.
         control = intervals + SPLINE_DEGREE
         basis = BSpline(clamped_knots(control), np.eye(control), SPLINE_DEGREE)
@@ -122,7 +118,8 @@ class _Descent:
         spread = self.arm.ranges / self.scale
         unit = max(float(np.linalg.norm(target - start)), 0.1 * float(np.linalg.norm(spread)))
         self.root = np.linalg.cholesky(free).T / (math.sqrt(720.0) * unit)
-        inset = options.inset * spread
+        # Control points keep this far inside the limits, where start and target do.
+        inset = 1e-9 * spread
         low, high = self.arm.position_limits.T / self.scale
         self.low = np.tile(np.minimum(low + inset, np.minimum(start, target)), len(free))
         self.high = np.tile(np.maximum(high - inset, np.maximum(start, target)), len(free))
@@ -178,8 +175,8 @@ class _Descent:
         position, velocity, acceleration = (self.scale * (table @ control) for table in self.weighed)
         hinges = (
             self._closeness(position),
-            _excess(velocity, self.options.rate_fraction * self.arm.velocity_limits),
-            _excess(acceleration, self.options.rate_fraction * self.arm.acceleration_limits),
+            _excess(velocity, _RATE_FRACTION * self.arm.velocity_limits),
+            _excess(acceleration, _RATE_FRACTION * self.arm.acceleration_limits),
         )
         for table, (hinge, slope) in zip(self.weighed, hinges, strict=True):
             values.append(factor * hinge)
@@ -197,15 +194,14 @@ class _Descent:
     def _closeness(self, q: Floats) -> tuple[Floats, Floats]:
         """Root of the summed squares of (1 - d / influence)_+ over the pairs ``(K,)``, and its slope ``(K, n)``."""
         value, slope = np.zeros(len(q)), np.zeros(q.shape)
-        influence = self.options.influence
         for k, position in enumerate(q):
             check_time()
             if self.near(position):
                 continue
-            result = self.workspace.collisions.distances(position, influence)
-            hinge = 1.0 - result.distance / influence
+            result = self.workspace.collisions.distances(position, _INFLUENCE)
+            hinge = 1.0 - result.distance / _INFLUENCE
             value[k] = math.sqrt(hinge @ hinge)
-            slope[k] = -(hinge @ result.jacobian) / (influence * max(value[k], 1e-12))
+            slope[k] = -(hinge @ result.jacobian) / (_INFLUENCE * max(value[k], 1e-12))
         return value, slope
 
 

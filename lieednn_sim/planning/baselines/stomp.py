@@ -35,6 +35,10 @@ from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
 _TESTS_PER_CHECK = 100  # configurations tested between two checks of the time budget
+_SENSITIVITY = 10.0  # h in the weights exp(-h S), as in the paper
+# Factors of the noise's spread after a round without a better path and one with it, the largest spread, and the number
+# of rounds in a row without a better path after which the search restarts.
+_GROW, _SHRINK, _WIDEST, _STALLED = 1.2, 0.95, 0.5, 10
 
 
 @dataclass(frozen=True)
@@ -49,13 +53,8 @@ class StompOptions(PlannerOptions):
             the motion is refused, as for a contact in between, the search starts again with half of it.
         waypoints: number of waypoints between start and target, from 4 to 500; enough for a path around an obstacle.
         rollouts: number of noisy paths in a round, the paper's K; more find better paths, in proportionally more time.
-        sensitivity: h in the weights exp(-h S); 10 as in the paper.
         spread: standard deviation of the initial noise in the middle of the path, as a fraction of each joint's range;
             small, for short detours, since it grows while no path is better.
-        grow: factor of the spread after a round without a better path.
-        shrink: factor of the spread after a round with a better path.
-        widest: upper bound of the spread.
-        stalled: number of successive rounds without a better path after which the search restarts.
         rounds: largest number of rounds before the planner gives up.
         steps: number of implicit smoothing steps for each joint, which reduce theta' R theta.
     """
@@ -64,12 +63,7 @@ class StompOptions(PlannerOptions):
     spacing: float = field(default=0.1, metadata={"range": (1e-3, 1.0)})
     waypoints: int = field(default=32, metadata={"range": (4, 500)})
     rollouts: int = field(default=6, metadata={"range": (1, 1000)})
-    sensitivity: float = 10.0
     spread: float = 0.1
-    grow: float = field(default=1.2, metadata={"range": (1.0, 10.0)})
-    shrink: float = field(default=0.95, metadata={"range": (0.0, 1.0)})
-    widest: float = 0.5
-    stalled: int = 10
     rounds: int = 60
     steps: int = 5
 
@@ -169,8 +163,8 @@ class StompSearch:
                 break
             better = self._round(spread)
             stalled = 0 if better else stalled + 1
-            spread = spread * options.shrink if better else min(spread * options.grow, options.widest)
-            if stalled == options.stalled:
+            spread = spread * _SHRINK if better else min(spread * _GROW, _WIDEST)
+            if stalled == _STALLED:
                 self.path, spread, stalled = self.straight, options.spread, 0
                 self.cost = self.costs(self.path)
         return None if self.cost.any() else self.path
@@ -181,7 +175,7 @@ class StompSearch:
         low, high = arm.position_limits.T
         paths = np.clip(self.path + spread * arm.ranges * self.noise(self.options.rollouts), low, high)
         costs = np.array([self.costs(path) for path in paths])
-        weights = noise_weights(costs, self.options.sensitivity)
+        weights = noise_weights(costs)
         step = np.einsum("kt,ktj->tj", weights, paths - self.path)
         average = np.clip(self.path + self.smoother @ step, low, high)
         best = int(costs.sum(axis=1).argmin())
@@ -211,8 +205,8 @@ class StompSearch:
         return path
 
 
-def noise_weights(costs: Floats, sensitivity: float) -> Floats:
+def noise_weights(costs: Floats) -> Floats:
     """Weights ``(K, N)`` of K noise samples at each waypoint, from costs ``(K, N)``; zero where all are the same."""
     least, span = costs.min(axis=0), np.ptp(costs, axis=0)
-    weights = np.exp(-sensitivity * (costs - least) / np.where(span > 0.0, span, 1.0))
+    weights = np.exp(-_SENSITIVITY * (costs - least) / np.where(span > 0.0, span, 1.0))
     return np.where(span > 0.0, weights / weights.sum(axis=0), 0.0)

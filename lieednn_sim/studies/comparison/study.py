@@ -14,10 +14,9 @@ from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any
 
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm, arm_names
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, time_limit
+from lieednn_sim.budget import DEFAULT_TIME_BUDGET, cpu_time, one_blas_thread, time_limit
 from lieednn_sim.errors import FileError, InputError, LieEDNNError, NoSolutionError
 from lieednn_sim.evaluation.evaluation import Evaluation, MotionMetrics
 from lieednn_sim.evaluation.metrics import evaluate, motion_metrics

@@ -10,14 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieednn_sim import io
-from lieednn_sim.evaluation.display import rounded
+from lieednn_sim.evaluation.display import escaped, markdown_table, rounded
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.comparison.study import settings_of
-from lieednn_sim.studies.markdown import escaped
-from lieednn_sim.studies.markdown import table as markdown_table
-from lieednn_sim.studies.rows import Column
-from lieednn_sim.studies.statistics import Group, grouped, motions, pattern_of
+from lieednn_sim.studies.rows import Column, Group, grouped, motions, pattern_of
 from lieednn_sim.studies.table import Table
 
 _NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")
@@ -31,7 +28,7 @@ def write_summary(path: str | os.PathLike[str], table: Table[Row], missing: Mapp
         table: table of the comparison.
         missing: planners that could not be compared, with the reason.
     """
-    rows = table.sorted_rows()
+    rows = list(table.rows.values())
     of_motion = [column for column in COLUMNS if column.of_motion and column.name not in _NOT_SUMMARISED]
     of_rollout = [column for column in COLUMNS if not column.of_motion and column.name not in _NOT_SUMMARISED]
     lines = ["# Planners and controllers compared", "", method(table), ""]

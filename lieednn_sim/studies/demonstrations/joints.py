@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
-from lieednn_sim.budget import report
+from lieednn_sim.budget import one_blas_thread, report
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.display import table
-from lieednn_sim.evaluation.paths import PathErrors, path_errors
 from lieednn_sim.learning.demonstrations import Demonstration
 from lieednn_sim.learning.demonstrations.alignment import warp
 from lieednn_sim.planning.demonstrated import JointDemonstrations, JointMotion
-from lieednn_sim.studies.demonstrations.models import mean_of
+from lieednn_sim.studies.demonstrations.models import PathErrors, mean_of, path_errors
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:

@@ -44,15 +44,15 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
     recorded, are shown over the fraction of the path. Thin lines are the first model's reproductions from the
     demonstrations' own starts; the band about its reproduction of the mean is two standard deviations on each side.
     """
-    start, first = demonstrations.mean[0], next(iter(models.values()))
+    start, (network, first) = demonstrations.mean[0], next(iter(models.items()))
     paths = {name: displacement(reproduction(model, demonstrations, start)) for name, model in models.items()}
     fan = [displacement(reproduction(first, demonstrations, twist[0], twist[-1])) for twist in demonstrations.twists]
     groups: list[Group] = [
         ("demonstrations", list(demonstrations.displaced), _SHOWN),
-        (f"{first.name}, from their starts", fan, _FAN),
+        (f"{network}, from their starts", fan, _FAN),
         *((name, [item], line) for (name, item), line in zip(paths.items(), _LINES, strict=False)),
     ]
-    band, path_of_band = np.empty((0, 6, 6)), paths[first.name]
+    band, path_of_band = np.empty((0, 6, 6)), paths[network]
     if isinstance(first, ShapedMotion) and first.spread is not None:
         t = np.linspace(0.0, first.durations * demonstrations.duration, len(path_of_band))
         band = first.covariance(start, t)
@@ -115,7 +115,9 @@ def plot_joint_paths(
         figure.legend(loc="outside upper center", ncols=len(groups))
 
 
-def plot_field(model: MotionModel, demonstrations: Demonstrations, path: str | os.PathLike[str], seed: int = 0) -> None:
+def plot_field(
+    model: ShapedMotion, demonstrations: Demonstrations, path: str | os.PathLike[str], seed: int = 0
+) -> None:
     """Plot where a model leads from other starts: its velocity field in a plane, and paths from random starts.
 
     The field is that at the beginning, with hidden neurons or phase at their start; later it changes. For positions in

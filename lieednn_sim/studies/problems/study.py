@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
-from lieednn_sim.budget import as_time_budget, cpu_time, time_limit
+from lieednn_sim.budget import as_time_budget, cpu_time, one_blas_thread, time_limit
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning import Plan, plan, retime
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions

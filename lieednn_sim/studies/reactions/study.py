@@ -17,21 +17,20 @@ from typing import NamedTuple
 import numpy as np
 
 from lieednn_sim import io
-from lieednn_sim._blas import one_blas_thread
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import LIMIT_MARGIN
+from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.evaluation.display import escaped, markdown_table
 from lieednn_sim.evaluation.metrics import evaluate
 from lieednn_sim.planning import Plan, ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies import FilteredPolicy, Policy, make_policy
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
-from lieednn_sim.studies import markdown
 from lieednn_sim.studies.comparison.study import FREE, arm_and_target
 from lieednn_sim.studies.reactions.disturbing import PUSH_TIME, UndisturbedPath, pushing_force, walking_pole
-from lieednn_sim.studies.rows import TableRow, column, columns_of, outcome
-from lieednn_sim.studies.statistics import Group, grouped
+from lieednn_sim.studies.rows import Group, TableRow, column, columns_of, grouped, outcome
 from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
 from lieednn_sim.studies.user_files import UserFiles
@@ -319,11 +318,6 @@ class ReactionGroup(Group[Reaction]):
         """Number of rows that were back on their path."""
         return sum(row.back_s is not None for row in self.rows)
 
-    @property
-    def medians(self) -> list[float | None]:
-        """Medians of the measured columns, None for empty ones."""
-        return [self.median(column.name) for column in MEASURED]
-
 
 def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
     """Groups of `posed` rows over arms and seeds, sorted by their keys: scene, disturbance and policy."""
@@ -335,17 +329,18 @@ def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
 
 def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> None:
     """Write the summary in Markdown: arrival, contact, and medians over arms and seeds."""
-    rows = table.sorted_rows()
+    rows = list(table.rows.values())
     arms, seeds = sorted({row.arm for row in rows}), len({row.seed for row in rows})
-    head = f"Arms: {markdown.escaped(', '.join(arms))}; {seeds} seed{'s' if seeds != 1 else ''}; medians."
+    head = f"Arms: {escaped(', '.join(arms))}; {seeds} seed{'s' if seeds != 1 else ''}; medians."
     lines, medians = ["# Policies, disturbed", "", METHOD, "", head], []
     for group in groups(rows):
         counts = [f"{group.successes} of {group.total}", str(group.touched)]
         counts.append(str(group.back) if group.key[1] in ("push", "payload") else "-")
-        cells = ["-" if value is None else f"{value:.3g}" for value in group.medians]
-        medians.append([*map(markdown.escaped, group.key), *counts, *cells])
+        found = (group.median(column.name) for column in MEASURED)
+        cells = ["-" if value is None else f"{value:.3g}" for value in found]
+        medians.append([*map(escaped, group.key), *counts, *cells])
     heads = ["scene", "disturbance", "policy", "arrived", "touched", "back", *(column.heading for column in MEASURED)]
-    lines += markdown.table(heads, medians)
+    lines += markdown_table(heads, medians)
     unposed = Counter((row.scene, row.disturbance, row.policy, row.reason) for row in rows if not row.posed)
     failures = [
         f"- {', '.join(key)}, {count} case{'s' if count != 1 else ''}: {reason}"
@@ -355,6 +350,6 @@ def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> Non
         for row in rows
         if row.reason.startswith(("plan", "simulation", "error"))
     ]
-    lines += ["", "## Could not be run", "", *map(markdown.escaped, failures)] if failures else []
+    lines += ["", "## Could not be run", "", *map(escaped, failures)] if failures else []
     with io.atomic_text(path) as stream:
         stream.write("\n".join(lines) + "\n")

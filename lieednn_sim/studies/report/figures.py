@@ -18,8 +18,7 @@ from lieednn_sim.evaluation.figure_layout import COLOURS, fix_layout
 from lieednn_sim.registry import PLANNERS
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
 from lieednn_sim.studies.comparison.summary import in_order
-from lieednn_sim.studies.rows import Column
-from lieednn_sim.studies.statistics import grouped, numbers
+from lieednn_sim.studies.rows import Column, Group, grouped
 
 # Placeholders that `_svg` replaces by the page's colours, so that figures are readable in light and dark mode.
 _INK, _FAINT = "#010203", "#040506"
@@ -71,7 +70,8 @@ _LOGARITHMIC = ("tracking_rms_mm", "planning_s", "jerk_effector")
 def plots(rows: Sequence[Row], controller: str) -> list[Plot]:
     """Plot distributions of measured columns by planner and scene, for the rows of one arm and one controller."""
     chosen = [row for row in rows if row.controller == controller]
-    return [_distribution(chosen, BY_NAME[name], controller) for name in _DRAWN if numbers(chosen, name)]
+    drawn = [name for name in _DRAWN if chosen and Group((), tuple(chosen)).values(name)]
+    return [_distribution(chosen, BY_NAME[name], controller) for name in drawn]
 
 
 def _few_ticks(low: float, high: float) -> Locator:

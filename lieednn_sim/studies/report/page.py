@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import jinja2
 
@@ -19,14 +19,12 @@ from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Case, Row
 from lieednn_sim.studies.comparison.study import replay, settings_of
 from lieednn_sim.studies.reactions.study import MEASURED, METHOD, Reaction, groups
 from lieednn_sim.studies.report.figures import marks, plots
-from lieednn_sim.studies.rows import Column
-from lieednn_sim.studies.statistics import Group, grouped
+from lieednn_sim.studies.rows import Column, Group, grouped
 from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_count
 
 
-@dataclass(frozen=True)
-class View:
+class View(NamedTuple):
     """One problem solved by several planners.
 
     Attributes:
@@ -37,11 +35,6 @@ class View:
     rows: tuple[Row, ...]
     recording: Recording
 
-    @property
-    def base64(self) -> str:
-        """The recording as text for the page."""
-        return base64.b64encode(self.recording.content).decode("ascii")
-
 
 def choose_problems(table: Table[Row], count: int, controller: str) -> list[list[Case]]:
     """Choose up to ``count`` problems of a table, and at most four planners that solved each.
@@ -50,7 +43,7 @@ def choose_problems(table: Table[Row], count: int, controller: str) -> list[list
     successes in the whole table is the first of every problem where it succeeded; the others take turns.
     """
     most = as_count("the number of problems", count, least=0)
-    solved = [row for row in table.sorted_rows() if row.success and row.controller == controller]
+    solved = [row for row in table.rows.values() if row.success and row.controller == controller]
     names = summary.in_order((row.planner for row in solved), PLANNERS)
     totals = {name: sum(row.planner == name for row in solved) for name in names}
     best = max((name for name in totals if name.startswith("lieednn")), key=lambda name: totals[name], default=None)
@@ -114,7 +107,7 @@ def write_page(
         InputError: the table is empty, or ``reactions`` is of another kind.
         FileError: the file cannot be written.
     """
-    rows, reacted = table.sorted_rows(), [] if reactions is None else reactions.sorted_rows()
+    rows, reacted = list(table.rows.values()), [] if reactions is None else list(reactions.rows.values())
     if not rows:
         raise InputError(f"the table {table.path} is empty; there is nothing to show")
     if not all(isinstance(row, Reaction) for row in reacted):
@@ -163,6 +156,7 @@ def write_page(
         # What ends a script element must not be in the text of one.
         player=json.dumps(player("RECORDING")).replace("</", "<\\/") if views else "",
         reactions=groups(reacted) if reacted else [],
+        measured=MEASURED,
         reaction_heads=[
             *((name, "", False) for name in ("policy", "scene", "disturbance")),
             *((name, "", True) for name in ("arrived", "touched", "back")),

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from lieednn_sim._blas import one_blas_thread
+from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation

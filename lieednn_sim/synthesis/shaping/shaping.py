@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from lieednn_sim._blas import one_blas_thread
-from lieednn_sim.budget import check_time, cpu_time
+from lieednn_sim.budget import check_time, cpu_time, one_blas_thread
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
 from lieednn_sim.network.componentwise import as_activation

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from paper.checks import formulas, learning, stability, theorems
+from paper.checks import formulas, learning, theorems
 
 CHECKS: dict[str, Callable[[int], dict[str, Any]]] = {
     "automorphism": theorems.automorphism,
@@ -18,9 +18,9 @@ CHECKS: dict[str, Callable[[int], dict[str, Any]]] = {
     "weight gradient": learning.weight_gradient,
     "strength gradient": learning.strength_gradient,
     "riemannian": learning.riemannian,
-    "norm conditions": stability.norm_conditions,
-    "single norms": stability.single_norms,
+    "norm conditions": formulas.norm_conditions,
+    "single norms": formulas.single_norms,
     "algebras": formulas.algebras,
     "activation": formulas.activation,
-    "equivariance": stability.equivariance,
+    "equivariance": formulas.equivariance,
 }

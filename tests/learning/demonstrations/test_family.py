@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lieednn_sim.evaluation import paths
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.family import RIDGES, one_standard_error, response_to_start
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.studies.demonstrations import models as paths
 from lieednn_sim.studies.demonstrations.models import attraction, compare_models, random_starts
 from lieednn_sim.synthesis import ShapingOptions, shape
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation import paths
 from lieednn_sim.learning.demonstrations import Demonstration, ShapedMotion, align
 from lieednn_sim.learning.demonstrations.alignment import displacement, goal_distance
 from lieednn_sim.network import LieEDNN
+from lieednn_sim.studies.demonstrations import models as paths
 from lieednn_sim.studies.demonstrations.models import compare_models
 from lieednn_sim.synthesis import ShapingOptions
 

@@ -9,10 +9,9 @@ import pytest
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.alignment import displacement, twist_of
-from lieednn_sim.learning.demonstrations.models import LinearAttractor, at_times, even_grid, run_field
+from lieednn_sim.learning.demonstrations.models import LinearAttractor, StableMixture, at_times, even_grid, run_field
 from lieednn_sim.learning.demonstrations.primitives import MovementPrimitive, ProbabilisticPrimitive
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
-from lieednn_sim.learning.demonstrations.stable_mixture import StableMixture
 from lieednn_sim.synthesis import ShapingOptions
 
 

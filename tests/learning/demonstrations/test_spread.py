@@ -81,8 +81,7 @@ def test_a_via_point_is_conditioned_on(noisy, learned, noise):
         assert miss[0] < 1e-5
         assert miss.max() < 1e-3
         assert np.abs(np.diff(learned.reproduce(noisy.twists[:2, 0], t)[:, 1], axis=0)).max() > 5e-3
-        # The same at the time at which the phase is reached; and a second via point leaves the first.
-        assert learned.condition(via, time=learned.t[index]) == motion
+        # A second via point leaves the first.
         both = motion.condition([0.1, 0.15, 0.0], fraction=0.7)
         assert np.linalg.norm(displacement(both.reproduce(noisy.mean[0], t))[1, 3:] - via) < 1e-4
     np.testing.assert_allclose(ways[:, 2], 0.0, atol=1e-5)
@@ -93,7 +92,7 @@ def test_a_via_point_is_conditioned_on(noisy, learned, noise):
 def test_a_pose_is_conditioned_on(posed):
     learned = ShapedMotion.fit(posed, options=OPTIONS)
     via = learned.reproduce(posed.mean[0], np.array([0.0, 1.0]))[1] + [0.02, -0.02, 0.01, 0.004, 0.004, -0.004]
-    motion = learned.condition(via, time=1.0)
+    motion = learned.condition(via, fraction=np.interp(1.0, learned.t, np.linspace(0.0, 1.0, len(learned.t))))
     np.testing.assert_allclose(motion.reproduce(posed.mean[0], np.array([0.0, 1.0]))[1], via, atol=1e-5)
 
 
@@ -141,10 +140,7 @@ def test_what_cannot_be_conditioned_says_why(noisy, learned):
         with pytest.raises(InputError, match="has no spread: learn a family from two or more demonstrations"):
             motion.condition([0.1, 0.1, 0.0], fraction=0.5)
     for via, more, message in (
-        ([0.1, 0.1, 0.0], {}, "the fraction of the way or the time"),
-        ([0.1, 0.1, 0.0], {"fraction": 0.5, "time": 1.0}, "not both"),
         ([0.1, 0.1, 0.0], {"fraction": 1.0}, "fraction must be between 0 and 1, got 1"),
-        ([0.1, 0.1, 0.0], {"time": 2.5}, "time must be between 0 and 2, got 2.5"),
         ([0.1, 0.1, 0.0], {"fraction": 0.5, "noise": -1.0}, "noise must be at least 0, got -1"),
         ([0.1, 0.1, 0.3], {"fraction": 0.5}, "third entry of 0, got 0.3"),
         (np.zeros(6), {"fraction": 0.5}, r"via must have shape \(3\), got \(6\)"),

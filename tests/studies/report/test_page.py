@@ -21,7 +21,7 @@ def table(tmp_path_factory):
     """Two planners, two scenes, two controllers, and rows of more arms and failures made up from them."""
     selection = Comparison(("minimum-jerk", "se3-geodesic"), ("telescopic_pr",), ("free",), CONTROLLERS, seeds=1)
     made = compute(replace(selection, common=SETTINGS), tmp_path_factory.mktemp("table"))
-    for index, row in enumerate(made.sorted_rows()):
+    for index, row in enumerate(made.rows.values()):
         for arm, scene in (("telescopic_pr", "window"), ("another_arm", "free")):
             values = {"tracking_rms_mm": 10.0 ** (index - 3), "planning_s": 0.5 + index}
             made.add([replace(row, arm=arm, scene=scene, seed=3, **values)])

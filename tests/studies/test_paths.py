@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lieednn_sim.evaluation.paths import path_errors
+from lieednn_sim.studies.demonstrations.models import path_errors
 
 
 def test_errors_of_parallel_lines_do_not_depend_on_pace():

@@ -1,0 +1,273 @@
+# /// script
+# requires-python = ">=3.11,<3.14"
+# dependencies = ["lieednn_sim", "ruckig>=0.19,<1", "torch>=2.10,<3"]
+# ///
+"""Give chunks of joint targets to `lieednn-chunks`: clean and faulty ones, and those of policies in closed loop.
+
+    pip install 'ruckig>=0.19,<1' 'torch>=2.10,<3'
+    python scripts/chunks.py [--chunks 200] [--episodes 20] [--policies expert clone] [--jobs 2]
+
+Only the clone needs torch. Finished runs are kept in ``OUTPUT/runs`` and not repeated, so that an interrupted study
+goes on. Writes ``chunks.md``; CPU times are those of one core with one BLAS thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from importlib import metadata
+from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import chunk_policies as policies
+import numpy as np
+from chunk_policies import DT, PERIOD, REFERENCES, H
+
+import lieednn_sim as ls
+from lieednn_sim import io
+from lieednn_sim.environments.tasks import band_limited, make_task
+from lieednn_sim.evaluation.display import markdown_table
+from lieednn_sim.policies import ChunkPolicy
+from lieednn_sim.registry import DEFAULT_ARMS
+from lieednn_sim.values import Floats
+
+CLEAN = ("clean, no delay", "clean", "clean, 0.8 s late")
+FAULTS = (
+    *("jump inside", "jump at the seam", "speed", "acceleration", "limits", "not a number", "wrong shape"),
+    *("stale", "outlier", "noise", "contact"),
+)
+# Kinds whose clean chunk is to be followed all the same; and those of the expert's chunks.
+FOLLOWED, PLAYED = (*CLEAN, "outlier", "noise"), ("jump inside", "jump at the seam", "speed", "outlier", "noise")
+SCENE, TASKS = "poles", ("reach", "track")
+DELAYS, EVERY = (0.0, 0.2, 0.8), 0.4  # of inference, and time between two chunks [s]
+FIRST_SEED = 10**6  # of the episodes
+HEADINGS = ("task, policy", "delay [ms]", "reference", "success [%]", "touching", "jump", "jerk [1/s^3]")
+
+
+@cache
+def room(name: str) -> ls.Arm:
+    """An arm among obstacles."""
+    return ls.Arm.load(name, scene=SCENE)
+
+
+def faulty(arm: ls.Arm, kind: str, clean: Floats, dt: float, passed: int, rng: np.random.Generator) -> Floats:
+    """A clean chunk ``(H, n)`` with a fault of a kind behind the targets that have passed."""
+    chunk, (low, high), v = clean.copy(), arm.position_limits.T, arm.velocity_limits
+    row, joint = int(rng.integers(passed + 3, len(chunk) - 2)), int(rng.integers(arm.n_joints))
+    sign, t = rng.choice([-1.0, 1.0], arm.n_joints), dt * np.arange(len(chunk))
+    if kind == "jump inside":
+        chunk[row:] += sign * rng.uniform(0.1, 0.3, arm.n_joints) * arm.ranges
+    elif kind == "jump at the seam":
+        chunk += sign * rng.uniform(0.05, 0.2, arm.n_joints) * arm.ranges
+    elif kind == "speed":
+        fastest = (np.abs(np.diff(chunk, axis=0)) / dt / v).max()
+        chunk += (rng.uniform(1.5, 4.0) / max(fastest, 0.02) - 1.0) * (chunk - chunk[0])
+    elif kind == "acceleration":
+        w = 2.0 * np.pi * rng.uniform(1.0, 0.25 / dt)
+        chunk[:, joint] += rng.uniform(2.0, 8.0) * arm.acceleration_limits[joint] / w**2 * np.sin(w * t)
+    elif kind == "limits":
+        chunk[:, joint] += high[joint] - chunk[:, joint].max() + rng.uniform(0.05, 0.3) * arm.ranges[joint]
+    elif kind == "not a number":
+        chunk[row, joint] = rng.choice([np.nan, np.inf])
+    elif kind == "wrong shape":
+        chunk = chunk[:, :-1] if rng.random() < 0.5 else chunk[0]
+    elif kind == "outlier":
+        chunk[row, joint] += sign[joint] * rng.uniform(0.1, 0.5) * arm.ranges[joint]
+    elif kind == "noise":
+        chunk += rng.uniform(5e-4, 2e-3) * arm.ranges * rng.standard_normal(chunk.shape)
+    elif kind == "contact":
+        part = np.clip((np.arange(len(chunk)) - passed) / (len(chunk) - 1 - passed), 0.0, 1.0)[:, None]
+        draws = (clean[-1] + far * arm.ranges * rng.standard_normal(arm.n_joints) for far in np.arange(0.1, 9, 0.05))
+        end = next(end for draw in draws if arm.contacts(end := np.clip(draw, low, high)))
+        chunk += part**2 * (3.0 - 2.0 * part) * (end - clean[-1])
+    return chunk
+
+
+def judged(kind: str, seed: int) -> dict[str, float]:
+    """What becomes of one chunk that follows on a clean one, and how far from it the reference is if it is clean."""
+    arm, rng = room(DEFAULT_ARMS[seed % len(DEFAULT_ARMS)]), np.random.default_rng(seed)
+    delay = {CLEAN[0]: 0.0, CLEAN[2]: 0.8}.get(kind, 0.2 * float(rng.integers(5)))
+    hz = int(rng.choice([10, 20, 30, 50]))
+    count, seam = max(int(rng.integers(16, 65)), int((delay + 0.5) * hz) + 6), round(rng.uniform(0.8, 1.0), 2)
+    end = seam - delay + (count - 1) / hz
+    while True:
+        drawn = band_limited(arm, rng, end)
+        if not any(map(len, arm.near_contacts_along(drawn(np.arange(0.0, end, 0.02))))):
+            break
+
+    def way(times: Floats) -> Floats:
+        """What chunks are cut from; in its last second it slows down to rest."""
+        x = np.clip(times - (end - 1.0), 0.0, 1.0)
+        return drawn(np.clip(times, 0.0, end - 1.0) + x - x**3 + 0.5 * x**4)
+
+    policy, home = ChunkPolicy(arm, 1.0 / PERIOD), arm.keyframe("home")
+    policy.reset(home)
+    policy.accept(way(np.arange(64.0) / hz), 0.0, 1.0 / hz)
+    states = [policy.step(None, home) for _ in range(round(seam / PERIOD))]
+    begin = policy.now - delay
+    chunk = way(begin + np.arange(count) / hz)
+    if kind not in CLEAN:
+        chunk = faulty(arm, kind, chunk, 1.0 / hz, int(delay * hz), rng)
+    if kind == "stale":
+        begin -= end + rng.uniform(0.0, 1.0)
+    verdict = policy.accept(chunk, begin, 1.0 / hz)
+    off, joined = 0.0, policy.now + verdict.fade
+    for _ in range(round((end + 1.0 - seam) / PERIOD)):
+        states.append(policy.step(None, home))
+        if joined < policy.now < end:
+            off = max(off, float(np.abs(states[-1][0] - way(np.array([policy.now]))[0]).max()))
+    q, qd = np.array(states).swapaxes(0, 1)
+    change = np.abs(np.diff(qd, axis=0, prepend=0.0 * qd[:1])) / PERIOD
+    kept = (np.abs(qd) <= arm.velocity_limits + 1e-6).all() and (change <= arm.acceleration_limits + 1e-6).all()
+    safe = bool(kept) and bool((arm.limit_excess(q) < 1e-6).all()) and not any(map(arm.contacts, q[::2]))
+    return {"found": len(verdict.findings), "refused": not verdict.accepted, "safe": safe, "off": 1e3 * off}
+
+
+def episode(name: str, policy: str, delay: float, way: str, seed: int, folder: Path) -> dict[str, float]:
+    """What one episode of a task comes to, with a chunk of its policy every `EVERY` seconds."""
+    task = make_task(name, control_timestep=PERIOD)
+    task.begin(np.random.default_rng(FIRST_SEED + seed))
+    arm, rng, steps, sparse = task.arm, np.random.default_rng(seed), task.steps, round(DT / PERIOD)
+    goal, many = task.target(0.0), steps + H * sparse
+    targets = np.array([task.target(PERIOD * k) for k in range(many + 1)])
+    reach = name == "reach"
+    ideal = policies.reached(arm, goal, PERIOD, many) if reach else targets[:-1]
+    cloned = policies.clone(arm, folder / f"{name}.npz") if policy == "clone" else None
+    reference, coming = policies.Reference(arm, way), deque[tuple[int, Floats]]()
+    q, ok, touched = [ideal[0]] * 2, list[bool](), False
+    spent: dict[bool, list[float]] = {False: [], True: []}
+    for k in range(steps):
+        if k % round(EVERY / PERIOD) == 0:
+            chunk = ideal[k : k + H * sparse : sparse]
+            if cloned is not None:
+                chunk = cloned(task.command, targets[k + sparse :: sparse][: 1 if reach else H])
+            elif k // round(EVERY / PERIOD) % 3 == 1 and k < 4.0 / PERIOD:
+                chunk = faulty(arm, str(rng.choice(PLAYED)), chunk, DT, int(delay / DT), rng)
+            coming.append((k, chunk))
+        measured, new = task.simulation.q, bool(coming) and k >= coming[0][0] + round(delay / PERIOD)
+        begin = time.process_time()
+        if new:
+            made, chunk = coming.popleft()
+            reference.accept(chunk, PERIOD * made)
+        q.append(reference.step(measured))
+        spent[new].append(time.process_time() - begin)
+        ok.append(task.step(task.commands.towards(task.command, q[-1]))[4]["success"])
+        touched = touched or (k % 5 == 0 and bool(arm.contacts(task.simulation.q)))
+    # Two rows of rest come first.
+    parts = np.array(q) / arm.ranges
+    left = np.linalg.norm(parts - goal / arm.ranges, axis=1)
+    behind = [np.square(parts[202:] - ideal[201 - s : steps + 1 - s] / arm.ranges).mean() for s in range(150)]
+    return {
+        "success": float(ok[-1] if reach else np.mean(ok[200:])),
+        "touched": touched,
+        "jump": float((np.abs(np.diff(q, n=2, axis=0)) / PERIOD**2 / arm.acceleration_limits).max()),
+        "jerk": float(np.sqrt(np.mean(np.square(np.diff(parts, n=3, axis=0))))) / PERIOD**3,
+        "lag": 0.0 if reach else 1e3 * PERIOD * int(np.argmin(behind)),
+        "back": 100.0 * float((left - np.minimum.accumulate(left)).max() / left[0]) if reach else 0.0,
+        "refused": reference.refused,
+        **{str(new): 1e3 * float(np.median(times)) for new, times in spent.items()},
+    }
+
+
+def run(job: tuple[Any, ...], count: int, folder: Path) -> None:
+    """Do what a row is made of, and keep it."""
+    if len(job) == 1:
+        rows = [judged(job[0], seed) for seed in range(count)]
+    else:
+        name, policy, delay, way = job
+        rows = [episode(name, policy, delay, way, seed, folder) for seed in range(count)]
+    io.save_json(kept(job, folder), {"rows": rows})
+
+
+def kept(job: tuple[Any, ...], folder: Path) -> Path:
+    """The file of a job."""
+    return folder / f"{'-'.join(map(str, job)).replace(' ', '_')}.json"
+
+
+def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str = "") -> str:
+    """Both tables, and what they are."""
+    single, closed = [], []
+    for job, rows in found.items():
+        of = {key: np.array([row[key] for row in rows], dtype=float) for key in rows[0]}
+        if len(job) == 1:
+            off = of["off"][of["refused"] == 0.0] if job[0] in FOLLOWED else []
+            single.append([job[0], len(rows), *(f"{(of[key] > 0.0).sum()}" for key in ("found", "refused", "safe"))])
+            single[-1] += [f"{np.median(off):.2g}", f"{max(off):.2g}"] if len(off) else ["", ""]
+            continue
+        name, policy, delay, way = job
+        cells = [f"{name}, {policy}", f"{1e3 * delay:.0f}", way, f"{100.0 * of['success'].mean():.0f}"]
+        cells += [f"{of['touched'].sum():.0f}", f"{of['jump'].max():.3g}", f"{np.median(of['jerk']):.3g}"]
+        cells.append(f"{of['back'].max():.2g} %" if name == "reach" else f"{np.median(of['lag']):.0f} ms")
+        cells.append(f"{of['refused'].sum():.0f}" if way == REFERENCES[-1] else "")
+        closed.append([*cells, f"{np.median(of['True']):.2g} / {np.median(of['False']):.2g}"])
+    lines = [
+        "# Chunks of joint targets through `lieednn-chunks`",
+        "",
+        "Chunks of each kind have 16 to 70 targets at 10 to 50 Hz, come 0 to 0.8 s late, and follow on a clean "
+        f"one, on {', '.join(DEFAULT_ARMS)} in turn, among {SCENE}. Found: the verdict names something. Safe: "
+        "until a second after its end the reference keeps the limits of position, velocity and acceleration, "
+        "and MuJoCo finds no contact there, every 20 ms. Off: how far at most the reference is from the clean "
+        "chunk, once it has gone over, or lacks if it rests before what is not proved to be clear; of outliers and "
+        "noise, from the chunk without them.",
+        *markdown_table(("chunks", "all", "found", "refused", "safe", "off, median [mm, mrad]", "off, worst"), single),
+        "",
+        f"In closed loop at {1.0 / PERIOD:.0f} Hz, on the same episodes of `TelescopicReach` and "
+        f"`TelescopicTrack` for all, of 6 s: a chunk of {H} targets at {1.0 / DT:.0f} Hz every {EVERY:g} s, "
+        "which comes after the delay. The expert plays its motion; one of three chunks in the first 4 s has a "
+        f"fault ({', '.join(PLAYED)}). The clone is a network fitted to {policies.EPISODES} episodes without "
+        "faults. The reference is the newest chunk in its time, straight between targets (raw); this after a "
+        f"filter of first order, {policies.TIME_CONSTANT:g} s; blended linearly with the one before over "
+        f"{policies.BLEND:g} s; Ruckig's with it as target, and its velocity, in each period, and "
+        f"{policies.JERK:g}/s times the acceleration as jerk; or `lieednn-chunks`. Success: within 1 mm and 0.1 "
+        "degrees, at rest, at the end; for Track, share of the time from 2 s on within 5 mm and 0.5 degrees. "
+        "Touching: episodes with a contact of the arm. Jump: largest change of the reference's velocity in a "
+        "period, as a multiple of what the limit of acceleration allows. Jerk: root mean square with joints in "
+        "their ranges, median. Lag or back: for Track the delay of the target with which it fits the reference "
+        "best, median; for Reach how far at most the reference goes away from the goal, as a part of the "
+        f"distance at the start{libraries}.",
+        *markdown_table((*HEADINGS, "lag or back", "refused", "CPU, new chunk / none [ms]"), closed),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Do the runs that are missing, and write the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--chunks", type=int, default=200, help="of each kind")
+    parser.add_argument("--episodes", type=int, default=20, help="of each task, policy, delay and reference")
+    parser.add_argument("--policies", nargs="+", default=["expert", "clone"], choices=["expert", "clone"])
+    parser.add_argument("--jobs", type=int, default=2, help="processes at once")
+    parser.add_argument("--output", type=Path, default=Path("results/chunks"))
+    options = parser.parse_args(arguments)
+    folder = io.make_directory(options.output / "runs")
+    os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes
+    counts: dict[tuple[Any, ...], int] = {(kind,): options.chunks for kind in (*CLEAN, *FAULTS)}
+    counts |= dict.fromkeys(product(TASKS, options.policies, DELAYS, REFERENCES), options.episodes)
+    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+        weights = [folder / f"{name}.npz" for name in TASKS if "clone" in options.policies]
+        fits = [pool.submit(policies.fit, path.stem, path) for path in weights if not path.exists()]
+        missing = [job for job in counts if not kept(job, folder).exists()]
+        runs = [pool.submit(run, job, counts[job], folder) for job in missing if "clone" not in job]
+        for done in fits:
+            done.result()
+        runs += [pool.submit(run, job, counts[job], folder) for job in missing if "clone" in job]
+        for done in runs:
+            done.result()
+    found = {job: json.loads(kept(job, folder).read_text(encoding="utf-8"))["rows"] for job in counts}
+    used = f"; Ruckig {metadata.version('ruckig')}"
+    text = report(found, used + (f", torch {metadata.version('torch')}" if weights else ""))
+    with io.atomic_text(options.output / "chunks.md") as file:
+        file.write(text)
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
