@@ -62,6 +62,31 @@ def number(driver, name):
     return float(re.search(r"[\d.]+", driver.find_element("id", name).text)[0])
 
 
+def pixel(driver, point):
+    """Where the page shows a point, given in JavaScript."""
+    return np.array(
+        driver.execute_script(f"""
+        const box = document.getElementById("stage").getBoundingClientRect();
+        const seen = {point}.project(page.stage.camera);
+        return [box.x + box.width * (seen.x + 1) / 2, box.y + box.height * (1 - seen.y) / 2];""")
+    )
+
+
+def drag(driver, start, end):
+    """Press the mouse at a pixel and move it; what is returned lets it go."""
+    mouse = {"button": "left", "buttons": 1, "clickCount": 1}
+
+    def send(kind, place, more):
+        what = {"type": f"mouse{kind}", "x": float(place[0]), "y": float(place[1]), **more}
+        driver.execute_cdp_cmd("Input.dispatchMouseEvent", what)
+
+    send("Moved", start, {})
+    send("Pressed", start, mouse)
+    for share in (0.5, 1.0):
+        send("Moved", start + share * (end - start), mouse)
+    return lambda: send("Released", end, mouse)
+
+
 def run(driver, begin, periods):
     """How far the arm was from the ball at most, and is at the end [m], contacts, and whether the bound held."""
     return driver.execute_script(f"""
@@ -117,22 +142,25 @@ def test_the_arm_follows_the_ball_yields_and_goes_through_the_window(built, brow
     wait(lambda: browser.find_element("id", "state").text == "has arrived within 1 mm")
 
     # The ball is dragged to the left and down, in the plane of the screen.
-    at = "const p = page.stage.ball.position.clone().project(page.stage.camera);"
-    box = "const b = document.getElementById('stage').getBoundingClientRect();"
-    pixel = f"{at}{box} return [b.x + b.width * (p.x + 1) / 2, b.y + b.height * (1 - p.y) / 2]"
-    start = np.array(browser.execute_script(pixel))
-    before = np.array(browser.execute_script("return page.stage.ball.position.toArray()"))
-    way, mouse = np.array([-40.0, 40.0]), {"button": "left", "buttons": 1, "clickCount": 1}
-    for kind, share in (("Moved", 0.0), ("Pressed", 0.0), ("Moved", 0.5), ("Moved", 1.0), ("Released", 1.0)):
-        x, y = start + share * way
-        more = {} if (kind, share) == ("Moved", 0.0) else mouse
-        browser.execute_cdp_cmd("Input.dispatchMouseEvent", {"type": f"mouse{kind}", "x": x, "y": y, **more})
+    where = "page.stage.ball.position.clone()"
+    start, way = pixel(browser, where), np.array([-40.0, 40.0])
+    before = browser.execute_script(f"return {where}.toArray()")
+    drag(browser, start, start + way)()
     ball, tip = "return page.world.tipAt(page.world.target).toArray()", "return page.world.tip.toArray()"
-    wait(lambda: np.linalg.norm(np.array(browser.execute_script(ball)) - before) > 0.2)
+    wait(lambda: np.linalg.norm(np.subtract(browser.execute_script(ball), before)) > 0.2)
     wait(lambda: np.linalg.norm(np.subtract(browser.execute_script(tip), browser.execute_script(ball))) < 1e-3)
     wait(lambda: number(browser, "reach") < 1.0)
     assert browser.find_element("id", "reach").text.endswith(" mm from the ball")
-    np.testing.assert_allclose(browser.execute_script(pixel), start + way, atol=2.0)
+    np.testing.assert_allclose(pixel(browser, where), start + way, atol=2.0)
+
+    # A link that the mouse holds is pulled towards it, until it is let go.
+    link = "page.stage.geoms.find((geom) => geom.userData.body === 5).matrix"
+    start = pixel(browser, f"page.world.tip.setFromMatrixPosition({link})")
+    let_go = drag(browser, start, start + np.array([0.0, 60.0]))
+    wait(lambda: browser.execute_script("return page.world.push?.acts?.z") is not None)
+    assert browser.execute_script("return page.world.push.acts.z") < 0.0
+    let_go()
+    wait(lambda: browser.execute_script("return page.world.push === null"))
 
     # A push throws it off, and it returns; what is proved of the network holds meanwhile.
     farthest, near, touched, kept = run(browser, "document.getElementById('push').click();", 1500)
