@@ -106,7 +106,9 @@ def clearance(policy: ls.NetworkPolicy, target: np.ndarray) -> str:
     """What is proved of the distance from contact on the way to the first target, as the live view proves it."""
     way = foreseen(policy.arm, policy, None, Progress.of(policy).towards(target), policy.q, target)
     assert way is not None
-    return f"{1e3 * ClearanceMonitor(policy.arm, *way).clearance.bound:.2g} mm"
+    found = ClearanceMonitor(policy.arm, *way).clearance
+    assert found.proved
+    return f"{1e3 * found.bound:.2g} mm"
 
 
 def geoms(model: mujoco.MjModel) -> list[dict[str, Any]]:
