@@ -136,7 +136,7 @@ def test_its_policy_is_that_of_python(scene, maker, opened, tmp_path):
     np.testing.assert_allclose(states, expected, rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.browser
+# Not one of those that REQUIRE_BROWSER requires: it also needs what npm fetches.
 def test_the_arm_follows_the_ball_yields_and_goes_through_the_window(built, browser):
     assert built.stat().st_size < 5_000_000
     wait(lambda: browser.find_element("id", "state").text == "has arrived within 1 mm")
