@@ -10,14 +10,15 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE / "_ext")]
+sys.path[:0] = [str(HERE), str(HERE / "_ext"), str(HERE / "browser")]
 
 # Before furo's colours do it, at a level at which the examples' servers and fonts tell everything.
 logging.basicConfig(level=logging.WARNING)
 # Small matrices: one thread is faster, and the figures of the gallery are the same on every machine.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import gallery_scraper  # noqa: E402 - after the path
+import browser_page  # noqa: E402 - after the path
+import gallery_scraper  # noqa: E402
 from api_names import context as autosummary_context  # noqa: E402, F401
 from api_names import filenames as autosummary_filename_map  # noqa: E402, F401
 from sphinx.application import Sphinx  # noqa: E402
@@ -46,7 +47,7 @@ extensions = [
     "registry_table",
     "api_names",
 ]
-exclude_patterns = ["_build", "_templates", "gallery/*.*", "drawings"]
+exclude_patterns = ["_build", "_templates", "gallery/*.*", "drawings", "browser"]
 nitpicky = False
 # sphinx-gallery's settings hold functions; its copies of the examples are below the examples.
 suppress_warnings = ["config.cache", "sphinx_gallery.duplicate_filename"]
@@ -141,8 +142,15 @@ sphinx_gallery_conf = {
 
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.connect("builder-inited", make_browser_page)
     app.connect("html-page-context", keep_sidebar_short, priority=100)
     app.connect("build-finished", keep_needed_mathjax, priority=900)
+
+
+def make_browser_page(app: Sphinx) -> None:
+    """Make the page in which an arm moves, if this is the site."""
+    if app.builder.format == "html":
+        browser_page.write_or_say_why_not(gallery_scraper.EXTRA / "browser.html")
 
 
 def keep_sidebar_short(app: Sphinx, page: str, template: str, context: dict[str, Any], _: Any) -> None:

@@ -86,8 +86,8 @@ def test_the_extras_are_those_there_are():
     assert f"'.[{installed}]'" in page
 
 
-def test_the_readme_has_at_most_150_lines():
-    assert len(TEXTS["README.md"].splitlines()) <= 150
+def test_the_readme_has_at_most_130_lines():
+    assert len(TEXTS["README.md"].splitlines()) <= 130
 
 
 def test_no_relative_link_is_broken():
