@@ -73,7 +73,7 @@ def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float =
     modes = PassiveJoints(arm).modes(motion.q[-1])
     if not modes:
         raise InputError(f"arm {arm.name!r} has nothing that swings or bends: all joints of its model are driven")
-    if np.ptp(motion.q, axis=0).max() == 0.0:
+    if np.ptp(motion.q, axis=0).max() <= 1e-8:  # but for rounding, it stays where it is
         return motion
     curve, duration = TimedCurve(arm, motion), float(motion.t[-1]) + more / modes[0].frequency
     if options.method != METHODS[0]:
