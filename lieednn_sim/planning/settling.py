@@ -32,6 +32,7 @@ _SAMPLES = 2000  # of a law
 _LOOKS = 240  # instants at which a law's limits are kept
 _MARGIN = 0.995  # of the limits, between these instants
 _LAWS = 4  # looked at
+_GROWTH = 1.15  # of the duration of a law that breaks limits, at most
 _SMOOTH = 1e-4  # weight of jerk, in units of the planned motion's, against energies, in units of what that leaves
 
 
@@ -78,8 +79,8 @@ def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float =
     curve, duration = TimedCurve(arm, motion), float(motion.t[-1]) + more / modes[0].frequency
     if options.method != METHODS[0]:
         delays, shares = shaper(options, modes)
-        return curve.kept(lambda whole: shaped(curve.own, delays, shares, whole), duration, longest)
-    return curve.kept(_LeastEnergy(arm, curve, options, modes).law, duration, longest)
+        return curve.kept(lambda whole: shaped(curve.own, delays, shares, whole), duration, longest, _GROWTH)
+    return curve.kept(_LeastEnergy(arm, curve, options, modes).law, duration, longest, _GROWTH)
 
 
 def shaper(options: SettlingOptions, modes: tuple[Mode, ...]) -> tuple[Floats, Floats]:

@@ -254,17 +254,22 @@ class TimedCurve:
             factor = max(factor, float(least_stretch(still, damped * speed[:-1], rest, 1.0).max()))
         return CubicHermiteSpline(law.x * factor, law(law.x), law(law.x, 1) / factor)
 
-    def kept(self, law_of: Callable[[float], CubicHermiteSpline], duration: float, longest: float = math.inf) -> Motion:
-        """The motion by a law for a duration [s], and for longer ones up to the longest until it keeps all limits."""
+    def kept(
+        self,
+        law_of: Callable[[float], CubicHermiteSpline],
+        duration: float,
+        longest: float = math.inf,
+        growth: float = math.inf,
+    ) -> Motion:
+        """The motion by a law for a duration [s], or the next longer one, by a factor each, that keeps all limits."""
         for _ in range(20):
             result = self.motion(law_of(duration), math.ceil(round(duration / self._arm.timestep, 6)))
             try:
                 check_motion(self._arm, result)
                 return result
             except TooFastError as error:
-                # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in it. A
-                # law for another duration may need less than this one stretched.
-                duration = max(1.002 * duration, min(error.duration, 1.15 * duration))
+                # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in it.
+                duration = max(1.002 * duration, min(error.duration, growth * duration))
                 if duration > longest:
                     raise
         raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")
