@@ -112,7 +112,7 @@ EXAMPLES = (
         "moving_obstacle",
         "action_chunks",
     ),
-    *("task_boom", "task_harvester", "task_crane"),
+    *("task_boom", "task_harvester", "task_crane", "settling_load"),
     *("demonstrations_fan", "blending", "payload_and_friction", "batch_of_256", "planner_figure", "environment"),
     *("own_certificate", "paper_figure", "algorithm_1", "*"),
 )
