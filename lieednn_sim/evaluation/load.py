@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco, scratch_data
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import NoSolutionError
@@ -42,12 +42,12 @@ class LoadMetrics:
 def load_metrics(rollout: Rollout, *, clearance: bool = True) -> LoadMetrics | None:
     """The metrics of a run, None for an arm whose passive joints rest nowhere, or that has none."""
     arm, passive = rollout.arm, PassiveJoints(rollout.arm)
+    if not len(passive.dofs):
+        return None
     try:
         modes = passive.modes(rollout.q[-1])
         rest = passive.at_rest(arm.qpos(rollout.q[-1:]))[0]
     except NoSolutionError:
-        return None
-    if not len(passive.dofs):
         return None
     after = rollout.t >= rollout.motion_end - 0.5 * rollout.timestep
     off = passive.away(rollout.qpos[after], rest)
@@ -75,8 +75,10 @@ def _clearance(rollout: Rollout, passive: PassiveJoints) -> float | None:
     drawn, body = model.geom_group < 3, model.geom_bodyid
     still = moved_together(model, np.append(rollout.arm.dofs, passive.dofs))[body] == 0
     load, others = np.flatnonzero(drawn & passive.bodies[body]).tolist(), np.flatnonzero(drawn & still).tolist()
+    data = scratch_data(model)
     for row in np.unique(np.linspace(0, len(rollout.t) - 1, 100).astype(int)):
-        data = kinematics_at(model, rollout.qpos[row])
+        data.qpos[:] = rollout.qpos[row]
+        mujoco.mj_kinematics(model, data)
         for one, other in product(load, others):
             least = min(least, mujoco.mj_geomDistance(model, data, one, other, far, None))
     return 1e3 * least if least < far else None

@@ -57,10 +57,8 @@ class SwingModel:
         # Slopes over x and x', and the forces at rest, of what is constant, and of what grows with s', s'^2 and s''.
         table = np.zeros((_STATIONS, 4, m, 2 * m + 1))
         table[:, 0, :, :m], table[:, 0, :, m:-1] = stiffness, damping
-        table[:, 1, :, m:-1], table[:, 1, :, -1] = (
-            passive.slopes("velocity", rest, speeds) - damping,
-            0.5 * (ahead - behind),
-        )
+        table[:, 1, :, m:-1] = passive.slopes("velocity", rest, speeds) - damping
+        table[:, 1, :, -1] = 0.5 * (ahead - behind)
         table[:, 2, :, :m] = passive.slopes("position", rest, speeds, bends) - stiffness
         table[:, 2, :, -1] = 0.5 * (ahead + behind) - still
         table[:, 3, :, :m] = passive.slopes("position", rest, 0.0, speeds) - stiffness

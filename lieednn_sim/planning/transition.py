@@ -12,7 +12,7 @@ the two states.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import product
@@ -98,9 +98,9 @@ class Transition:
             factors[: len(own)] += own * self.base.x[-1] ** np.arange(float(len(own)))[:, None]
         return _DERIVATIVES @ factors / times[..., None]
 
-    def _along(self, own: Floats) -> Floats:
-        """The base and its first two derivatives ``(3, K, n)`` at its times ``(K,)``."""
-        return np.stack([self.base(own, nu=order) for order in range(3)])
+    def _along(self, own: Floats) -> Iterable[Floats]:
+        """The base and its first two derivatives, each ``(K, n)``, at its times ``(K,)``."""
+        return (self.base(own, nu=order) for order in range(3))
 
 
 def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str | None] | None = None) -> Transition:

@@ -300,14 +300,21 @@ class ChunkPolicy(ReplanningPolicy):
             raise _RefusedError(Finding("contact", text, value=distance, limit=self.arm.clearance))
 
     def _prove(self) -> None:
-        """Go on with the proof of the present motion, at least until the arm need not brake for want of it."""
-        proof, enough = self._proof, self.time + GENTLY / (2.0 * self._braking)
+        """Go on with the proof of the present motion, until the arm need not brake for want of it, and rest before it.
+
+        At least one interval is looked at in each period, and eight at most.
+        """
+        if (proof := self._proof) is None:
+            return
+        enough = self.time + GENTLY / (2.0 * self._braking)
         for k in range(8):
-            if proof is None or proof.pair or (k and proof.time > enough):
+            if proof.pair or (k and proof.time > enough):
                 break
             proof.advance(1)
             if proof.pair:
                 self.counts["unproved"] += 1
+        # Before that it brakes as hard as it can.
+        self.rest_at = min(self.rest_at, self.time + (proof.time - self.time) / GENTLY)
 
     def _follow(self, course: TimedPath) -> None:
         super()._follow(course)
@@ -346,9 +353,6 @@ class ChunkPolicy(ReplanningPolicy):
             self.counts[refused.finding.kind] += 1
         super()._decide(self._wanted)
         self._prove()
-        if self._proof is not None:
-            # Before that it brakes as hard as it can.
-            self.rest_at = min(self.rest_at, self.time + (self._proof.time - self.time) / GENTLY)
 
     def _go_on(self) -> None:
         """Begin a part whose time has come, code the rest of a long one, or code anew; raises `_RefusedError`."""

@@ -138,7 +138,7 @@ class CurveEncoder:
         desired = np.array([(rate + offset).ravel(), (bend + rate).ravel()])  # x' = u - (x - x_d) and x'' = u' - x'
         code += basis.starting @ (desired - basis.start @ code)
         self._require_range(code)
-        if (off := float(np.abs(basis.at_levels @ code - missing).max())) > most:
+        if most < np.inf and (off := float(np.abs(basis.at_levels @ code - missing).max())) > most:
             raise InputError(f"its states would be {off:.3g} off the motion, {most:.3g} at most are allowed")
         return self._started(code)
 
