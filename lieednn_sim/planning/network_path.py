@@ -29,6 +29,7 @@ from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law
 from lieednn_sim.synthesis import CurveEncoder
 from lieednn_sim.values import Floats
 
+_LATE, _SWING = 25, 1e-4  # samples at the end between which no joint may swing, and by how much [rad, m]
 RESIDUAL = 1e-8  # distance to the equilibrium at which the path is cut [network coordinates: rad, length_scale m]
 
 
@@ -55,7 +56,7 @@ class NetworkPath:
     target: Floats
     states: Callable[[Floats], Floats]
     speed: PchipInterpolator | None
-    joints: BSpline
+    joints: BSpline | PchipInterpolator
     universal: bool = False
 
     @classmethod
@@ -209,10 +210,14 @@ def timed_motion(problem: PlanningProblem, path: NetworkPath, *law: Law) -> Moti
     return motion
 
 
-def _through(position: Floats, decoded: Retraction) -> BSpline:
+def _through(position: Floats, decoded: Retraction) -> BSpline | PchipInterpolator:
     """The joints and gaps of `NetworkPath` through those decoded at some positions ``(K,)``."""
-    values = decoded.q, decoded.gap_translation, decoded.gap_rotation
-    return make_interp_spline(position, np.concatenate(values, axis=1), 5)
+    values = np.concatenate([decoded.q, decoded.gap_translation, decoded.gap_rotation], axis=1)
+    smooth = make_interp_spline(position, values, 5)
+    # Where the end's poses hardly tell the joints apart, these settle later than the poses, and a spline would swing.
+    late, known = position[-_LATE:], values[-_LATE:]
+    swing = np.abs(smooth(0.5 * (late[1:] + late[:-1])) - known[1:]) - 2.0 * np.abs(np.diff(known, axis=0))
+    return PchipInterpolator(position, values) if swing.max() > _SWING else smooth
 
 
 def _invert(length: PchipInterpolator, speed: PchipInterpolator, grid: Floats, wanted: Floats) -> Floats:

@@ -118,3 +118,12 @@ def test_an_expert_has_the_default_planner_of_such_an_arm():
     motion, certificate = planned(arm, [0.1, 0.5, 0.6, 0.4])
     assert motion(motion.x[-1]) == pytest.approx([0.1, 0.5, 0.6, 0.4], abs=1e-6)
     assert certificate.startswith("globally stable")
+
+
+@pytest.mark.parametrize("target", [[0.549, 1.663, 0.041, -1.157], [-0.81, 0.034, 0.052, -1.268]])
+def test_joints_that_settle_after_their_poses_do_not_swing(target):
+    """Near bend = 0 the pose hardly tells roll from turn; a spline through them swung by 30 to 300 rad at the end."""
+    motion = plan(wrist(0.9), target, planner="lieednn-shaped", duration=10.0, seed=5).motion
+    np.testing.assert_allclose(motion.q[-1], target, atol=1e-6)
+    assert np.abs(motion.q).max() < 1.8
+    assert np.abs(motion.qd).max() < 1.0
