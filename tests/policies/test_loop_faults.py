@@ -370,7 +370,7 @@ def press(*_):
 
 def test_at_limits_rounding_leaves_no_rates_for_ever():
     arm, rng = Arm.load("telescopic_pr"), np.random.default_rng(0)
-    for _ in range(100):
+    for _ in range(15):
         start = np.where(rng.random(arm.n_joints) < 0.5, *arm.position_limits.T)
         sent = LimitedReference(arm, start, 0.005)
         sent.qd = rng.choice([-0.5, 0.0, 0.5], arm.n_joints) * arm.velocity_limits
@@ -506,7 +506,7 @@ class Chaos(Robot):
             raise ZeroDivisionError(self.fate)
 
 
-def test_ten_thousand_random_faults(gantry, clock):
+def test_four_thousand_random_faults(gantry, clock):
     """All that went wrong is counted, references keep the limits, and every loop ends, for a reason and at rest."""
     total, ends = Counter(), Counter()
     for seed in itertools.count():
@@ -532,9 +532,9 @@ def test_ten_thousand_random_faults(gantry, clock):
         assert report.stopped or len(report.lateness) >= 4.0 * robot.rate
         total += Counter(report.faults) + Counter(late=report.missed)
         ends[report.stopped.split("(")[0].strip("0123456789 ")[:12]] += 1
-        if sum(total.values()) > 10_000:
+        if sum(total.values()) > 4_000:
             break
     # Every kind, and every reason there is.
-    assert min(total[kind] for kind in ("missing", "malformed", "read", "jump", "late", "write", "target")) > 500
-    assert total["raised"] > 20 < seed
+    assert min(total[kind] for kind in ("missing", "malformed", "read", "jump", "late", "write", "target")) > 200
+    assert total["raised"] > 8 < seed
     assert len(ends) == 7
