@@ -79,14 +79,14 @@ def stroke(luff):
 
 
 @pytest.mark.parametrize("jacobian", ["dense", "sparse"])
-def test_the_cylinder_of_a_crane_takes_three_iterations(monkeypatch, jacobian):
+def test_the_cylinder_of_a_crane_takes_two_iterations(monkeypatch, jacobian):
     model, data, dependents = make(*CRANE, "slew luff extend", jacobian)
     assert [model.joint(j).name for j in dependents.moved] == ["swivel", "stroke"]
-    luff, calls, real = np.linspace(-0.3, 1.2, 200), [], mujoco.mj_makeConstraint
+    luff, calls, real = np.linspace(-0.3, 1.2, 500), [], mujoco.mj_makeConstraint
     rows = rows_at(model, luff=luff, slew=luff, extend=0.3)
     monkeypatch.setattr(mujoco, "mj_makeConstraint", lambda *a: calls.append(real(*a)))
-    solved = dependents.to_qpos(rows.reshape(2, 100, -1)).reshape(rows.shape)
-    assert len(calls) <= 3 * len(rows) + 20  # for the way from the state to the first row
+    solved = dependents.to_qpos(rows.reshape(2, 250, -1)).reshape(rows.shape)
+    assert len(calls) <= 2 * len(rows)  # for the way from the state to the first row
     assert column(model, solved, "stroke") == pytest.approx(stroke(luff), abs=1e-10)
     others = [model.joint(name).qposadr[0] for name in ("slew", "luff", "extend", "g1", "g2")]
     assert np.array_equal(solved[:, others], rows[:, others])
@@ -120,9 +120,12 @@ def test_a_jump_ends_where_a_fine_path_does(seed):
     rng = np.random.default_rng(seed)
     try:
         dependents = make(*four_bar(*rng.uniform(0.2, 1.2, 3)), "crank", crank=0.3, coupler=1, rocker=2)[2]
-        path = dependents.to_qpos(np.linspace([0.3, 0, 0], [0.3 + rng.uniform(-2, 2), 0, 0], 300))
+        rows = np.linspace([0.3, 0, 0], [0.3 + rng.uniform(-2, 2), 0, 0], 300)
+        path = dependents.to_qpos(rows)
     except NoSolutionError:
         return
+    # Rows of a long path are solved otherwise than those of short ones.
+    assert np.concatenate([dependents.to_qpos(part) for part in np.split(rows, 6)]) == pytest.approx(path, abs=1e-8)
     assert dependents.to_qpos(path[-1]) == pytest.approx(path[-1], abs=1e-8)
 
 
