@@ -231,9 +231,7 @@ class ClosedLoops:
             yield last
         if (near := self._solution_near(row)) is not None:
             yield near
-        if not on_path:
-            yield last
-        if last is not self._reference:
+        if not on_path or last is not self._reference:
             yield self._reference
 
     def _solution_near(self, row: Floats) -> _Solution | None:

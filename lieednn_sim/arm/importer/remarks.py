@@ -105,7 +105,10 @@ def _straight_paths(arm: ModelArm, home: Floats) -> Iterator[str]:
     """The bodies between which straight paths from home to random configurations come near contact."""
     found, counts = (Counter[str](), Counter[str]()), Counter[tuple[bool, bool]]()
     fractions = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
-    for target in draw(arm, _PATHS, seed=1):
+    targets = draw(arm, _PATHS, seed=1)
+    torn_there = np.asarray(np.isnan(arm.qpos(targets, strict=False)).any(axis=1))
+    counts[False, True] = int(torn_there.sum())
+    for target in targets[~torn_there]:
         way = home + fractions[:, None] * (target - home)
         unsolved = np.asarray(np.isnan(arm.qpos(way, strict=False)).any(axis=1))
         for k, (torn, result) in enumerate(zip(unsolved.tolist(), arm.near_contacts_along(way), strict=True)):
