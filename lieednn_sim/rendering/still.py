@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image as Picture
@@ -13,7 +13,7 @@ from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
 from lieednn_sim.rendering import scene_setup
-from lieednn_sim.rendering.overlay import Overlay
+from lieednn_sim.rendering.overlay import Overlay, draw_lines
 from lieednn_sim.rendering.video import Camera, Image
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
@@ -62,7 +62,6 @@ def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset
     overlay = Overlay.of(rollout, scene_setup.scale(rollout.arm, points))
     moving = (model.body_weldid[model.geom_bodyid] != 0) & (model.body_mocapid[model.geom_bodyid] < 0)
     chosen = instants(overlay.traced_tip, len(OPACITIES))
-    draw = functools.partial(overlay.draw_paths, k=len(rollout.t) - 1)
 
     def draw_without_arm(scene: mujoco.MjvScene) -> None:
         # Where no camera and no light sees what is put there [m].
@@ -70,17 +69,18 @@ def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid < len(moving) and moving[geom.objid]:
                 geom.pos[:] = away
-        draw(scene)
 
-    with Camera(rollout.arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points) as view:
+    how: dict[str, Any] = {"camera": camera, "size": size, "preset": preset}
+    with Camera(rollout.arm, target=rollout.target, points=points, run=rollout, **how) as view:
         empty = view.picture_at(rollout.qpos[0], draw_without_arm)
         # In the order of time. Where a picture is the empty one, the arm is not, nor its shadow.
         result = empty.astype(float)
         for k, opacity in zip(chosen, OPACITIES, strict=True):
-            picture = view.picture_at(rollout.qpos[k], draw)
+            picture = view.picture_at(rollout.qpos[k])
             there = (picture != empty).any(axis=-1)
             result[there] += opacity * (picture[there] - result[there])
-    return np.rint(result).astype(np.uint8)
+        paths = overlay.paths(view.seen, len(rollout.t) - 1, size[1])
+    return draw_lines(np.rint(result).astype(np.uint8), paths)
 
 
 def instants(path: Floats, count: int) -> list[int]:
