@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterable, Sequence
-from itertools import cycle, product
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -39,19 +39,40 @@ _SCENE_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _MARKS = 200
 
 
-class Mark(NamedTuple):
-    """Colour of a planner in all figures and tables, and the shape of its mark in the page's styles."""
+# Families of planners, by the modules of these.
+_NETWORKS, _OTHERS = "networks with a proof", "others"
+_OF_MODULE = {
+    "interpolation": "straight ways and primitives",
+    **dict.fromkeys(("sampling", "cbirrt"), "random trees"),
+    **dict.fromkeys(("optimisation", "stomp"), "optimisation"),
+}
+#: Families of planners, with their colours.
+FAMILIES = dict(zip((_NETWORKS, *dict.fromkeys(_OF_MODULE.values()), _OTHERS), (*COLOURS[:4], "#8C8C8C"), strict=True))
 
+
+class Mark(NamedTuple):
+    """The family of a planner, its colour in all figures and tables, and the shape of its mark in the page's styles."""
+
+    family: str
     colour: str
     shape: str
 
 
 def marks(names: Iterable[str]) -> dict[str, Mark]:
-    """A mark for each planner, which does not depend on the other names."""
-    order = [*PLANNERS, *sorted(set(names) - set(PLANNERS))]
-    # Each repetition of the colours has another shape.
-    looks = cycle(product(("round", "diamond", "square", "triangle"), (*COLOURS, "#8C8C8C")))
-    return {name: Mark(colour, shape) for name, (shape, colour) in zip(order, looks, strict=False)}
+    """A mark for each planner, which does not depend on the other names: its family's colour, in a shape of its own."""
+    looks = {family: cycle(("round", "diamond", "square", "triangle")) for family in FAMILIES}
+    result = {}
+    for name in [*PLANNERS, *sorted(set(names) - set(PLANNERS))]:
+        family = _family(name)
+        result[name] = Mark(family, FAMILIES[family], next(looks[family]))
+    return result
+
+
+def _family(name: str) -> str:
+    entry = PLANNERS.entries.get(name)
+    if entry is None or not isinstance(entry.place, str):
+        return _OTHERS
+    return _NETWORKS if entry.network else _OF_MODULE.get(entry.place.partition(":")[0].rpartition(".")[2], _OTHERS)
 
 
 class Plot(NamedTuple):
