@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image as Picture
@@ -12,7 +11,6 @@ from PIL import Image as Picture
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
-from lieednn_sim.rendering import scene_setup
 from lieednn_sim.rendering.overlay import Overlay, draw_lines
 from lieednn_sim.rendering.video import Camera, Image
 from lieednn_sim.simulation import Rollout
@@ -58,8 +56,7 @@ def render_still(
 
 def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset: str) -> Image:
     """The picture ``(height, width, 3)`` of `render_still`."""
-    points, model = scene_setup.occupied(rollout), rollout.arm.model
-    overlay = Overlay.of(rollout, scene_setup.scale(rollout.arm, points))
+    model, overlay = rollout.arm.model, Overlay.of(rollout, 1.0)
     moving = (model.body_weldid[model.geom_bodyid] != 0) & (model.body_mocapid[model.geom_bodyid] < 0)
     chosen = instants(overlay.traced_tip, len(OPACITIES))
 
@@ -70,8 +67,7 @@ def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset
             if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid < len(moving) and moving[geom.objid]:
                 geom.pos[:] = away
 
-    how: dict[str, Any] = {"camera": camera, "size": size, "preset": preset}
-    with Camera(rollout.arm, target=rollout.target, points=points, run=rollout, **how) as view:
+    with Camera(rollout.arm, camera=camera, size=size, preset=preset, run=rollout) as view:
         empty = view.picture_at(rollout.qpos[0], draw_without_arm)
         # In the order of time. Where a picture is the empty one, the arm is not, nor its shadow.
         result = empty.astype(float)

@@ -91,7 +91,7 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         preset: a name of `PRESETS`.
         target: joint target ``(n,)`` for the marker, the scene's own or an added one; a view has no marker.
         points: points ``(P, 3)`` that the view must contain; by default those of `scene_setup.reached`.
-        run: a rollout of the arm, whose path is to be seen.
+        run: a rollout of the arm, which gives target and points, and whose path is to be seen.
 
     Raises:
         InputError: the camera or preset is unknown, or the size cannot be rendered.
@@ -112,7 +112,10 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         check_view(arm, camera=camera, size=size, preset=preset)
         opengl.require()
         self._arm, self._preset = arm, PRESETS[preset]
+        if run is not None:
+            target, points = run.target, scene_setup.occupied(run)
         held = scene_setup.reached(arm) if points is None else as_floats("points", points, (3,), batched=True)
+        self.scale = scene_setup.scale(arm, held)
         self._model, self._marker = scene_setup.staged(arm, held)
         self._camera = scene_setup.camera(arm, camera, held, run, size[0] / size[1])
         self._model.vis.global_.offwidth, self._model.vis.global_.offheight = size
@@ -206,11 +209,9 @@ def render_video(
     # The slack keeps the last frame when duration * fps is a whole number up to rounding.
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
-    points = scene_setup.occupied(rollout)
-    overlay = Overlay.of(rollout, scene_setup.scale(rollout.arm, points))
     names, end = [title] if title else [], rollout.t[-1]
-    how: dict[str, Any] = {"camera": camera, "size": size, "preset": preset}
-    view = Camera(rollout.arm, target=rollout.target, points=points, run=rollout, **how)
+    view = Camera(rollout.arm, camera=camera, size=size, preset=preset, run=rollout)
+    overlay = Overlay.of(rollout, view.scale)
     with view, atomic_path(path) as temporary:
         # A picture is captioned and encoded while the next one is rendered.
         with _writer(temporary, size, rate) as append, ThreadPoolExecutor(1) as encoder:

@@ -82,7 +82,7 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
     shown, samples, captions, overlays, targets, rates = [], [], [], [], [], []
 
     class Pictures(contextlib.nullcontext):
-        seen = None
+        seen, scale = None, 1.0
 
         def picture_at(self, qpos, draw):
             shown.append(qpos)
@@ -94,7 +94,7 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
         path.touch()
         return contextlib.nullcontext(lambda _: None)
 
-    monkeypatch.setattr(video, "Camera", lambda *_, **given: targets.append(given["target"]) or Pictures())
+    monkeypatch.setattr(video, "Camera", lambda *_, **given: targets.append(given["run"].target) or Pictures())
     overlay = SimpleNamespace(draw=lambda _, k: samples.append(k), paths=lambda *_: [])
     monkeypatch.setattr(video, "Overlay", SimpleNamespace(of=lambda *given: overlays.append(given) or overlay))
     monkeypatch.setattr(video, "_writer", writer)

@@ -76,6 +76,8 @@ def encoding(rollout, tmp_path, monkeypatch):
     rendered = [threading.Event() for _ in range(6)]
 
     class Pictures(contextlib.nullcontext):
+        scale = 1.0
+
         def seen(self, points):
             return np.full((len(points), 2), np.nan), np.zeros(len(points), bool)
 

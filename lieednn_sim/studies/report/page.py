@@ -19,7 +19,7 @@ from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Case, Row
 from lieednn_sim.studies.comparison.study import replay, settings_of
 from lieednn_sim.studies.comparison.winners import QUESTIONS, winners
 from lieednn_sim.studies.reactions.study import MEASURED, METHOD, Reaction, groups
-from lieednn_sim.studies.report.figures import FAMILIES, marks, plots
+from lieednn_sim.studies.report.figures import FAMILIES, family, plots
 from lieednn_sim.studies.rows import Column, Group, grouped
 from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_count
@@ -116,7 +116,7 @@ def write_page(
     names = summary.in_order((row.planner for row in rows), PLANNERS)
     controllers = summary.in_order((row.controller for row in rows), CONTROLLERS)
     arms = sorted({row.arm for row in rows})
-    won, looks = winners(rows, controllers[0]), marks(names)
+    won = winners(rows, controllers[0])
     columns, counts = _columns(), summary.seeds_by_planner(rows).values()
     lines = grouped(rows, ("arm", "scene", "planner", "controller"))
     lines.sort(key=lambda group: (*group.key[:2], names.index(group.key[2]), group.key[3]))
@@ -142,10 +142,8 @@ def write_page(
         settings=table.settings,
         versions=table.versions,
         missing=dict(sorted((missing or {}).items())),
-        marks=looks,
-        families={
-            family: colour for family, colour in FAMILIES.items() if family in {looks[name].family for name in names}
-        },
+        colours={name: FAMILIES[family(name)] for name in names},
+        families={name: colour for name, colour in FAMILIES.items() if name in map(family, names)},
         winners=won,
         heads_of_winners=[(scene, "", False) for scene in won],
         questions={name: BY_NAME.get(column) for name, (column, _) in QUESTIONS.items()},
