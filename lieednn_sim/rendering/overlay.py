@@ -19,8 +19,8 @@ from lieednn_sim.values import Floats, frozen
 _AXIS_COLOURS = np.array(
     [(0.90, 0.22, 0.21, 0.75), (0.26, 0.71, 0.32, 0.75), (0.20, 0.42, 0.92, 0.75)], dtype=np.float32
 )
-PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
-TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
+# Colours of the paths, in legends too.
+PLANNED_COLOUR, TRACED_COLOUR = (20, 191, 179), (250, 204, 26)
 # Radii of the paths in pages [m], and their widths in pictures, where hidden ones are thinner, as parts of the height;
 # the travelled one is thicker, since it usually covers the planned one.
 PLANNED_RADIUS, TRACED_RADIUS = 0.008, 0.011
@@ -61,10 +61,10 @@ class Overlay:
         ``seen`` gives pixels of points ``(P, 3)``, and which are free, as `Camera.seen` does.
         """
         ways = (self.planned_frames[:, -1, :3, 3], _PLANNED_WIDTH), (self.traced_tip[: k + 1], _TRACED_WIDTH)
-        lines = []
+        lines: list[Line] = []
         for (way, width), (colour, _) in zip(ways, KEY, strict=True):
             some = np.unique(np.linspace(0, len(way) - 1, 151, dtype=int))
-            lines.append((*seen(way[some]), max(width * height, 1.5), solid(colour)))
+            lines.append((*seen(way[some]), max(width * height, 1.5), colour))
         return lines
 
 
@@ -85,11 +85,6 @@ def _connect(
 _INK, _PANEL = (255, 255, 255, 255), (20, 26, 33, 150)
 # The legend of `Overlay`'s colours.
 KEY = ((PLANNED_COLOUR, "planned"), (TRACED_COLOUR, "travelled"))
-
-
-def solid(colour: tuple[float, ...]) -> tuple[int, ...]:
-    """A colour without its transparency, as red, green, blue and opacity of 0 to 255."""
-    return (*(round(255 * part) for part in colour[:3]), 255)
 
 
 def draw_lines(image: NDArray[np.uint8], lines: Sequence[Line]) -> NDArray[np.uint8]:
@@ -130,7 +125,7 @@ def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.
         y += step
     for colour, text in KEY:
         middle = y + 0.6 * size
-        draw.line([x, middle, x + 1.2 * size, middle], fill=solid(colour), width=max(2, size // 4))
+        draw.line([x, middle, x + 1.2 * size, middle], fill=colour, width=max(2, size // 4))
         draw.text((x + 1.6 * size, y), text, font=font, fill=_INK)
         x += font.getlength(text) + 3.0 * size
     return np.asarray(picture)

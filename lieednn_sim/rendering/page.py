@@ -89,9 +89,7 @@ def render_page(rollout: Rollout, path: str | os.PathLike[str], *, camera: str |
     texts = [f"<b>{escape(place)}</b>"]
     proof = "" if rollout.clearance is None else rollout.clearance.at()
     texts += [escape(word) for word in (title, rollout.controller, f"{rollout.motion_end:.2f} s{rest}", proof) if word]
-    for (red, green, blue, _), word in KEY:
-        colour = f"rgb({255 * red:.0f} {255 * green:.0f} {255 * blue:.0f})"
-        texts.append(f'<i style="background:{colour}"></i>{word} path')
+    texts += [f'<i style="background:rgb{colour}"></i>{word} path' for colour, word in KEY]
     page = player(
         recording.base64,
         title=f"{title or 'Motion'} on {place}",

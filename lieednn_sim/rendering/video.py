@@ -25,7 +25,7 @@ from lieednn_sim.budget import report
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.io import atomic_path
 from lieednn_sim.rendering import opengl, scene_setup
-from lieednn_sim.rendering.overlay import KEY, Line, Overlay, draw_lines, solid, write_caption
+from lieednn_sim.rendering.overlay import KEY, Line, Overlay, draw_lines, write_caption
 from lieednn_sim.rendering.viewpoint import unhidden
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
@@ -262,9 +262,9 @@ def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[
 
 def _with_key(frame: Picture.Image) -> Picture.Image:
     """A frame in 256 colours, among which are those of the legend: they are too rare to be found."""
-    own = [tuple(solid(colour)[:3]) for colour, _ in KEY]
-    palette = frame.quantize(256 - len(own))
-    palette.putpalette([*(palette.getpalette() or [])[: 3 * (256 - len(own))], *itertools.chain(*own)])
+    palette = frame.quantize(256 - len(KEY))
+    others = (palette.getpalette() or [])[: 3 * (256 - len(KEY))]
+    palette.putpalette([*others, *itertools.chain(*(colour for colour, _ in KEY))])
     return frame.quantize(palette=palette, dither=_PLAIN)
 
 

@@ -14,7 +14,7 @@ from lieednn_sim.planning.clearance import Clearance
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.rendering import video
-from lieednn_sim.rendering.overlay import PLANNED_COLOUR, TRACED_COLOUR, Overlay, draw_lines, solid, write_caption
+from lieednn_sim.rendering.overlay import PLANNED_COLOUR, TRACED_COLOUR, Overlay, draw_lines, write_caption
 from lieednn_sim.simulation import simulate
 
 
@@ -58,7 +58,7 @@ def test_an_overlay_is_the_planned_way_what_is_travelled_and_the_frames_of_now()
 def test_paths_have_the_colours_of_the_legend_and_are_thin_where_they_are_hidden():
     pixels = np.column_stack([np.linspace(40.0, 360.0, 9), np.full(9, 150.0)])
     free = np.arange(9) < 5
-    image = draw_lines(np.zeros((200, 400, 3), np.uint8), [(pixels, free, 5.0, solid(TRACED_COLOUR))])
+    image = draw_lines(np.zeros((200, 400, 3), np.uint8), [(pixels, free, 5.0, TRACED_COLOUR)])
     thick, thin = image[:, 120].any(axis=1).sum(), image[:, 320].any(axis=1).sum()
     assert 4 <= thick <= 7
     assert 1 <= thin < thick
@@ -66,7 +66,7 @@ def test_paths_have_the_colours_of_the_legend_and_are_thin_where_they_are_hidden
     assert (legend == image[150, 100]).all(axis=-1).sum() > 10
     # What is behind the camera has no pixels.
     pixels[4:] = np.nan
-    draw_lines(image, [(pixels, free & (np.arange(9) < 4), 5.0, solid(PLANNED_COLOUR))])
+    draw_lines(image, [(pixels, free & (np.arange(9) < 4), 5.0, PLANNED_COLOUR)])
 
 
 def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_path):
