@@ -158,10 +158,9 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         place, forward, up = 0.5 * (left.pos + right.pos).astype(float), left.forward, left.up
         away = held - place
         depth = away @ forward
-        with np.errstate(divide="ignore"):
-            scale = np.where(
-                depth > 0.0, 0.5 * renderer.height * left.frustum_near / (left.frustum_top * depth), np.nan
-            )
+        # Half the height of the picture there [m].
+        half = left.frustum_top * (np.ones_like(depth) if left.orthographic else depth / left.frustum_near)
+        scale = np.where(depth > 0.0, 0.5 * renderer.height / np.where(depth > 0.0, half, 1.0), np.nan)
         across = np.stack([away @ np.cross(forward, up), -(away @ up)], axis=1)
         pixels = 0.5 * np.array([renderer.width, renderer.height]) + scale[:, None] * across
         marker = np.flatnonzero(self._model.body_mocapid == self._marker) if self._marker >= 0 else [-1]
