@@ -90,16 +90,22 @@ KEY = ((PLANNED_COLOUR, "planned"), (TRACED_COLOUR, "travelled"))
 def draw_lines(image: NDArray[np.uint8], lines: Sequence[Line]) -> NDArray[np.uint8]:
     """A copy of a frame ``(height, width, 3)`` with lines over it, which are thinner where they are hidden."""
     picture, fine = Image.fromarray(image), 3  # drawn in finer pixels, so that edges are smooth
-    sheet = Image.new("RGBA", (fine * picture.width, fine * picture.height))
+    ends = np.vstack([pixels[np.isfinite(pixels[:, 0])] for pixels, *_ in lines] or [np.empty((0, 2))])
+    if not len(ends):
+        return image
+    # In no more of the picture than is needed.
+    low = np.clip(ends.min(axis=0) - 16.0, 0.0, picture.size).astype(int)
+    size = np.maximum(np.clip(ends.max(axis=0) + 16.0, 0.0, picture.size).astype(int) - low, 1)
+    sheet = Image.new("RGBA", tuple((fine * size).tolist()))
     draw: Any = ImageDraw.Draw(sheet)
     for pixels, free, width, colour in lines:
         for kept, share in ((np.isfinite(pixels[:, 0]), _HIDDEN), (free, 1.0)):
             for part in np.split(np.arange(len(kept)), np.flatnonzero(np.diff(kept)) + 1):
                 if kept[part[0]] and len(part) > 1:
-                    ends = (fine * pixels[part]).ravel().tolist()
-                    draw.line(ends, fill=colour, width=max(round(fine * share * width), 1), joint="curve")
-    drawn = sheet.resize(picture.size, Image.Resampling.BOX)
-    picture.paste(drawn, mask=drawn)
+                    places = (fine * (pixels[part] - low)).ravel().tolist()
+                    draw.line(places, fill=colour, width=max(round(fine * share * width), 1), joint="curve")
+    drawn = sheet.resize(tuple(size.tolist()), Image.Resampling.BOX)
+    picture.paste(drawn, tuple(low.tolist()), mask=drawn)
     return np.asarray(picture)
 
 

@@ -98,7 +98,7 @@ def camera(
         return result
     angle, side = float(np.deg2rad(arm.model.vis.global_.fovy)), (125.0, -20.0)
     if run is not None:
-        path, instants = np.linspace(0, len(run.t) - 1, 40, dtype=int), np.linspace(0, len(run.t) - 1, 5, dtype=int)
+        path, instants = (np.linspace(0, len(run.t) - 1, count, dtype=int) for count in (25, 3))
         side = free_side(arm.model, run.qpos[instants], run.link_position[path, -1], points, angle, ratio)
     view = around(points, *side, angle, ratio)
     result.type, result.lookat[:] = mujoco.mjtCamera.mjCAMERA_FREE, view.look_at
