@@ -126,7 +126,8 @@ sphinx_gallery_conf = {
     "filename_pattern": rf"/(?!({KEPT})\.py)\w+\.py$",
     "within_subsection_order": ExplicitOrder([name if name == "*" else f"{name}.py" for name in EXAMPLES]),
     "reset_argv": gallery_scraper.empty_directory,
-    "image_scrapers": ("matplotlib", gallery_scraper.written_files),
+    # In this order, so that a picture of the arm is the thumbnail where there is one.
+    "image_scrapers": (gallery_scraper.written_files, gallery_scraper.charts),
     "thumbnail_size": (480, 336),
     "capture_repr": (),  # what an example prints is its output
     "min_reported_time": float("inf"),

@@ -37,7 +37,7 @@ from lieednn_sim.planning.motion import Motion, check_motion
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.policies import POLICIES, NetworkPolicy, ReplanningPolicy, make_policy
 from lieednn_sim.registry import DEFAULT_ARMS
-from lieednn_sim.rendering.overlay import Overlay
+from lieednn_sim.rendering.overlay import Overlay, draw_lines
 from lieednn_sim.rendering.video import Camera, mp4_writer, render_video
 from lieednn_sim.simulation import Disturbances, Rollout, Simulation, follow, simulate, simulate_many
 from lieednn_sim.simulation.controllers import make_controller
@@ -451,9 +451,10 @@ def video_rows(run: Rollout, repeats: int) -> Iterator[Row]:
 def render_then_encode(run: Rollout, path: Path, fps: int, frames: int) -> None:
     """The same video as `render_video`, one after the other."""
     overlay = Overlay(run.arm.link_poses(run.q_ref).as_matrix(), run.link_position[:, -1], 1.0)
-    with Camera(run.arm, size=FRAME_SIZE, preset="draft", target=run.target) as camera:
-        shown = np.linspace(0, len(run.t) - 1, frames).astype(int)
-        pictures = [camera.picture(run.q[k], partial(overlay.draw, k=int(k))) for k in shown]
+    with Camera(run.arm, size=FRAME_SIZE, preset="draft", run=run) as camera:
+        shown = np.linspace(0, len(run.t) - 1, frames).astype(int).tolist()
+        draw, paths = overlay.draw, partial(overlay.paths, camera.seen, height=FRAME_SIZE[1])
+        pictures = [draw_lines(camera.picture(run.q[k], partial(draw, k=k)), paths(k=k)) for k in shown]
     with mp4_writer(path, FRAME_SIZE, fps) as append:
         for picture in pictures:
             append(picture)

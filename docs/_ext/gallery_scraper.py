@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+import textwrap
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from sphinx_gallery.scrapers import figure_rst
+from matplotlib import pyplot as plt
+from sphinx_gallery.scrapers import figure_rst, matplotlib_scraper
 
 import lieednn_sim as ls
 
@@ -35,6 +37,13 @@ def empty_directory(gallery_conf: dict[str, Any], script_vars: dict[str, Any]) -
     script_vars["directory"] = tempfile.TemporaryDirectory(prefix="gallery")
     script_vars["src_file"] = str(Path(script_vars["directory"].name) / Path(script_vars["src_file"]).name)
     return []
+
+
+def charts(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any], **how: Any) -> str:
+    """The scraper of figures: without pictures in them of the class ``chart``, which the site turns round on dark."""
+    shown = any(axes.images for number in plt.get_fignums() for axes in plt.figure(number).axes)
+    found = str(matplotlib_scraper(block, block_vars, gallery_conf, **how))
+    return found if shown or not found.strip() else f"\n.. container:: chart\n\n{textwrap.indent(found, '   ')}\n"
 
 
 def written_files(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any], **_: Any) -> str:

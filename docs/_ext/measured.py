@@ -45,7 +45,7 @@ def arrange(app: Sphinx, path: Path, _: str, content: list[str]) -> None:
 
     text = re.sub(r"\]\(([^)#:]+)", from_docs, text)
     # An image with a width is a link to the whole picture.
-    text = re.sub(r"^(!\[.*\))$", r'\1{width="100%"}', text, flags=re.MULTILINE)
+    text = re.sub(r"^(!\[.*\))$", r'\1{.chart width="100%"}', text, flags=re.MULTILINE)
     content[0] = f"{_origin(file)}\n\n{text}"
 
 

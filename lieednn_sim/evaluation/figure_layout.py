@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import matplotlib
@@ -49,6 +49,23 @@ def drawn(path: str | os.PathLike[str], width: float, height: float) -> Iterator
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
         save_figure(figure, path)
+
+
+def fitted_legend(figure: Figure, entries: Mapping[str, Any], most: int) -> None:
+    """Explain handles by their names above all axes, ``most`` of them in a row, or as many as the figure is wide."""
+    figure.dpi = _DPI
+    for columns in range(min(len(entries), most), 0, -1):
+        how: Any = {"loc": "outside upper center", "ncols": columns}
+        legend = figure.legend(list(entries.values()), list(entries), **how)
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
+
+
+def entries_of(axis: Any) -> dict[str, Any]:
+    """Entries of a legend for what an axis has with names."""
+    handles, labels = axis.get_legend_handles_labels()
+    return dict(zip(labels, handles, strict=True))
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from lieednn_sim import io
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
-from lieednn_sim.evaluation.figure_layout import COLOURS, drawn
+from lieednn_sim.evaluation.figure_layout import COLOURS, drawn, entries_of, fitted_legend
 from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.learning import History
 from lieednn_sim.planning.clearance import FAR, Cubics, bounds_of
@@ -95,11 +95,16 @@ def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         _label(axis, "[mm]", f"distance from contact, up to {high:g} mm")
         axis.set_xlabel("time [s]")
         _mark_events(axis, rollout)
-        _legend(figure, _lines(axis) | _events(rollout))
+        _legend(figure, entries_of(axis) | _events(rollout))
 
 
 def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
-    """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed."""
+    """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
+
+    Below are the clock, the network's own time, and what all other neurons, there may be hundreds, do together: how far
+    they bend each link's state off the straight way to its target, which it would take without them; a turn counts by
+    the arm's length scale.
+    """
     arm, motion = rollout.arm, rollout.motion
     assert motion is not None
     n = arm.n_links
@@ -107,27 +112,48 @@ def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     blocks = -(-n // _MOST_ROWS)
     rows = -(-n // blocks)
     columns = (("rotation $\\omega$", "[rad]", 0, 1.0), ("translation $v$", "[m]", 3, arm.length_scale))
-    with drawn(path, 10.0 * blocks, 1.2 + 1.7 * rows) as figure:
-        axes = _subplots(figure, motion.t, rows, 2 * blocks, sharey="col")
+    with drawn(path, 10.0 * blocks, 1.2 + 1.7 * (rows + 1)) as figure:
+        axes = _subplots(figure, motion.t, rows + 1, 2 * blocks)
         for i in range(rows * blocks):
             pair = axes[i % rows, 2 * (i // rows) : 2 * (i // rows) + 2]
             for axis, (title, unit, first, scale) in zip(pair, columns, strict=True):
                 if i >= n:
                     axis.set_visible(False)
                     continue
-                for c, colour, name in zip(range(first, first + 3), COLOURS, "xyz", strict=False):
+                for c, colour, name, width in zip(
+                    range(first, first + 3), COLOURS, "xyz", (2.8, 1.8, 1.0), strict=False
+                ):
                     label = f"$\\omega_{name}$ / $v_{name}$"
-                    axis.plot(motion.t, scale * motion.xi[:, i, c], color=colour, label=label)
+                    # Those below are wider, so that equal ones are all seen.
+                    axis.plot(motion.t, scale * motion.xi[:, i, c], color=colour, lw=width, label=label)
                     axis.axhline(scale * motion.xi_target[i, c], color=colour, ls="--", lw=0.9)
                 _label(axis, unit, f"{arm.link_names[i]} (neuron {i + 1}): {title}", fontsize=9)
-                if i % rows == rows - 1 or i == n - 1:
-                    axis.set_xlabel("time [s]")
-                    axis.tick_params(labelbottom=True)
-        for axis in axes[0]:
-            # What is smaller is rounding.
-            low, high = axis.get_ylim()
-            axis.set_ylim(min(low, 0.5 * (low + high) - 1e-3), max(high, 0.5 * (low + high) + 1e-3))
-        _legend(figure, _lines(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)})
+                shown = scale * np.vstack(
+                    [motion.xi[..., first : first + 3], motion.xi_target[None, :, first : first + 3]]
+                )
+                # Of all links alike; what is smaller is rounding.
+                margin = max(0.05 * float(np.ptp(shown)), 1e-3)
+                axis.set_ylim(shown.min() - margin, shown.max() + margin)
+        clock, bend, *others = axes[-1]
+        clock.plot(motion.t, motion.tau, color="0.3")
+        _label(clock, "[1]", "clock: the network's own time $\\tau$", fontsize=9)
+        for name, way in zip(arm.link_names, arm.length_scale * bends(motion.xi, motion.xi_target).T, strict=True):
+            bend.plot(motion.t, 1e3 * way, lw=1.2, label=name)
+        _label(bend, "[mm]", "all other neurons together: bent off the straight way", fontsize=9)
+        bend.legend(fontsize=8)
+        for axis in (clock, bend):
+            axis.set_xlabel("time [s]")
+        for axis in others:
+            axis.set_visible(False)
+        _legend(figure, entries_of(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)})
+
+
+def bends(xi: Floats, target: Floats) -> Floats:
+    """Distance ``(K, N)`` of states ``(K, N, d)`` from the straight ways between the first and a target ``(N, d)``."""
+    left, way = xi - target, xi[0] - target
+    length = np.sum(way**2, axis=-1)
+    along = np.sum(left * way, axis=-1) / np.where(length > 0.0, length, 1.0)
+    return np.asarray(np.linalg.norm(left - along[..., None] * way, axis=-1))
 
 
 def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
@@ -160,7 +186,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
             lower.set_xlabel("time [s]")
         for axis in axes.ravel():
             _mark_events(axis, rollout)
-        _legend(figure, _lines(axes[0, 0]) | _events(rollout))
+        _legend(figure, entries_of(axes[0, 0]) | _events(rollout))
 
 
 def plot_channels(rollout: Rollout, path: str | os.PathLike[str]) -> None:
@@ -182,9 +208,9 @@ def plot_channels(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         axes[-1].set_xlabel("time [s]")
 
 
-def _subplots(figure: Figure, t: Floats, rows: int, columns: int, *, sharey: Any = False) -> Any:
+def _subplots(figure: Figure, t: Floats, rows: int, columns: int) -> Any:
     """Axes ``(rows, columns)`` over the times t."""
-    axes = figure.subplots(rows, columns, sharex=True, sharey=sharey, squeeze=False)
+    axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
     # Once for all: updating their common range after every line takes longer than the drawing.
     margin = matplotlib.rcParams["axes.xmargin"] * (t[-1] - t[0])
     axes[0, 0].set_xlim(t[0] - margin, t[-1] + margin)
@@ -199,8 +225,7 @@ def _label(axis: Any, unit: str, title: str = "", **font: Any) -> None:
 
 def _legend(figure: Figure, entries: Mapping[str, Any]) -> None:
     """Explain lines and patches by their names above all axes."""
-    columns = min(len(entries), _MOST_IN_ROW)
-    figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=columns)
+    fitted_legend(figure, entries, _MOST_IN_ROW)
 
 
 def _mark_events(axis: Any, rollout: Rollout) -> None:
@@ -214,12 +239,6 @@ def _events(rollout: Rollout) -> dict[str, Any]:
     """Entries of a legend for what `_mark_events` draws."""
     end = {"end of the motion": Line2D([], [], color="0.35", lw=0.9, ls="-.")}
     return end | ({"push": Patch(color=_PUSH)} if rollout.disturbances.pushes else {})
-
-
-def _lines(axis: Any) -> dict[str, Any]:
-    """Entries of a legend for the lines of an axis that have names."""
-    handles, labels = axis.get_legend_handles_labels()
-    return dict(zip(labels, handles, strict=True))
 
 
 def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:

@@ -19,6 +19,7 @@ from lieednn_sim.live.engine import Tick, certificate_of, network_policy
 from lieednn_sim.live.session import Aim, Session
 from lieednn_sim.rendering import scene_setup, viser_scene
 from lieednn_sim.rendering.overlay import PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
+from lieednn_sim.rendering.viewpoint import viewpoint
 from lieednn_sim.values import Floats
 
 # Colour of a target that the arm cannot reach, and of the force on a link [RGB].
@@ -103,7 +104,7 @@ class ArmScene:
         shapes = viser_scene.Shapes(model)
         self._scale = scene_setup.scale(arm, points)
         home = kinematics_at(model, arm.qpos(arm.keyframe("home")))
-        seen = viser_scene.viewpoint(model, home, scene_setup.camera(arm, None, points), points)
+        seen = viewpoint(model, home, scene_setup.camera(arm, None, points), points)
         self._view, self._reached = seen.back_off(points, _RATIO), points
         self._view.place(server)
         server.on_client_connect(self._make_room)

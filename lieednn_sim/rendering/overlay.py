@@ -1,9 +1,10 @@
-"""Overlays of a video: planned frames and paths around the arm, and the caption in a corner."""
+"""What is drawn over a picture: planned frames and paths, and the caption in a corner."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +19,24 @@ from lieednn_sim.values import Floats, frozen
 _AXIS_COLOURS = np.array(
     [(0.90, 0.22, 0.21, 0.75), (0.26, 0.71, 0.32, 0.75), (0.20, 0.42, 0.92, 0.75)], dtype=np.float32
 )
-PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
-TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
-# Radii of the paths [m]; the travelled one is thicker, since it usually covers the planned one.
+# Colours of the paths, in legends too.
+PLANNED_COLOUR, TRACED_COLOUR = (20, 191, 179), (250, 204, 26)
+# Radii of the paths in pages [m], and their widths in pictures, where hidden ones are thinner, as parts of the height;
+# the travelled one is thicker, since it usually covers the planned one.
 PLANNED_RADIUS, TRACED_RADIUS = 0.008, 0.011
+_PLANNED_WIDTH, _TRACED_WIDTH, _HIDDEN = 0.006, 0.008, 0.4
 _font = functools.cache(ImageFont.load_default)
 # Position and orientation of a geom before its ends are known.
 _NOWHERE, _UPRIGHT = np.zeros(3), np.eye(3).ravel()
 
 
+# A path in a picture: its pixels ``(K, 2)``, which of them are free, its width [pixels] and colour.
+Line = tuple[Floats, NDArray[np.bool_], float, tuple[int, ...]]
+
+
 @frozen
 class Overlay:
-    """Geometry to add to each frame."""
+    """What is added to each frame."""
 
     planned_frames: Floats  # (K, N, 4, 4) planned link frames, the last one being the end effector
     traced_tip: Floats  # (K, 3) simulated end effector positions
@@ -41,28 +48,24 @@ class Overlay:
         return cls(scene_setup.planned_frames(rollout), rollout.link_position[:, -1], scale)
 
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
-        """Add the geometry of sample ``k`` to a scene."""
-        self.draw_paths(scene, k)
+        """Add the planned frames of sample ``k`` to a scene."""
         axis_length = 0.22  # at full size [m]
         for frame in self.planned_frames[k]:
             for axis, rgba in enumerate(_AXIS_COLOURS):
                 tip = frame[:3, 3] + self.scale * axis_length * frame[:3, axis]
                 _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, 0.007 * self.scale, frame[:3, 3], tip, rgba)
 
-    def draw_paths(self, scene: mujoco.MjvScene, k: int) -> None:
-        """Add the planned path, and the one travelled up to sample ``k``, without the frames."""
-        _polyline(scene, self.planned_frames[:, -1, :3, 3], PLANNED_RADIUS * self.scale, PLANNED_COLOUR)
-        _polyline(scene, self.traced_tip[: k + 1], TRACED_RADIUS * self.scale, TRACED_COLOUR)
+    def paths(self, seen: Callable[[Floats], tuple[Floats, NDArray[np.bool_]]], k: int, height: int) -> list[Line]:
+        """The planned path, and the one travelled up to sample ``k``, as lines of a picture.
 
-
-def _polyline(scene: mujoco.MjvScene, points: Floats, radius: float, colour: tuple[float, ...]) -> None:
-    if len(points) < 2:
-        return
-    max_segments = 150
-    chosen = points[np.unique(np.linspace(0, len(points) - 1, max_segments + 1, dtype=int))]
-    rgba = np.array(colour, dtype=np.float32)
-    for i in np.flatnonzero(np.linalg.norm(np.diff(chosen, axis=0), axis=1) > 1e-5):
-        _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, chosen[i], chosen[i + 1], rgba)
+        ``seen`` gives pixels of points ``(P, 3)``, and which are free, as `Camera.seen` does.
+        """
+        ways = (self.planned_frames[:, -1, :3, 3], _PLANNED_WIDTH), (self.traced_tip[: k + 1], _TRACED_WIDTH)
+        lines: list[Line] = []
+        for (way, width), (colour, _) in zip(ways, KEY, strict=True):
+            some = np.unique(np.linspace(0, len(way) - 1, 151, dtype=int))
+            lines.append((*seen(way[some]), max(width * height, 1.5), colour))
+        return lines
 
 
 def _connect(
@@ -82,6 +85,28 @@ def _connect(
 _INK, _PANEL = (255, 255, 255, 255), (20, 26, 33, 150)
 # The legend of `Overlay`'s colours.
 KEY = ((PLANNED_COLOUR, "planned"), (TRACED_COLOUR, "travelled"))
+
+
+def draw_lines(image: NDArray[np.uint8], lines: Sequence[Line]) -> NDArray[np.uint8]:
+    """A copy of a frame ``(height, width, 3)`` with lines over it, which are thinner where they are hidden."""
+    picture, fine = Image.fromarray(image), 3  # drawn in finer pixels, so that edges are smooth
+    ends = np.vstack([pixels[np.isfinite(pixels[:, 0])] for pixels, *_ in lines] or [np.empty((0, 2))])
+    if not len(ends):
+        return image
+    # In no more of the picture than is needed.
+    low = np.clip(ends.min(axis=0) - 16.0, 0.0, picture.size).astype(int)
+    size = np.maximum(np.clip(ends.max(axis=0) + 16.0, 0.0, picture.size).astype(int) - low, 1)
+    sheet = Image.new("RGBA", tuple((fine * size).tolist()))
+    draw: Any = ImageDraw.Draw(sheet)
+    for pixels, free, width, colour in lines:
+        for kept, share in ((np.isfinite(pixels[:, 0]), _HIDDEN), (free, 1.0)):
+            for part in np.split(np.arange(len(kept)), np.flatnonzero(np.diff(kept)) + 1):
+                if kept[part[0]] and len(part) > 1:
+                    places = (fine * (pixels[part] - low)).ravel().tolist()
+                    draw.line(places, fill=colour, width=max(round(fine * share * width), 1), joint="curve")
+    drawn = sheet.resize(tuple(size.tolist()), Image.Resampling.BOX)
+    picture.paste(drawn, tuple(low.tolist()), mask=drawn)
+    return np.asarray(picture)
 
 
 def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.uint8]:
@@ -105,8 +130,8 @@ def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.
         draw.text((x, y), line, font=font, fill=_INK)
         y += step
     for colour, text in KEY:
-        middle, bright = y + 0.6 * size, (*(round(255 * part) for part in colour[:3]), 255)
-        draw.line([x, middle, x + 1.2 * size, middle], fill=bright, width=max(2, size // 4))
+        middle = y + 0.6 * size
+        draw.line([x, middle, x + 1.2 * size, middle], fill=colour, width=max(2, size // 4))
         draw.text((x + 1.6 * size, y), text, font=font, fill=_INK)
         x += font.getlength(text) + 3.0 * size
     return np.asarray(picture)

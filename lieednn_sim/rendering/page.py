@@ -23,6 +23,7 @@ from lieednn_sim.registry import optional_module
 from lieednn_sim.rendering import scene_setup, viser_scene
 from lieednn_sim.rendering.overlay import KEY, PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
 from lieednn_sim.rendering.video import check_camera
+from lieednn_sim.rendering.viewpoint import Viewpoint, viewpoint
 from lieednn_sim.rendering.viser_scene import Shapes, add_path, segments
 from lieednn_sim.rendering.viser_server import quiet_server
 from lieednn_sim.simulation import Rollout
@@ -88,9 +89,7 @@ def render_page(rollout: Rollout, path: str | os.PathLike[str], *, camera: str |
     texts = [f"<b>{escape(place)}</b>"]
     proof = "" if rollout.clearance is None else rollout.clearance.at()
     texts += [escape(word) for word in (title, rollout.controller, f"{rollout.motion_end:.2f} s{rest}", proof) if word]
-    for (red, green, blue, _), word in KEY:
-        colour = f"rgb({255 * red:.0f} {255 * green:.0f} {255 * blue:.0f})"
-        texts.append(f'<i style="background:{colour}"></i>{word} path')
+    texts += [f'<i style="background:rgb{colour}"></i>{word} path' for colour, word in KEY]
     page = player(
         recording.base64,
         title=f"{title or 'Motion'} on {place}",
@@ -138,7 +137,7 @@ def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: s
     model, marker = scene_setup.staged(arm, points)
     shapes = Shapes(model)
     home = kinematics_at(model, rollouts[0].qpos[0])
-    view = viser_scene.viewpoint(model, home, scene_setup.camera(arm, camera, points), points)
+    view = viewpoint(model, home, scene_setup.camera(arm, camera, points, rollouts[0]), points)
     offsets, ratio = np.zeros((1, 3)), float(np.clip(_MARGIN * view.ratio(points), 1.0, _WIDE))
     held = np.vstack([points, *map(_corners, (points, shapes.extent))])
     if len(rollouts) > 1:
@@ -149,7 +148,7 @@ def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: s
         offsets = np.outer(np.arange(len(rollouts)) * spacing, right)
         there = (held + offsets[:, None]).reshape(-1, 3)
         # Narrow, so that all are seen from the same side.
-        view = viser_scene.Viewpoint(view.position, view.look_at, np.deg2rad(30.0)).back_off(there, _WIDE)
+        view = Viewpoint(view.position, view.look_at, np.deg2rad(30.0)).back_off(there, _WIDE)
         ratio = _WIDE
     with quiet_server() as server:
         view.place(server)

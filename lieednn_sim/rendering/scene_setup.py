@@ -7,10 +7,11 @@ from itertools import product
 
 import numpy as np
 
-from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim._mujoco import geom_colours, kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.rendering.viewpoint import around, free_side
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
 
@@ -20,11 +21,13 @@ _UNSEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}  # no effect
 
 
 def reached(arm: Arm) -> Floats:
-    """Points ``(P, 3)`` that the link frames reach, at home and at random configurations with a fixed seed."""
+    """Points ``(P, 3)`` around what frames and hand reach, at home and at random configurations with a fixed seed."""
     low, high = arm.position_limits.T
     configurations = np.random.default_rng(0).uniform(low, high, (64, arm.n_joints))
     places = arm.link_poses(np.vstack([arm.keyframe("home"), arm.within_angles(configurations)])).translation
-    return np.vstack([arm.base.translation, np.asarray(places).reshape(-1, 3)])
+    room = 0.5 * float(np.linalg.norm(_hand(arm)))
+    ends = np.asarray(places)[:, -1:] + room * np.vstack([np.eye(3), -np.eye(3)])
+    return np.vstack([arm.base.translation, np.asarray(places).reshape(-1, 3), ends.reshape(-1, 3)])
 
 
 def planned_frames(run: Rollout) -> Floats:
@@ -34,22 +37,25 @@ def planned_frames(run: Rollout) -> Floats:
 
 
 def occupied(run: Rollout) -> Floats:
-    """Points ``(P, 3)`` that a picture must contain: the base, the target, and all that the links pass.
+    """Points ``(P, 3)`` that a picture must contain: the base, the target, and all that the arm passes.
 
-    In the model of a view, which may hold more than an arm, these are around the geoms of what moves by a millimetre at
-    some instants, and of the bodies that carry the end effector.
+    These are around the geoms of what moves by a millimetre at some instants, which in the model of a view may be more
+    than the arm, and of the bodies that carry the end effector; and of what stands among them, as far as it does.
     """
     arm, model = run.arm, run.arm.model
-    if arm.state is None:
-        ends = [arm.base.translation, arm.link_poses(run.target).translation[-1]]
-        return np.vstack([*ends, run.link_position.reshape(-1, 3)])
     data, results = mujoco.MjData(model), []
     shown = np.isin(model.geom_bodyid, ancestry(model, int(arm.frames.bodies[-1]))[1:])
     for data.qpos[:] in run.qpos[np.linspace(0, len(run.t) - 1, 25, dtype=int)]:
         mujoco.mj_kinematics(model, data)
         results.append(_corners(model, data))
     shown |= np.ptp(results, axis=0).max(axis=(1, 2)) > 1e-3
-    return np.array(results)[:, shown & (model.geom_type != _PLANE)].reshape(-1, 3)
+    drawn = (model.geom_type != _PLANE) & (model.body_mocapid[model.geom_bodyid] < 0)
+    ends = [] if arm.state is not None else [arm.base.translation, arm.link_poses(run.target).translation[-1]]
+    passed = np.vstack([*ends, np.array(results)[:, shown & drawn].reshape(-1, 3), run.link_position[:, -1]])
+    others, room = results[0][~shown & drawn], 0.25 * np.ptp(passed, axis=0)
+    low, high = passed.min(axis=0) - room, passed.max(axis=0) + room
+    among = (others.min(axis=1) < high).all(axis=1) & (others.max(axis=1) > low).all(axis=1)
+    return np.vstack([passed, np.clip(others[among].reshape(-1, 3), low, high)])
 
 
 def _corners(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
@@ -77,23 +83,27 @@ def cameras(arm: Arm) -> list[str]:
     return [arm.model.camera(i).name for i in range(arm.model.ncam)]
 
 
-def camera(arm: Arm, name: str | None, points: Floats) -> mujoco.MjvCamera:
+def camera(
+    arm: Arm, name: str | None, points: Floats, run: Rollout | None = None, ratio: float = 16.0 / 9.0
+) -> mujoco.MjvCamera:
     """A camera of the scene by its name; by default ``overview`` if there is one, else one that frames the points.
 
-    That one has room for a hand beyond the points ``(P, 3)``, unless the arm is a view.
+    A picture of width / height ``ratio`` then contains the points ``(P, 3)``, from the side from which most of the path
+    of a ``run`` is free.
     """
     name = name or (_OVERVIEW if _OVERVIEW in cameras(arm) else None)
     result = mujoco.MjvCamera()
     if name is not None:
         result.type, result.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, arm.model.camera(name).id
         return result
-    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    radius = 1.15 * float(np.linalg.norm(points - centre, axis=1).max())
-    radius += _hand(arm) if arm.state is None else 0.0
-    result.type = mujoco.mjtCamera.mjCAMERA_FREE
-    result.lookat[:] = centre
-    result.distance = radius / np.sin(0.5 * np.deg2rad(arm.model.vis.global_.fovy))
-    result.azimuth, result.elevation = 125.0, -20.0
+    angle, side = float(np.deg2rad(arm.model.vis.global_.fovy)), (125.0, -20.0)
+    if run is not None:
+        path, instants = (np.linspace(0, len(run.t) - 1, count, dtype=int) for count in (25, 3))
+        side = free_side(arm.model, run.qpos[instants], run.link_position[path, -1], points, angle, ratio)
+    view = around(points, *side, angle, ratio)
+    result.type, result.lookat[:] = mujoco.mjtCamera.mjCAMERA_FREE, view.look_at
+    result.distance = np.linalg.norm(view.look_at - view.position)
+    result.azimuth, result.elevation = side
     return result
 
 
@@ -105,8 +115,9 @@ def scale(arm: Arm, points: Floats) -> float:
 def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     """A copy of the arm's model, completed for rendering, and the mocap id of its target marker.
 
-    Joints and their order are the same in the copy. The points ``(P, 3)`` determine the size of the marker. The model
-    of a view gets no marker, and a brighter headlight if it has no other lights.
+    Joints and their order are the same in the copy. The marker is no larger than the hand, or in proportion to the
+    points ``(P, 3)`` where that has no shape. Links of one colour get tones of it. The model of a view gets no marker,
+    and a brighter headlight if it has no other lights.
     """
     model = arm.model
     if arm.spec is None:
@@ -140,15 +151,16 @@ def staged(arm: Arm, points: Floats) -> tuple[mujoco.MjModel, int]:
     axes = ((0.87, 0.20, 0.20, 1.0), (0.20, 0.68, 0.28, 1.0), (0.18, 0.40, 0.88, 1.0))
     if not marked:
         size = 0.06 * float(np.linalg.norm(np.ptp(points, axis=0)))
-        # As large as the hand, which would hide it on arrival.
-        radius = float(np.clip(1.1 * _hand(arm), 0.35 * size, 0.9 * size))
+        radius = min(0.5 * float(np.median(_hand(arm))) or 0.25 * size, 0.5 * size)
+        reach = max(2.0 * radius, 0.5 * size)  # of the axes, which a hand would hide on arrival
         marker = spec.worldbody.add_body(name=name, mocap=True)
         marker.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], rgba=glass, **_UNSEEN)
         for axis, colour in zip(np.eye(3), axes, strict=True):
-            ends = [0.0, 0.0, 0.0, *((radius + 0.65 * size) * axis)]
+            ends = [0.0, 0.0, 0.0, *(reach * axis)]
             kind = mujoco.mjtGeom.mjGEOM_CAPSULE
             marker.add_geom(type=kind, fromto=ends, size=[0.04 * size, 0.0, 0.0], rgba=colour, **_UNSEEN)
     result = spec.compile()
+    _tone_links(result, int(arm.frames.bodies[-1]))
     return result, int(result.body_mocapid[result.body(name).id])
 
 
@@ -161,10 +173,25 @@ def mark(arm: Arm, data: mujoco.MjData, marker: int, target: Floats | None) -> N
     data.mocap_quat[marker] = pose.rotation.as_quat(scalar_first=True)
 
 
-def _hand(arm: Arm) -> float:
-    """Upper bound on how far the last body extends beyond the last link's frame [m]."""
-    model, tip = arm.model, arm.frames[-1:]
-    mine = model.body_weldid[model.geom_bodyid] == model.body_weldid[tip.bodies[0]]
+def _tone_links(model: mujoco.MjModel, last: int) -> None:
+    """Give the links up to a body, from dark to light, tones of their colour if all have the same."""
+    chain = ancestry(model, last)[1:]
+    ranks = {body: len(set(model.body_weldid[chain[:place]])) for place, body in enumerate(chain, start=1)}
+    nearest = [max((ranks.get(a, 0) for a in ancestry(model, body)), default=0) for body in range(model.nbody)]
+    of_link = np.array(nearest)[model.geom_bodyid]
+    colours, mine = geom_colours(model), (of_link > 0) & (model.geom_group <= 2)
+    textured = (model.mat_texid[model.geom_matid[mine & (model.geom_matid >= 0)]] >= 0).any()
+    if textured or len(np.unique(colours[mine], axis=0)) != 1:
+        return
+    colour, share = colours[mine][0, :3], (of_link[mine, None] - 1.0) / max(of_link.max() - 1.0, 1.0)
+    model.geom_rgba[mine, :3] = 0.5 * colour + share * 0.5 * (1.0 - 0.1 * colour)
+    model.geom_rgba[mine, 3], model.geom_matid[mine] = colours[mine, 3], -1
+
+
+def _hand(arm: Arm) -> Floats:
+    """Extents ``(3,)`` of the last body's geoms along its axes [m]; zero without any."""
+    model, body = arm.model, int(arm.frames.bodies[-1])
+    mine = model.body_weldid[model.geom_bodyid] == model.body_weldid[body]
     data = kinematics_at(model, model.qpos0)
-    place = tip.poses(data.xpos, data.xmat)[0]
-    return float((np.linalg.norm(data.geom_xpos - place, axis=1) + model.geom_rbound)[mine].max(initial=0.0))
+    corners = _corners(model, data)[mine].reshape(-1, 3) @ data.xmat[body].reshape(3, 3)
+    return np.asarray(np.ptp(corners, axis=0)) if len(corners) else np.zeros(3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 from pathlib import Path
 
@@ -12,8 +11,7 @@ from PIL import Image as Picture
 from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
-from lieednn_sim.rendering import scene_setup
-from lieednn_sim.rendering.overlay import Overlay
+from lieednn_sim.rendering.overlay import Overlay, draw_lines
 from lieednn_sim.rendering.video import Camera, Image
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
@@ -58,11 +56,9 @@ def render_still(
 
 def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset: str) -> Image:
     """The picture ``(height, width, 3)`` of `render_still`."""
-    points, model = scene_setup.occupied(rollout), rollout.arm.model
-    overlay = Overlay.of(rollout, scene_setup.scale(rollout.arm, points))
+    model, overlay = rollout.arm.model, Overlay.of(rollout, 1.0)
     moving = (model.body_weldid[model.geom_bodyid] != 0) & (model.body_mocapid[model.geom_bodyid] < 0)
     chosen = instants(overlay.traced_tip, len(OPACITIES))
-    draw = functools.partial(overlay.draw_paths, k=len(rollout.t) - 1)
 
     def draw_without_arm(scene: mujoco.MjvScene) -> None:
         # Where no camera and no light sees what is put there [m].
@@ -70,17 +66,17 @@ def still(rollout: Rollout, *, camera: str | None, size: tuple[int, int], preset
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid < len(moving) and moving[geom.objid]:
                 geom.pos[:] = away
-        draw(scene)
 
-    with Camera(rollout.arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points) as view:
+    with Camera(rollout.arm, camera=camera, size=size, preset=preset, run=rollout) as view:
         empty = view.picture_at(rollout.qpos[0], draw_without_arm)
         # In the order of time. Where a picture is the empty one, the arm is not, nor its shadow.
         result = empty.astype(float)
         for k, opacity in zip(chosen, OPACITIES, strict=True):
-            picture = view.picture_at(rollout.qpos[k], draw)
+            picture = view.picture_at(rollout.qpos[k])
             there = (picture != empty).any(axis=-1)
             result[there] += opacity * (picture[there] - result[there])
-    return np.rint(result).astype(np.uint8)
+        paths = overlay.paths(view.seen, len(rollout.t) - 1, size[1])
+    return draw_lines(np.rint(result).astype(np.uint8), paths)
 
 
 def instants(path: Floats, count: int) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import os
 import subprocess
 import tempfile
@@ -24,14 +25,17 @@ from lieednn_sim.budget import report
 from lieednn_sim.errors import FileError, InputError, RenderingUnavailableError
 from lieednn_sim.io import atomic_path
 from lieednn_sim.rendering import opengl, scene_setup
-from lieednn_sim.rendering.overlay import Overlay, write_caption
+from lieednn_sim.rendering.overlay import KEY, Line, Overlay, draw_lines, write_caption
+from lieednn_sim.rendering.viewpoint import unhidden
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_path, as_positive, quoted
+from lieednn_sim.values import Floats
 
 __all__ = ["PRESETS", "Camera", "render_video"]
 
 Image = NDArray[np.uint8]
+_PLAIN = Picture.Dither.NONE
 
 
 class Preset(NamedTuple):
@@ -81,11 +85,13 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
 
     Args:
         arm: the arm; the model of a view is rendered as it is.
-        camera: name of a camera of its scene; by default ``overview`` if there is one, else a view of ``points``.
+        camera: name of a camera of its scene; by default ``overview`` if there is one, else a view of ``points``, from
+            the side from which most of the path of ``run`` is free.
         size: (width, height) in pixels, both even, at most 3840x2160.
         preset: a name of `PRESETS`.
         target: joint target ``(n,)`` for the marker, the scene's own or an added one; a view has no marker.
         points: points ``(P, 3)`` that the view must contain; by default those of `scene_setup.reached`.
+        run: a rollout of the arm, which gives target and points, and whose path is to be seen.
 
     Raises:
         InputError: the camera or preset is unknown, or the size cannot be rendered.
@@ -101,13 +107,17 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         preset: str = "nice",
         target: ArrayLike | None = None,
         points: ArrayLike | None = None,
+        run: Rollout | None = None,
     ) -> None:
         check_view(arm, camera=camera, size=size, preset=preset)
         opengl.require()
         self._arm, self._preset = arm, PRESETS[preset]
+        if run is not None:
+            target, points = run.target, scene_setup.occupied(run)
         held = scene_setup.reached(arm) if points is None else as_floats("points", points, (3,), batched=True)
+        self.scale = scene_setup.scale(arm, held)
         self._model, self._marker = scene_setup.staged(arm, held)
-        self._camera = scene_setup.camera(arm, camera, held)
+        self._camera = scene_setup.camera(arm, camera, held, run, size[0] / size[1])
         self._model.vis.global_.offwidth, self._model.vis.global_.offheight = size
         self._model.vis.quality.offsamples = self._preset.samples
         self._data = mujoco.MjData(self._model)
@@ -137,6 +147,24 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         if draw is not None:
             draw(self._renderer.scene)
         return np.asarray(self._renderer.render())
+
+    def seen(self, points: ArrayLike) -> tuple[Floats, NDArray[np.bool_]]:
+        """Pixels ``(P, 2)`` of points ``(P, 3)`` in the last picture, and which of them nothing is before.
+
+        Pixels are counted from the upper left corner; those of points behind the camera are not numbers.
+        """
+        held, renderer = as_floats("points", points, (3,), batched=True), self._renderer
+        left, right = renderer.scene.camera
+        place, forward, up = 0.5 * (left.pos + right.pos).astype(float), left.forward, left.up
+        away = held - place
+        depth = away @ forward
+        # Half the height of the picture there [m].
+        half = left.frustum_top * (np.ones_like(depth) if left.orthographic else depth / left.frustum_near)
+        scale = np.where(depth > 0.0, 0.5 * renderer.height / np.where(depth > 0.0, half, 1.0), np.nan)
+        across = np.stack([away @ np.cross(forward, up), -(away @ up)], axis=1)
+        pixels = 0.5 * np.array([renderer.width, renderer.height]) + scale[:, None] * across
+        marker = np.flatnonzero(self._model.body_mocapid == self._marker) if self._marker >= 0 else [-1]
+        return pixels, unhidden(self._model, self._data, place, held, int(marker[0])) & (depth > 0.0)
 
     def mark(self, target: ArrayLike | None) -> None:
         """Put the marker at a joint target ``(n,)``; without a target, hide an added marker in the base."""
@@ -180,24 +208,24 @@ def render_video(
     # The slack keeps the last frame when duration * fps is a whole number up to rounding.
     total = int(np.floor((rollout.t[-1] - rollout.t[0]) * rate + 1e-6)) + 1
     samples = np.rint(np.arange(total) / rate / rollout.timestep).astype(int)
-    points = scene_setup.occupied(rollout)
-    overlay = Overlay.of(rollout, scene_setup.scale(rollout.arm, points))
     names, end = [title] if title else [], rollout.t[-1]
-    view = Camera(rollout.arm, camera=camera, size=size, preset=preset, target=rollout.target, points=points)
+    view = Camera(rollout.arm, camera=camera, size=size, preset=preset, run=rollout)
+    overlay = Overlay.of(rollout, view.scale)
     with view, atomic_path(path) as temporary:
         # A picture is captioned and encoded while the next one is rendered.
         with _writer(temporary, size, rate) as append, ThreadPoolExecutor(1) as encoder:
 
-            def write(picture: Image, now: float) -> None:
-                lines = [*names, *scene_setup.caption(rollout, now), f"{now:.2f} s of {end:.2f} s"]
-                append(write_caption(picture, lines))
+            def write(picture: Image, paths: list[Line], now: float) -> None:
+                words = [*names, *scene_setup.caption(rollout, now), f"{now:.2f} s of {end:.2f} s"]
+                append(write_caption(draw_lines(picture, paths), words))
 
             written: Future[None] | None = None
             for done, k in enumerate(samples, start=1):
                 picture = view.picture_at(rollout.qpos[k], functools.partial(overlay.draw, k=int(k)))
+                paths = overlay.paths(view.seen, int(k), size[1])
                 if written is not None:
                     written.result()
-                written = encoder.submit(write, picture, rollout.t[k])
+                written = encoder.submit(write, picture, paths, rollout.t[k])
                 if done == total:
                     written.result()
                 report(done, total)
@@ -222,8 +250,21 @@ def _writer(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[
             yield append
         return
     pictures: list[Picture.Image] = []
-    yield lambda image: pictures.append(Picture.fromarray(image).quantize())
+
+    def add(image: Image) -> None:
+        frame = Picture.fromarray(image)
+        pictures.append(_with_key(frame) if not pictures else frame.quantize(palette=pictures[0], dither=_PLAIN))
+
+    yield add
     pictures[0].save(path, format="GIF", save_all=True, append_images=pictures[1:], duration=1000.0 / fps, loop=0)
+
+
+def _with_key(frame: Picture.Image) -> Picture.Image:
+    """A frame in 256 colours, among which are those of the legend: they are too rare to be found."""
+    palette = frame.quantize(256 - len(KEY))
+    others = (palette.getpalette() or [])[: 3 * (256 - len(KEY))]
+    palette.putpalette([*others, *itertools.chain(*(colour for colour, _ in KEY))])
+    return frame.quantize(palette=palette, dither=_PLAIN)
 
 
 @contextlib.contextmanager

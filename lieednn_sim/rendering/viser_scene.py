@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.registry import optional_module
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats
 
 # Faces that meet at less than this angle [rad] are shaded as one smooth surface, such as the sides of a cylinder.
 _SMOOTH = 0.6
@@ -153,56 +153,6 @@ def segments(points: Floats) -> Floats:
 def add_path(scene: Any, name: str, points: Floats, rgba: tuple[float, ...], radius: float) -> Any:
     """Draw a path ``(K, 3)`` in the colour ``rgba`` and return its node, whose ``points`` are its `segments`."""
     return scene.add_line_segments(name, segments(points), rgba[:3], thickness=2.0 * radius)
-
-
-@frozen
-class Viewpoint:
-    """Where a browser looks from: position ``(3,)``, the point ``(3,)`` in the middle [m], and vertical angle [rad]."""
-
-    position: Floats
-    look_at: Floats
-    field_of_view: float
-
-    def place(self, server: Any) -> None:
-        """Let the pages of a `viser.ViserServer` begin from here."""
-        server.initial_camera.position = self.position
-        server.initial_camera.look_at = self.look_at
-        server.initial_camera.fov = self.field_of_view
-
-    @property
-    def axes(self) -> Floats:
-        """``(3, 3)`` unit vectors to the right, up and forward, in rows; z is up in the world."""
-        forward = self.look_at - self.position
-        forward = forward / np.linalg.norm(forward)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right = right / np.linalg.norm(right)
-        return np.array([right, np.cross(right, forward), forward])
-
-    def back_off(self, points: Floats, ratio: float) -> Viewpoint:
-        """The viewpoint from the same side where points ``(P, 3)`` fill a picture of width / height ``ratio``."""
-        centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        x, y, z = self.axes @ (points - centre).T
-        slope = np.tan(0.5 * self.field_of_view)
-        # The pictured offset x / (distance + z) must stay below the slope of the picture's edge.
-        distance = max((abs(x) / (ratio * slope) - z).max(), (abs(y) / slope - z).max())
-        return Viewpoint(centre - distance * self.axes[2], centre, self.field_of_view)
-
-    def ratio(self, points: Floats) -> float:
-        """The least width / height of a picture from here that contains points ``(P, 3)`` from left to right."""
-        x, _, z = self.axes @ (points - self.position).T
-        return float((abs(x) / z).max() / np.tan(0.5 * self.field_of_view))
-
-
-def viewpoint(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera, points: Floats) -> Viewpoint:
-    """The viewpoint of a camera of MuJoCo; in the middle is what is as far away as the points ``(P, 3)``."""
-    scene = mujoco.MjvScene(model, maxgeom=1)  # no geoms are asked for, only the camera's pose and frustum
-    mujoco.mj_camlight(model, data)
-    mujoco.mjv_updateCamera(model, data, camera, scene)
-    left, right = scene.camera
-    position, forward = 0.5 * (left.pos + right.pos).astype(float), left.forward.astype(float)
-    distance = max(float((points.mean(axis=0) - position) @ forward), 0.1)
-    angle = 2.0 * np.arctan(left.frustum_top / left.frustum_near)
-    return Viewpoint(position, position + distance * forward, float(angle))
 
 
 def _find_tendons(model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -32,5 +32,5 @@ def test_planners_that_react_have_a_table_and_a_section_of_the_page(tmp_path, mo
     assert "| free | push | fabric | 1 of 1 | 0 | 0 |" in (tmp_path / "reactions.md").read_text("utf-8")
     page = (tmp_path / "comparison.html").read_text("utf-8")
     assert page.count("<td>payload</td>") == len(COMPARED)
-    assert '<a href="#reactions">' in page
+    assert '<details id="reactions">' in page
     assert ">7.25<" in page

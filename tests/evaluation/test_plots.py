@@ -92,8 +92,11 @@ def test_the_network_s_plot_names_links_and_shows_radians_and_metres(arm, drawn)
     zeros = np.zeros((2, 8))
     motion = Motion(t, t, xi, target, zeros, zeros, np.zeros((2, 4)), np.zeros((2, 4)))
     plots.plot_network(replace(rollout_of(arm, zeros, zeros), motion=motion), "network.png")
-    axes = [axis for axis in drawn[0].axes if axis.get_visible()]
+    *axes, clock, bend = (axis for axis in drawn[0].axes if axis.get_visible())
     assert len(axes) == 8
+    assert clock.lines[0].get_ydata() == pytest.approx([0.0, 1.0])
+    assert [line.get_label() for line in bend.lines] == list(arm.link_names)
+    assert np.abs([line.get_ydata() for line in bend.lines]).max() < 1e-9, "straight ways"
     for i, (angle, length) in enumerate(zip(axes[::2], axes[1::2], strict=True)):
         assert angle.get_title("left").startswith(f"{arm.link_names[i]} (neuron {i + 1})")
         assert (angle.get_ylabel(), length.get_ylabel()) == ("[rad]", "[m]")
@@ -102,6 +105,23 @@ def test_the_network_s_plot_names_links_and_shows_radians_and_metres(arm, drawn)
         assert [line.get_ydata()[-1] for line in length.lines[::2]] == pytest.approx(2.0 * target[i, 3:])
         assert [line.get_ydata()[0] for line in length.lines[1::2]] == pytest.approx(2.0 * target[i, 3:])
     assert "target" in [text.get_text() for text in drawn[0].legends[0].texts]
+
+
+def test_what_other_neurons_do_together_is_the_distance_from_the_straight_way():
+    """From (3, 1) to (0, 1): half way on a circle 2 off, and a neuron that stays where it is."""
+    xi = np.array([[[3.0, 1.0], [5.0, 5.0]], [[1.5, 3.0], [5.0, 5.0]], [[0.0, 1.0], [5.0, 5.0]]])
+    assert plots.bends(xi, xi[-1]) == pytest.approx(np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 0.0]]))
+
+
+@pytest.mark.parametrize("names", [["a"], ["lieednn-shaped, from their mean start", "starts elsewhere"] * 4])
+def test_a_legend_is_within_its_figure(names):
+    figure = Figure(figsize=(6.4, 4), layout="constrained")
+    figure.subplots()
+    figure_layout.fitted_legend(figure, {f"{name} {k}": Line2D([], []) for k, name in enumerate(names)}, 7)
+    fix_layout(figure, 130)
+    (legend,) = figure.legends
+    box = legend.get_window_extent()
+    assert 0.0 <= box.x0 < box.x1 <= figure.bbox.width
 
 
 def test_the_joints_plot_tells_the_error_and_does_not_exaggerate(arm, drawn):

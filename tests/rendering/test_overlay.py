@@ -7,7 +7,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from rollouts import make_rollout
 
 from lieednn_sim._mujoco import mujoco
@@ -15,7 +14,7 @@ from lieednn_sim.planning.clearance import Clearance
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.rendering import video
-from lieednn_sim.rendering.overlay import PLANNED_COLOUR, TRACED_COLOUR, Overlay
+from lieednn_sim.rendering.overlay import PLANNED_COLOUR, TRACED_COLOUR, Overlay, draw_lines, write_caption
 from lieednn_sim.simulation import simulate
 
 
@@ -40,17 +39,13 @@ def test_an_overlay_is_the_planned_way_what_is_travelled_and_the_frames_of_now()
     planned[1, :, :3, :3] = turn
     planned[:, 1, :3, 3] = [[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [0.5, 0.5, 1.0]]
     traced = planned[:, 1, :3, 3] + [0.0, 0.0, 0.1]
-    way, second, travelled, *frames = drawn(Overlay(planned, traced, 0.5), 1)
-    for (arrow, colour, width, *ends), wanted, share, where in (
-        (way, PLANNED_COLOUR, 0.004, ([0.0, 0.0, 1.0], [0.5, 0.0, 0.0])),
-        (second, PLANNED_COLOUR, 0.004, ([0.5, 0.0, 1.0], [0.0, 0.5, 0.0])),
-        # Up to now, and no further.
-        (travelled, TRACED_COLOUR, 0.0055, ([0.0, 0.0, 1.1], [0.5, 0.0, 0.0])),
-    ):
-        assert not arrow
-        np.testing.assert_allclose(colour, wanted, rtol=1e-6)
-        assert width == pytest.approx(share)
-        np.testing.assert_allclose(ends, where, atol=1e-6)
+    way, travelled = Overlay(planned, traced, 0.5).paths(lambda points: (points, points[:, 2] > 1.05), 1, 500)
+    np.testing.assert_array_equal(way[0], planned[:, 1, :3, 3])
+    np.testing.assert_array_equal(travelled[0], traced[:2])  # up to now, and no further
+    assert not way[1].any()
+    assert travelled[1].all()
+    assert travelled[2] > way[2] > 1.0
+    frames = drawn(Overlay(planned, traced, 0.5), 1)
     assert len(frames) == 6
     for place, arrows in (([0.0, 0.0, 0.0], frames[:3]), ([0.5, 0.0, 1.0], frames[3:])):
         for axis, (arrow, colour, _, begin, vector) in enumerate(arrows):
@@ -58,7 +53,20 @@ def test_an_overlay_is_the_planned_way_what_is_travelled_and_the_frames_of_now()
             assert colour[:3].argmax() == axis
             np.testing.assert_allclose(begin, place, atol=1e-6)
             np.testing.assert_allclose(vector, 0.11 * turn[:, axis], atol=1e-6)
-    assert len(drawn(Overlay(planned, traced), 2)) == 2 + 2 + 6
+
+
+def test_paths_have_the_colours_of_the_legend_and_are_thin_where_they_are_hidden():
+    pixels = np.column_stack([np.linspace(40.0, 360.0, 9), np.full(9, 150.0)])
+    free = np.arange(9) < 5
+    image = draw_lines(np.zeros((200, 400, 3), np.uint8), [(pixels, free, 5.0, TRACED_COLOUR)])
+    thick, thin = image[:, 120].any(axis=1).sum(), image[:, 320].any(axis=1).sum()
+    assert 4 <= thick <= 7
+    assert 1 <= thin < thick
+    legend = write_caption(np.zeros((200, 400, 3), np.uint8), ["words"])
+    assert (legend == image[150, 100]).all(axis=-1).sum() > 10
+    # What is behind the camera has no pixels.
+    pixels[4:] = np.nan
+    draw_lines(image, [(pixels, free & (np.arange(9) < 4), 5.0, PLANNED_COLOUR)])
 
 
 def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_path):
@@ -74,6 +82,8 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
     shown, samples, captions, overlays, targets, rates = [], [], [], [], [], []
 
     class Pictures(contextlib.nullcontext):
+        seen, scale = None, 1.0
+
         def picture_at(self, qpos, draw):
             shown.append(qpos)
             draw("a scene")
@@ -84,8 +94,8 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
         path.touch()
         return contextlib.nullcontext(lambda _: None)
 
-    monkeypatch.setattr(video, "Camera", lambda *_, **given: targets.append(given["target"]) or Pictures())
-    overlay = SimpleNamespace(draw=lambda _, k: samples.append(k))
+    monkeypatch.setattr(video, "Camera", lambda *_, **given: targets.append(given["run"].target) or Pictures())
+    overlay = SimpleNamespace(draw=lambda _, k: samples.append(k), paths=lambda *_: [])
     monkeypatch.setattr(video, "Overlay", SimpleNamespace(of=lambda *given: overlays.append(given) or overlay))
     monkeypatch.setattr(video, "_writer", writer)
     monkeypatch.setattr(video, "_check_complete", lambda *_: None)

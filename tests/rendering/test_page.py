@@ -18,7 +18,7 @@ from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.planning.clearance import Clearance
 from lieednn_sim.rendering import page, scene_setup, viser_scene
 from lieednn_sim.rendering.page import _Copy, record, render_page
-from lieednn_sim.rendering.viser_scene import Viewpoint
+from lieednn_sim.rendering.viewpoint import Viewpoint, viewpoint
 from lieednn_sim.rendering.viser_server import quiet_server
 
 
@@ -54,7 +54,7 @@ def test_a_viewpoint_sees_what_a_film_sees(gantry):
     camera = mujoco.MjvCamera()
     camera.azimuth, camera.elevation, camera.distance = 90.0, -30.0, 5.0
     data = kinematics_at(gantry.model, gantry.qpos(gantry.keyframe("home")))
-    view = viser_scene.viewpoint(gantry.model, data, camera, np.zeros((1, 3)))
+    view = viewpoint(gantry.model, data, camera, np.zeros((1, 3)))
     np.testing.assert_allclose(view.position, [0.0, -5.0 * np.cos(np.pi / 6), 2.5], atol=1e-5)
     np.testing.assert_allclose(view.look_at, 0.0, atol=1e-5)
     assert view.field_of_view == pytest.approx(np.deg2rad(gantry.model.vis.global_.fovy), abs=1e-5)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rollouts import make_rollout
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.rendering import scene_setup
 from lieednn_sim.rendering.video import Camera
+from lieednn_sim.rendering.viewpoint import unhidden, viewpoint
 
 
 @pytest.fixture
@@ -55,3 +58,34 @@ def test_a_robot_alone_is_lit_stands_on_a_floor_below_a_sky_and_its_target_is_ma
     rows, columns = np.nonzero(hand)
     assert 3 < rows.min() < rows.max() < 116
     assert 3 < columns.min() < columns.max() < 156
+
+
+def test_the_marker_is_no_larger_than_the_hand_and_links_of_one_colour_have_tones(arm):
+    model, marker = scene_setup.staged(arm, scene_setup.reached(arm))
+    ball = int(model.body_geomadr[np.flatnonzero(model.body_mocapid == marker)[0]])
+    last = arm.frames.bodies[-1]
+    hand = 2.0 * model.geom_aabb[model.geom_bodyid == last, 3:].max(axis=0)
+    assert 0.0 < 2.0 * model.geom_size[ball, 0] <= np.median(hand) + 1e-9
+    links = [model.geom_rgba[model.geom_bodyid == body, :3].mean() for body in ancestry(model, int(last))[1:]]
+    assert (np.diff(links) > 0.1).all()
+    assert (arm.model.geom_rgba[:2] == 0.5)[:, :3].all(), "the arm itself stays as it is"
+
+
+def test_the_camera_looks_from_where_a_wall_hides_nothing(tmp_path, two_hinges):
+    """The wall stands before the usual side, at which most of the path is hidden."""
+    path, scene = tmp_path / "robot.xml", tmp_path / "wall.yaml"
+    path.write_text(two_hinges)
+    scene.write_text(
+        "obstacles: [{shape: box, name: wall, size: [0.05, 3, 3], position: [0.56, -0.22, 0], rpy: [0, 0, -0.96]}]"
+    )
+    arm = Arm.load(path, scene)
+    run = make_rollout(arm, np.linspace(0.0, 1.0, 20)[:, None] * [0.9, -0.9])
+    points = scene_setup.occupied(run)
+    shares = []
+    for rollout in (None, run):
+        camera = scene_setup.camera(arm, None, points, rollout)
+        data = kinematics_at(arm.model, run.qpos[0])
+        eye = viewpoint(arm.model, data, camera, points).position
+        shares.append(unhidden(arm.model, data, eye, run.link_position[:, -1]).mean())
+    assert shares[0] < 0.2
+    assert shares[1] > 0.8

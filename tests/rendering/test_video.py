@@ -52,11 +52,19 @@ def test_the_video_has_the_frames_rate_and_size_and_the_arm_moves(arm, rollout, 
 
 @pytest.mark.rendering
 def test_the_planned_path_is_drawn_over_the_arm(arm, rollout):
+    """Where the arm is before it, too, of which the pixels of its own points say."""
+    overlay = video.Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
+    points, turned = arm.link_poses(rollout.q[0]).translation, rollout.q[0] + np.eye(8)[0]
     with video.Camera(arm, size=(320, 180), preset="draft") as camera:
-        plain = camera.picture(rollout.q[0]).astype(int)
-        overlay = video.Overlay(arm.link_poses(rollout.q_ref).as_matrix(), rollout.link_position[:, -1])
-        drawn = camera.picture(rollout.q[0], draw=lambda scene: overlay.draw(scene, 0)).astype(int)
-    assert (np.abs(drawn - plain).max(axis=-1) > 40).sum() > 30
+        picture = camera.picture(rollout.q[0])
+        (pixels, free), (lines, planned, *_) = camera.seen(points), overlay.paths(camera.seen, 0, 180)[0]
+        moved = np.abs(camera.picture(turned).astype(int) - picture).max(axis=-1) > 20
+    # Frames are inside of links, which are where the picture changes when the arm turns.
+    assert moved[tuple(pixels[1:, ::-1].astype(int).T)].all()
+    assert not free[1:].any()
+    assert 0.5 < planned.mean() <= 1.0
+    drawn = video.draw_lines(picture, overlay.paths(lambda _: (lines, planned), 0, 180))
+    assert (np.abs(drawn.astype(int) - picture).max(axis=-1) > 40).sum() > 30
 
 
 @pytest.fixture
@@ -68,6 +76,11 @@ def encoding(rollout, tmp_path, monkeypatch):
     rendered = [threading.Event() for _ in range(6)]
 
     class Pictures(contextlib.nullcontext):
+        scale = 1.0
+
+        def seen(self, points):
+            return np.full((len(points), 2), np.nan), np.zeros(len(points), bool)
+
         def picture_at(self, qpos, draw):
             k = sum(event.is_set() for event in rendered)
             rendered[k].set()
@@ -173,3 +186,17 @@ def test_a_second_of_frames_lasts_a_second(tmp_path):
             film.seek(k)
             durations.append(film.info["duration"])
     assert durations == [40] * 25
+
+
+def test_a_gif_has_the_legend_s_colours(tmp_path):
+    """A film of noise needs more than 256 colours; the legend's few pixels keep theirs in every frame."""
+    noise = np.random.default_rng(0).integers(0, 255, (3, 200, 400, 3), dtype=np.uint8)
+    with video._writer(tmp_path / "v.gif", (400, 200), 25) as append:
+        for picture in noise:
+            append(video.write_caption(picture, ["words"]))
+    with Image.open(tmp_path / "v.gif") as film:
+        for k in range(3):
+            film.seek(k)
+            shown = np.asarray(film.convert("RGB"))[:80, :250]
+            for colour, _ in video.KEY:
+                assert (shown == colour).all(axis=-1).sum() > 10

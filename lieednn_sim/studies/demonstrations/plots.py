@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim.evaluation.figure_layout import COLOURS, drawn
+from lieednn_sim.evaluation.figure_layout import COLOURS, drawn, entries_of, fitted_legend
 from lieednn_sim.learning.demonstrations import Demonstrations
 from lieednn_sim.learning.demonstrations.alignment import displacement
 from lieednn_sim.learning.demonstrations.models import MotionModel
@@ -21,7 +21,8 @@ from lieednn_sim.values import Floats
 # A name for the legend, paths, and the style of their lines.
 Group = tuple[str, Sequence[Floats], dict[str, Any]]
 
-_SHOWN: dict[str, Any] = {"color": "0.72", "lw": 0.9, "ls": "-"}
+# Wide enough to be seen below the network's paths.
+_SHOWN: dict[str, Any] = {"color": "0.78", "lw": 2.6, "ls": "-"}
 _ELSEWHERE = "0.45"
 # Joints in a row, number of other starts drawn, and points of the field along each side.
 _IN_ROW, _STARTS, _FIELD = 3, 12, 28
@@ -77,7 +78,7 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
                 width = 2.0 * np.rad2deg(np.sqrt(band[:, c, c]))
                 axis.fill_between(fraction, turn - width, turn + width, **_BAND)
             axis.set(xlabel="fraction of the path", ylabel=f"turn about {'xyz'[c]} [deg]")
-        figure.legend(loc="outside upper center", ncols=3 if len(views) == 1 else 4)
+        fitted_legend(figure, entries_of(axes[0, 0]), 4)
 
 
 def plot_joint_paths(
@@ -112,7 +113,7 @@ def plot_joint_paths(
             if joint + _IN_ROW >= arm.n_joints:
                 axis.set_xlabel("fraction of the path")
                 axis.xaxis.set_tick_params(labelbottom=True)
-        figure.legend(loc="outside upper center", ncols=len(groups))
+        fitted_legend(figure, entries_of(axes[0]), len(groups))
 
 
 def plot_field(
@@ -133,18 +134,20 @@ def plot_field(
         ("demonstrations", list(demonstrations.displaced), {"color": COLOURS[4], "lw": 1.0, "ls": "-"}),
         (f"{model.name}, from their mean start", [mean], _LINES[0]),
     ]
-    with drawn(path, 6.8, 6.2) as figure:
+    every = 1e3 * paths[..., [3 + h, 3 + v]]
+    low, high = every.min(axis=(0, 1)), every.max(axis=(0, 1))
+    low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
+    # As high as the field's sides are to each other.
+    height = 1.0 + 6.0 * float(np.clip((high - low)[1] / (high - low)[0], 0.4, 1.5))
+    with drawn(path, 6.8, height) as figure:
         axis = figure.subplots()
-        every = 1e3 * paths[..., [3 + h, 3 + v]]
-        low, high = every.min(axis=(0, 1)), every.max(axis=(0, 1))
-        low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
         if demonstrations.dof < 6:
             _draw_field(axis, model, demonstrations, (low, high), (h, v))
         _draw_paths(axis, groups, partial(_seen, view=[3 + h, 3 + v]), True)
         axis.plot(0.0, 0.0, "k*", ms=11, zorder=6, label="goal")
         axis.set(xlabel=f"{'xyz'[h]} [mm]", ylabel=f"{'xyz'[v]} [mm]", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axis.set_aspect("equal", adjustable="box")
-        figure.legend(loc="outside upper center", ncols=2)
+        fitted_legend(figure, entries_of(axis), 2)
 
 
 def _draw_paths(

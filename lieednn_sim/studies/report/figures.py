@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Sequence
-from itertools import cycle, product
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -39,19 +38,23 @@ _SCENE_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _MARKS = 200
 
 
-class Mark(NamedTuple):
-    """Colour of a planner in all figures and tables, and the shape of its mark in the page's styles."""
+# Families of planners, by the modules of these.
+_NETWORKS, _OTHERS = "networks with a proof", "others"
+_OF_MODULE = {
+    "interpolation": "straight ways and primitives",
+    **dict.fromkeys(("sampling", "cbirrt"), "random trees"),
+    **dict.fromkeys(("optimisation", "stomp"), "optimisation"),
+}
+#: Families of planners, with their colours in all figures and tables.
+FAMILIES = dict(zip((_NETWORKS, *dict.fromkeys(_OF_MODULE.values()), _OTHERS), (*COLOURS[:4], "#8C8C8C"), strict=True))
 
-    colour: str
-    shape: str
 
-
-def marks(names: Iterable[str]) -> dict[str, Mark]:
-    """A mark for each planner, which does not depend on the other names."""
-    order = [*PLANNERS, *sorted(set(names) - set(PLANNERS))]
-    # Each repetition of the colours has another shape.
-    looks = cycle(product(("round", "diamond", "square", "triangle"), (*COLOURS, "#8C8C8C")))
-    return {name: Mark(colour, shape) for name, (shape, colour) in zip(order, looks, strict=False)}
+def family(name: str) -> str:
+    """The family of a planner, which does not depend on what else is compared."""
+    entry = PLANNERS.entries.get(name)
+    if entry is None or not isinstance(entry.place, str):
+        return _OTHERS
+    return _NETWORKS if entry.network else _OF_MODULE.get(entry.place.partition(":")[0].rpartition(".")[2], _OTHERS)
 
 
 class Plot(NamedTuple):
@@ -85,7 +88,7 @@ def _few_ticks(low: float, high: float) -> Locator:
 
 def _distribution(rows: Sequence[Row], column: Column, controller: str) -> Plot:
     planners, scenes = in_order((row.planner for row in rows), PLANNERS), sorted({row.scene for row in rows})
-    look, thinned, logarithmic = marks(planners), False, column.name in _LOGARITHMIC
+    thinned, logarithmic = False, column.name in _LOGARITHMIC
     # Errors below this are rounding; logarithmic axes do not show them [mm].
     floor = 1e-6
     with matplotlib.rc_context(_STYLE | {"svg.hashsalt": column.name}):
@@ -101,7 +104,7 @@ def _distribution(rows: Sequence[Row], column: Column, controller: str) -> Plot:
                 values = np.maximum(values, floor)
             if not len(values):
                 continue
-            y, colour = planners.index(planner) + 0.42 * ((place + 0.5) / len(scenes) - 0.5), look[planner].colour
+            y, colour = planners.index(planner) + 0.42 * ((place + 0.5) / len(scenes) - 0.5), FAMILIES[family(planner)]
             axes.plot(np.percentile(values, [25, 75]), [y, y], color=colour, lw=5, alpha=0.3, solid_capstyle="butt")
             shown = values
             if len(values) > _MARKS:

@@ -1,4 +1,4 @@
-"""The page: a table of medians, plots, motions in 3D and failures in one HTML file without external resources."""
+"""The page: who wins what, medians, plots, motions in 3D and failures in one HTML file without external resources."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from lieednn_sim.rendering.page import Recording, player, record
 from lieednn_sim.studies.comparison import summary
 from lieednn_sim.studies.comparison.rows import BY_NAME, SHOWN, Case, Row
 from lieednn_sim.studies.comparison.study import replay, settings_of
+from lieednn_sim.studies.comparison.winners import QUESTIONS, winners
 from lieednn_sim.studies.reactions.study import MEASURED, METHOD, Reaction, groups
-from lieednn_sim.studies.report.figures import marks, plots
+from lieednn_sim.studies.report.figures import FAMILIES, family, plots
 from lieednn_sim.studies.rows import Column, Group, grouped
 from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_count
@@ -115,6 +116,7 @@ def write_page(
     names = summary.in_order((row.planner for row in rows), PLANNERS)
     controllers = summary.in_order((row.controller for row in rows), CONTROLLERS)
     arms = sorted({row.arm for row in rows})
+    won = winners(rows, controllers[0])
     columns, counts = _columns(), summary.seeds_by_planner(rows).values()
     lines = grouped(rows, ("arm", "scene", "planner", "controller"))
     lines.sort(key=lambda group: (*group.key[:2], names.index(group.key[2]), group.key[3]))
@@ -140,7 +142,12 @@ def write_page(
         settings=table.settings,
         versions=table.versions,
         missing=dict(sorted((missing or {}).items())),
-        marks=marks(names),
+        colours={name: FAMILIES[family(name)] for name in names},
+        families={name: colour for name, colour in FAMILIES.items() if name in map(family, names)},
+        winners=won,
+        heads_of_winners=[(scene, "", False) for scene in won],
+        questions={name: BY_NAME.get(column) for name, (column, _) in QUESTIONS.items()},
+        value_of=lambda value, column: summary.shown(value, column.name) if column else f"{100 * value:.0f} %",
         columns=columns,
         heads=[
             *((name, "", False) for name in ("planner", "arm", "scene", "controller")),
@@ -149,7 +156,7 @@ def write_page(
             ("with violations", "rollouts with a joint beyond its position, velocity or acceleration limit", True),
             ("stability", "what is proved of the network", False),
         ],
-        groups=lines,
+        lines=lines,
         plots={arm: plots([row for row in rows if row.arm == arm], controllers[0]) for arm in arms},
         failures=summary.failures(rows),
         views=views,

@@ -10,7 +10,9 @@ import pytest
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.studies import Case, Comparison, Row, Settings, compute
+from lieednn_sim.studies.comparison.winners import winners
 from lieednn_sim.studies.report import choose_problems, page, view, write_page
+from lieednn_sim.studies.report.figures import FAMILIES, family
 
 CONTROLLERS = ("position-servo", "computed-torque")
 SETTINGS = Settings(duration=1.2, hold=0.1)
@@ -88,6 +90,33 @@ def test_the_page_asks_for_nothing_and_says_what_was_compared(table, figures_kep
     assert text_of(again) == text
 
 
+def test_the_winners_are_the_best_on_problems_that_all_solved():
+    """'dmp' fails at the hard problem, so that it is not asked further; 'stomp' has too few seeds."""
+    rows = []
+    for planner, seconds, lengths, seeds in (
+        ("minimum-jerk", (0.1, 0.3, 9.0), (1.0, 1.0, 5.0), 3),
+        ("rrt-connect", (0.2, 0.2, 0.2), (1.0, 1.01, 5.0), 3),
+        ("dmp", (0.01, 0.01, None), (0.1, 0.1, None), 3),
+        ("stomp", (0.001,), (0.01,), 1),
+    ):
+        for seed in range(seeds):
+            reason = "" if seconds[seed] else "plan: no way"
+            measured = {"planning_s": seconds[seed], "path_ranges": lengths[seed]}
+            rows.append(Row("arm", "wall", planner, "pd", seed, 1.0, reason, **measured))
+    won = winners([*rows, replace(rows[0], controller="other", reason="contact")], "pd")["wall"]
+    assert won["arrives"] == (("minimum-jerk", "rrt-connect"), 1.0, ("dmp", 2 / 3))
+    assert won["is planned soonest"] == (("rrt-connect",), 0.2, ("minimum-jerk", 0.3))
+    assert won["is shortest"] == (("minimum-jerk", "rrt-connect"), 1.0, None)
+    assert won["withstands pushes, proved"] is None
+
+
+def test_planners_have_the_colours_of_their_families():
+    assert family("rrt-connect") == family("sscbirrt")
+    found = [family(name) for name in ("minimum-jerk", "stomp", "rrt-connect", "lieednn-shaped", "my-own")]
+    assert found[-1] == "others"
+    assert len({FAMILIES[name] for name in found}) == 5
+
+
 def test_an_empty_table_is_refused(tmp_path):
     with pytest.raises(InputError, match="is empty"):
         write_page(tmp_path / "page.html", Comparison(common=SETTINGS).open(tmp_path / "table"))
@@ -134,7 +163,9 @@ def address(table, figures_kept, tmp_path_factory):
 
 @pytest.fixture
 def browser(address, opened):
-    return opened(address, 1280, 1000)
+    driver = opened(address, 1280, 1000)
+    driver.execute_script("document.querySelectorAll('details').forEach((part) => (part.open = true))")
+    return driver
 
 
 def column(driver, index):
@@ -158,13 +189,33 @@ def heading(driver, word):
 def test_in_a_browser_the_page_loads_without_a_complaint(browser):
     assert browser.get_log("browser") == []
     assert browser.find_element("tag name", "h1").text == "Motion planners compared"
-    # On a phone nothing but the table scrolls sideways.
-    browser.set_window_size(520, 900)
-    assert browser.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")
-    browser.set_window_size(1280, 1000)
+    # On a phone nothing but tables scrolls sideways.
+    phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     drawn = browser.execute_script("return [...document.querySelectorAll('figure svg')].map(s => s.getBBox().width)")
     assert len(drawn) == 10  # five figures for each of two arms
     assert min(drawn) > 100
+
+
+@pytest.mark.browser
+@pytest.mark.rendering
+def test_in_a_browser_the_page_begins_with_the_winners_and_is_short(browser):
+    """All but these is closed at first, and open where the address names it."""
+    script = "document.querySelectorAll('details').forEach((part) => (part.open = false))"
+    browser.execute_script(script)
+    assert browser.execute_script("return document.documentElement.scrollHeight") < 2000
+    assert browser.find_element("tag name", "h2").text == "Who wins what, and where"
+    row = browser.find_elements("css selector", "#winners tbody tr")[0]
+    assert [cell.text.splitlines()[0] for cell in row.find_elements("css selector", "th, td")] == [
+        "arrives",
+        *["100 %"] * 2,
+    ]
+    browser.get(browser.current_url.partition("#")[0] + "#failures")
+    browser.refresh()
+    shown = browser.find_elements("css selector", "details[open]")
+    assert [part.get_attribute("id") for part in shown] == ["failures"]
 
 
 @pytest.mark.browser

@@ -43,6 +43,11 @@
   form.addEventListener("submit", (event) => event.preventDefault());
   filter();
 
+  // A printed page, and one that is opened at a section, shows what was closed.
+  const open = (parts) => parts.forEach((part) => (part.open = true));
+  addEventListener("beforeprint", () => open(document.querySelectorAll("details")));
+  open(document.querySelectorAll(location.hash ? `details${location.hash}` : "details[open]"));
+
   // One view plays at a time: browsers allow few pictures in 3D. A click on another one puts the button back.
   let playing = null;
   for (const button of document.querySelectorAll(".view button")) {
