@@ -6,14 +6,12 @@ The first needs OpenGL, the second the extra view, Selenium and Chromium. The th
 
 from __future__ import annotations
 
-import contextlib
 import io as stream
 import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -47,7 +45,6 @@ def pushed() -> Iterator[Frame]:
     scene_setup.mark(arm, data, marker, target)
     view.lookat[:], view.azimuth, view.elevation, view.distance = (-0.93, -0.22, 1.95), 150.0, -16.0, 1.6
     strength, body = np.linalg.norm(push.force), push.body_id(arm, model)
-    said = ("on its way through the window", f"pushed: {strength:.0f} N", "returns by itself", "")
     opengl.require()
     with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
         for now in (*np.arange(0.0, 0.3, 0.03), *np.arange(0.3, 0.8, 0.016), *np.arange(0.8, 2.6, 0.075), run.t[-1]):
@@ -59,12 +56,13 @@ def pushed() -> Iterator[Frame]:
             scene = renderer.scene
             for before, after in zip(run.link_position[:k:6, -1], run.link_position[6:k:6, -1], strict=False):
                 _add(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, 0.007, before, after, (0.98, 0.80, 0.10, 1.0))
-            acts = push.start <= now < push.end
-            if acts:
+            words = "on its way through the window" if now < push.start else "returns by itself"
+            if push.start <= now < push.end:
+                words = f"pushed: {strength:.0f} N"
                 there, along = data.xipos[body], np.array(push.force) / strength
                 _add(scene, mujoco.mjtGeom.mjGEOM_ARROW, 0.03, there - 0.5 * along, there, (1.0, 0.1, 0.1, 1.0))
-            words = said[int(now >= push.start) + int(now >= push.end)] if not last else ""
-            words = words or f"arrived, never nearer than {judged.clearance_mm:.0f} mm"
+            if last:
+                words = f"arrived, never nearer than {judged.clearance_mm:.0f} mm"
             yield _captioned(renderer.render(), words), 1.5 if last else 0.06
 
 
@@ -101,8 +99,8 @@ def dragged() -> Iterator[Frame]:
     chrome.binary_location = shutil.which("chromium")
     for word in ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"):
         chrome.add_argument(word)
-    driver = webdriver.Chrome(options=chrome, service=webdriver.ChromeService(shutil.which("chromedriver")))
-    with Page(session) as page, contextlib.closing(SimpleNamespace(close=driver.quit)):
+    service = webdriver.ChromeService(shutil.which("chromedriver"))
+    with webdriver.Chrome(options=chrome, service=service) as driver, Page(session) as page:
         server = page._server
         server.scene.configure_default_lights(cast_shadow=False)
         server.gui.configure_theme(control_width="small", show_logo=False, show_share_button=False)
