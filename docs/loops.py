@@ -56,7 +56,7 @@ def pushed() -> Iterator[Frame]:
             scene = renderer.scene
             for before, after in zip(run.link_position[:k:6, -1], run.link_position[6:k:6, -1], strict=False):
                 _add(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, 0.007, before, after, (0.98, 0.80, 0.10, 1.0))
-            words = "on its way through the window" if now < push.start else "returns by itself"
+            words = "returns by itself" if push.end <= now < 1.0 else "on its way through the window"
             if push.start <= now < push.end:
                 words = f"pushed: {strength:.0f} N"
                 there, along = data.xipos[body], np.array(push.force) / strength
