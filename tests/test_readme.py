@@ -11,6 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from lieednn_sim.cli import bind
 
@@ -88,6 +89,15 @@ def test_the_extras_are_those_there_are():
 
 def test_the_readme_has_at_most_130_lines():
     assert len(TEXTS["README.md"].splitlines()) <= 130
+
+
+def test_the_moving_pictures_of_the_first_screen_are_of_one_size_and_small():
+    loops = re.findall(r"!\[[^]]*\]\((\S+\.gif)\)", TEXTS["README.md"])
+    assert len(loops) == 3
+    for name in loops:
+        with Image.open(ROOT / name) as picture:
+            assert (picture.size, picture.n_frames > 20) == ((640, 360), True)
+        assert (ROOT / name).stat().st_size < 1.2e6
 
 
 def test_no_relative_link_is_broken():
