@@ -26,7 +26,7 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
-# Arguments: edge test, start and target in its coordinates, longest edge, options, seed. Returns corners, or None.
+# From start to target in the test's coordinates, with a longest edge and a seed; returns corners, or None.
 _Search = Callable[[EdgeTest, Floats, Floats, float, PathOptions, int], "list[Floats] | None"]
 
 
@@ -115,8 +115,7 @@ def _box(limits: Floats) -> mujoco.MjModel:
 def _sscbirrt_path(
     edges: EdgeTest, start: Floats, target: Floats, longest_edge: float, options: PathOptions, seed: int
 ) -> list[Floats] | None:
-    library = optional_module("sscbirrt")
-    motions = optional_module("sscbirrt.motion")
+    library, motions = optional_module("sscbirrt"), optional_module("sscbirrt.motion")
     lower, upper = edges.bounds.T
 
     def validate(q_from: Floats, q_to: Floats) -> Any:
