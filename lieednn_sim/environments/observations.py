@@ -16,9 +16,6 @@ Observation = dict[str, Floats]
 # Lower and upper bounds by name.
 Bounds = dict[str, tuple[Floats, Floats]]
 
-# Observed positions exceed their limits by at most this fraction of their range, and velocities are at most this
-# multiple of their limits: servos overshoot slightly, and contacts push.
-_POSITION_SLACK_FRACTION, _VELOCITY_LIMIT_FACTOR = 0.1, 5.0
 # Indices of the factors in a cross product: of the positive terms, then of the negative ones.
 _LEFT, _RIGHT = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
 # Smallest divisor: a rotation by less is none.
@@ -28,8 +25,8 @@ _TINY = 1e-100
 def common_bounds(arm: Arm, frames: int) -> Bounds:
     """Bounds of the observations that all tasks have, with this number of goal frames."""
     low, high = arm.position_limits.T
-    slack = _POSITION_SLACK_FRACTION * (high - low)
-    velocity = _VELOCITY_LIMIT_FACTOR * arm.velocity_limits
+    # Servos overshoot slightly, and contacts push.
+    slack, velocity = 0.1 * (high - low), 5.0 * arm.velocity_limits
     span = high - low + 2.0 * slack
     # |v| <= (pi / 2) |p| for a pose with translation p, whose length is at most twice the reach.
     twist = np.tile(np.repeat([np.pi, np.pi * reach(arm)], 3), (frames, 1))

@@ -22,7 +22,6 @@ the arm comes within the tolerance of its reference; then the certified network 
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,7 +44,7 @@ from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.synthesis import ShapingOptions, shape, synthesize
 from lieednn_sim.validation import as_positive
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 # Largest |l s c| T in the certificate's norm, and largest change of a switch's argument, in a Runge-Kutta step.
 _MAX_STEP = 0.5
@@ -123,7 +122,7 @@ class NetworkPolicy(FeedbackPolicy):
         """``(N, 6)``, as `xi`."""
         return self.xi
 
-    def to_c(self, folder: str | os.PathLike[str]) -> Path:
+    def to_c(self, folder: StrPath) -> Path:
         """Write the policy as C99 for a robot's controller, without allocation: ``policy.h``, ``policy.c`` and numbers.
 
         One call a period takes measured joints and a target, and gives the reference that `step` gives, up to rounding.

@@ -26,8 +26,7 @@ from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats
 
-# Number of velocity knots over the horizon.
-_KNOTS = 4
+_KNOTS = 4  # of velocities, over the horizon
 
 
 @dataclass(frozen=True)

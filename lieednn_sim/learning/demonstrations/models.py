@@ -23,8 +23,6 @@ from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.values import Floats, frozen
 
 DECAY = float(np.log(100.0))  # decay rate, per duration, that leaves a hundredth
-# Rounds of expectation maximisation, and the least variance of a component [extent^2].
-_ROUNDS, _LEAST_VARIANCE = 60, 1e-4
 # Samples per demonstration and evaluations of the residual, by dof: ten times as many gain little.
 _SAMPLES = {2: 60, 3: 60, 6: 40}
 _EVALUATIONS = {2: 100, 3: 100, 6: 40}
@@ -157,12 +155,13 @@ def _mixture(x: Floats, components: int, rng: np.random.Generator) -> tuple[Floa
     d = x.shape[1]
     _, label = kmeans2(x, components, minit="++", rng=rng)
     gamma = np.eye(components)[label]
-    for _ in range(_ROUNDS):
+    for _ in range(60):
         count = gamma.sum(axis=0) + 1e-9  # an empty component keeps a tiny prior
         prior, mean = count / count.sum(), gamma.T @ x / count[:, None]
         away = x[:, None] - mean
         covariance = np.einsum("nk,nka,nkb->kab", gamma, away, away) / count[:, None, None]
-        factor = np.linalg.cholesky(np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(d)))
+        # No component is narrower than a hundredth of the extent.
+        factor = np.linalg.cholesky(np.linalg.inv(covariance + 1e-4 * np.eye(d)))
         gamma = _posterior(x, prior, mean, factor)
     return prior, mean, factor
 

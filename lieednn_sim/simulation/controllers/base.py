@@ -80,7 +80,7 @@ class Controller(ABC):
 
 
 class DriveController(Controller):
-    """Base class of controllers that use the arm's own actuators; `InputError` for arms that move closed loops."""
+    """Base class of controllers that use the arm's own actuators; raises as `Actuators`, and for closed loops."""
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         if arm.dependents is not None:
@@ -132,9 +132,6 @@ class PositionServo(FeedforwardServo):
     step, since the integrator implicitfast damps with the velocity at the end of the step. In a model that is not made
     for this package, and with a payload, the load at rest at q_ref, of gravity and springs, is fed forward as well, or
     the arm would sag.
-
-    Raises:
-        InputError: the arm is not driven by position actuators on joints or fixed tendons.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
@@ -159,9 +156,6 @@ class InverseDynamicsServo(FeedforwardServo):
 
     tau is the result of MuJoCo's inverse dynamics, discretised like the integrator, so a plant equal to the model
     follows the reference up to rounding. Feedback is that of the servo.
-
-    Raises:
-        InputError: the arm is not driven by position actuators on joints or fixed tendons.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
@@ -188,9 +182,6 @@ class ComputedTorque(DriveController):
 
     The plant's actuators become direct-drive ones with the same force limits; w is 2 pi 10 Hz. The difference of two
     positions is the velocity that leads from one to the other in unit time. q and qd are measured values.
-
-    Raises:
-        InputError: the arm's actuators are not on joints or fixed tendons.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:

@@ -8,7 +8,6 @@ project keeps them, with spherised models of the robots.
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -25,7 +24,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.obstacles import shapes
 from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_floats, as_path
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 # Dimensions of primitives other than boxes, in the order of the messages.
 _SIZES = {"sphere": ("radius",), "cylinder": ("length", "radius")}
@@ -54,7 +53,7 @@ class ProblemSets:
         FileError: one of the files is missing or cannot be read.
     """
 
-    def __init__(self, folder: str | os.PathLike[str]) -> None:
+    def __init__(self, folder: StrPath) -> None:
         self.folder = as_path("the folder of problems", folder).resolve()
         models = [*self.folder.glob("*_spherized.urdf")] or [*self.folder.glob("*.urdf")]
         if len(models) != 1:

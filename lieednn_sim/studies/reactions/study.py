@@ -7,7 +7,6 @@ the network that plans again avoid obstacles themselves, and the tracker plays a
 from __future__ import annotations
 
 import itertools
-import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +34,7 @@ from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
 from lieednn_sim.studies.user_files import UserFiles
 from lieednn_sim.validation import as_count
-from lieednn_sim.values import Floats, check_fields, frozen
+from lieednn_sim.values import Floats, StrPath, check_fields, frozen
 
 
 class ComparedPolicy(NamedTuple):
@@ -327,7 +326,7 @@ def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
     return [ReactionGroup(item.key, item.rows) for item in result]
 
 
-def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> None:
+def write_reactions(path: StrPath, table: Table[Reaction]) -> None:
     """Write the summary in Markdown: arrival, contact, and medians over arms and seeds."""
     rows = list(table.rows.values())
     arms, seeds = sorted({row.arm for row in rows}), len({row.seed for row in rows})
