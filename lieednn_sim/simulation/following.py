@@ -171,7 +171,7 @@ class ClosedLoop:
         self._forgotten = 0
 
     def decide(self, target: Floats) -> float:
-        """Ask the policy for the reference of this period, towards a target ``(n,)``; returns the CPU time taken [s]."""
+        """Ask the policy for the reference of this period, towards a target ``(n,)``; returns its CPU time [s]."""
         reference, row = self.reference, self.simulation.steps - self._forgotten
         if self._endless and reference.known + self.period > len(reference.q):
             # Velocities take the row before the present one.
