@@ -20,9 +20,6 @@ from lieednn_sim.simulation.simulation import make_plant
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
 from lieednn_sim.values import Floats, StrPath
 
-# What `ArmTask.step` returns, as Gymnasium's environments do.
-Stepped = tuple[Observation, float, bool, bool, dict[str, Any]]
-
 
 class Commands:
     """Turns actions into commanded positions, and these into the controls of position servos, as `ArmTask` describes.
@@ -257,8 +254,8 @@ class ArmTask(ABC):
         self.episode += 1
         return self.observe()
 
-    def step(self, action: ArrayLike) -> Stepped:
-        """Do one control step with an action ``(n,)``.
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Do one control step with an action ``(n,)``, as Gymnasium's environments do.
 
         Returns:
             The observation, those of `bounds`; the reward in [0, 1]; whether the simulation failed, so that there is

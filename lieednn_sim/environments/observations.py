@@ -48,15 +48,11 @@ def reach(arm: Arm) -> float:
 
 
 class Target(NamedTuple):
-    """The target of an episode, which may move.
+    """The target of an episode, which may move."""
 
-    Attributes:
-        position: joint target ``(n,)`` at a time of the episode [s].
-        rows: after each number of control steps, from 0 to S: joint targets ``(S + 1, n)``, goal frames
-            ``(S + 1, F, 16)`` as rows of `LinkFrames`, and a task's additional observations ``(S + 1, k)``.
-    """
-
-    position: Callable[[float], Floats]
+    position: Callable[[float], Floats]  #: joint target ``(n,)`` at a time of the episode [s]
+    #: After each number of control steps, from 0 to S: joint targets ``(S + 1, n)``, goal frames ``(S + 1, F, 16)`` as
+    #: rows of `LinkFrames`, and a task's additional observations ``(S + 1, k)``.
     rows: tuple[Floats, ...]
 
     def after(self, steps: int) -> list[Floats]:
@@ -65,27 +61,16 @@ class Target(NamedTuple):
 
 
 class State(NamedTuple):
-    """The state of one episode after a control step or, with leading axes, of many, but for the physics in MuJoCo.
+    """The state of one episode after a control step or, with leading axes, of many, but for the physics in MuJoCo."""
 
-    Attributes:
-        steps: numbers of control steps done ``(...)``.
-        command: commanded positions ``(..., n)``.
-        row: observations ``(..., size)``, see `Observations.rows`.
-        reward: rewards ``(...)`` in [0, 1].
-        success: whether the arm is at its target ``(...)``.
-        distance: largest distance of a goal frame from its target ``(...)`` [m].
-        angle: the same as an angle ``(...)`` [rad].
-        failure: reasons ``(...)`` for which the next step failed in the simulation, or empty.
-    """
-
-    steps: Any
-    command: Floats
-    row: Floats
-    reward: Floats
-    success: NDArray[np.bool_]
-    distance: Floats
-    angle: Floats
-    failure: Any = ""
+    steps: Any  #: numbers of control steps done ``(...)``
+    command: Floats  #: commanded positions ``(..., n)``
+    row: Floats  #: observations ``(..., size)``, see `Observations.rows`
+    reward: Floats  #: rewards ``(...)`` in [0, 1]
+    success: NDArray[np.bool_]  #: whether the arm is at its target ``(...)``
+    distance: Floats  #: largest distance of a goal frame from its target ``(...)`` [m]
+    angle: Floats  #: the same as an angle ``(...)`` [rad]
+    failure: Any = ""  #: reasons ``(...)`` for which the next step failed in the simulation, or empty
 
     def over(self, steps: int) -> Any:
         """Whether episodes that last ``steps`` control steps are over ``(...)``."""

@@ -66,8 +66,7 @@ class NetworkPolicy(FeedbackPolicy):
         feedback: settings of the feedback from the measured joints; None for no feedback.
 
     Attributes:
-        network: the network.
-        speed: its speed c [1/s].
+        network, speed: as given.
         xi: ``(N, 6)`` state of all neurons.
         pulled: whether measured joints pulled the state in the last period, which is then no orbit of the network.
         gap: ``(N, 2)`` mechanism gap of each link in the last period: angle [rad] and distance [m].

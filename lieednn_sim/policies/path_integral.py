@@ -131,7 +131,6 @@ class PathIntegral(JointPolicy):
     Args:
         arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
         convergence_rate: c [1/s].
-        options: options of the policy.
         seed: seed of the noise.
     """
 

@@ -76,7 +76,6 @@ class ReplanningPolicy(CodedPolicy):
     Args:
         arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
         motion: motion for the first target, from start to target; by default, and from elsewhere, it goes straight.
-        options: settings.
         seed: seed of the searches.
 
     Raises:

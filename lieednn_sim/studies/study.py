@@ -66,7 +66,6 @@ def compute(study: Study[R], directory: StrPath, *, jobs: int = 1, console: Cons
     """The table of a directory, with the rows that it lacked computed; finished cases are kept when interrupted.
 
     Args:
-        study: the study.
         directory: directory of the table.
         jobs: number of worker processes; with 1 the cases run in this process. A script that starts workers needs
             `if __name__ == "__main__":`, as always with Python's `multiprocessing`.

@@ -18,19 +18,12 @@ ARM, SCENE = "arm", "scene"
 
 
 class UserFile(NamedTuple):
-    """An arm or a scene from a file.
+    """An arm or a scene from a file."""
 
-    Attributes:
-        kind: `ARM` or `SCENE`.
-        name: its name in tables.
-        source: its file, as `Arm.load` takes it, with an absolute path.
-        fingerprint: fingerprint of the arm or obstacles, which must be that of rows made earlier.
-    """
-
-    kind: str
-    name: str
-    source: str
-    fingerprint: str
+    kind: str  #: `ARM` or `SCENE`
+    name: str  #: in tables
+    source: str  #: its file, as `Arm.load` takes it, with an absolute path
+    fingerprint: str  #: of the arm or obstacles, which must be that of rows made earlier
 
 
 UserFiles = tuple[UserFile, ...]

@@ -23,9 +23,6 @@ from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.values import Floats, frozen
 
 DECAY = float(np.log(100.0))  # decay rate, per duration, that leaves a hundredth
-# Samples per demonstration and evaluations of the residual, by dof: ten times as many gain little.
-_SAMPLES = {2: 60, 3: 60, 6: 40}
-_EVALUATIONS = {2: 100, 3: 100, 6: 40}
 
 
 class MotionModel(Protocol):
@@ -111,7 +108,8 @@ class StableMixture:
         units = np.full(d, extent)
         if d == 6:
             units[:3] = extent / demonstrations.lever
-        chosen = np.unique(np.linspace(0, len(demonstrations.t) - 1, _SAMPLES[d]).astype(int))
+        # Ten times as many samples gain little.
+        chosen = np.unique(np.linspace(0, len(demonstrations.t) - 1, 40 if d == 6 else 60).astype(int))
         states = demonstrations.twists[..., shown_part(d)] / units
         rates = np.gradient(states, demonstrations.t / demonstrations.duration, axis=1)[:, chosen].reshape(-1, d)
         states = states[:, chosen].reshape(-1, d)
@@ -214,5 +212,5 @@ def _laws(gamma: Floats, x: Floats, rates: Floats) -> tuple[Floats, Floats]:
         return np.stack([column.ravel() for column in columns], axis=1)
 
     first = np.concatenate([np.eye(d)[low], np.tile(np.eye(d)[low], k), np.zeros(k * len(below[0]))])
-    fitted = least_squares(residual, first, jacobian, method="trf", max_nfev=_EVALUATIONS[d])
+    fitted = least_squares(residual, first, jacobian, method="trf", max_nfev=40 if d == 6 else 100)
     return laws(fitted.x)

@@ -59,10 +59,8 @@ class ShapedMotion(LearnedMotion):
         """Shape a network to follow the mean of the demonstrations, and each of them from its own start.
 
         Args:
-            demonstrations: the demonstrations.
             deviation: requested deviation from their mean [m], a radian counting for their lever; by default
                 `DEVIATION` times their extent. Neurons are added until it is met; see `Shaping.success`.
-            options: options of the search.
             family: whether the motion depends on its start, and on its goal if they are kept, as the demonstrations do
                 (`family`), which takes a clock rate of 1; else deviations of the start fade as e^-t.
         """
@@ -117,13 +115,7 @@ class ShapedMotion(LearnedMotion):
     def sample(self, start: Floats, count: int, seed: Seed = 0) -> tuple[ShapedMotion, ...]:
         """Motions drawn from the distribution from one start: the same certified network with other codes.
 
-        Args:
-            start: twist ``(6,)``.
-            count: how many.
-            seed: seed of the draw.
-
-        Raises:
-            InputError: a value is malformed, or there is no spread.
+        The start is a twist ``(6,)``. `InputError` if a value is malformed, or there is no spread.
         """
         (spread, *_), rng = self._family(), as_generator("seed", seed)
         root = np.sqrt(spread.scale(self._inputs(as_floats("start", start, (6,))))) * spread.root

@@ -22,7 +22,6 @@ Table = tuple[NDArray[Any], NDArray[Any] | None]  # samples, and their times if 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _LARGEST_TABLE = 10**8  # bytes of a text or mat file
 _TEXT = (".csv", ".txt", ".tsv", ".tum")
-_TUM = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 #: Names of the column of times, which may name the unit, too, as in time_s.
 TIME = re.compile(
     r"(t|times?|ts|time[ _]?stamps?|stamps?|secs?|seconds)([ _]*[\[(]?(?P<unit>s|ms|us|ns|secs?|seconds)[\])]?)?"
@@ -175,7 +174,7 @@ def _text(path: Path, layout: Layout) -> Iterator[Table]:
         if len(names) != table.shape[1]:
             raise InputError(f"{path} names {len(names)} columns, and its rows have {table.shape[1]}")
     else:  # a comment may name them, as np.savetxt writes it
-        usual = _TUM if path.suffix.lower() == ".tum" else []
+        usual = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"] if path.suffix.lower() == ".tum" else []
         named = (found for found in map(words, lines[:comments][::-1]) if len(found) == table.shape[1])
         names = next(named, usual)
     if not names:

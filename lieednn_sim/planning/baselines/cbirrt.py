@@ -33,9 +33,7 @@ _Search = Callable[[EdgeTest, Floats, Floats, float, PathOptions, int], "list[Fl
 def mjpl(problem: PlanningProblem, options: PathOptions) -> Motion:
     """The motion along a path of mjpl's bidirectional RRT.
 
-    Raises:
-        LieEDNNError: mjpl is not installed.
-        PlanError: no path was found within the tests allowed, or it cannot be followed in time.
+    `LieEDNNError` if mjpl is not installed, `PlanError` if no path is found in the tests allowed, or followed in time.
     """
     return _plan(problem, options, "mjpl", _mjpl_path)
 

@@ -65,11 +65,7 @@ class StompOptions(PlannerOptions):
 
 
 def stomp(problem: PlanningProblem, options: StompOptions) -> Motion:
-    """The motion along the first clear path that STOMP finds, after smoothing.
-
-    Raises:
-        PlanError: no path is clear, or the motion breaks a limit of the arm.
-    """
+    """The motion along the first clear path, after smoothing; `PlanError` if there is none, or it breaks a limit."""
     rng = np.random.default_rng(problem.seed)
     refusals = [PlanError(f"no path of {options.rounds} rounds is clear; try another seed or target")]
     for spacing in (options.spacing, 0.5 * options.spacing):

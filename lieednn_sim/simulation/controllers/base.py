@@ -90,11 +90,7 @@ class DriveController(Controller):
 
 
 class FeedforwardServo(DriveController):
-    """A servo whose controls follow from the reference alone, apart from sensor errors.
-
-    Raises:
-        InputError: the arm is not driven by position actuators on joints or fixed tendons.
-    """
+    """A servo whose controls follow from the reference alone, apart from sensor errors; for position actuators."""
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         super().__init__(arm, reference)

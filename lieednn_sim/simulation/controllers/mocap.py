@@ -118,10 +118,7 @@ class DeadbeatWelds(MocapWelds):
 
     With solref (2 h, 1/2) a weld's reference acceleration at the distance r is -r/h^2 - v/h, so the step
     v' = v + h a = -r/h ends at the body, which is where the reference will be one step later. Jumps of the bodies are
-    followed at once, with proportional forces; hence references held between samples are refused.
-
-    Raises:
-        InputError: the reference is held.
+    followed at once, with proportional forces; hence references held between samples are refused (`InputError`).
     """
 
     def _weld(self, reference: Reference) -> tuple[tuple[float, float], float]:

@@ -32,22 +32,14 @@ class PathErrors:
     """Errors of a path against the one it should follow, both sampled at `SAMPLES` equal steps of their length.
 
     Samples are paired by dynamic time warping (`warp`), whatever the timing; a radian counts as the lever.
-
-    Attributes:
-        rms_mm: root mean square distance of the pairs' positions.
-        rms_deg: root mean square angle between the pairs.
-        dtwd_mm: dynamic-time-warping distance: the sum of the distances of all pairs.
-        frechet_mm: discrete Frechet distance.
-        goal_mm: distance of the ends.
-        goal_deg: angle between the ends.
     """
 
-    rms_mm: float
-    rms_deg: float
-    dtwd_mm: float
-    frechet_mm: float
-    goal_mm: float
-    goal_deg: float
+    rms_mm: float  #: root mean square distance of the pairs' positions
+    rms_deg: float  #: root mean square angle between the pairs
+    dtwd_mm: float  #: dynamic-time-warping distance: the sum of the distances of all pairs
+    frechet_mm: float  #: discrete Frechet distance
+    goal_mm: float  #: distance of the ends
+    goal_deg: float  #: angle between the ends
 
 
 def path_errors(reproduced: ArrayLike, shown: ArrayLike, lever: float = LEVER) -> PathErrors:
@@ -172,7 +164,6 @@ def compare_models(
     The result is a row for each model, and the models by name, the network first.
 
     Args:
-        demonstrations, shaped: the demonstrations and the network.
         rivals: names of `RIVALS`; by default all.
         aligned: if goals are kept, the same demonstrations with aligned goals: rivals know one goal. An error is the
             same seen from either.

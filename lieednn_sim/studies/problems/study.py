@@ -61,24 +61,18 @@ OPTIONS: Mapping[str, PlannerOptions] = {
 class Solution(TableRow):
     """The result of a planner on a published problem.
 
-    Attributes:
-        problem: name of its set; together with the next two, the key of the row.
-        number: number in the set.
-        planner: name of the planner.
-        success: whether there is a motion within all limits and free of contact.
-        reason: why there is none; begins with "skipped" where start or goal are invalid, with "plan" where the planner
-            failed, with "problem" where it could not be read, and with "error" for anything else.
-        guide: for a shaped network, the planner whose motion it follows.
+    The reason of a failure begins with "skipped" where start or goal are invalid, with "plan" where the planner failed,
+    with "problem" where it could not be read, and with "error" for anything else.
     """
 
     _key = ("problem", "number", "planner")
 
-    problem: str
-    number: int
+    problem: str  # name of its set
+    number: int  # in the set
     planner: str
-    success: bool = outcome()
+    success: bool = outcome()  # whether there is a motion within all limits and free of contact
     reason: str = ""
-    guide: str = ""
+    guide: str = ""  # for a shaped network, the planner whose motion it follows
     solve_time: float | None = column(
         "solve time [s]",
         "CPU time of the planner, stopped at its budget; the one column that differs between runs",
@@ -173,10 +167,6 @@ class PublishedProblems(Study[Solution]):
         planners: names of `PLANNERS`.
         problems: number of problems, chosen by `ProblemSets.selection`; None for all.
         time_budget: CPU time for each problem [s].
-
-    Raises:
-        InputError: an unknown planner or a number out of range.
-        LieEDNNError: a planner is not installed.
     """
 
     name, kind = "problems", Solution

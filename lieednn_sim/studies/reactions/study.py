@@ -278,9 +278,6 @@ class Reactions(Study[Reaction]):
         seeds: number of seeds, starting at 0.
         policies: names of `COMPARED`.
         user_files: arms and scenes from files, by their names; see `Comparison.user_files`.
-
-    Raises:
-        InputError: ``seeds`` is less than 1.
     """
 
     name, kind = "reactions", Reaction
