@@ -128,10 +128,9 @@ class LinkFrames:
         """Frames ``(B, F, 16)`` at MuJoCo's positions ``(B, nq)``, to which the data is set one after the other."""
         # All bodies are copied, since a choice of a few takes longer.
         places, turns = (np.empty((len(qpos), *view.shape)) for view in (self._positions, self._rotations))
-        for row, own_place, own_turn in zip(qpos, places, turns, strict=True):
-            self._qpos[:] = row
+        for self._qpos[:], place, turn in zip(qpos, places, turns, strict=True):
             mujoco.mj_kinematics(self._model, self._data)
-            own_place[:], own_turn[:] = self._positions, self._rotations
+            place[:], turn[:] = self._positions, self._rotations
         return self._rows(places, turns)
 
     def _rows(self, xpos: Floats, xmat: Floats) -> Floats:

@@ -25,8 +25,7 @@ from lieednn_sim.values import Floats, StrPath
 
 __all__ = ["TASKS", "Reach", "Track", "make_task"]
 
-# Joints are at rest below this fraction of their velocity limits.
-REST = 0.01
+REST = 0.01  # of its velocity limit: a joint that is slower is at rest
 _DRAWS = 40  # attempts to draw a random trajectory
 
 

@@ -48,8 +48,7 @@ from lieednn_sim.values import Floats, StrPath
 
 # Largest |l s c| T in the certificate's norm, and largest change of a switch's argument, in a Runge-Kutta step.
 _MAX_STEP = 0.5
-# Largest number of such steps in a period.
-_MAX_STEPS = 100
+_MAX_STEPS = 100  # of these in a period, at most
 
 
 class NetworkPolicy(FeedbackPolicy):

@@ -37,8 +37,7 @@ from lieednn_sim.policies.surroundings import Surroundings, evasion, path_around
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
 
-# Configurations are one if they differ by less than this fraction of the ranges.
-_SAME = 1e-6
+_SAME = 1e-6  # of the ranges: configurations that differ by less are one
 _NOT_FREE = "the target is not free"
 
 

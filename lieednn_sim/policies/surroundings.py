@@ -21,8 +21,7 @@ from lieednn_sim.planning.transition import along, straight
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
 
-# Looks over which velocities are means.
-_LOOKS = 3
+_LOOKS = 3  # over which velocities are means
 
 
 class Surroundings:
@@ -168,9 +167,7 @@ def path_around(
     """A path by RRT-Connect, as `transition.along` makes it; the result depends on the arguments alone.
 
     It keeps the margin [m] from moving obstacles, in their places, where its ends, start and target ``(n,)``, allow it.
-
-    Raises:
-        LieEDNNError: there is no path, or OMPL is not installed.
+    `LieEDNNError` if there is no path, or OMPL is not installed.
     """
     refused = ""
     # With less of the margin where start or target are nearer than that.
@@ -199,15 +196,12 @@ def evasion(
     """A motion from rest at ``start`` ``(n,)`` to rest out of the way of moving obstacles, before they are there.
 
     Tried are configurations around the start. The one that a straight motion reaches first is taken which stays clear
-    of obstacles, as they move and as they are now.
+    of obstacles, as they move and as they are now; `PlanError` if there is none.
 
     Args:
         places, velocities: of the obstacles ``(3,)`` [m, m/s], by name, as of `Surroundings`.
         margin: distance to be kept from them where that is possible, else half of it [m].
         lead, horizon: times until the arm sets off, and for which obstacles are foreseen [s].
-
-    Raises:
-        PlanError: there is none.
     """
     tried = _around(arm, start, np.random.default_rng(seed))
     # None takes less than a quarter of a second.

@@ -25,8 +25,7 @@ from lieednn_sim.simulation.tracking import default_controller, make_controlled
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
-# Control periods of an endless run for which the reference is kept.
-_KEPT_PERIODS = 1000
+_KEPT_PERIODS = 1000  # of an endless run, for which the reference is kept
 
 
 @frozen

@@ -26,8 +26,7 @@ from lieednn_sim.values import Floats, StrPath, check_fields, frozen, set_fields
 _PER_COORDINATE = ("q", "qd", "q_ref", "qd_ref", "force", "constraint_force")
 _OTHERS = ("qpos", "ctrl", "link_position", "link_quaternion", "contacts", "contact_force", "target")
 _ARRAYS = ("t", *_PER_COORDINATE, *_OTHERS)
-# Before the names of channels in a file.
-_CHANNEL = "channel "
+_CHANNEL = "channel "  # before the names of channels in a file
 
 
 @frozen

@@ -30,8 +30,7 @@ from lieednn_sim.learning.demonstrations.models import DECAY, at_times, even_gri
 from lieednn_sim.lie import exp
 from lieednn_sim.values import Floats, frozen, read_only
 
-# Ijspeert's values: critically damped.
-ALPHA = 25.0
+ALPHA = 25.0  # Ijspeert's values: critically damped
 BETA = ALPHA / 4.0
 STEP = 1.0 / 200.0  # step of the integrator, in durations; the weights are fitted to exactly these steps
 _INSTANTS = 201  # number of instants at which paths of probabilistic primitives are fitted and evaluated

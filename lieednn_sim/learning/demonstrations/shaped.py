@@ -25,8 +25,7 @@ from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_p
 from lieednn_sim.values import Floats, frozen
 
 DEVIATION = 2e-3  # default of the requested deviation, in extents of the demonstrations
-# Network time, times rho, after which less than a millionth of the path is left.
-_NETWORK_TIME = 16.0
+_NETWORK_TIME = 16.0  # times rho, after which less than a millionth of the path is left
 
 
 @frozen

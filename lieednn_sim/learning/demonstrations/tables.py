@@ -75,9 +75,7 @@ def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: L
 def read_tables(files: Iterable[StrPath], layout: Layout) -> list[tuple[str, Floats, Floats]]:
     """The source of each table in the files, its samples and times as of `as_recording`.
 
-    Raises:
-        FileError: a file cannot be read, or is of another kind.
-        InputError: there is no table, one is not as the layout says, or what its times are is not clear.
+    `FileError` if a file cannot be read, or is of another kind; `InputError` also if there is no table.
     """
     results = []
     for name in files:

@@ -103,16 +103,12 @@ Search: TypeAlias = Callable[[SearchSpace, PathOptions, np.random.SeedSequence],
 
 
 def sampling_planner(name: str) -> Callable[..., Motion]:
-    """The planner with a name of `METHODS`; its arguments are a problem and options.
+    """The planner with a name of `METHODS`: a function of a problem and options, which raises as `motion_along_first`.
 
     RRT-Connect grows two trees from start and target until they meet. The others improve the path with a fixed amount
     of work: RRT* rewires one tree, Informed RRT* samples only where a shorter path is possible, BIT* searches batches
     of samples in the order of the path lengths that they promise, and AORRTC repeats RRT-Connect, each time for a
-    shorter path.
-
-    The planner raises:
-        LieEDNNError: OMPL is not installed.
-        PlanError: no path was found within the work allowed, or it cannot be followed in time.
+    shorter path. `LieEDNNError` if OMPL is not installed.
     """
 
     def planner(problem: PlanningProblem, options: PathOptions) -> Motion:

@@ -224,12 +224,8 @@ class ComputedTorque(DriveController):
 class _InverseDynamics:
     """Joint forces required of the actuators, in the discrete time of the model's integrator.
 
-    Attributes:
-        model: a copy of the arm's model, without contacts if it is a view.
-        qpos: ``(nq,)`` positions, to be set by the user, like the next two. These views are kept, since asking MuJoCo
-            for one takes as long as filling it.
-        velocity: ``(nv,)`` velocities.
-        acceleration: ``(nv,)`` accelerations.
+    The model is a copy of the arm's, without contacts if it is a view. The user sets ``qpos`` ``(nq,)``, ``velocity``
+    and ``acceleration`` ``(nv,)``: views, since asking MuJoCo for one takes as long as filling it.
     """
 
     def __init__(self, arm: Arm) -> None:

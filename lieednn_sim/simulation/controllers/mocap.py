@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -75,15 +74,11 @@ class MocapWelds(Controller):
         model, scratch = self._arm.model, self._scratch
         qpos = self._reference.ahead(steps, self._lead)
         firsts, run = runs(qpos)
-        positions, matrices = io.BytesIO(), io.BytesIO()
-        for scratch.qpos[:] in qpos[firsts]:
+        places, turns = np.empty((len(firsts), model.nbody, 3)), np.empty((len(firsts), model.nbody, 9))
+        for place, turn, scratch.qpos[:] in zip(places, turns, qpos[firsts], strict=True):
             mujoco.mj_kinematics(model, scratch)
-            positions.write(scratch.xpos)
-            matrices.write(scratch.xmat)
-        position, rotation = self._arm.frames.poses(
-            np.frombuffer(positions.getvalue()).reshape(-1, model.nbody, 3),
-            np.frombuffer(matrices.getvalue()).reshape(-1, model.nbody, 9),
-        )
+            place[:], turn[:] = scratch.xpos, scratch.xmat
+        position, rotation = self._arm.frames.poses(places, turns)
         return np.concatenate([position, rotations(rotation).as_quat(scalar_first=True)], axis=-1)[run]
 
     def inputs(self, steps: range, noise: Noise) -> Inputs:

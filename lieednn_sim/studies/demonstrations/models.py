@@ -23,8 +23,7 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from rich.console import Group
 
-# Samples of each path, at equal steps of its length: as many as in a demonstration of the LASA data set.
-SAMPLES = 1000
+SAMPLES = 1000  # of each path, at equal steps of its length: as many as in the LASA data set
 
 
 @dataclass(frozen=True)

@@ -34,9 +34,7 @@ from lieednn_sim.validation import as_count
 from lieednn_sim.values import Floats, check_fields, set_fields
 
 SKIPPED = "skipped"
-DEFAULT_PLANNERS = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
-# Whether paths can be retimed to the arm's limits.
-_TIMED = importlib.util.find_spec("toppra") is not None
+_TIMED = importlib.util.find_spec("toppra") is not None  # whether paths can be retimed to the arm's limits
 # Starts and goals are close to obstacles, and the time budget is the only limit of the search. Chosen on problems that
 # are not in the list of 100.
 _SEARCH = RrtConnectOptions(
@@ -173,7 +171,7 @@ class PublishedProblems(Study[Solution]):
     run, failed = staticmethod(solve), staticmethod(failed)
 
     sets: ProblemSets
-    planners: Sequence[str] = DEFAULT_PLANNERS
+    planners: Sequence[str] = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
     problems: int | None = 100
     time_budget: float = 10.0
 

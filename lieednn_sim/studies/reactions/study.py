@@ -57,8 +57,7 @@ COMPARED: dict[str, ComparedPolicy] = {
     "tracker": ComparedPolicy("tracker", filtered=False),
 }
 DISTURBANCES = ("none", "push", "payload", "target", "obstacle")
-# Simulated time [s].
-_DURATION = 7.0
+_DURATION = 7.0  # that is simulated [s]
 
 
 @dataclass(frozen=True, slots=True)
