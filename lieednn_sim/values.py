@@ -6,6 +6,7 @@ its fields by `check_fields` and `set_fields`.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import wraps
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 # Real arrays; their shapes are documented where they are used.
 Floats = NDArray[np.float64]
+StrPath = str | os.PathLike[str]
 _Class = TypeVar("_Class")
 
 

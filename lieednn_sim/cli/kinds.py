@@ -119,6 +119,7 @@ def _listed(read: Callable[[str], Any]) -> Callable[[str], Any]:
 #: The kinds by their annotation.
 KINDS = {
     "str": Kind(str, "NAME"),
+    "StrPath": Kind(str, "NAME"),
     "int": Kind(whole, "N"),
     "float": Kind(decimal_or_inf, "X"),
     "bool": Kind(flag, "true|false"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from typing import Any
 
@@ -19,14 +18,7 @@ from lieednn_sim.simulation import Simulation
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.simulation import make_plant
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_seed
-from lieednn_sim.values import Floats
-
-# Longest episode [s]; targets that move are drawn for all of it.
-_MAX_TIME_LIMIT = 1000.0
-
-
-# What `ArmTask.step` returns, as Gymnasium's environments do.
-Stepped = tuple[Observation, float, bool, bool, dict[str, Any]]
+from lieednn_sim.values import Floats, StrPath
 
 
 class Commands:
@@ -139,9 +131,9 @@ class ArmTask(ABC):
 
     def __init__(
         self,
-        arm: str | os.PathLike[str] | Arm = "telescopic_pr",
+        arm: StrPath | Arm = "telescopic_pr",
         *,
-        scene: str | os.PathLike[str] = "free",
+        scene: StrPath = "free",
         scene_seed: int = 0,
         control_timestep: float = 0.02,
         time_limit: float = 6.0,
@@ -159,10 +151,11 @@ class ArmTask(ABC):
         self.substeps = steps_in("control_timestep", control_timestep, timestep)
         self.control_timestep = self.substeps * timestep
         self.time_limit = as_positive("time_limit", time_limit)
-        if not self.control_timestep <= time_limit <= _MAX_TIME_LIMIT:
+        # Targets that move are drawn for all of it.
+        if not self.control_timestep <= time_limit <= 1000.0:
             raise InputError(
-                f"time_limit must be between one control step of {self.control_timestep:g} s and "
-                f"{_MAX_TIME_LIMIT:g} s, got {time_limit:g} s"
+                f"time_limit must be between one control step of {self.control_timestep:g} s and 1000 s, "
+                f"got {time_limit:g} s"
             )
         self.steps = int(np.ceil(self.time_limit / self.control_timestep - 1e-6))
         self.goal = as_choice("goal", goal, ("end-effector", "links"))
@@ -261,8 +254,8 @@ class ArmTask(ABC):
         self.episode += 1
         return self.observe()
 
-    def step(self, action: ArrayLike) -> Stepped:
-        """Do one control step with an action ``(n,)``.
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Do one control step with an action ``(n,)``, as Gymnasium's environments do.
 
         Returns:
             The observation, those of `bounds`; the reward in [0, 1]; whether the simulation failed, so that there is

@@ -30,7 +30,7 @@ from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.rendering.video import Camera, check_view
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_seed, as_workers, quoted
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 try:
     import gymnasium
@@ -80,8 +80,8 @@ class Environment(gymnasium.Env[Any, Floats]):
         self,
         task: str = "reach",
         *,
-        arm: str | os.PathLike[str] | Arm = "telescopic_pr",
-        scene: str | os.PathLike[str] = "free",
+        arm: StrPath | Arm = "telescopic_pr",
+        scene: StrPath = "free",
         render_mode: str | None = None,
         size: tuple[int, int] = (640, 480),
         preset: str = "draft",
@@ -152,8 +152,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         num_envs: int = 1,
         task: str = "reach",
         *,
-        arm: str | os.PathLike[str] | Arm = "telescopic_pr",
-        scene: str | os.PathLike[str] = "free",
+        arm: StrPath | Arm = "telescopic_pr",
+        scene: StrPath = "free",
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         **options: Any,

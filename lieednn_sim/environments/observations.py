@@ -16,9 +16,6 @@ Observation = dict[str, Floats]
 # Lower and upper bounds by name.
 Bounds = dict[str, tuple[Floats, Floats]]
 
-# Observed positions exceed their limits by at most this fraction of their range, and velocities are at most this
-# multiple of their limits: servos overshoot slightly, and contacts push.
-_POSITION_SLACK_FRACTION, _VELOCITY_LIMIT_FACTOR = 0.1, 5.0
 # Indices of the factors in a cross product: of the positive terms, then of the negative ones.
 _LEFT, _RIGHT = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
 # Smallest divisor: a rotation by less is none.
@@ -28,8 +25,8 @@ _TINY = 1e-100
 def common_bounds(arm: Arm, frames: int) -> Bounds:
     """Bounds of the observations that all tasks have, with this number of goal frames."""
     low, high = arm.position_limits.T
-    slack = _POSITION_SLACK_FRACTION * (high - low)
-    velocity = _VELOCITY_LIMIT_FACTOR * arm.velocity_limits
+    # Servos overshoot slightly, and contacts push.
+    slack, velocity = 0.1 * (high - low), 5.0 * arm.velocity_limits
     span = high - low + 2.0 * slack
     # |v| <= (pi / 2) |p| for a pose with translation p, whose length is at most twice the reach.
     twist = np.tile(np.repeat([np.pi, np.pi * reach(arm)], 3), (frames, 1))
@@ -51,15 +48,11 @@ def reach(arm: Arm) -> float:
 
 
 class Target(NamedTuple):
-    """The target of an episode, which may move.
+    """The target of an episode, which may move."""
 
-    Attributes:
-        position: joint target ``(n,)`` at a time of the episode [s].
-        rows: after each number of control steps, from 0 to S: joint targets ``(S + 1, n)``, goal frames
-            ``(S + 1, F, 16)`` as rows of `LinkFrames`, and a task's additional observations ``(S + 1, k)``.
-    """
-
-    position: Callable[[float], Floats]
+    position: Callable[[float], Floats]  #: joint target ``(n,)`` at a time of the episode [s]
+    #: After each number of control steps, from 0 to S: joint targets ``(S + 1, n)``, goal frames ``(S + 1, F, 16)`` as
+    #: rows of `LinkFrames`, and a task's additional observations ``(S + 1, k)``.
     rows: tuple[Floats, ...]
 
     def after(self, steps: int) -> list[Floats]:
@@ -68,27 +61,16 @@ class Target(NamedTuple):
 
 
 class State(NamedTuple):
-    """The state of one episode after a control step or, with leading axes, of many, but for the physics in MuJoCo.
+    """The state of one episode after a control step or, with leading axes, of many, but for the physics in MuJoCo."""
 
-    Attributes:
-        steps: numbers of control steps done ``(...)``.
-        command: commanded positions ``(..., n)``.
-        row: observations ``(..., size)``, see `Observations.rows`.
-        reward: rewards ``(...)`` in [0, 1].
-        success: whether the arm is at its target ``(...)``.
-        distance: largest distance of a goal frame from its target ``(...)`` [m].
-        angle: the same as an angle ``(...)`` [rad].
-        failure: reasons ``(...)`` for which the next step failed in the simulation, or empty.
-    """
-
-    steps: Any
-    command: Floats
-    row: Floats
-    reward: Floats
-    success: NDArray[np.bool_]
-    distance: Floats
-    angle: Floats
-    failure: Any = ""
+    steps: Any  #: numbers of control steps done ``(...)``
+    command: Floats  #: commanded positions ``(..., n)``
+    row: Floats  #: observations ``(..., size)``, see `Observations.rows`
+    reward: Floats  #: rewards ``(...)`` in [0, 1]
+    success: NDArray[np.bool_]  #: whether the arm is at its target ``(...)``
+    distance: Floats  #: largest distance of a goal frame from its target ``(...)`` [m]
+    angle: Floats  #: the same as an angle ``(...)`` [rad]
+    failure: Any = ""  #: reasons ``(...)`` for which the next step failed in the simulation, or empty
 
     def over(self, steps: int) -> Any:
         """Whether episodes that last ``steps`` control steps are over ``(...)``."""
@@ -146,10 +128,9 @@ class LinkFrames:
         """Frames ``(B, F, 16)`` at MuJoCo's positions ``(B, nq)``, to which the data is set one after the other."""
         # All bodies are copied, since a choice of a few takes longer.
         places, turns = (np.empty((len(qpos), *view.shape)) for view in (self._positions, self._rotations))
-        for row, own_place, own_turn in zip(qpos, places, turns, strict=True):
-            self._qpos[:] = row
+        for self._qpos[:], place, turn in zip(qpos, places, turns, strict=True):
             mujoco.mj_kinematics(self._model, self._data)
-            own_place[:], own_turn[:] = self._positions, self._rotations
+            place[:], turn[:] = self._positions, self._rotations
         return self._rows(places, turns)
 
     def _rows(self, xpos: Floats, xmat: Floats) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import OrderedDict
 from typing import Any
 
@@ -19,13 +18,13 @@ from lieednn_sim.rendering import opengl
 from lieednn_sim.simulation import Simulation
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_generator, as_seed
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 __all__ = ["ControlEnvironment", "load"]
 
 
 def load(
-    arm: str | os.PathLike[str] | Arm = "telescopic_pr",
+    arm: StrPath | Arm = "telescopic_pr",
     task: str = "reach",
     *,
     random: int | np.random.Generator | None = None,

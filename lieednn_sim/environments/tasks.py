@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Collection
 from functools import cached_property
 from inspect import signature
@@ -22,16 +21,12 @@ from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count, as_positive, quoted
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 __all__ = ["TASKS", "Reach", "Track", "make_task"]
 
-# Joints are at rest below this fraction of their velocity limits.
-REST = 0.01
-# Errors [m, rad] at which the near and the fine part of a reward fall to a tenth.
-_NEAR, _FINE = (0.05, 0.1), (0.005, 0.01)
-# Number of sines of a random trajectory, and of attempts to draw one.
-_SINES, _DRAWS = 3, 40
+REST = 0.01  # of its velocity limit: a joint that is slower is at rest
+_DRAWS = 40  # attempts to draw a random trajectory
 
 
 class Closeness:
@@ -46,7 +41,9 @@ class Closeness:
     def __init__(self, task: ArmTask, *more: tuple[float, float]) -> None:
         self._farthest = np.array([reach(task.arm), np.pi])
         allowed = 2 * (task.position_tolerance, task.rotation_tolerance)
-        self._allowed, self._margins = np.array([*zip(allowed, (*_NEAR, *_FINE), strict=True), *more]).T
+        # Of the near and of the fine part [m, rad].
+        margins = 0.05, 0.1, 0.005, 0.01
+        self._allowed, self._margins = np.array([*zip(allowed, margins, strict=True), *more]).T
 
     def __call__(self, distance: Floats, angle: Floats, *more: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Closeness at distances [m], angles [rad] and further errors, and whether all are allowed; all ``(...)``."""
@@ -141,7 +138,7 @@ class Track(ArmTask):
 TASKS: dict[str, type[ArmTask]] = {"reach": Reach, "track": Track}
 
 
-def make_task(task: str, arm: str | os.PathLike[str] | Arm = "telescopic_pr", **options: Any) -> ArmTask:
+def make_task(task: str, arm: StrPath | Arm = "telescopic_pr", **options: Any) -> ArmTask:
     """Make a task of `TASKS` by its name, with its options; an `InputError` lists the names."""
     kind = TASKS[as_choice("task", task, TASKS)]
     # Options of the task itself, and of every task.
@@ -159,7 +156,7 @@ def _refuse(what: str, unknown: Collection[str], known: Collection[str] = ()) ->
 def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> CubicHermiteSpline:
     """A random joint trajectory ``(n,)`` [rad, m] over time [s], within the limits and free of contact.
 
-    q(t) = home + r(t) (m + h u(t) - home), elementwise, where u is a sum of sines of 0.1 to 0.5 Hz with random
+    q(t) = home + r(t) (m + h u(t) - home), elementwise, where u is a sum of three sines of 0.1 to 0.5 Hz with random
     weights, frequencies and phases, |u| <= 1; m - h and m + h are random positions within the limits; r rises from 0,
     at rest at ``home``, to 1 by the minimum-jerk law. If it exceeds half the velocity or acceleration limits, it is
     slowed down as a whole.
@@ -186,9 +183,9 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
     # Closer to home as the spread shrinks; convex combinations stay within the limits.
     ends = np.sort(home + spread * (rng.uniform(low, high, (2, n)) - home), axis=0)
     middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
-    weights = rng.dirichlet(np.ones(_SINES), n)
-    omega = 2.0 * np.pi * rng.uniform(0.1, 0.5, (n, _SINES))
-    phase = rng.uniform(0.0, 2.0 * np.pi, (n, _SINES))
+    weights = rng.dirichlet(np.ones(3), n)
+    omega = 2.0 * np.pi * rng.uniform(0.1, 0.5, (n, 3))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (n, 3))
     # Long enough even if it is not slowed down.
     t = np.linspace(0.0, total, int(np.ceil(total / 0.02)) + 1)
     angle = omega * t[:, None, None] + phase

@@ -26,10 +26,9 @@ from lieednn_sim.planning.motion import steps_of_rate
 from lieednn_sim.registry import FORMATS
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.validation import Seed, as_count, as_path, as_seed, quoted
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
-# Seeds tried for each episode that is wanted, before the search is given up.
-_ATTEMPTS = 20
+_ATTEMPTS = 20  # seeds tried for each episode that is wanted
 
 
 class Episode(NamedTuple):
@@ -40,11 +39,7 @@ class Episode(NamedTuple):
 
 
 def export(
-    source: Rollout | str | os.PathLike[str] | Mapping[str, Any],
-    directory: str | os.PathLike[str],
-    *,
-    format: str = "csv",
-    rate: float | None = None,
+    source: Rollout | StrPath | Mapping[str, Any], directory: StrPath, *, format: str = "csv", rate: float | None = None
 ) -> list[Path]:
     """Write rollouts or comparisons in the format of another tool; returns the files written.
 
@@ -119,7 +114,7 @@ def write_csv(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None 
 
 
 @contextmanager
-def exporting(directory: str | os.PathLike[str]) -> Iterator[tuple[Path, list[Path]]]:
+def exporting(directory: StrPath) -> Iterator[tuple[Path, list[Path]]]:
     """Yield a folder for files, and the list to which their final paths are added when the block succeeds."""
     written: list[Path] = []
     # Libraries choose names in a folder of their own; only complete files are moved to where they are asked for.
@@ -137,11 +132,11 @@ def exporting(directory: str | os.PathLike[str]) -> Iterator[tuple[Path, list[Pa
 
 
 def record(
-    directory: str | os.PathLike[str],
+    directory: StrPath,
     episodes: int,
     *,
-    arm: str | os.PathLike[str] | Arm = "telescopic_pr",
-    scene: str | os.PathLike[str] = "free",
+    arm: StrPath | Arm = "telescopic_pr",
+    scene: StrPath = "free",
     scene_seed: int = 0,
     planner: str | None = None,
     seed: Seed = 0,

@@ -17,8 +17,6 @@ from lieednn_sim.exports.formats import Episode, samples
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.validation import as_positive
 
-# Samples per second of runs, or about as many, unless another rate is asked for.
-_RATE = 50.0
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _FIRST = _FILE.format(chunk_index=0, file_index=0)
 # All files of a data set.
@@ -48,10 +46,10 @@ def write(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None = No
 
 
 def _frames_per_second(rate: float | None, timestep: float) -> int:
-    """The rate [Hz], or the nearest to `_RATE`, if it is a whole number that divides the simulation's; `InputError`."""
+    """The rate [Hz], or the nearest to 50, if it is a whole number that divides the simulation's; `InputError`."""
     most = round(1.0 / timestep)
     allowed = [k for k in range(1, most + 1) if most % k == 0] if abs(most * timestep - 1.0) < 1e-6 else []
-    wanted = _RATE if rate is None else as_positive("rate", rate)
+    wanted = 50.0 if rate is None else as_positive("rate", rate)
     if not allowed:
         raise InputError(
             f"LeRobot's format has a whole number of frames per second, and none divides the simulation's "

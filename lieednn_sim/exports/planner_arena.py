@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +11,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.comparison.study import Comparison, settings_of
 from lieednn_sim.studies.rows import grouped
+from lieednn_sim.values import StrPath
 
 # Names and SQL types of what each run tells; OMPL's own names for the first two.
 _PROPERTIES = (
@@ -20,7 +20,7 @@ _PROPERTIES = (
 )
 
 
-def write(comparisons: Mapping[str, str | os.PathLike[str]], folder: Path) -> None:
+def write(comparisons: Mapping[str, StrPath], folder: Path) -> None:
     """Write ``<name>-<arm>-<scene>-<controller>.log`` for each part of each comparison; see `formats.export`.
 
     Each log is an experiment of OMPL, whose runs are the seeds: another target, and other obstacles, for each. ``time``

@@ -74,8 +74,7 @@ def _write(stream: rr.RecordingStream, rollout: Rollout, rows: slice) -> None:
 def _poses(model: mujoco.MjModel, qpos: Floats) -> tuple[Floats, Floats]:
     """Positions ``(K, B, 3)`` and quaternions (x, y, z, w) ``(K, B, 4)`` of all bodies."""
     data, result = mujoco.MjData(model), []
-    for row in qpos:
-        data.qpos[:] = row
+    for data.qpos[:] in qpos:
         mujoco.mj_kinematics(model, data)
         result.append((data.xpos.copy(), data.xquat[:, [1, 2, 3, 0]]))
     positions, quaternions = zip(*result, strict=True)

@@ -33,12 +33,7 @@ from lieednn_sim.stability.certificate import log_scale_gradient, smooth_largest
 from lieednn_sim.stability.norms import scale
 from lieednn_sim.values import Floats
 
-_DAMPING = 1e-6  # Levenberg damping of the Gauss-Newton equations
 _BARRIER = 0.8  # fraction of gamma/mu at which the certificate starts to push back
-_AIM = 0.4  # fraction of the largest jump at which a Gauss-Newton step aims, to leave room for second-order terms
-# In one epoch the barrier asks for this fraction of the excess, and at most this much. Where the squared slope is below
-# the last number it asks for less, so that the weights come to rest at a minimum.
-_BARRIER_GAIN, _LARGEST_DROP, _LEAST_SQUARED_SLOPE = 0.3, 0.1, 0.3
 
 
 def retract(point: WeightPoint, step: Floats) -> WeightPoint:
@@ -201,9 +196,9 @@ class RiemannianTraining(Training[RiemannianOptions]):
     def _gauss_newton_step(self, now: Iterate, nearby: SensitivityMatrix) -> Iterate:
         """The trial with the shortest step towards the target, plus the certificate's neutral step."""
         delta = now.equilibrium.x - self.goal
-        longest = _AIM * self.options.max_jump
+        longest = 0.4 * self.options.max_jump  # leaves room for second-order terms
         aim = delta * (longest / max(longest, np.abs(delta).max()))
-        equations = RowEquations(differential(now.point, now.equilibrium.output), _DAMPING)
+        equations = RowEquations(differential(now.point, now.equilibrium.output), damping=1e-6)
         step = equations.shortest(nearby.matrix @ (-now.rate / self.ratio * aim))
         log_scale = now.log_scale
         sharpness = 16.0  # the smoothed eigenvalue lies above the largest by at most log(3N) / sharpness
@@ -213,8 +208,8 @@ class RiemannianTraining(Training[RiemannianOptions]):
                 # Not scaled by the rate: the certificate takes precedence over the target.
                 neutral = equations.neutral(in_point)
                 slope = float(np.vdot(neutral, neutral) + in_log_scale @ in_log_scale)
-                drop = min(_BARRIER_GAIN * (value - _BARRIER), _LARGEST_DROP)
-                length = drop / max(slope, _LEAST_SQUARED_SLOPE)
+                # Less where the slope is small, so that the weights come to rest at a minimum.
+                length = min(0.3 * (value - _BARRIER), 0.1) / max(slope, 0.3)
                 step, log_scale = step - length * neutral, log_scale - length * in_log_scale
         return self._moved(now, step, log_scale, nearby)
 

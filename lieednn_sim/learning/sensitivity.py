@@ -27,11 +27,8 @@ from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
 _TOLERANCE = 1e-12
-_ACCEPTED = 1e-9  # residual that rounding may leave; a point with a larger one is not an equilibrium
 _LONGEST_STEP = 1.0
 _AT_REST = 1e-6  # a tenth of the paper's tau, and far above the integrator's own error
-_FLOW_STEPS = 4_000  # steps of all horizons together; a hundred are usual for each
-_NEARBY = 1e-2  # most that Newton steps may move a point of rest; beyond that they have found another equilibrium
 
 
 @frozen
@@ -177,7 +174,8 @@ class EquilibriumSolver:
             move = factored.solve(residual)
             far = math.sqrt(move.dot(move))
             x = x - (move if far <= _LONGEST_STEP else move * (_LONGEST_STEP / max(np.abs(move).max(), _LONGEST_STEP)))
-        return FlatEquilibrium(x, output, self._slope(x, output), length < max(tolerance, _ACCEPTED))
+        # Rounding may leave a residual of 1e-9.
+        return FlatEquilibrium(x, output, self._slope(x, output), length < max(tolerance, 1e-9))
 
     def first(self, weight: Floats) -> FlatEquilibrium:
         """The equilibrium found from zero by more Newton steps, or by running the network where these fail."""
@@ -193,15 +191,16 @@ class EquilibriumSolver:
         if not rest.success:
             return rest
         polished = self.newton(weight, rest.x, tolerance=tolerance)
-        near = polished.success and np.abs(polished.x - rest.x).max() < _NEARBY
+        # Further away Newton steps have found another equilibrium.
+        near = polished.success and np.abs(polished.x - rest.x).max() < 1e-2
         return polished if near else rest
 
     def flow(self, weight: Floats, x: Floats) -> FlatEquilibrium:
         """Runge-Kutta 4(5) in the time unit 1/gamma until the network rests, for at most 150 units.
 
-        A network that is far faster than its decay is given up after `_FLOW_STEPS` steps of the integrator.
+        A network that is far faster than its decay is given up after 4000 steps; a hundred are usual for 15 units.
         """
-        coupling, speed, left = self.ratio * weight, np.inf, _FLOW_STEPS
+        coupling, speed, left = self.ratio * weight, np.inf, 4000
 
         def field(_: float, state: Floats) -> Floats:
             return coupling @ self._phi(state) - state + self._drive
@@ -220,6 +219,4 @@ class EquilibriumSolver:
         return FlatEquilibrium(x, output, self._slope(x, output), success=bool(speed < _AT_REST))
 
 
-@functools.cache
-def _identity(n: int) -> Floats:
-    return np.eye(n)
+_identity = functools.cache(np.eye)

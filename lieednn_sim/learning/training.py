@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from dataclasses import fields, replace
 from enum import StrEnum
@@ -18,7 +17,7 @@ from lieednn_sim.learning.manifold import Network, WeightManifold, WeightPoint
 from lieednn_sim.learning.options import LearningOptions
 from lieednn_sim.learning.sensitivity import EquilibriumSolver, FlatEquilibrium
 from lieednn_sim.validation import as_floats
-from lieednn_sim.values import Floats, check_fields, frozen
+from lieednn_sim.values import Floats, StrPath, check_fields, frozen
 
 
 @frozen
@@ -58,13 +57,13 @@ class History:
     def __len__(self) -> int:
         return len(self.error)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write to an ``.npz`` file, atomically."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)}
         io.save_arrays(path, "training-history", columns, {})
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> History:
+    def load(cls, path: StrPath) -> History:
         """Read a file of `save`; `FileError` says what is wrong with it."""
         arrays, _ = io.load_arrays(path, "training-history")
         try:

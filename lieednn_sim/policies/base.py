@@ -5,7 +5,6 @@ It knows no simulator: `simulation.follow` runs it behind a simulated arm, `cont
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError
 from lieednn_sim.validation import as_floats, as_positive
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 
 class Policy(ABC):
@@ -130,7 +129,7 @@ class Policy(ABC):
         """Quantities of the last period ``(c,)``, in the order of `channel_units`."""
         return np.empty(0)
 
-    def to_c(self, folder: str | os.PathLike[str]) -> Path:
+    def to_c(self, folder: StrPath) -> Path:
         """Write the policy as C99 into a folder; only a `NetworkPolicy` can, others raise `InputError`."""
         raise InputError(
             f"a {type(self).__name__} has no C code, only a NetworkPolicy has, such as 'lieednn-shaped'; run it by "

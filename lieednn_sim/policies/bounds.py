@@ -26,9 +26,6 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.values import Floats
 
-# Fraction of the distance of start and target that is kept where these are closer than the margin.
-_MARGIN_FRACTION = 0.8
-
 
 @dataclass(frozen=True)
 class FilterOptions(PlannerOptions):
@@ -151,12 +148,13 @@ class ClearanceBarrier:
 
     def allow(self, q: Floats) -> None:
         """Reduce margins of pairs closer at ``q`` ``(n,)`` to a part of their distance; `InputError` if some touch."""
-        near = self.collisions.distances(q, max(self._options.margin, self._options.own_margin) / _MARGIN_FRACTION)
+        part = 0.8
+        near = self.collisions.distances(q, max(self._options.margin, self._options.own_margin) / part)
         if len(near.distance) and near.distance[0] <= 0.0:
             first, second = self.collisions.names(near.pairs[0])
             raise InputError(f"{first!r} touches {second!r} at the start")
         where = tuple(near.pairs.T)
-        self._margins[where] = np.minimum(self._margins[where], _MARGIN_FRACTION * near.distance)
+        self._margins[where] = np.minimum(self._margins[where], part * near.distance)
 
     def name(self, row: int) -> str:
         """Name of a row of the last `values`, for messages about what holds the arm back."""

@@ -35,12 +35,10 @@ from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.values import Floats
 
-# Below this pace the arm rests.
-RESTS = 1e-3
+RESTS = 1e-3  # pace below which the arm rests
 # Time in which the pace may fall to zero where no joint moves fast, and duration of the shortest motions [s].
 SOONEST = 0.25
-# The part of the limits of acceleration by which the pace falls before the arm must rest.
-GENTLY = 0.35
+GENTLY = 0.35  # part of the limits of acceleration by which the pace falls before the arm must rest
 
 
 class CodedPolicy(FeedbackPolicy):

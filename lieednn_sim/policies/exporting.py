@@ -6,7 +6,6 @@ scales its axes. Lengths are in the network's unit.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping, Sized
 from pathlib import Path
 
@@ -18,10 +17,11 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.network.exporting import c_header, write_sources
 from lieednn_sim.policies.base import jump_speeds
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
+from lieednn_sim.values import StrPath
 
 
 def write_policy(
-    arm: Arm, settings: Mapping[str, tuple[object, str]], feedback: Feedback | None, folder: str | os.PathLike[str]
+    arm: Arm, settings: Mapping[str, tuple[object, str]], feedback: Feedback | None, folder: StrPath
 ) -> Path:
     """Write ``policy.h``, ``policy.c`` and ``policy_numbers.h``, for a network beside them; see `NetworkPolicy.to_c`.
 

@@ -44,7 +44,6 @@ class Fabric(JointPolicy):
 
     Args:
         arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
-        options: settings.
     """
 
     def __init__(

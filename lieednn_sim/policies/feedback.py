@@ -52,8 +52,7 @@ class Feedback:
         return waiting, self.rate * max(0.0, 1.0 - self.tolerance / max(behind, 1e-300))
 
 
-# The default of all policies.
-FEEDBACK = Feedback()
+FEEDBACK = Feedback()  # the default of all policies
 
 
 class FeedbackPolicy(Policy):

@@ -89,7 +89,6 @@ def control_loop(
     not raised but reported. Only if `write` fails the last reference may not be at rest.
 
     Args:
-        policy: the policy.
         read: called once a period; returns the measured joints ``(n,)``, or, not at first, None if there are none.
         write: called with the reference q and qd ``(n,)`` for the end of the period; with the same ones in the next
             period if it raises.

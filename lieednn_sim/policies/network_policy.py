@@ -22,7 +22,6 @@ the arm comes within the tolerance of its reference; then the certified network 
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,12 +44,11 @@ from lieednn_sim.policies.feedback import FEEDBACK, Feedback, FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.synthesis import ShapingOptions, shape, synthesize
 from lieednn_sim.validation import as_positive
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 # Largest |l s c| T in the certificate's norm, and largest change of a switch's argument, in a Runge-Kutta step.
 _MAX_STEP = 0.5
-# Largest number of such steps in a period.
-_MAX_STEPS = 100
+_MAX_STEPS = 100  # of these in a period, at most
 
 
 class NetworkPolicy(FeedbackPolicy):
@@ -67,8 +65,7 @@ class NetworkPolicy(FeedbackPolicy):
         feedback: settings of the feedback from the measured joints; None for no feedback.
 
     Attributes:
-        network: the network.
-        speed: its speed c [1/s].
+        network, speed: as given.
         xi: ``(N, 6)`` state of all neurons.
         pulled: whether measured joints pulled the state in the last period, which is then no orbit of the network.
         gap: ``(N, 2)`` mechanism gap of each link in the last period: angle [rad] and distance [m].
@@ -123,7 +120,7 @@ class NetworkPolicy(FeedbackPolicy):
         """``(N, 6)``, as `xi`."""
         return self.xi
 
-    def to_c(self, folder: str | os.PathLike[str]) -> Path:
+    def to_c(self, folder: StrPath) -> Path:
         """Write the policy as C99 for a robot's controller, without allocation: ``policy.h``, ``policy.c`` and numbers.
 
         One call a period takes measured joints and a target, and gives the reference that `step` gives, up to rounding.

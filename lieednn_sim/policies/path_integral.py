@@ -26,8 +26,7 @@ from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats
 
-# Number of velocity knots over the horizon.
-_KNOTS = 4
+_KNOTS = 4  # of velocities, over the horizon
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,6 @@ class PathIntegral(JointPolicy):
     Args:
         arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
         convergence_rate: c [1/s].
-        options: options of the policy.
         seed: seed of the noise.
     """
 

@@ -27,7 +27,6 @@ class MotionTracker(Policy):
     """A policy that plays a motion from its beginning, whatever is measured or wanted, and then holds its end.
 
     Args:
-        arm: the arm.
         motion: motion that begins where the policy is reset, or a spline of joint coordinates ``(n,)`` over time [s].
         rate: control rate [Hz].
 
@@ -120,7 +119,6 @@ class MovementPrimitive(JointPolicy):
     Args:
         arm, rate, feedback: as of `JointPolicy`.
         motion: motion to imitate.
-        options: options of the policy.
     """
 
     def __init__(

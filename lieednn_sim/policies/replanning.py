@@ -30,19 +30,15 @@ from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.transition import along, straight
 from lieednn_sim.policies.coded_policy import RESTS, SOONEST, CodedPolicy
-from lieednn_sim.policies.evasion import evasion
 from lieednn_sim.policies.feedback import FEEDBACK, Feedback
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.searching import aside, found, get_ready
-from lieednn_sim.policies.surroundings import Surroundings, path_around
+from lieednn_sim.policies.surroundings import Surroundings, evasion, path_around
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats
 
-# Configurations are one if they differ by less than this fraction of the ranges.
-_SAME = 1e-6
+_SAME = 1e-6  # of the ranges: configurations that differ by less are one
 _NOT_FREE = "the target is not free"
-# For how long obstacles are foreseen to go on as they do at most [s].
-_FORESEEN = 3.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +75,6 @@ class ReplanningPolicy(CodedPolicy):
     Args:
         arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
         motion: motion for the first target, from start to target; by default, and from elsewhere, it goes straight.
-        options: settings.
         seed: seed of the searches.
 
     Raises:
@@ -117,9 +112,9 @@ class ReplanningPolicy(CodedPolicy):
         # The obstacle that is evaded; `_caught` says that it cannot be.
         self._evaded = ""
         lead = (self._options.search_periods + self._options.look_every) * self.period
-        # In which the arm can have moved each joint by half its range; nobody knows how obstacles go on for longer.
+        # In which the arm can have moved each joint by half its range; after 3 s nobody knows how obstacles go on.
         half = float(straight(self.arm, q, q + 0.5 * self.range, SOONEST).x[-1])
-        self._horizon = min(lead + half, _FORESEEN)
+        self._horizon = min(lead + half, 3.0)
         self._clear_way()
         if self.arm.scene != "free":
             get_ready(self.arm)

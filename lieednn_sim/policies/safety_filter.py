@@ -56,7 +56,6 @@ class SafetyFilter(JointBounds):
     Args:
         arm: the arm, with its obstacles.
         timestep: h, the control step [s].
-        options: settings of the filter.
     """
 
     def __init__(self, arm: Arm, timestep: float, options: FilterOptions | None = None) -> None:
@@ -153,10 +152,6 @@ class FilteredPolicy(Policy):
 
     The state of the wrapped policy does not depend on the filter, except that its speed limits count from the filtered
     reference. Its proof covers only this state; where an obstacle blocks the arm, the filtered reference stays behind.
-
-    Args:
-        policy: the policy.
-        options: settings of the filter.
 
     Attributes:
         inner: the wrapped policy.

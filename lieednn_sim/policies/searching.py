@@ -20,7 +20,6 @@ from lieednn_sim.errors import LieEDNNError, PlanError
 from lieednn_sim.registry import optional_module
 
 _T = TypeVar("_T")
-_NOTHING: Callable[[], Arm | None] = lambda: None  # noqa: E731 (as a weak reference whose arm is gone)
 # In the process that searches: the arm of the searches to come.
 _ARM: Arm | None = None
 
@@ -56,7 +55,8 @@ def _import(_: Arm) -> None:
 class _Searcher:
     # One worker, since OMPL's random numbers are global.
     def __init__(self) -> None:
-        self._lock, self._last = threading.Lock(), _NOTHING
+        self._lock = threading.Lock()
+        self._last: weakref.ref[Arm] | None = None
         self._pool: Executor = ProcessPoolExecutor(1, mp_context=WorkerContext(LoneWorkerProcess))
 
     def submit(self, arm: Arm, *call: Any) -> Future[Any]:
@@ -67,11 +67,11 @@ class _Searcher:
             except (AssertionError, OSError, RuntimeError) as error:
                 said = f"searches run in a thread, which may delay periods, since there is no process for them: {error}"
                 warnings.warn(said, RuntimeWarning, stacklevel=4)
-                self._pool, self._last = ThreadPoolExecutor(1, "searches"), _NOTHING
+                self._pool, self._last = ThreadPoolExecutor(1, "searches"), None
                 return self._submitted(arm, *call)
 
     def _submitted(self, arm: Arm, *call: Any) -> Future[Any]:
-        if self._last() is not arm:
+        if self._last is None or self._last() is not arm:
             # MuJoCo cannot pickle a spec. Pickled here, so that what cannot be raises here.
             self._pool.submit(_take, pickle.dumps(replace(arm.without_visuals, spec=None)))
             self._last = weakref.ref(arm)

@@ -1,4 +1,4 @@
-"""What a policy knows of moving obstacles: where they are, whether they are in the way, and paths around them."""
+"""What a policy knows of moving obstacles: where they are, whether they are in the way, and ways around and out."""
 
 from __future__ import annotations
 
@@ -17,12 +17,11 @@ from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms, fixed_body,
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions, rrt_connect
 from lieednn_sim.planning.problem import PlanningProblem
-from lieednn_sim.planning.transition import along
+from lieednn_sim.planning.transition import along, straight
 from lieednn_sim.validation import as_floats, quoted
 from lieednn_sim.values import Floats
 
-# Looks over which velocities are means.
-_LOOKS = 3
+_LOOKS = 3  # over which velocities are means
 
 
 class Surroundings:
@@ -168,9 +167,7 @@ def path_around(
     """A path by RRT-Connect, as `transition.along` makes it; the result depends on the arguments alone.
 
     It keeps the margin [m] from moving obstacles, in their places, where its ends, start and target ``(n,)``, allow it.
-
-    Raises:
-        LieEDNNError: there is no path, or OMPL is not installed.
+    `LieEDNNError` if there is no path, or OMPL is not installed.
     """
     refused = ""
     # With less of the margin where start or target are nearer than that.
@@ -184,3 +181,58 @@ def path_around(
             continue
         return along(arm, rrt_connect(problem, options))
     raise PlanError(refused)
+
+
+def evasion(
+    arm: Arm,
+    places: dict[str, Floats],
+    velocities: dict[str, Floats],
+    start: Floats,
+    margin: float,
+    lead: float,
+    horizon: float,
+    seed: int,
+) -> PPoly:
+    """A motion from rest at ``start`` ``(n,)`` to rest out of the way of moving obstacles, before they are there.
+
+    Tried are configurations around the start. The one that a straight motion reaches first is taken which stays clear
+    of obstacles, as they move and as they are now; `PlanError` if there is none.
+
+    Args:
+        places, velocities: of the obstacles ``(3,)`` [m, m/s], by name, as of `Surroundings`.
+        margin: distance to be kept from them where that is possible, else half of it [m].
+        lead, horizon: times until the arm sets off, and for which obstacles are foreseen [s].
+    """
+    tried = _around(arm, start, np.random.default_rng(seed))
+    # None takes less than a quarter of a second.
+    motions = sorted((straight(arm, start, q, 0.25) for q in tried), key=lambda motion: motion.x[-1])
+    step = 0.08  # from one of the configurations that are looked at to the next [s]
+    for share in (1.0, 0.5):
+        resting, leaving = Surroundings(arm, share * margin), Surroundings(arm, share * margin)
+        for around in (resting, leaving):
+            around.see(places)
+            around.velocities = velocities
+        # From where it is too near already, it may leave.
+        leaving.leave(start)
+        for motion in motions:
+            lasts = float(motion.x[-1])
+            moving = np.append(np.arange(0.0, lasts, step), lasts)
+            after = np.append(np.arange(lead + lasts, horizon, step), max(lead + lasts, horizon))
+            q = motion(moving)
+            if (
+                resting.blocked(q[-1:]) is None
+                and resting.nearing(q[-1:].repeat(len(after), axis=0), after) is None
+                and leaving.blocked(q) is None
+                and leaving.nearing(q, lead + moving) is None
+            ):
+                return motion
+    raise PlanError(f"none of {len(motions)} configurations around stays free and can be reached")
+
+
+def _around(arm: Arm, start: Floats, rng: np.random.Generator) -> Floats:
+    """Configurations ``(C, n)`` within growing parts of the joints' ranges, along each joint and at random."""
+    n, parts = arm.n_joints, np.array([0.05, 0.1, 0.2, 0.4, 0.8])[:, None, None]
+    axes = parts * np.concatenate([np.eye(n), -np.eye(n)])
+    steps = np.concatenate([axes, parts * rng.uniform(-1.0, 1.0, (len(parts), 4 * n, n))], axis=1)
+    q = np.clip(start + arm.ranges * steps.reshape(-1, n), *arm.position_limits.T)
+    return q[(arm.limit_excess(q) <= 0.0).all(axis=1) & (np.abs(q - start) > 0.01 * arm.ranges).any(axis=1)]

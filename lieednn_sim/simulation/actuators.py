@@ -24,9 +24,7 @@ from lieednn_sim.values import Floats
 class Actuators:
     """The actuators that move an arm in a model, and the controls for wanted states and forces.
 
-    Args:
-        arm: the arm.
-        complete: whether they must be able to move all of its joints.
+    With ``complete`` they must be able to move all of the arm's joints.
 
     Attributes:
         driving: ``(nu,)`` whether actuators move the arm's joints. The others keep their controls of a view's state, of

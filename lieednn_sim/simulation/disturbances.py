@@ -195,25 +195,15 @@ class Pushes:
 
 
 class Noise(NamedTuple):
-    """Errors of one measurement, in MuJoCo's tangent space.
+    """Errors of one measurement, in MuJoCo's tangent space."""
 
-    Attributes:
-        position: ``(nv,)`` errors of positions [rad, m].
-        velocity: ``(nv,)`` errors of velocities [rad/s, m/s].
-        present: whether there are any; otherwise all are zero.
-    """
-
-    position: Floats
-    velocity: Floats
-    present: bool = True
+    position: Floats  #: ``(nv,)`` errors of positions [rad, m]
+    velocity: Floats  #: ``(nv,)`` errors of velocities [rad/s, m/s]
+    present: bool = True  #: whether there are any; otherwise all are zero
 
 
 class Sensors:
-    """Draws the measurement errors of the arm's joints, the same ones after every `reset`.
-
-    Attributes:
-        noisy: whether there are any errors; otherwise all are zero.
-    """
+    """Draws the measurement errors of the arm's joints, if any (`noisy`), the same ones after every `reset`."""
 
     def __init__(self, arm: Arm, disturbances: Disturbances) -> None:
         self._seed = disturbances.seed

@@ -25,8 +25,7 @@ from lieednn_sim.simulation.tracking import default_controller, make_controlled
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, frozen
 
-# Control periods of an endless run for which the reference is kept.
-_KEPT_PERIODS = 1000
+_KEPT_PERIODS = 1000  # of an endless run, for which the reference is kept
 
 
 @frozen
@@ -142,17 +141,14 @@ class ClosedLoop:
         loop.advance(target)    # one control period; or `decide`, and for each of its steps `act` and the step itself
 
     Args:
-        policy: runs the arm; its rate must divide the rate of the simulation.
-        controller: a name of `CONTROLLERS`.
-        disturbances: disturbances unknown to policy and controller.
+        policy: its rate must divide the rate of the simulation; between periods, another one of the same arm and rate
+            may take its place.
+        controller, disturbances: as of `follow`.
         rows: number of simulation steps of the whole run; by default it has no end, and old references are forgotten.
 
     Attributes:
-        policy: the policy; another one of the same arm and rate may take its place between periods.
         period: simulation steps in a control period.
-        reference: the reference of the controller.
-        driver: the controller.
-        simulation: the simulated arm.
+        driver, reference: the controller, and its reference.
 
     Raises:
         InputError: the rates do not fit, or the controller is unknown or cannot drive the arm.
@@ -174,14 +170,7 @@ class ClosedLoop:
         self._forgotten = 0
 
     def decide(self, target: Floats) -> float:
-        """Ask the policy for the reference of the control period that begins now.
-
-        Args:
-            target: ``(n,)`` joint coordinates wanted now.
-
-        Returns:
-            CPU time of the policy's step [s].
-        """
+        """Ask the policy for the reference of this period, towards a target ``(n,)``; returns its CPU time [s]."""
         reference, row = self.reference, self.simulation.steps - self._forgotten
         if self._endless and reference.known + self.period > len(reference.q):
             # Velocities take the row before the present one.
@@ -201,11 +190,7 @@ class ClosedLoop:
         self.driver.act(self.simulation.data, self.simulation.steps - self._forgotten, self.simulation.noise)
 
     def advance(self, target: Floats) -> None:
-        """Do one control period towards a target ``(n,)``.
-
-        Raises:
-            SimulationError: as `Simulation.advance`.
-        """
+        """Do one control period towards a target ``(n,)``; raises as `Simulation.advance`."""
         with QuietWarnings():
             self.decide(target)
             for _ in range(self.period):

@@ -117,11 +117,7 @@ def runs(rows: Floats) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
 
 
 class Foreseen:
-    """Rows, one per step, that follow from a reference, computed for many steps ahead when one is first needed.
-
-    Args:
-        reference: the reference; computed rows are discarded when more of it becomes known.
-    """
+    """Rows, one per step, that follow from a reference, computed for many steps ahead, until more of it is known."""
 
     def __init__(self, reference: Reference) -> None:
         self._reference = reference
@@ -140,15 +136,9 @@ class Foreseen:
 
 
 def interpolator(period: float, steps: int) -> Callable[[Floats, Floats, Floats, Floats], tuple[Floats, Floats]]:
-    """A function that interpolates the references of two control periods by a cubic polynomial.
+    """A function from q, qd ``(n,)`` at both ends of a control period [s] to q and qd ``(m, n)`` after each of m steps.
 
-    Args:
-        period: control period [s].
-        steps: number m of simulation steps in a control period.
-
-    Returns:
-        A function of q, qd at the beginning and at the end of a period, each ``(n,)``, to q and qd ``(m, n)`` after
-        each of its steps.
+    It is a cubic polynomial.
     """
     ends, times = np.eye(4), period * np.arange(1, steps + 1) / steps
     spline = CubicHermiteSpline([0.0, period], ends[[0, 2]], ends[[1, 3]])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, field
 from functools import cached_property
@@ -22,13 +21,12 @@ from lieednn_sim.planning.monitor import ClearanceMonitor, moved_besides
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation.disturbances import Disturbances
 from lieednn_sim.validation import as_floats, as_positive, as_times
-from lieednn_sim.values import Floats, check_fields, frozen, set_fields
+from lieednn_sim.values import Floats, StrPath, check_fields, frozen, set_fields
 
 _PER_COORDINATE = ("q", "qd", "q_ref", "qd_ref", "force", "constraint_force")
 _OTHERS = ("qpos", "ctrl", "link_position", "link_quaternion", "contacts", "contact_force", "target")
 _ARRAYS = ("t", *_PER_COORDINATE, *_OTHERS)
-# Before the names of channels in a file.
-_CHANNEL = "channel "
+_CHANNEL = "channel "  # before the names of channels in a file
 
 
 @frozen
@@ -182,7 +180,7 @@ class Rollout:
         rotation = Rotation.from_quat(self.link_quaternion, scalar_first=True)
         return RigidTransform.from_components(self.link_position, rotation)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write to an ``.npz`` file, atomically."""
         meta = {
             "arm": self.arm.name,
@@ -202,7 +200,7 @@ class Rollout:
         io.save_arrays(path, "rollout", arrays, meta)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], arm: Arm, motion: Motion | None = None) -> Rollout:
+    def load(cls, path: StrPath, arm: Arm, motion: Motion | None = None) -> Rollout:
         """Read a file of `save`.
 
         Args:

@@ -176,12 +176,10 @@ def failure(data: mujoco.MjData, what: str, time: float, remedy: str = "") -> Si
 def make_plant(
     arm: Arm, disturbances: Disturbances | None = None, add_bodies: Callable[[Any], None] | None = None
 ) -> mujoco.MjModel:
-    """A model to simulate.
+    """A model to simulate; neither the arm's model nor its spec is changed.
 
-    Args:
-        arm: the arm; neither its model nor its spec is changed.
-        disturbances: what changes the arm itself is used; gravity compensation stays that of the arm without them.
-        add_bodies: called with a copy of the arm's spec, to add bodies after the arm's.
+    Of the disturbances, what changes the arm itself is used; gravity compensation stays that of the arm without them.
+    ``add_bodies`` is called with a copy of the arm's spec, to add bodies after the arm's.
 
     Raises:
         InputError: bodies are to be added to a view of a compiled model, or a payload to a body of one that MuJoCo

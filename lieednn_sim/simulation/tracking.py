@@ -198,12 +198,7 @@ def _reference_of(arm: Arm, sequence: PlanSequence, rate: float | None) -> Refer
 
 
 class _Play:
-    """The steps of a sequence in a simulation.
-
-    Attributes:
-        begun: when each step began [s], and its name.
-        end: when the last one ended [s].
-    """
+    """The steps of a sequence in a simulation, in which they are ``begun`` at times [s], and ``end`` at last."""
 
     def __init__(self, sequence: PlanSequence, simulation: Simulation, rest: int) -> None:
         self._sequence, self._simulation, self._rest = sequence, simulation, rest

@@ -6,7 +6,6 @@ import contextlib
 import importlib
 import itertools
 import multiprocessing
-import os
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,6 +24,7 @@ from lieednn_sim.studies.rows import R
 from lieednn_sim.studies.table import SUFFIX, Table
 from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.validation import as_workers
+from lieednn_sim.values import StrPath
 
 _OF_USERS: tuple[Registry[Any], ...] = PLANNERS, POLICIES, CONTROLLERS  # kinds to which users add
 
@@ -56,19 +56,16 @@ class Study(ABC, Generic[R]):
     def todo(self, table: Table[R]) -> Sequence[tuple[Any, ...]]:
         """Arguments of the cases whose rows the table lacks."""
 
-    def open(self, directory: str | os.PathLike[str]) -> Table[R]:
+    def open(self, directory: StrPath) -> Table[R]:
         """The table in a directory, which is created if it is missing; raises as `Table.begin`."""
         path = io.make_directory(directory) / f"{self.name}{SUFFIX}"
         return Table.begin(path, self.kind, self.settings(), self.user_files)
 
 
-def compute(
-    study: Study[R], directory: str | os.PathLike[str], *, jobs: int = 1, console: Console | None = None
-) -> Table[R]:
+def compute(study: Study[R], directory: StrPath, *, jobs: int = 1, console: Console | None = None) -> Table[R]:
     """The table of a directory, with the rows that it lacked computed; finished cases are kept when interrupted.
 
     Args:
-        study: the study.
         directory: directory of the table.
         jobs: number of worker processes; with 1 the cases run in this process. A script that starts workers needs
             `if __name__ == "__main__":`, as always with Python's `multiprocessing`.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
-import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
@@ -17,13 +16,13 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.studies.rows import R, TableRow, columns_of
 from lieednn_sim.studies.user_files import UserFile
 from lieednn_sim.validation import as_path
+from lieednn_sim.values import StrPath
 from lieednn_sim.versions import commit, versions
 
 SUFFIX = ".sqlite"
 # Types of columns by the annotations of a row's fields.
 _TYPES = {"str": "TEXT", "bool": "INTEGER", "int": "INTEGER", "float": "REAL"}
-# Longest wait for other processes that write [s], and most bytes of a value that is read.
-_PATIENCE, _LONGEST = 60.0, 1_000_000
+_LONGEST = 1_000_000  # most bytes of a value that is read
 
 
 class Table(Generic[R]):
@@ -46,7 +45,7 @@ class Table(Generic[R]):
         FileError: the file is missing, cannot be read, or is no table of this kind.
     """
 
-    def __init__(self, path: str | os.PathLike[str], kind: type[R]) -> None:
+    def __init__(self, path: StrPath, kind: type[R]) -> None:
         self.path, self._kind = as_path("the name of a table's file", path), kind
         self._rows: dict[tuple[Any, ...], R] | None = None
         with _connected(self.path) as base:
@@ -66,11 +65,7 @@ class Table(Generic[R]):
 
     @classmethod
     def begin(
-        cls,
-        path: str | os.PathLike[str],
-        kind: type[R],
-        settings: Mapping[str, Any],
-        user_files: Iterable[UserFile] = (),
+        cls, path: StrPath, kind: type[R], settings: Mapping[str, Any], user_files: Iterable[UserFile] = ()
     ) -> Self:
         """The table in a file, which is made if it is missing, to add rows.
 
@@ -147,7 +142,7 @@ class Table(Generic[R]):
                 raise FileError(f"{self.path} and {other.path} disagree on {what}; remove one of them")
             base.execute("INSERT OR IGNORE INTO rows SELECT * FROM part.rows")
 
-    def write_csv(self, path: str | os.PathLike[str]) -> None:
+    def write_csv(self, path: StrPath) -> None:
         """Write all rows as a CSV file, in the order of their keys, below the names of the columns."""
         names = [entry.name for entry in fields(self._kind)]
         with io.atomic_text(path) as stream:
@@ -210,7 +205,8 @@ def _connected(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
     if mode == "rw" and not io.is_file(path):
         raise FileError(f"no such file: {path}")
     try:
-        with contextlib.closing(sqlite3.connect(_address(path, mode), uri=True, timeout=_PATIENCE)) as base, base:
+        # Others that write are waited for up to a minute.
+        with contextlib.closing(sqlite3.connect(_address(path, mode), uri=True, timeout=60.0)) as base, base:
             # Of a file that anyone may have made.
             base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
             base.execute("PRAGMA trusted_schema = OFF")

@@ -12,24 +12,18 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.models import is_arm_file
 from lieednn_sim.arm.obstacles import check_home, describe, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.errors import FileError, InputError
+from lieednn_sim.values import StrPath
 
 ARM, SCENE = "arm", "scene"
 
 
 class UserFile(NamedTuple):
-    """An arm or a scene from a file.
+    """An arm or a scene from a file."""
 
-    Attributes:
-        kind: `ARM` or `SCENE`.
-        name: its name in tables.
-        source: its file, as `Arm.load` takes it, with an absolute path.
-        fingerprint: fingerprint of the arm or obstacles, which must be that of rows made earlier.
-    """
-
-    kind: str
-    name: str
-    source: str
-    fingerprint: str
+    kind: str  #: `ARM` or `SCENE`
+    name: str  #: in tables
+    source: str  #: its file, as `Arm.load` takes it, with an absolute path
+    fingerprint: str  #: of the arm or obstacles, which must be that of rows made earlier
 
 
 UserFiles = tuple[UserFile, ...]
@@ -42,9 +36,7 @@ def bare_arm(source: str) -> Arm:
     return Arm.load(source)
 
 
-def resolve(
-    kind: str, values: Sequence[str | os.PathLike[str]], known: Sequence[str]
-) -> tuple[list[str], list[UserFile]]:
+def resolve(kind: str, values: Sequence[StrPath], known: Sequence[str]) -> tuple[list[str], list[UserFile]]:
     """The names under which arms or scenes appear in tables, and those of them that come from files.
 
     Values are names, ``known`` in the package, or files as `Arm.load` takes them. `FileError` if one is missing or

@@ -15,9 +15,8 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.policies import ReplanningOptions, ReplanningPolicy, searching
-from lieednn_sim.policies.evasion import evasion
 from lieednn_sim.policies.searching import aside, found
-from lieednn_sim.policies.surroundings import Surroundings, path_around
+from lieednn_sim.policies.surroundings import Surroundings, evasion, path_around
 from lieednn_sim.simulation import Disturbances, MovingObstacle, follow
 
 POLE = "obstacle_pole"

@@ -19,7 +19,6 @@ from lieednn_sim.values import Floats, frozen
 Indices = NDArray[np.intp]
 PHASES = ("length", "time")
 GOALS = ("aligned", "kept")
-_LARGEST_NOISE = 0.02  # within which noise stays, in extents of the path
 LEVER = 0.2  # metres that a radian counts for: 2 mm and 0.5 degrees weigh about the same
 
 
@@ -191,7 +190,7 @@ def moving(points: Floats, t: Floats) -> tuple[Indices, Floats]:
     third = [entry[entry > least] for entry in np.abs(np.diff(points, n=3, axis=0)).T]
     noise = [np.median(entry) / (0.6745 * np.sqrt(20.0)) if len(entry) else 0.0 for entry in third]
     # Two samples at rest are further apart about once in ten thousand times, whatever the number of columns.
-    radius = np.clip(np.sqrt(2.0) * (np.linalg.norm(noise) + 2.5 * max(noise)), least, _LARGEST_NOISE * extent)
+    radius = np.clip(np.sqrt(2.0) * (np.linalg.norm(noise) + 2.5 * max(noise)), least, 0.02 * extent)
     kept = [0]
     for k, point in enumerate(points):
         if np.linalg.norm(point - points[kept[-1]]) > radius:

@@ -5,7 +5,6 @@ The network's state is the frame's displacement (omega, p) from the goal: the po
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from typing import Self
 
@@ -21,7 +20,7 @@ from lieednn_sim.lie import transforms
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import ShapingOptions
 from lieednn_sim.validation import as_floats, as_path, as_times
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, StrPath, frozen
 
 # Longest time step, and step in the fraction that the clock has left, a tenth of the width of the steepest switch.
 _LONGEST_STEP, _FRACTION_STEP = 0.2, 1.0 / 600.0
@@ -54,7 +53,7 @@ class LearnedMotion:
         return f"<{type(self).__name__}: {shown} over {self.t[-1]:.3g} s to {self.goal.translation.round(3)} m>"
 
     @classmethod
-    def load(cls, directory: str | os.PathLike[str]) -> LearnedMotion:
+    def load(cls, directory: StrPath) -> LearnedMotion:
         """Read a directory of `lieednn-sim learn`, without a spread; `FileError` if it holds no such motion."""
         path = as_path("the directory of a learned motion", directory) / "report.json"
         if not io.is_file(path):

@@ -23,11 +23,6 @@ from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.values import Floats, frozen
 
 DECAY = float(np.log(100.0))  # decay rate, per duration, that leaves a hundredth
-# Rounds of expectation maximisation, and the least variance of a component [extent^2].
-_ROUNDS, _LEAST_VARIANCE = 60, 1e-4
-# Samples per demonstration and evaluations of the residual, by dof: ten times as many gain little.
-_SAMPLES = {2: 60, 3: 60, 6: 40}
-_EVALUATIONS = {2: 100, 3: 100, 6: 40}
 
 
 class MotionModel(Protocol):
@@ -113,7 +108,8 @@ class StableMixture:
         units = np.full(d, extent)
         if d == 6:
             units[:3] = extent / demonstrations.lever
-        chosen = np.unique(np.linspace(0, len(demonstrations.t) - 1, _SAMPLES[d]).astype(int))
+        # Ten times as many samples gain little.
+        chosen = np.unique(np.linspace(0, len(demonstrations.t) - 1, 40 if d == 6 else 60).astype(int))
         states = demonstrations.twists[..., shown_part(d)] / units
         rates = np.gradient(states, demonstrations.t / demonstrations.duration, axis=1)[:, chosen].reshape(-1, d)
         states = states[:, chosen].reshape(-1, d)
@@ -157,12 +153,13 @@ def _mixture(x: Floats, components: int, rng: np.random.Generator) -> tuple[Floa
     d = x.shape[1]
     _, label = kmeans2(x, components, minit="++", rng=rng)
     gamma = np.eye(components)[label]
-    for _ in range(_ROUNDS):
+    for _ in range(60):
         count = gamma.sum(axis=0) + 1e-9  # an empty component keeps a tiny prior
         prior, mean = count / count.sum(), gamma.T @ x / count[:, None]
         away = x[:, None] - mean
         covariance = np.einsum("nk,nka,nkb->kab", gamma, away, away) / count[:, None, None]
-        factor = np.linalg.cholesky(np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(d)))
+        # No component is narrower than a hundredth of the extent.
+        factor = np.linalg.cholesky(np.linalg.inv(covariance + 1e-4 * np.eye(d)))
         gamma = _posterior(x, prior, mean, factor)
     return prior, mean, factor
 
@@ -215,5 +212,5 @@ def _laws(gamma: Floats, x: Floats, rates: Floats) -> tuple[Floats, Floats]:
         return np.stack([column.ravel() for column in columns], axis=1)
 
     first = np.concatenate([np.eye(d)[low], np.tile(np.eye(d)[low], k), np.zeros(k * len(below[0]))])
-    fitted = least_squares(residual, first, jacobian, method="trf", max_nfev=_EVALUATIONS[d])
+    fitted = least_squares(residual, first, jacobian, method="trf", max_nfev=40 if d == 6 else 100)
     return laws(fitted.x)

@@ -30,16 +30,10 @@ from lieednn_sim.learning.demonstrations.models import DECAY, at_times, even_gri
 from lieednn_sim.lie import exp
 from lieednn_sim.values import Floats, frozen, read_only
 
-# Ijspeert's values: critically damped.
-ALPHA = 25.0
+ALPHA = 25.0  # Ijspeert's values: critically damped
 BETA = ALPHA / 4.0
 STEP = 1.0 / 200.0  # step of the integrator, in durations; the weights are fitted to exactly these steps
-# Relative size below which singular values are not inverted: responses to neighbouring basis functions are similar.
-_LEAST_RESPONSE = 1e-6
 _INSTANTS = 201  # number of instants at which paths of probabilistic primitives are fitted and evaluated
-# Standard deviation added to every weight, in extents of the demonstrations: without it, a model of few demonstrations
-# could not be conditioned on another start.
-_ADDED_DEVIATION = 1e-2
 
 
 @frozen
@@ -64,7 +58,8 @@ class MovementPrimitive:
         n_basis = max(2, round(n_parameters / dof))
         grid = np.arange(0.0, 1.0 + 0.5 * STEP, STEP)
         target = displacement(at_times(demonstrations.twists, demonstrations.t / duration, grid))
-        inverse = np.linalg.pinv(responses(forcing(n_basis, np.exp(-DECAY * grid)), STEP), rcond=_LEAST_RESPONSE)
+        # Responses to neighbouring basis functions are similar, so small singular values are not inverted.
+        inverse = np.linalg.pinv(responses(forcing(n_basis, np.exp(-DECAY * grid)), STEP), rcond=1e-6)
         weights = np.zeros((n_basis, 6))
         # Corrections of the weights: positions need one, rotations more, as they are not quite linear in the weights.
         for _ in range(4 if dof == 6 else 1):
@@ -157,7 +152,8 @@ class ProbabilisticPrimitive:
         inverse = np.linalg.pinv(basis.T @ basis + ridge * np.eye(n_basis)) @ basis.T
         weights = (inverse @ paths).swapaxes(1, 2).reshape(len(paths), -1)
         centred = weights - weights.mean(axis=0)
-        added = (_ADDED_DEVIATION * demonstrations.extent) ** 2 * np.eye(len(centred.T))
+        # Otherwise a model of few demonstrations could not be conditioned on another start.
+        added = (1e-2 * demonstrations.extent) ** 2 * np.eye(len(centred.T))
         covariance = centred.T @ centred / len(weights) + added
         # Conditioned on both ends at once, the mean is affine in the start.
         ends = np.concatenate([np.kron(np.eye(dof), row) for row in basis[[0, -1]]])

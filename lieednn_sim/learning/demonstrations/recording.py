@@ -6,7 +6,6 @@ an array with three axes holds several demonstrations of the same length.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from functools import cached_property, partial
 from pathlib import Path
@@ -19,18 +18,14 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.tables import TIME_UNITS, Layout, as_recording, read_tables
 from lieednn_sim.lie import left_jacobian_so3
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_positive, as_times
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, StrPath, frozen
 
 QUATERNIONS = ("wxyz", "xyzw")
 _COUNTS = (2, 3, 7)
 _WORDS = "2, 3 or 7 columns: x y, x y z, or these and a quaternion; or 4 or 8, the time and x y z or a pose"
 _LARGEST = 1e9  # of a sample, in any unit
-_SHOWN = {2: "positions in a plane", 3: "positions", 7: "poses"}  # what a table shows, by its number of columns
-_NORMS = (0.9, 1.1)  # accepted norms of recorded unit quaternions, which may be rounded
-_LARGEST_TURN = 2.0 * np.pi - 0.2  # largest angle of a rotation vector [rad]: the chart is singular at a full turn
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-_AXES = ("x", "y", "z")
 
 
 def as_dof(dof: int) -> int:
@@ -106,8 +101,8 @@ class Demonstration:
         rotation = np.broadcast_to(np.eye(3), (count, 3, 3))
         if columns == 7:
             norms = np.linalg.norm(table[:, 3:], axis=1)
-            if not ((norms > _NORMS[0]) & (norms < _NORMS[1])).all():
-                worst = int(np.argmax(np.abs(norms - 1.0)))
+            worst = int(np.argmax(np.abs(norms - 1.0)))
+            if not 0.9 < norms[worst] < 1.1:
                 raise InputError(f"quaternions of {source} must be units, got norm {norms[worst]:g} in row {worst}")
             rotation = Rotation.from_quat(table[:, 3:], scalar_first=quaternion == "wxyz").as_matrix()
         result = cls(times, position, rotation, 6 if columns == 7 else columns, source)
@@ -118,7 +113,7 @@ class Demonstration:
     @property
     def shown(self) -> str:
         """The quantities that were recorded, in words."""
-        return _SHOWN[7 if self.dof == 6 else self.dof]
+        return {2: "positions in a plane", 3: "positions", 6: "poses"}[self.dof]
 
     @cached_property
     def twists(self) -> Floats:
@@ -141,7 +136,8 @@ class Demonstration:
             if angle > 0.0:
                 axis = turn[k] / angle
                 turn[k] += 2.0 * np.pi * np.round((turn[k + 1] - turn[k]) @ axis / (2.0 * np.pi)) * axis
-        if np.linalg.norm(turn, axis=1).max() > _LARGEST_TURN:
+        # The chart is singular at a full turn.
+        if np.linalg.norm(turn, axis=1).max() > 2.0 * np.pi - 0.2:
             raise InputError(f"{self.source} turns by a full turn or more from its goal; cut it into shorter ones")
         shift = np.linalg.solve(left_jacobian_so3(turn), (self.position - other.position[-1])[..., None])[..., 0]
         return np.concatenate([turn, shift], axis=1)
@@ -154,12 +150,7 @@ class Demonstration:
 
 
 def load_demonstrations(
-    files: Iterable[str | os.PathLike[str]],
-    *,
-    unit: str = "m",
-    quaternion: str = "wxyz",
-    rate: float = 100.0,
-    time_unit: str = "s",
+    files: Iterable[StrPath], *, unit: str = "m", quaternion: str = "wxyz", rate: float = 100.0, time_unit: str = "s"
 ) -> tuple[Demonstration, ...]:
     """Read demonstrations of one motion, one or several from each file.
 
@@ -196,11 +187,11 @@ def load_demonstrations(
 
 
 def _pose_columns(quaternion: str, path: Path, names: list[str]) -> Sequence[str]:
-    axes = _AXES if "x" in names else [f"t{letter}" for letter in _AXES]  # as in TUM's files
+    axes = ["x", "y", "z"] if "x" in names else ["tx", "ty", "tz"]  # as in TUM's files
     chosen = [name for name in axes if name in names]
     turns = [f"q{letter}" for letter in quaternion]
     if any(name in names for name in turns):
         chosen = [*axes, *turns]
-    if chosen[:2] != [*axes[:2]] or not set(chosen) <= set(names):
+    if chosen[:2] != axes[:2] or not set(chosen) <= set(names):
         raise InputError(f"{path} must have columns x, y, z and qw, qx, qy, qz, or x, y; it has: {', '.join(names)}")
     return chosen

@@ -25,13 +25,7 @@ from lieednn_sim.validation import Seed, as_count, as_floats, as_generator, as_p
 from lieednn_sim.values import Floats, frozen
 
 DEVIATION = 2e-3  # default of the requested deviation, in extents of the demonstrations
-# Network time, times rho, after which less than a millionth of the path is left.
-_NETWORK_TIME = 16.0
-# Corrections of a code until the motion is at its via point, and how near that must be, in standard deviations of the
-# motion: far from the demonstrations bumps are not linear in their codes.
-_CORRECTIONS, _NEAR = 50, 1e-4
-# Parameters of a switch that are not zero by construction, by dof: its position, its slope, and a vector.
-_PER_SWITCH = {2: 4, 3: 5, 6: 5}
+_NETWORK_TIME = 16.0  # times rho, after which less than a millionth of the path is left
 
 
 @frozen
@@ -64,10 +58,8 @@ class ShapedMotion(LearnedMotion):
         """Shape a network to follow the mean of the demonstrations, and each of them from its own start.
 
         Args:
-            demonstrations: the demonstrations.
             deviation: requested deviation from their mean [m], a radian counting for their lever; by default
                 `DEVIATION` times their extent. Neurons are added until it is met; see `Shaping.success`.
-            options: options of the search.
             family: whether the motion depends on its start, and on its goal if they are kept, as the demonstrations do
                 (`family`), which takes a clock rate of 1; else deviations of the start fade as e^-t.
         """
@@ -98,8 +90,9 @@ class ShapedMotion(LearnedMotion):
     @property
     def n_parameters(self) -> int:
         """The number of parameters of the mean motion's switches that are not zero by construction."""
-        network = self.shaping.network
-        return _PER_SWITCH[self.dof] * (network.n_hidden - network.n_clock)
+        # Of each its position, its slope, and a vector.
+        switches = self.shaping.network.n_hidden - self.shaping.network.n_clock
+        return (4 if self.dof == 2 else 5) * switches
 
     def covariance(self, start: Floats, t: Floats) -> Floats:
         """Predictive covariance ``(..., K, 6, 6)`` [rad, m] of the motion about `reproduce`, in rotation and position.
@@ -121,13 +114,7 @@ class ShapedMotion(LearnedMotion):
     def sample(self, start: Floats, count: int, seed: Seed = 0) -> tuple[ShapedMotion, ...]:
         """Motions drawn from the distribution from one start: the same certified network with other codes.
 
-        Args:
-            start: twist ``(6,)``.
-            count: how many.
-            seed: seed of the draw.
-
-        Raises:
-            InputError: a value is malformed, or there is no spread.
+        The start is a twist ``(6,)``. `InputError` if a value is malformed, or there is no spread.
         """
         (spread, *_), rng = self._family(), as_generator("seed", seed)
         root = np.sqrt(spread.scale(self._inputs(as_floats("start", start, (6,))))) * spread.root
@@ -166,11 +153,12 @@ class ShapedMotion(LearnedMotion):
         noises = miss / spread.units[seen]
         gain = spread.gain(passing, noises)
         code = np.zeros(len(gain))
-        for _ in range(_CORRECTIONS):
+        # Far from the demonstrations bumps are not linear in their codes.
+        for _ in range(50):
             passed = self._coded(code)._run(reference, tau)[0, -1, seen]
             change = gain @ (place - passed + passing @ code) - code
             code = code + change
-            if (np.abs(passing @ change) < _NEAR * deviation).all():
+            if (np.abs(passing @ change) < 1e-4 * deviation).all():
                 break
         else:
             away = np.linalg.norm((place - passed) * spread.units[seen])

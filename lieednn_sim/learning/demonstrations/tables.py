@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,22 +15,18 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import Archive, opened, read_array
 from lieednn_sim.validation import as_floats, as_path, as_times, quoted
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 Table = tuple[NDArray[Any], NDArray[Any] | None]  # samples, and their times if the file has them
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_LONGEST_STEP = 0.9  # between times without a warning, unless a lower rate is given [s]
 _LARGEST_TABLE = 10**8  # bytes of a text or mat file
 _TEXT = (".csv", ".txt", ".tsv", ".tum")
-_TUM = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 #: Names of the column of times, which may name the unit, too, as in time_s.
 TIME = re.compile(
     r"(t|times?|ts|time[ _]?stamps?|stamps?|secs?|seconds)([ _]*[\[(]?(?P<unit>s|ms|us|ns|secs?|seconds)[\])]?)?"
 )
 _LIKE_A_TIME = re.compile("time|stamp|clock|epoch|elapsed|date|sec|milli|micro|nano")
-# Largest deviation of times from equal steps, as a fraction of the duration; half a step is allowed, too.
-_STRAIGHT = 0.02
 
 
 @dataclass(frozen=True)
@@ -77,12 +72,10 @@ def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: L
     return table, TIME_UNITS[layout.time_unit] * (times - times[0])
 
 
-def read_tables(files: Iterable[str | os.PathLike[str]], layout: Layout) -> list[tuple[str, Floats, Floats]]:
+def read_tables(files: Iterable[StrPath], layout: Layout) -> list[tuple[str, Floats, Floats]]:
     """The source of each table in the files, its samples and times as of `as_recording`.
 
-    Raises:
-        FileError: a file cannot be read, or is of another kind.
-        InputError: there is no table, one is not as the layout says, or what its times are is not clear.
+    `FileError` if a file cannot be read, or is of another kind; `InputError` also if there is no table.
     """
     results = []
     for name in files:
@@ -92,7 +85,7 @@ def read_tables(files: Iterable[str | os.PathLike[str]], layout: Layout) -> list
             source = path.name if len(tables) == 1 else f"{path.name}[{number}]"
             results.append((source, *as_recording(source, samples, t, layout)))
             step = float(np.median(np.diff(results[-1][2])))
-            if step > max(_LONGEST_STEP, 1.01 / layout.rate):
+            if step > max(0.9, 1.01 / layout.rate):
                 warnings.warn(
                     f"the times of {source} step by {step:.3g} s, read in {layout.time_unit}; for another unit see "
                     f"time_unit: {', '.join(TIME_UNITS)}",
@@ -179,7 +172,7 @@ def _text(path: Path, layout: Layout) -> Iterator[Table]:
         if len(names) != table.shape[1]:
             raise InputError(f"{path} names {len(names)} columns, and its rows have {table.shape[1]}")
     else:  # a comment may name them, as np.savetxt writes it
-        usual = _TUM if path.suffix.lower() == ".tum" else []
+        usual = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"] if path.suffix.lower() == ".tum" else []
         named = (found for found in map(words, lines[:comments][::-1]) if len(found) == table.shape[1])
         names = next(named, usual)
     if not names:
@@ -212,7 +205,8 @@ def uneven_row(values: NDArray[Any]) -> int:
     if not rising.all():
         return int(np.argmin(rising)) + 1
     apart = np.abs(values - np.linspace(values[0], values[-1], len(values)))
-    allowed = max(_STRAIGHT, 0.5 / max(len(rising), 1)) * (values[-1] - values[0])
+    # Two per cent of the duration, or half a step.
+    allowed = max(0.02, 0.5 / max(len(rising), 1)) * (values[-1] - values[0])
     return int(np.argmax(apart)) if apart.max() > allowed else 0
 
 

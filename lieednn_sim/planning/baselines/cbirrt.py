@@ -26,16 +26,14 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
-# Arguments: edge test, start and target in its coordinates, longest edge, options, seed. Returns corners, or None.
+# From start to target in the test's coordinates, with a longest edge and a seed; returns corners, or None.
 _Search = Callable[[EdgeTest, Floats, Floats, float, PathOptions, int], "list[Floats] | None"]
 
 
 def mjpl(problem: PlanningProblem, options: PathOptions) -> Motion:
     """The motion along a path of mjpl's bidirectional RRT.
 
-    Raises:
-        LieEDNNError: mjpl is not installed.
-        PlanError: no path was found within the tests allowed, or it cannot be followed in time.
+    `LieEDNNError` if mjpl is not installed, `PlanError` if no path is found in the tests allowed, or followed in time.
     """
     return _plan(problem, options, "mjpl", _mjpl_path)
 
@@ -115,8 +113,7 @@ def _box(limits: Floats) -> mujoco.MjModel:
 def _sscbirrt_path(
     edges: EdgeTest, start: Floats, target: Floats, longest_edge: float, options: PathOptions, seed: int
 ) -> list[Floats] | None:
-    library = optional_module("sscbirrt")
-    motions = optional_module("sscbirrt.motion")
+    library, motions = optional_module("sscbirrt"), optional_module("sscbirrt.motion")
     lower, upper = edges.bounds.T
 
     def validate(q_from: Floats, q_to: Floats) -> Any:

@@ -20,10 +20,7 @@ def minimum_jerk(problem: PlanningProblem, *, guiding: bool = False) -> Motion:
     """A straight line in joint space, q(t) = q_0 + sigma(t/T) (q_1 - q_0), sigma = 10 s^3 - 15 s^4 + 6 s^5.
 
     The time law is Flash and Hogan's, J. Neuroscience 5(7), 1985. The poses are those of the joints, so there is no
-    mechanism gap. For ``guiding`` see `joint_motion`.
-
-    Raises:
-        PlanError: the motion breaks a limit of the arm.
+    mechanism gap. For ``guiding``, and for what it raises, see `joint_motion`.
     """
     _, sigma, rate = _schedule(problem)
     change = problem.target - problem.start
@@ -36,10 +33,7 @@ def se3_geodesic(problem: PlanningProblem) -> Motion:
 
     A joint with fewer than six degrees of freedom cannot follow such a geodesic, so it is decoded to the nearest joint
     position. Links that move along one screw turn as far as their joint does. For others the shorter rotation is taken;
-    between angles more than pi apart it crosses the logarithm's cut, outside every joint's limits.
-
-    Raises:
-        PlanError: the motion breaks a limit of the arm.
+    between angles more than pi apart it crosses the logarithm's cut, outside every joint's limits (`PlanError`).
     """
     arm, t, sigma, rate = problem.arm, *_schedule(problem)
     origin, goal = arm.joint_poses(problem.start), arm.joint_poses(problem.target)
@@ -78,10 +72,8 @@ def dmp(problem: PlanningProblem) -> Motion:
     row of weights, times a joint's displacement, serves them all.
 
     At the end of the duration 1 % of the phase is left, and about as much of the path. A quintic polynomial, zero at
-    the start, removes the remaining errors of position, velocity and acceleration.
-
-    Raises:
-        PlanError: the motion breaks a limit of the arm; a primitive knows neither limits nor obstacles.
+    the start, removes the remaining errors of position, velocity and acceleration. A primitive knows neither limits nor
+    obstacles: `PlanError` if the motion breaks a limit.
     """
     t, sigma, _ = _schedule(problem)
     phase = np.exp(-DECAY * t / t[-1])

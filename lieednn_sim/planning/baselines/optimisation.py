@@ -68,9 +68,7 @@ def trajectory_optimisation(problem: PlanningProblem, options: OptimisationOptio
     """The first of a few locally optimal trajectories that the arm can follow.
 
     The first guess is minimum jerk, straight in joint space; the others are bent towards random configurations.
-
-    Raises:
-        PlanError: no local optimum keeps the limits and the clearance; the message says why the first one does not.
+    `PlanError` if none keeps the limits and the clearance says why the first one does not.
     """
     descent = _Descent(problem, options)
     refusal = ""

@@ -69,11 +69,7 @@ class QshnnOptions(PlannerOptions):
 
 
 def qshnn(problem: PlanningProblem, options: QshnnOptions) -> Motion:
-    """The motion along the path of the first learned network whose path the arm can follow.
-
-    Raises:
-        PlanError: no network could be learned, none arrives, or every motion breaks a limit of the arm.
-    """
+    """The motion along the path of the first learned network that the arm can follow; `PlanError` if there is none."""
     joints = JointQuaternions(problem.arm, options.modulus)
     target = joints.quaternions(problem.target)
     refusal = ""
@@ -138,11 +134,7 @@ def learned(target: Floats, options: QshnnOptions, seed: Sequence[int]) -> Train
 
 
 def path_of(problem: PlanningProblem, joints: JointQuaternions, network: HopfieldNetwork, count: int) -> Floats:
-    """Evenly spaced joint positions ``(count, n)`` on the network's path from the problem's start to its target.
-
-    Raises:
-        PlanError: the network does not arrive.
-    """
+    """Evenly spaced joint positions ``(count, n)`` on the network's path to the target; `PlanError` if it fails."""
     start, target = joints.quaternions(problem.start), joints.quaternions(problem.target)
     trajectory = network.trajectory(start, _LONGEST_RUN, until=target, distance=_ARRIVAL_DISTANCE)
     left = float(np.abs(trajectory.xi[-1] - target).max())

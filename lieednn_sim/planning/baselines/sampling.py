@@ -36,7 +36,6 @@ METHODS = {
     "bit-star": "BITstar",
     "aorrtc": "AORRTC",
 }
-_STRAIGHT = 1.0 + 1e-9  # a path of at most this many straight lengths is straight, up to rounding
 
 
 @dataclass(frozen=True)
@@ -99,21 +98,17 @@ class BitStarOptions(PathOptions):
     max_collision_checks: tuple[int, ...] = (5_000, 10_000, 20_000, 40_000)
 
 
-# Arguments: space, options, seed. Returns a path of OMPL's, or None.
+# Returns a path of OMPL's, or None.
 Search: TypeAlias = Callable[[SearchSpace, PathOptions, np.random.SeedSequence], Any]
 
 
 def sampling_planner(name: str) -> Callable[..., Motion]:
-    """The planner with a name of `METHODS`; its arguments are a problem and options.
+    """The planner with a name of `METHODS`: a function of a problem and options, which raises as `motion_along_first`.
 
     RRT-Connect grows two trees from start and target until they meet. The others improve the path with a fixed amount
     of work: RRT* rewires one tree, Informed RRT* samples only where a shorter path is possible, BIT* searches batches
     of samples in the order of the path lengths that they promise, and AORRTC repeats RRT-Connect, each time for a
-    shorter path.
-
-    The planner raises:
-        LieEDNNError: OMPL is not installed.
-        PlanError: no path was found within the work allowed, or it cannot be followed in time.
+    shorter path. `LieEDNNError` if OMPL is not installed.
     """
 
     def planner(problem: PlanningProblem, options: PathOptions) -> Motion:
@@ -139,17 +134,10 @@ aorrtc = sampling_planner("aorrtc")
 def connecting_path(
     problem: PlanningProblem, workspace: Workspace, options: PathOptions, search: Search, attempt: int
 ) -> Floats | None:
-    """Corners ``(M, n)`` of a shortened path from start to target, clear in the workspace; or None.
+    """Corners ``(M, n)`` of a shortened path from start to target, clear in the workspace with the margin; or None.
 
-    The result does not depend on earlier calls.
-
-    Args:
-        problem, workspace, options: the problem, its workspace with the margin, and options of the search.
-        search: `balanced_search`, or `ompl_search` of a name.
-        attempt: number of the attempt; each has other samples, and later ones a finer spacing.
-
-    Raises:
-        LieEDNNError: OMPL is not installed.
+    The search is `balanced_search`, or `ompl_search` of a name. Each attempt has other samples, and later ones a finer
+    spacing; earlier calls change nothing. `LieEDNNError` if OMPL is not installed.
     """
     util = optional_module("ompl.util")
     workspace.clear.tests = 0
@@ -174,10 +162,10 @@ def ompl_search(name: str) -> Search:
         base, geometric = optional_module("ompl.base"), optional_module("ompl.geometric")
         definition = base.ProblemDefinition(space.information)
         definition.setStartAndGoalStates(*(space.state(q / space.edges.scale) for q in space.ends))
-        # No path is shorter than the straight one, so a planner that finds it stops.
+        # No path is shorter than the straight one, so a planner that finds it, up to rounding, stops.
         objective = base.PathLengthOptimizationObjective(space.information)
         straight = float(np.linalg.norm((space.ends[1] - space.ends[0]) / space.edges.scale))
-        objective.setCostThreshold(base.Cost(_STRAIGHT * straight))
+        objective.setCostThreshold(base.Cost((1.0 + 1e-9) * straight))
         definition.setOptimizationObjective(objective)
         # Informed RRT* fails where start and target are one: there is no ellipsoid to sample in.
         method = METHODS[name if straight > 0.0 else "rrt-connect"]

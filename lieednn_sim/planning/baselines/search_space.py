@@ -19,16 +19,11 @@ from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
 
-_CALLS_PER_TEST = 2  # of `over`, per test that a search may make; usually a test or more comes with each
-
 
 class EdgeTest:
-    """Tests of points and edges in a workspace, with a bounded number of tests; independent of OMPL.
+    """Tests of points and edges in a workspace, which counts the configurations tested; independent of OMPL.
 
-    Args:
-        arm: the arm.
-        workspace: has the clearance test, which counts the configurations tested.
-        spacing: largest distance that a link frame moves between configurations tested on an edge, about [m].
+    On an edge, a link frame moves by about ``spacing`` [m] at most from one of them to the next.
 
     Attributes:
         scale: ``(n,)`` units of the coordinates of points [rad, m].
@@ -77,8 +72,8 @@ class EdgeTest:
 
     def over(self, tests: int) -> bool:
         """Whether a search must end that may test ``tests`` configurations; the search asks in its loop."""
-        # Calls count, too: a planner that knows the shortest path tests nothing any more.
-        return next(self._looks) >= _CALLS_PER_TEST * tests or self._clear.tests >= tests or out_of_time()
+        # Calls count, too, of which most have a test: a planner that knows the shortest path tests nothing any more.
+        return next(self._looks) >= 2 * tests or self._clear.tests >= tests or out_of_time()
 
 
 class SearchSpace:
@@ -103,7 +98,6 @@ class SearchSpace:
             bounds.setLow(joint, float(low))
             bounds.setHigh(joint, float(high))
         self._space.setBounds(bounds)
-
         self.information = base.SpaceInformation(self._space)
         self.information.setStateValidityChecker(lambda state: edges.free(np.array(state[0:n])))
         self.information.setMotionValidator(_validator_class(base)(self.information, edges))

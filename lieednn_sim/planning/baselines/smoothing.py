@@ -27,10 +27,6 @@ from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.time_laws import minimum_jerk_law, retime
 from lieednn_sim.values import Floats
 
-# A curve to be followed at the limits is first tested for contact at this many places, and then sampled as a motion of
-# this many steps, before its time law is computed.
-_PLACES, _STEPS = 512, 2000
-
 Blocked = dict[int | None, str]
 Paths = Callable[[int], Floats | None]
 
@@ -57,10 +53,8 @@ class SmoothingOptions(PlannerOptions):
 def motion_along(problem: PlanningProblem, corners: Floats, options: SmoothingOptions, blocked: Blocked) -> Motion:
     """The smoothest motion along a polyline ``(M, n)`` from start to target that keeps limits and clearance.
 
-    Args:
-        problem, corners, options: the problem, the corners of the polyline, and how it is smoothed.
-        blocked: numbers of control points whose curves are blocked at any duration, with the reasons. It is added to;
-            pass it on to calls with other durations, in which these curves are skipped.
+    To ``blocked`` are added numbers of control points whose curves are blocked at any duration, with the reasons; pass
+    it on to calls with other durations, in which these curves are skipped.
 
     Raises:
         PlanError: not even the polyline itself can be followed in the problem's duration.
@@ -95,13 +89,10 @@ def motion_along(problem: PlanningProblem, corners: Floats, options: SmoothingOp
 def motion_along_first(
     problem: PlanningProblem, path: Paths, attempts: int, options: SmoothingOptions, name: str
 ) -> Motion:
-    """The motion along the first path that can be followed, in the time that it needs.
+    """The motion along the first path that can be followed, in the time that it needs, for the planner of a name.
 
-    Args:
-        problem, options, name: the problem, how paths are smoothed, and the planner's name.
-        path: function from the number of an attempt to corners ``(M, n)``, or None if it fails. Paths do not depend on
-            the duration; it should remember them, since they are asked for again when the motion needs more time.
-        attempts: largest number of paths to ask for.
+    ``path`` maps the number of an attempt to corners ``(M, n)``, or to None if it fails. Paths do not depend on the
+    duration; it should remember them, since they are asked for again when the motion needs more time.
 
     Raises:
         PlanError: there is no path, or none can be followed.
@@ -126,16 +117,15 @@ def motion_along_first(
 
 
 def slow_motion(problem: PlanningProblem, corners: Floats, count: int, bend: float) -> Motion:
-    """A motion along a curve of `smoothed` that is to be timed: not checked, but for contact at some places.
+    """A motion of 2000 steps along a curve of `smoothed`, to be timed; `PlanError` if it touches at one of 512 places.
 
-    Raises:
-        PlanError: there, something touches.
+    Nothing else is checked.
     """
     arm, scale = problem.arm, joint_scale(problem.arm)
     points, lengths = _measured(corners / scale)
-    if len(lengths) and any(arm.near_contacts_along(scale * _spline(points, lengths, count)(bisecting(_PLACES)))):
+    if len(lengths) and any(arm.near_contacts_along(scale * _spline(points, lengths, count)(bisecting(512)))):
         raise PlanError("the curve touches something")
-    slow = replace(problem, duration=_STEPS * arm.timestep)
+    slow = replace(problem, duration=2000 * arm.timestep)
     return joint_motion(slow, *smoothed(slow, corners, count, bend), checked=False)
 
 

@@ -35,10 +35,6 @@ from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.values import Floats
 
 _TESTS_PER_CHECK = 100  # configurations tested between two checks of the time budget
-_SENSITIVITY = 10.0  # h in the weights exp(-h S), as in the paper
-# Factors of the noise's spread after a round without a better path and one with it, the largest spread, and the number
-# of rounds in a row without a better path after which the search restarts.
-_GROW, _SHRINK, _WIDEST, _STALLED = 1.2, 0.95, 0.5, 10
 
 
 @dataclass(frozen=True)
@@ -69,11 +65,7 @@ class StompOptions(PlannerOptions):
 
 
 def stomp(problem: PlanningProblem, options: StompOptions) -> Motion:
-    """The motion along the first clear path that STOMP finds, after smoothing.
-
-    Raises:
-        PlanError: no path is clear, or the motion breaks a limit of the arm.
-    """
+    """The motion along the first clear path, after smoothing; `PlanError` if there is none, or it breaks a limit."""
     rng = np.random.default_rng(problem.seed)
     refusals = [PlanError(f"no path of {options.rounds} rounds is clear; try another seed or target")]
     for spacing in (options.spacing, 0.5 * options.spacing):
@@ -163,8 +155,8 @@ class StompSearch:
                 break
             better = self._round(spread)
             stalled = 0 if better else stalled + 1
-            spread = spread * _SHRINK if better else min(spread * _GROW, _WIDEST)
-            if stalled == _STALLED:
+            spread = 0.95 * spread if better else min(1.2 * spread, 0.5)
+            if stalled == 10:
                 self.path, spread, stalled = self.straight, options.spread, 0
                 self.cost = self.costs(self.path)
         return None if self.cost.any() else self.path
@@ -208,5 +200,6 @@ class StompSearch:
 def noise_weights(costs: Floats) -> Floats:
     """Weights ``(K, N)`` of K noise samples at each waypoint, from costs ``(K, N)``; zero where all are the same."""
     least, span = costs.min(axis=0), np.ptp(costs, axis=0)
-    weights = np.exp(-_SENSITIVITY * (costs - least) / np.where(span > 0.0, span, 1.0))
+    # With h = 10, as in the paper.
+    weights = np.exp(-10.0 * (costs - least) / np.where(span > 0.0, span, 1.0))
     return np.where(span > 0.0, weights / weights.sum(axis=0), 0.0)

@@ -18,10 +18,6 @@ from scipy.spatial.distance import cdist
 from lieednn_sim.values import Floats
 
 _DOMAIN = 4.0  # radius of a node's domain after a failed extension, in longest edges; as VAMP's
-_STRETCHED = 2.0  # longest edge after a projection, in longest edges
-# Samples drawn at once. Extensions towards those within the domains of their nearest nodes are tried in turn until one
-# succeeds; if there are none, towards the sample that is least outside.
-_DRAWN = 64
 
 
 def connected(
@@ -35,16 +31,14 @@ def connected(
     seed: int | np.random.SeedSequence,
     onto: Callable[[Floats], Floats] | None = None,
 ) -> Floats | None:
-    """Corners ``(M, n)`` of a path from start to target, or None if the search ends before one is found.
+    """Corners ``(M, n)`` of a path from start to target ``(n,)``, both clear, or None if the search ends before.
 
     Args:
-        start: ``(n,)``, clear.
-        target: ``(n,)``, clear.
+        start, target, seed: the ends, and the seed of the samples.
         bounds: ``(n, 2)`` bounds of the samples.
         longest_edge: longest edge to grow, in the Euclidean norm.
         clear: returns whether the edge from a clear point to another point is clear, including its end.
         over: returns whether the search must end; called before each extension.
-        seed: seed of the samples.
         onto: projects a point onto the set in which the corners of the path are, such as that of a constraint (CBiRRT,
             Berenson et al., ICRA 2009); by default they may be anywhere.
     """
@@ -56,12 +50,13 @@ def connected(
 
     def near_enough(point: Floats, new: Floats) -> bool:
         """A projection may lead far away."""
-        return onto is None or bool(np.linalg.norm(new - point) < _STRETCHED * longest_edge)
+        return onto is None or bool(np.linalg.norm(new - point) < 2.0 * longest_edge)
 
     def extension() -> tuple[int, Floats] | None:
         """A node and the new point that it can be extended to, or None if no extension succeeds."""
-        samples = rng.uniform(bounds[:, 0], bounds[:, 1], (_DRAWN, len(bounds)))
+        samples = rng.uniform(bounds[:, 0], bounds[:, 1], (64, len(bounds)))
         near, distance = grown.nearest(samples)
+        # Towards those within the domains of their nearest nodes in turn, or else the one that is least outside.
         inside = distance <= grown.radius[near]
         for index in np.flatnonzero(inside) if inside.any() else [np.argmin(distance / grown.radius[near])]:
             node, length = near[index], distance[index]
@@ -106,33 +101,19 @@ def connected(
 
 
 class _Tree:
-    """Nodes, each with its parent and the radius of its domain."""
+    """Points ``(M, n)``, their parents, and radii ``(M,)`` of their domains, infinite until an extension fails."""
 
     def __init__(self, root: Floats) -> None:
-        self._points, self._radius, self._parents = root[None].copy(), np.full(1, np.inf), [-1]
+        self.points, self.radius, self._parents = root[None], np.full(1, np.inf), [-1]
 
     def __len__(self) -> int:
         return len(self._parents)
 
-    @property
-    def points(self) -> Floats:
-        """``(M, n)``."""
-        return self._points[: len(self)]
-
-    @property
-    def radius(self) -> Floats:
-        """``(M,)`` radii of the domains, writable; infinite until an extension of the node fails."""
-        return self._radius[: len(self)]
-
     def add(self, point: Floats, parent: int) -> int:
         """Add a node; return its number."""
-        node = len(self)
-        if node == len(self._points):
-            self._points = np.concatenate([self._points, np.empty_like(self._points)])
-            self._radius = np.concatenate([self._radius, np.empty_like(self._radius)])
-        self._points[node], self._radius[node] = point, np.inf
+        self.points, self.radius = np.vstack([self.points, point]), np.append(self.radius, np.inf)
         self._parents.append(parent)
-        return node
+        return len(self) - 1
 
     def nearest(self, points: Floats) -> tuple[NDArray[np.intp], Floats]:
         """The node nearest to each point ``(K, n)``, and its distance."""

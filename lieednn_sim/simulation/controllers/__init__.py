@@ -15,11 +15,7 @@ _Make = TypeVar("_Make", bound=Callable[[Arm, Reference], Controller])
 
 
 def make_controller(name: str, arm: Arm, reference: Reference) -> Controller:
-    """A controller of an arm that follows a reference.
-
-    Raises:
-        InputError: there is no controller of that name, it cannot drive the arm, or another package's is none.
-    """
+    """A controller by name; `InputError` if there is none, it cannot drive the arm, or another package's is none."""
     try:
         controller = CONTROLLERS.find(name).load()(arm, reference)
     except TypeError as error:

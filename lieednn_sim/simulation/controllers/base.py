@@ -80,7 +80,7 @@ class Controller(ABC):
 
 
 class DriveController(Controller):
-    """Base class of controllers that use the arm's own actuators; `InputError` for arms that move closed loops."""
+    """Base class of controllers that use the arm's own actuators; raises as `Actuators`, and for closed loops."""
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         if arm.dependents is not None:
@@ -90,11 +90,7 @@ class DriveController(Controller):
 
 
 class FeedforwardServo(DriveController):
-    """A servo whose controls follow from the reference alone, apart from sensor errors.
-
-    Raises:
-        InputError: the arm is not driven by position actuators on joints or fixed tendons.
-    """
+    """A servo whose controls follow from the reference alone, apart from sensor errors; for position actuators."""
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
         super().__init__(arm, reference)
@@ -132,9 +128,6 @@ class PositionServo(FeedforwardServo):
     step, since the integrator implicitfast damps with the velocity at the end of the step. In a model that is not made
     for this package, and with a payload, the load at rest at q_ref, of gravity and springs, is fed forward as well, or
     the arm would sag.
-
-    Raises:
-        InputError: the arm is not driven by position actuators on joints or fixed tendons.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
@@ -159,9 +152,6 @@ class InverseDynamicsServo(FeedforwardServo):
 
     tau is the result of MuJoCo's inverse dynamics, discretised like the integrator, so a plant equal to the model
     follows the reference up to rounding. Feedback is that of the servo.
-
-    Raises:
-        InputError: the arm is not driven by position actuators on joints or fixed tendons.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
@@ -188,9 +178,6 @@ class ComputedTorque(DriveController):
 
     The plant's actuators become direct-drive ones with the same force limits; w is 2 pi 10 Hz. The difference of two
     positions is the velocity that leads from one to the other in unit time. q and qd are measured values.
-
-    Raises:
-        InputError: the arm's actuators are not on joints or fixed tendons.
     """
 
     def __init__(self, arm: Arm, reference: Reference) -> None:
@@ -237,12 +224,8 @@ class ComputedTorque(DriveController):
 class _InverseDynamics:
     """Joint forces required of the actuators, in the discrete time of the model's integrator.
 
-    Attributes:
-        model: a copy of the arm's model, without contacts if it is a view.
-        qpos: ``(nq,)`` positions, to be set by the user, like the next two. These views are kept, since asking MuJoCo
-            for one takes as long as filling it.
-        velocity: ``(nv,)`` velocities.
-        acceleration: ``(nv,)`` accelerations.
+    The model is a copy of the arm's, without contacts if it is a view. The user sets ``qpos`` ``(nq,)``, ``velocity``
+    and ``acceleration`` ``(nv,)``: views, since asking MuJoCo for one takes as long as filling it.
     """
 
     def __init__(self, arm: Arm) -> None:

@@ -29,10 +29,7 @@ class FeedbackLinearisation(Controller):
     feedback: their controls are the planned positions, shifted by what velocity, gravity and inertia need. Elsewhere
     a = a_ref + 2 w (v_ref - v) + w^2 (q_ref - q), with w of 2 pi 10 Hz. Where no actuator is, forces are applied to the
     joints, without a limit. All other actuators keep their controls. The controller knows the arm and what is attached
-    to it, but neither contacts nor what the hand holds, nor other masses of the plant.
-
-    Raises:
-        InputError: what moves the arm are actuators of other kinds, such as muscles, or they cannot move it.
+    to it, but neither contacts nor what the hand holds, nor other masses of the plant. Raises as `Actuators`.
     """
 
     changes_plant = False
@@ -155,10 +152,7 @@ class LoopLinearisation(Controller):
     B(q) has the velocities of the model's dofs at unit rates of the coordinates, those of loops by the equalities'
     Jacobian at the measured state, so forces of the loops do no work. Position servos hold the lengths that their
     joints have along the reference, and a is the reference's acceleration; where no servo acts on a coordinate,
-    2 w (v_ref - v) + w^2 (q_ref - q) is added to its acceleration, with w of 2 pi 10 Hz.
-
-    Raises:
-        InputError: the actuators cannot move all coordinates.
+    2 w (v_ref - v) + w^2 (q_ref - q) is added to its acceleration, with w of 2 pi 10 Hz. Raises as `Actuators`.
     """
 
     changes_plant = False

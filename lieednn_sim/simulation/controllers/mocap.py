@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -75,15 +74,11 @@ class MocapWelds(Controller):
         model, scratch = self._arm.model, self._scratch
         qpos = self._reference.ahead(steps, self._lead)
         firsts, run = runs(qpos)
-        positions, matrices = io.BytesIO(), io.BytesIO()
-        for scratch.qpos[:] in qpos[firsts]:
+        places, turns = np.empty((len(firsts), model.nbody, 3)), np.empty((len(firsts), model.nbody, 9))
+        for place, turn, scratch.qpos[:] in zip(places, turns, qpos[firsts], strict=True):
             mujoco.mj_kinematics(model, scratch)
-            positions.write(scratch.xpos)
-            matrices.write(scratch.xmat)
-        position, rotation = self._arm.frames.poses(
-            np.frombuffer(positions.getvalue()).reshape(-1, model.nbody, 3),
-            np.frombuffer(matrices.getvalue()).reshape(-1, model.nbody, 9),
-        )
+            place[:], turn[:] = scratch.xpos, scratch.xmat
+        position, rotation = self._arm.frames.poses(places, turns)
         return np.concatenate([position, rotations(rotation).as_quat(scalar_first=True)], axis=-1)[run]
 
     def inputs(self, steps: range, noise: Noise) -> Inputs:
@@ -118,10 +113,7 @@ class DeadbeatWelds(MocapWelds):
 
     With solref (2 h, 1/2) a weld's reference acceleration at the distance r is -r/h^2 - v/h, so the step
     v' = v + h a = -r/h ends at the body, which is where the reference will be one step later. Jumps of the bodies are
-    followed at once, with proportional forces; hence references held between samples are refused.
-
-    Raises:
-        InputError: the reference is held.
+    followed at once, with proportional forces; hence references held between samples are refused (`InputError`).
     """
 
     def _weld(self, reference: Reference) -> tuple[tuple[float, float], float]:

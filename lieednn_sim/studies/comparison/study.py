@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import itertools
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
@@ -29,7 +28,7 @@ from lieednn_sim.studies.study import Study, compute
 from lieednn_sim.studies.table import SUFFIX, Table
 from lieednn_sim.studies.user_files import ARM, SCENE, UserFiles, load, resolve
 from lieednn_sim.validation import as_choice, as_count, as_path, as_positive
-from lieednn_sim.values import Floats, check_fields, set_fields
+from lieednn_sim.values import Floats, StrPath, check_fields, set_fields
 
 FREE = "free"
 DEFAULT_CONTROLLERS = ("position-servo", "inverse-dynamics")
@@ -274,7 +273,7 @@ class Comparison(Study[Row]):
         return asdict(self.common)
 
     @classmethod
-    def read(cls, directory: str | os.PathLike[str]) -> Table[Row]:
+    def read(cls, directory: StrPath) -> Table[Row]:
         """The table of a comparison in a directory; raises as `Table`."""
         return Table(as_path("the name of a comparison's directory", directory) / f"{cls.name}{SUFFIX}", cls.kind)
 
@@ -305,7 +304,7 @@ def settings_of(table: Table[Row]) -> Settings:
         raise FileError(f"{table.path} holds no settings of a comparison: {error}") from None
 
 
-def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike[str]]) -> Table[Row]:
+def merge(directory: StrPath, folders: Sequence[StrPath]) -> Table[Row]:
     """Add the rows of other comparisons, such as the shards of one, to the table in a directory.
 
     The directory is created if it is missing; it may hold rows already, which stay. The folders of the other tables may
@@ -322,7 +321,7 @@ def merge(directory: str | os.PathLike[str], folders: Sequence[str | os.PathLike
 
 
 def compare(
-    directory: str | os.PathLike[str],
+    directory: StrPath,
     *,
     planners: Sequence[str] = (),
     arms: Sequence[str] = (),

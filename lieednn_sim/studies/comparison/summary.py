@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,11 +15,12 @@ from lieednn_sim.studies.comparison.rows import COLUMNS, Row
 from lieednn_sim.studies.comparison.study import settings_of
 from lieednn_sim.studies.rows import Column, Group, grouped, motions, pattern_of
 from lieednn_sim.studies.table import Table
+from lieednn_sim.values import StrPath
 
 _NOT_SUMMARISED = ("motion_s", "gap_end_deg", "final_effector_deg")
 
 
-def write_summary(path: str | os.PathLike[str], table: Table[Row], missing: Mapping[str, str] | None = None) -> None:
+def write_summary(path: StrPath, table: Table[Row], missing: Mapping[str, str] | None = None) -> None:
     """Write success and medians by arm, scene, planner and controller, and the reasons of failures.
 
     Args:

@@ -21,9 +21,6 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from rich.table import Table
 
-# Largest joint error at the goal that counts as arrived [rad, m].
-_ARRIVED = 1e-3
-
 
 @dataclass(frozen=True)
 class JointErrors:
@@ -75,7 +72,7 @@ def study_joints(
                 motion = learned.run(draw_target(arm, seed + k))
             except NoSolutionError:
                 continue
-            if np.abs(motion.q[-1] - learned.goal).max() < _ARRIVED:
+            if np.abs(motion.q[-1] - learned.goal).max() < 1e-3:
                 paths.append(motion.q)
         study = JointStudy(
             mean=_errors(learned, demonstrations.mean),

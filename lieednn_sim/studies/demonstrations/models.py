@@ -23,17 +23,7 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from rich.console import Group
 
-# Durations after which it is decided whether a start has arrived.
-HORIZON = 10.0
-# In units of the demonstrations' extent: distance from the goal that counts as arrived, motion per duration that counts
-# as rest, and distance between points of rest that count as one attractor.
-ARRIVED, AT_REST, ONE_ATTRACTOR = 1e-2, 1e-4, 5e-2
-# Largest rotation of a random start from the goal [rad].
-LARGEST_TURN = 0.9 * np.pi
-# Number of starts run at once, limited by memory.
-_BATCH = 500
-# Samples of each path, at equal steps of its length: as many as in a demonstration of the LASA data set.
-SAMPLES = 1000
+SAMPLES = 1000  # of each path, at equal steps of its length: as many as in the LASA data set
 
 
 @dataclass(frozen=True)
@@ -41,22 +31,14 @@ class PathErrors:
     """Errors of a path against the one it should follow, both sampled at `SAMPLES` equal steps of their length.
 
     Samples are paired by dynamic time warping (`warp`), whatever the timing; a radian counts as the lever.
-
-    Attributes:
-        rms_mm: root mean square distance of the pairs' positions.
-        rms_deg: root mean square angle between the pairs.
-        dtwd_mm: dynamic-time-warping distance: the sum of the distances of all pairs.
-        frechet_mm: discrete Frechet distance.
-        goal_mm: distance of the ends.
-        goal_deg: angle between the ends.
     """
 
-    rms_mm: float
-    rms_deg: float
-    dtwd_mm: float
-    frechet_mm: float
-    goal_mm: float
-    goal_deg: float
+    rms_mm: float  #: root mean square distance of the pairs' positions
+    rms_deg: float  #: root mean square angle between the pairs
+    dtwd_mm: float  #: dynamic-time-warping distance: the sum of the distances of all pairs
+    frechet_mm: float  #: discrete Frechet distance
+    goal_mm: float  #: distance of the ends
+    goal_deg: float  #: angle between the ends
 
 
 def path_errors(reproduced: ArrayLike, shown: ArrayLike, lever: float = LEVER) -> PathErrors:
@@ -91,7 +73,7 @@ def _spaced(displaced: Floats, lever: float) -> Floats:
 
 @dataclass(frozen=True)
 class Attraction:
-    """How many random starts arrived after `HORIZON` durations, within a hundredth of the demonstrations' extent.
+    """How many random starts arrived after ten durations, within a hundredth of the demonstrations' extent.
 
     Spurious attractors are places other than the goal at which starts came to rest.
     """
@@ -116,7 +98,8 @@ def random_starts(demonstrations: Demonstrations, count: int, seed: Seed = 0) ->
     starts[:, 3:] = rng.uniform(low - margin, high + margin, (count, 3))
     if demonstrations.dof == 6:
         axis = rng.normal(size=(count, 3))
-        starts[:, :3] = rng.uniform(0.0, LARGEST_TURN, (count, 1)) * axis / np.linalg.norm(axis, axis=1, keepdims=True)
+        turn = rng.uniform(0.0, 0.9 * np.pi, (count, 1))
+        starts[:, :3] = turn * axis / np.linalg.norm(axis, axis=1, keepdims=True)
     elif demonstrations.dof == 2:
         starts[:, 5] = 0.0
     return twist_of(starts)
@@ -124,19 +107,21 @@ def random_starts(demonstrations: Demonstrations, count: int, seed: Seed = 0) ->
 
 def attraction(model: MotionModel, demonstrations: Demonstrations, starts: Floats) -> Attraction:
     """Run a model from start twists ``(n, 6)``; in distances a radian counts as the demonstrations' ``lever`` [m]."""
-    t = demonstrations.duration * np.array([0.0, HORIZON - 1.0, HORIZON])
-    batches = [starts[k : k + _BATCH] for k in range(0, len(starts), _BATCH)]
+    t = demonstrations.duration * np.array([0.0, 9.0, 10.0])
+    # As many at once as memory allows.
+    batches = [starts[k : k + 500] for k in range(0, len(starts), 500)]
     before, ends = (
         np.concatenate([displacement(model.reproduce(batch, t)[:, 1:]) for batch in batches])
         * demonstrations.scale
         / demonstrations.extent
     ).swapaxes(0, 1)
-    arrived = np.linalg.norm(ends, axis=1) < ARRIVED
-    resting = ends[~arrived & (np.linalg.norm(ends - before, axis=1) < AT_REST)]
+    arrived = np.linalg.norm(ends, axis=1) < 1e-2
+    resting = ends[~arrived & (np.linalg.norm(ends - before, axis=1) < 1e-4)]
     spurious = 0
     while len(resting):
         spurious += 1
-        resting = resting[np.linalg.norm(resting - resting[0], axis=1) > ONE_ATTRACTOR]
+        # Points of rest within a twentieth of the extent are one attractor.
+        resting = resting[np.linalg.norm(resting - resting[0], axis=1) > 5e-2]
     return Attraction(len(starts), int(arrived.sum()), spurious)
 
 
@@ -160,9 +145,7 @@ def reproduction(
     """Twists ``(K, 6)`` from a twist ``(6,)`` until the model's motion is over; to a ``goal`` if they are kept."""
     if isinstance(model, ShapedMotion) and demonstrations.goals_kept and goal is not None:
         model = model.toward(goal)
-    # Instants of a reproduction.
-    instants = 600
-    return model.reproduce(start, np.linspace(0.0, model.durations * demonstrations.duration, instants))
+    return model.reproduce(start, np.linspace(0.0, model.durations * demonstrations.duration, 600))
 
 
 def compare_models(
@@ -180,7 +163,6 @@ def compare_models(
     The result is a row for each model, and the models by name, the network first.
 
     Args:
-        demonstrations, shaped: the demonstrations and the network.
         rivals: names of `RIVALS`; by default all.
         aligned: if goals are kept, the same demonstrations with aligned goals: rivals know one goal. An error is the
             same seen from either.

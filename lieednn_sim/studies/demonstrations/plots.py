@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -16,7 +15,7 @@ from lieednn_sim.learning.demonstrations.models import MotionModel
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.planning.demonstrated import JointDemonstrations
 from lieednn_sim.studies.demonstrations.models import random_starts, reproduction
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 # A name for the legend, paths, and the style of their lines.
 Group = tuple[str, Sequence[Floats], dict[str, Any]]
@@ -38,7 +37,7 @@ _FAN: dict[str, Any] = {"color": COLOURS[0], "lw": 0.6, "ls": "-", "alpha": 0.6}
 _BAND: dict[str, Any] = {"color": COLOURS[0], "lw": 0.0, "alpha": 0.15}
 
 
-def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations, path: str | os.PathLike[str]) -> None:
+def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations, path: StrPath) -> None:
     """Plot demonstrations and each model's reproduction of their mean.
 
     Positions in a plane are shown in one view, positions in space in three. Below them, rotations, where they were
@@ -84,7 +83,7 @@ def plot_paths(models: Mapping[str, MotionModel], demonstrations: Demonstrations
 def plot_joint_paths(
     demonstrations: JointDemonstrations,
     reproduction: Floats,
-    path: str | os.PathLike[str],
+    path: StrPath,
     elsewhere: Sequence[Floats] = (),
     fan: Sequence[Floats] = (),
 ) -> None:
@@ -116,9 +115,7 @@ def plot_joint_paths(
         fitted_legend(figure, entries_of(axes[0]), len(groups))
 
 
-def plot_field(
-    model: ShapedMotion, demonstrations: Demonstrations, path: str | os.PathLike[str], seed: int = 0
-) -> None:
+def plot_field(model: ShapedMotion, demonstrations: Demonstrations, path: StrPath, seed: int = 0) -> None:
     """Plot where a model leads from other starts: its velocity field in a plane, and paths from random starts.
 
     The field is that at the beginning, with hidden neurons or phase at their start; later it changes. For positions in

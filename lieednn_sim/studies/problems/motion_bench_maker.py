@@ -8,7 +8,6 @@ project keeps them, with spherised models of the robots.
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -25,7 +24,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.obstacles import shapes
 from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_floats, as_path
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 # Dimensions of primitives other than boxes, in the order of the messages.
 _SIZES = {"sphere": ("radius",), "cylinder": ("length", "radius")}
@@ -40,21 +39,17 @@ class PublishedProblem(NamedTuple):
 
 
 class ProblemSets:
-    """The problems of one robot: a folder with ``SET/scene0001.yaml``, ``SET/request0001.yaml`` ... anywhere in it.
+    """The problems of one robot: a folder of its name with ``SET/scene0001.yaml``, ``SET/request0001.yaml`` ... in it.
 
     Beside them it has a URDF (of several, ``..._spherized.urdf`` is taken), and perhaps an SRDF. The arm's joints are
     those of the goals, one per link; other joints are locked where the first problem starts. Collisions that an SRDF
     disables are ignored, and so are those with neighbours and bodies welded to these; without an SRDF the import
     decides (`Arm.from_xml`).
 
-    Args:
-        folder: folder of the robot, with its name.
-
-    Raises:
-        FileError: one of the files is missing or cannot be read.
+    `FileError` if one of the files is missing or cannot be read.
     """
 
-    def __init__(self, folder: str | os.PathLike[str]) -> None:
+    def __init__(self, folder: StrPath) -> None:
         self.folder = as_path("the folder of problems", folder).resolve()
         models = [*self.folder.glob("*_spherized.urdf")] or [*self.folder.glob("*.urdf")]
         if len(models) != 1:
@@ -91,10 +86,9 @@ class ProblemSets:
         return io.fingerprint(contents, {})
 
     def selection(self, count: int | None = None) -> list[tuple[str, int]]:
-        """Choose ``count`` problems, by default all, from each set in turn and spread evenly over it.
+        """Set and number of ``count`` problems, by default all, from each set in turn and spread evenly over it.
 
-        Returns:
-            Set and number of each. The choice is the same for everyone, and any beginning of the list covers all sets.
+        The choice is the same for everyone, and any beginning of the list covers all sets.
         """
         sets: dict[str, list[int]] = {}
         for name, number, kind in sorted(self._files):
@@ -106,11 +100,9 @@ class ProblemSets:
         return list(dict.fromkeys(turns))[:count]
 
     def problem(self, name: str, number: int) -> PublishedProblem:
-        """A problem of a set.
+        """A problem of a set; `FileError` if it is missing, malformed, or for another arm.
 
-        Raises:
-            FileError: the problem is missing, malformed, or for another arm.
-            InputError: the model holds no such arm, or an obstacle is invalid.
+        Raises as `arm`, and `InputError` if an obstacle is invalid.
         """
         where = f"problem {number} of {name} in {self.folder}"
         request, scene = (self._message(name, number, kind) for kind in ("request", "scene"))
@@ -136,9 +128,7 @@ class ProblemSets:
     def arm(self) -> Arm:
         """The arm without obstacles; its clearance is zero, as that of published starts and goals may be.
 
-        Raises:
-            FileError: the model or the first problem cannot be read.
-            InputError: the model holds no such arm.
+        `FileError` if the model or the first problem cannot be read, `InputError` if the model holds no such arm.
         """
         start, goal = self._first
         children, _ = self._tree

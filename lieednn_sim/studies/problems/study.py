@@ -34,9 +34,7 @@ from lieednn_sim.validation import as_count
 from lieednn_sim.values import Floats, check_fields, set_fields
 
 SKIPPED = "skipped"
-DEFAULT_PLANNERS = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
-# Whether paths can be retimed to the arm's limits.
-_TIMED = importlib.util.find_spec("toppra") is not None
+_TIMED = importlib.util.find_spec("toppra") is not None  # whether paths can be retimed to the arm's limits
 # Starts and goals are close to obstacles, and the time budget is the only limit of the search. Chosen on problems that
 # are not in the list of 100.
 _SEARCH = RrtConnectOptions(
@@ -61,24 +59,18 @@ OPTIONS: Mapping[str, PlannerOptions] = {
 class Solution(TableRow):
     """The result of a planner on a published problem.
 
-    Attributes:
-        problem: name of its set; together with the next two, the key of the row.
-        number: number in the set.
-        planner: name of the planner.
-        success: whether there is a motion within all limits and free of contact.
-        reason: why there is none; begins with "skipped" where start or goal are invalid, with "plan" where the planner
-            failed, with "problem" where it could not be read, and with "error" for anything else.
-        guide: for a shaped network, the planner whose motion it follows.
+    The reason of a failure begins with "skipped" where start or goal are invalid, with "plan" where the planner failed,
+    with "problem" where it could not be read, and with "error" for anything else.
     """
 
     _key = ("problem", "number", "planner")
 
-    problem: str
-    number: int
+    problem: str  # name of its set
+    number: int  # in the set
     planner: str
-    success: bool = outcome()
+    success: bool = outcome()  # whether there is a motion within all limits and free of contact
     reason: str = ""
-    guide: str = ""
+    guide: str = ""  # for a shaped network, the planner whose motion it follows
     solve_time: float | None = column(
         "solve time [s]",
         "CPU time of the planner, stopped at its budget; the one column that differs between runs",
@@ -173,17 +165,13 @@ class PublishedProblems(Study[Solution]):
         planners: names of `PLANNERS`.
         problems: number of problems, chosen by `ProblemSets.selection`; None for all.
         time_budget: CPU time for each problem [s].
-
-    Raises:
-        InputError: an unknown planner or a number out of range.
-        LieEDNNError: a planner is not installed.
     """
 
     name, kind = "problems", Solution
     run, failed = staticmethod(solve), staticmethod(failed)
 
     sets: ProblemSets
-    planners: Sequence[str] = DEFAULT_PLANNERS
+    planners: Sequence[str] = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
     problems: int | None = 100
     time_budget: float = 10.0
 

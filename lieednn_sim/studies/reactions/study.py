@@ -7,7 +7,6 @@ the network that plans again avoid obstacles themselves, and the tracker plays a
 from __future__ import annotations
 
 import itertools
-import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +34,7 @@ from lieednn_sim.studies.study import Study
 from lieednn_sim.studies.table import Table
 from lieednn_sim.studies.user_files import UserFiles
 from lieednn_sim.validation import as_count
-from lieednn_sim.values import Floats, check_fields, frozen
+from lieednn_sim.values import Floats, StrPath, check_fields, frozen
 
 
 class ComparedPolicy(NamedTuple):
@@ -58,8 +57,7 @@ COMPARED: dict[str, ComparedPolicy] = {
     "tracker": ComparedPolicy("tracker", filtered=False),
 }
 DISTURBANCES = ("none", "push", "payload", "target", "obstacle")
-# Simulated time [s].
-_DURATION = 7.0
+_DURATION = 7.0  # that is simulated [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,9 +277,6 @@ class Reactions(Study[Reaction]):
         seeds: number of seeds, starting at 0.
         policies: names of `COMPARED`.
         user_files: arms and scenes from files, by their names; see `Comparison.user_files`.
-
-    Raises:
-        InputError: ``seeds`` is less than 1.
     """
 
     name, kind = "reactions", Reaction
@@ -327,7 +322,7 @@ def groups(rows: Iterable[Reaction]) -> list[ReactionGroup]:
     return [ReactionGroup(item.key, item.rows) for item in result]
 
 
-def write_reactions(path: str | os.PathLike[str], table: Table[Reaction]) -> None:
+def write_reactions(path: StrPath, table: Table[Reaction]) -> None:
     """Write the summary in Markdown: arrival, contact, and medians over arms and seeds."""
     rows = list(table.rows.values())
     arms, seeds = sorted({row.arm for row in rows}), len({row.seed for row in rows})
