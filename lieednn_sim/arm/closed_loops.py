@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from scipy.interpolate import make_interp_spline
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import SCALAR
@@ -97,6 +96,8 @@ class ClosedLoops:
         joints = model.dof_jntid[dofs]
         if not len(others) or np.isnan(rows[some]).any() or not np.isin(model.jnt_type[joints], SCALAR).all():
             return others
+        from scipy.interpolate import make_interp_spline  # as late as that: it takes long to import
+
         places = model.jnt_qposadr[joints]
         guesses, left = make_interp_spline(some, rows[np.ix_(some, places)], 5)(others), []
         for k, guess in zip(others, guesses, strict=True):
