@@ -116,11 +116,11 @@ class _LeastEnergy:
     """The law of least energy left on a path, for the loads of some options."""
 
     def __init__(self, arm: Arm, curve: TimedCurve, options: SettlingOptions, modes: tuple[Mode, ...]) -> None:
-        others = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
+        loads = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
+        others = [with_load(arm, *load) for load in loads] if PassiveJoints(arm).bodies.any() else []
         self._arm, self._curve, self._omegas = arm, curve, [2.0 * math.pi * mode.frequency for mode in modes]
-        track = along(arm, curve.q)
-        self._models = [SwingModel(with_load(arm, *load), *track) for load in [(1.0, 1.0), *others]]
-        self._weights = np.sqrt([1.0] + [1.0 / len(others)] * len(others))
+        self._model = SwingModel([arm, *others], *along(arm, curve.q))
+        self._weights = np.sqrt([1.0, *(1.0 / len(others) for _ in others)])
 
     def law(self, duration: float) -> CubicHermiteSpline:
         """The law for a duration [s]."""
@@ -132,28 +132,28 @@ class _LeastEnergy:
         spline = BSpline(knots, np.eye(count)[:, 2:-2], 3)
         parts = spline.antiderivative(), spline, spline.derivative()
         steps = math.ceil(duration / min(0.1 / slowest, 0.3 / fastest))
-        tau = np.linspace(0.0, 1.0, steps + 1)
-        basis = [part(tau) / duration**k for k, part in enumerate(parts)]
-        fitted, *_ = np.linalg.lstsq(basis[1], own(tau * own.x[-1], 1) * own.x[-1] / duration, rcond=None)
-        now = fitted / (basis[0][-1] @ fitted)
-        jerk = spline.derivative(2)(tau) / math.sqrt(steps)
+        # In the middle of the steps of the model, and where limits are looked at.
+        middle, tau = (np.arange(steps) + 0.5) / steps, np.linspace(0.0, 1.0, _LOOKS)
+        basis, looks = ([part(at) / duration**k for k, part in enumerate(parts)] for at in (middle, tau))
+        fitted, *_ = np.linalg.lstsq(looks[1], own(tau * own.x[-1], 1) * own.x[-1] / duration, rcond=None)
+        now = fitted / (looks[0][-1] @ fitted)
+        jerk = spline.derivative(2)(tau) / math.sqrt(_LOOKS)
         rough = math.sqrt(_SMOOTH) * jerk / np.linalg.norm(jerk @ now)
         best, unit = (math.inf, now), 0.0
         for _ in range(_LAWS):
             changes = [np.column_stack([part @ now, part]) for part in basis]
-            lefts, each = zip(*(model.left(duration / steps, changes) for model in self._models), strict=True)
+            lefts, each = self._model.left(duration / steps, changes)
             left = (self._weights[:, None] * lefts).ravel()
             slopes = (self._weights[:, None, None] * each).reshape(len(left), -1)
             size = float(np.linalg.norm(left))
             best, unit = min(best, (size, now), key=lambda pair: pair[0]), unit or max(size, 1e-9)
             rest = np.append((left - slopes @ now) / unit, np.zeros(len(rough)))
-            now = self._within_limits(now, np.vstack([slopes / unit, rough]), rest, basis)
+            now = self._within_limits(now, np.vstack([slopes / unit, rough]), rest, looks)
         tau = np.linspace(0.0, 1.0, _SAMPLES)
         return CubicHermiteSpline(duration * tau, parts[0](tau) @ best[1], parts[1](tau) @ best[1] / duration)
 
-    def _within_limits(self, now: Floats, slopes: Floats, rest: Floats, basis: list[Floats]) -> Floats:
+    def _within_limits(self, now: Floats, slopes: Floats, rest: Floats, looks: list[Floats]) -> Floats:
         """The coefficients c that minimise ``|slopes c + rest|^2`` within the joints' limits, linearised at ``now``."""
-        looks = [part[np.linspace(0, len(part) - 1, _LOOKS).astype(int)] for part in basis]
         s, rate, bend = (part @ now for part in looks)
         path, r, u = [self._curve.q(s, k).T[:, :, None] for k in range(4)], rate[:, None], bend[:, None]
         values = path[1] * r, path[2] * r**2 + path[1] * u
@@ -165,7 +165,7 @@ class _LeastEnergy:
         change = (change + more).reshape(-1, len(now))
         known = value.ravel() - change @ now
         # It arrives, and goes nowhere back.
-        rows = np.vstack([basis[0][-1:], looks[1], change])
+        rows = np.vstack([looks[0][-1:], looks[1], change])
         lower = np.concatenate([[1.0], np.zeros(_LOOKS), -_MARGIN - known])
         upper = np.concatenate([[1.0], np.full(_LOOKS, 1e6), _MARGIN - known])
         # DAQP's marks of soft constraints, and of an equality. Where limits cannot be kept, the motion takes longer.
