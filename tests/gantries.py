@@ -16,7 +16,7 @@ def gantry(hanging: str = PENDULUM, damping: float = 0.0, timestep: float = 0.00
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco model="gantry"><option timestep="{timestep}" integrator="implicitfast"/>
         <custom><numeric name="velocity_limit" data="2"/><numeric name="acceleration_limit" data="2"/></custom>
-        <worldbody><geom name="floor" type="plane" size="9 9 1" contype="0" conaffinity="0"/>
+        <worldbody><geom name="floor" type="plane" size="9 9 1"/>
         <body name="cart" pos="0 0 5"><joint name="cart" type="slide" axis="1 0 0" range="-10 10"
             armature="1e4"/>
           <geom type="box" size="0.2 0.2 0.1" mass="100"/><site name="tip"/>

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -9,9 +11,11 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.lie import continued
 from lieednn_sim.planning.motion import Motion, check_joints, check_roughly
-from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, read_only, weakly_cached
+
+if TYPE_CHECKING:
+    from lieednn_sim.planning.problem import PlanningProblem
 
 # Degree of the planners' splines, with continuous derivatives up to the fourth: smooth curvature, and continuous jerk
 # where the spline is one in time.

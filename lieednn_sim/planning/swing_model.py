@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import Arm, Mode
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.values import Floats
 
@@ -29,6 +29,11 @@ def along(arm: Arm, path: Callable[[Floats, int], Floats]) -> tuple[CubicSpline,
     """
     s = np.linspace(0.0, 1.0, _STATIONS)
     return CubicSpline(s, arm.qpos(path(s, 0))), CubicSpline(s, arm.qvel(path(s, 0), path(s, 1)))
+
+
+def longest_step(modes: Sequence[Mode]) -> float:
+    """The longest step of time in which some modes are computed well enough [s]."""
+    return min(0.1 / modes[0].frequency, 0.3 / modes[-1].frequency) / (2.0 * np.pi)
 
 
 class SwingModel:
@@ -81,6 +86,37 @@ class SwingModel:
         table[:, 3, :, :m] = passive.slopes("position", rest, 0.0, speeds) - stiffness
         table[:, 3, :, -1] = passive.forces(rest, 0.0, speeds) - still
         return table, hanging, speeds
+
+    def swing(self, law: CubicHermiteSpline, step: float, after: float) -> tuple[Floats, Floats, Floats]:
+        """How the first load swings while the arm follows a law of time, and for some time after it [s].
+
+        The linear model's motion is corrected once, by the linear response to the forces that MuJoCo's inverse dynamics
+        would need for it. What is left is of second order in that correction, which stands for it.
+
+        Returns:
+            Times ``(K,)`` in about equal steps [s], positions ``(K, nq)``, and the largest correction up to then
+            ``(K, m)`` [rad, m].
+        """
+        end = float(law.x[-1])
+        t = np.linspace(0.0, end + after, 2 + int((end + after) / step))
+        step, passive, m = float(t[1]), self._passive, self._m
+        middle = np.minimum(t[1:] - 0.5 * step, end)
+        s, rate, bend = (law(middle, k) * (k == 0 or middle < end) for k in range(3))
+        drives = np.stack([np.ones_like(s), rate, rate**2, bend], axis=1)
+        change, push, force = self._steps(step, self._table(s)[:, :1], drives)
+        states = _marched(change, np.matvec(push, force))[:, 0]
+        place, speed = np.split(0.5 * (states[1:] + states[:-1]), 2, axis=1)
+        velocities = self._rates(s) * rate[:, None]
+        accelerations = self._rates(s, 1) * rate[:, None] ** 2 + self._rates(s) * bend[:, None]
+        velocities[:, passive.dofs] += speed
+        accelerations[:, passive.dofs] += np.diff(states[:, m:], axis=0) / step
+        missing = passive.forces(self.hung(s, place), velocities, accelerations)[:, None]
+        correction = _marched(change, np.matvec(push, -missing))[:, 0, :m]
+        return t, self.hung(law(np.minimum(t, end)), states[:, :m] + correction), np.maximum.accumulate(abs(correction))
+
+    def hung(self, s: Floats, away: Floats | float = 0.0) -> Floats:
+        """Positions ``(K, nq)`` along the path, with the first load so far from where it rests, ``(K, m)``."""
+        return self._passive.moved(self._qpos(s), self._hanging(s) + away)
 
     def _steps(self, step: float, table: Floats, drives: Floats) -> tuple[Floats, Floats, Floats]:
         """What the rule of midpoints makes of x and x' in each step [s] that it takes.

@@ -260,12 +260,17 @@ class TimedCurve:
         duration: float,
         longest: float = math.inf,
         growth: float = math.inf,
+        check: Callable[[Motion], None] = lambda _: None,
     ) -> Motion:
-        """The motion by a law for a duration [s], or the next longer one, by a factor each, that keeps all limits."""
+        """The motion by a law for a duration [s], or the next longer one, by a factor each, that keeps all limits.
+
+        What ``check`` says of motions that keep them counts, too.
+        """
         for _ in range(20):
             result = self.motion(law_of(duration), math.ceil(round(duration / self._arm.timestep, 6)))
             try:
                 check_motion(self._arm, result)
+                check(result)
                 return result
             except TooFastError as error:
                 # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in it.

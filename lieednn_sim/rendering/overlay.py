@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ _AXIS_COLOURS = np.array(
 )
 PLANNED_COLOUR = (0.08, 0.75, 0.70, 0.55)
 TRACED_COLOUR = (0.98, 0.80, 0.10, 1.0)
+LOAD_COLOUR = (0.93, 0.33, 0.62, 1.0)
 # Radii of the paths [m]; the travelled one is thicker, since it usually covers the planned one.
 PLANNED_RADIUS, TRACED_RADIUS = 0.008, 0.011
 _font = functools.cache(ImageFont.load_default)
@@ -34,11 +36,13 @@ class Overlay:
     planned_frames: Floats  # (K, N, 4, 4) planned link frames, the last one being the end effector
     traced_tip: Floats  # (K, 3) simulated end effector positions
     scale: float = 1.0  # of lengths and widths, 1 for an arm of two metres
+    traced_load: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3) what hangs, if anything does
 
     @classmethod
     def of(cls, rollout: Rollout, scale: float) -> Overlay:
-        """The overlay of a rollout: its reference's link frames, and the simulated end effector."""
-        return cls(scene_setup.planned_frames(rollout), rollout.link_position[:, -1], scale)
+        """The overlay of a rollout: its reference's link frames, the simulated end effector, and its load."""
+        load = scene_setup.load_path(rollout)
+        return cls(scene_setup.planned_frames(rollout), rollout.link_position[:, -1], scale, load)
 
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
         """Add the geometry of sample ``k`` to a scene."""
@@ -50,9 +54,10 @@ class Overlay:
                 _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, 0.007 * self.scale, frame[:3, 3], tip, rgba)
 
     def draw_paths(self, scene: mujoco.MjvScene, k: int) -> None:
-        """Add the planned path, and the one travelled up to sample ``k``, without the frames."""
+        """Add the planned path, and those travelled up to sample ``k``, without the frames."""
         _polyline(scene, self.planned_frames[:, -1, :3, 3], PLANNED_RADIUS * self.scale, PLANNED_COLOUR)
-        _polyline(scene, self.traced_tip[: k + 1], TRACED_RADIUS * self.scale, TRACED_COLOUR)
+        for path, (colour, _) in zip((self.traced_tip, self.traced_load), KEY[1:], strict=True):
+            _polyline(scene, path[: k + 1], TRACED_RADIUS * self.scale, colour)
 
 
 def _polyline(scene: mujoco.MjvScene, points: Floats, radius: float, colour: tuple[float, ...]) -> None:
@@ -80,22 +85,23 @@ def _connect(
 
 # White on a dark, semi-transparent panel, which is readable on any background.
 _INK, _PANEL = (255, 255, 255, 255), (20, 26, 33, 150)
-# The legend of `Overlay`'s colours.
-KEY = ((PLANNED_COLOUR, "planned"), (TRACED_COLOUR, "travelled"))
+# The legend of `Overlay`'s colours, the last of which is for loads.
+KEY = ((PLANNED_COLOUR, "planned"), (TRACED_COLOUR, "travelled"), (LOAD_COLOUR, "load"))
 
 
-def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.uint8]:
+def write_caption(image: NDArray[np.uint8], lines: Sequence[str], load: bool = False) -> NDArray[np.uint8]:
     """A copy of a frame ``(height, width, 3)`` with lines of text and the colour legend in its upper left corner.
 
-    Frames below 160 pixels, which have no room for it, are returned unchanged.
+    The legend has the load's colour if there is one. Frames below 160 pixels, which have no room, are left as they are.
     """
+    key = KEY[: 2 + load]
     height = image.shape[0]
     if height < 160:
         return image
     size = max(9, round(height / 34.0))  # smaller letters cannot be read
     font, step, margin = _font(size), round(1.35 * size), round(0.7 * size)
     widths = [font.getlength(line) for line in lines]
-    widths.append(sum(font.getlength(text) + 3.0 * size for _, text in KEY))
+    widths.append(sum(font.getlength(text) + 3.0 * size for _, text in key))
     picture = Image.fromarray(image)
     draw = ImageDraw.Draw(picture, "RGBA")
     corner = (margin + max(widths) + 2 * margin, margin + step * (len(lines) + 1) + margin)
@@ -104,7 +110,7 @@ def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.
     for line in lines:
         draw.text((x, y), line, font=font, fill=_INK)
         y += step
-    for colour, text in KEY:
+    for colour, text in key:
         middle, bright = y + 0.6 * size, (*(round(255 * part) for part in colour[:3]), 255)
         draw.line([x, middle, x + 1.2 * size, middle], fill=bright, width=max(2, size // 4))
         draw.text((x + 1.6 * size, y), text, font=font, fill=_INK)

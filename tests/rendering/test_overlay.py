@@ -6,16 +6,18 @@ import contextlib
 from dataclasses import replace
 from types import SimpleNamespace
 
+import gantries
 import numpy as np
 import pytest
 from rollouts import make_rollout
 
+import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.planning.clearance import Clearance
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.rendering import video
-from lieednn_sim.rendering.overlay import PLANNED_COLOUR, TRACED_COLOUR, Overlay
+from lieednn_sim.rendering.overlay import LOAD_COLOUR, PLANNED_COLOUR, TRACED_COLOUR, Overlay
 from lieednn_sim.simulation import simulate
 
 
@@ -59,6 +61,18 @@ def test_an_overlay_is_the_planned_way_what_is_travelled_and_the_frames_of_now()
             np.testing.assert_allclose(begin, place, atol=1e-6)
             np.testing.assert_allclose(vector, 0.11 * turn[:, axis], atol=1e-6)
     assert len(drawn(Overlay(planned, traced), 2)) == 2 + 2 + 6
+    # What hangs has a path of its own, also up to now.
+    *_, (_, colour, _, begin, vector) = drawn(Overlay(planned, traced, 0.5, traced - [0.0, 0.0, 1.0]), 1)[:4]
+    np.testing.assert_allclose(colour, LOAD_COLOUR, rtol=1e-6)
+    np.testing.assert_allclose([begin, vector], [[0.0, 0.0, 0.1], [0.5, 0.0, 0.0]], atol=1e-6)
+
+
+def test_the_path_of_a_load_is_that_of_its_centre_of_mass():
+    arm = gantries.gantry()
+    run = simulate(arm, ls.plan(arm, [1.0], planner="minimum-jerk", duration=2.0), hold=0.0)
+    path, (cart, angle) = Overlay.of(run, 1.0).traced_load, run.qpos.T
+    np.testing.assert_allclose(path[:, 0], cart - gantries.LENGTH * np.sin(angle), atol=1e-9)
+    assert angle.max() > 0.05
 
 
 def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_path):
@@ -85,11 +99,11 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
         return contextlib.nullcontext(lambda _: None)
 
     monkeypatch.setattr(video, "Camera", lambda *_, **given: targets.append(given["target"]) or Pictures())
-    overlay = SimpleNamespace(draw=lambda _, k: samples.append(k))
+    overlay = SimpleNamespace(draw=lambda _, k: samples.append(k), traced_load=())
     monkeypatch.setattr(video, "Overlay", SimpleNamespace(of=lambda *given: overlays.append(given) or overlay))
     monkeypatch.setattr(video, "_writer", writer)
     monkeypatch.setattr(video, "_check_complete", lambda *_: None)
-    monkeypatch.setattr(video, "write_caption", lambda _, lines: captions.append(lines))
+    monkeypatch.setattr(video, "write_caption", lambda _, lines, *__: captions.append(lines))
     assert video.render_video(rollout, tmp_path / "v.mp4", fps=4, title="a planner") == 5
     assert samples == [0, 25, 50, 75, 100]
     np.testing.assert_array_equal(targets, [rollout.target])
