@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -11,11 +9,9 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.lie import continued
 from lieednn_sim.planning.motion import Motion, check_joints, check_roughly
+from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, read_only, weakly_cached
-
-if TYPE_CHECKING:
-    from lieednn_sim.planning.problem import PlanningProblem
 
 # Degree of the planners' splines, with continuous derivatives up to the fourth: smooth curvature, and continuous jerk
 # where the spline is one in time.
@@ -96,17 +92,6 @@ def clamped_knots(count: int) -> Floats:
     """Knots on [0, 1] of a B-spline of `SPLINE_DEGREE` with ``count`` control points, from the first to the last."""
     inner = np.linspace(0.0, 1.0, count - SPLINE_DEGREE + 1)
     return np.concatenate([np.zeros(SPLINE_DEGREE), inner, np.ones(SPLINE_DEGREE)])
-
-
-def joint_scale(arm: Arm) -> Floats:
-    """Units ``(n,)`` of the joints in path lengths: the velocity limit times 1 s, or the range where there is none."""
-    return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
-
-
-def travelled(points: Floats) -> Floats:
-    """Length ``(M,)`` of a path through points ``(M, ...)`` up to each of them."""
-    steps = np.diff(points, axis=0).reshape(len(points) - 1, -1)
-    return np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
 
 
 @weakly_cached

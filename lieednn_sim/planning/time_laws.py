@@ -24,8 +24,7 @@ from scipy.ndimage import convolve1d, maximum_filter1d
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError, TooFastError
-from lieednn_sim.planning.joint_space import joint_scale, travelled
-from lieednn_sim.planning.motion import Motion, check_motion, count_steps, rates_and_limits
+from lieednn_sim.planning.motion import Motion, check_motion, count_steps, joint_scale, rates_and_limits, travelled
 from lieednn_sim.planning.statics import check_forces, least_stretch, path_forces
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats

@@ -170,3 +170,14 @@ def test_an_arm_without_a_load_has_nothing_to_settle():
         ls.plan(ls.Arm.load("telescopic_pr"), "extended", settle="zv")
     with pytest.raises(InputError, match="least-energy"):
         ls.plan(gantries.gantry(), [1.0], settle="shaken")
+
+
+def test_moves_of_a_sequence_settle():
+    arm = gantries.gantry()
+    moves = [ls.Move([1.0]), ls.Move([0.0], settle="zvd")]
+    parts = ls.plan_sequence(arm, moves, planner="minimum-jerk", duration=5.0, settle="zv").parts
+    own = ls.plan(arm, [1.0], planner="minimum-jerk", duration=5.0, settle="zv").motion
+    np.testing.assert_allclose(parts[0].plan.motion.q, own.q)
+    assert swing_left(ls.simulate(arm, parts[0].plan, hold=3.0)) < 0.01
+    back = ls.plan(arm, [0.0], start=[1.0], planner="minimum-jerk", duration=5.0, settle="zvd").motion
+    np.testing.assert_allclose(parts[1].plan.motion.q, back.q, atol=1e-9)
