@@ -73,13 +73,33 @@ class ClosedLoops:
 
         A row that has no solution, or none that is reached from the state, becomes NaN.
         """
-        last = self._reference
-        for row in rows:
-            solution, reached = self._reach(last, row)
+        last, (guesses, moved) = self._reference, self._interpolated(rows)
+        for row, guess in zip(rows, guesses, strict=True):
+            # As good as the solution, so that one step of Newton's method leads there.
+            jacobian = self._newton(guess, moved) if moved else None
+            solution, reached = self._reach(last, row) if jacobian is None else (_Solution(guess, jacobian), True)
             if reached:
                 last, row[:] = solution, solution.qpos
             else:
                 row[:] = np.nan
+
+    def _interpolated(self, rows: Floats) -> tuple[Floats, float]:
+        """Rows ``(S, nq)`` near the solutions along a path, from those of every eighth; and how far these are apart.
+
+        Zero where the rows are few, too far apart for that, or have no solutions.
+        """
+        some, given = np.append(np.arange(0, len(rows) - 1, 8), len(rows) - 1), self._residuals.given
+        few = rows[some if len(some) >= 8 else []]
+        if not len(few) or np.abs(np.diff(few[:, given], axis=0)).max(initial=0.0) > 0.1:
+            return rows, 0.0
+        self.solve(few)
+        if np.isnan(few).any():
+            return rows, 0.0
+        guesses = scipy.interpolate.CubicSpline(some, few)(np.arange(len(rows)))
+        guesses[:, given] = rows[:, given]
+        for guess in guesses:
+            mujoco.mj_normalizeQuat(self._model, guess)
+        return guesses, float(np.linalg.norm(np.diff(few, axis=0), axis=1).max())
 
     def slopes(self, qpos: Floats, known: Floats) -> Floats:
         """Velocities ``(D, m)`` of the dependent dofs at the closed configuration ``(nq,)``: -J_d^+ J_i V.
