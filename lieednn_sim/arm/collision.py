@@ -173,14 +173,10 @@ class Collisions:
     def clearance(self, q: ArrayLike) -> float:
         """Smallest signed distance at all ``q`` ``(..., n)`` [m]; negative in penetration, infinite without pairs."""
         rows = as_floats("q", q, (self.arm.n_joints,), batched=True).reshape(-1, self.arm.n_joints)
-        return self.least_clearance_at(self.arm.qpos(rows))
-
-    def least_clearance_at(self, qpos: ArrayLike) -> float:
-        """The same at positions ``(K, nq)`` of everything in the model."""
-        return self.nearest_at(qpos)[0]
+        return self.nearest_at(self.arm.qpos(rows))[0]
 
     def nearest_at(self, qpos: ArrayLike) -> tuple[float, int, tuple[int, ...]]:
-        """The same, at which of the positions it is, and the ids of the geoms; without pairs there are none."""
+        """The same at positions ``(K, nq)`` of everything, at which of them, and the geoms' ids; none without pairs."""
         rows, best = as_floats("qpos", qpos, ("K", self.arm.model.nq)), (np.inf, 0, -1)
 
         def look(some: NDArray[np.int_], cutoff: Floats | float) -> None:

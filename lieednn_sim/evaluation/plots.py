@@ -104,7 +104,7 @@ def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     assert rollout.clearance is not None
     some, bounds = np.arange(0, len(rollout.t), 5), bounds_of(rollout.arm)
     collisions, least = Collisions(rollout.arm), np.zeros(len(some) - 1)
-    distance = [1e3 * min(collisions.least_clearance_at(qpos[None]), FAR) for qpos in rollout.qpos[some]]
+    distance = [1e3 * min(collisions.nearest_at(qpos[None])[0], FAR) for qpos in rollout.qpos[some]]
     if not isinstance(bounds, str):
         t, *tracked = rollout.tracked
         least = bounds.least(*Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:])[:3], FAR)[0]

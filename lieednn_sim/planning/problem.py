@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -12,10 +11,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
-from lieednn_sim.errors import InputError, NoSolutionError, TooFastError
+from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planning.clearance import Clearance, proved_clearance
-from lieednn_sim.planning.load_clearance import SwingingLoad
+from lieednn_sim.planning.load_clearance import load_clearance
 from lieednn_sim.planning.motion import Motion, count_steps
 from lieednn_sim.planning.path_constraints import end_outside
 from lieednn_sim.validation import as_floats, as_positive, as_seed
@@ -140,10 +139,8 @@ class Plan:
 
     @cached_property
     def load_clearance(self) -> Clearance | None:
-        """The same of what hangs, as it swings by a linear model (`SwingingLoad`); None where nothing does."""
-        with suppress(NoSolutionError):
-            return SwingingLoad(self._of_arm(), self.motion).clearance()
-        return None
+        """The same of what hangs, as it swings by a linear model; None where nothing does."""
+        return load_clearance(self._of_arm(), self.motion)
 
     @property
     def proved(self) -> bool:

@@ -21,7 +21,7 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 from lieednn_sim.arm import Arm, Mode, with_load
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning.load_clearance import SwingingLoad
+from lieednn_sim.planning.load_clearance import check_load
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.swing_model import SwingModel, along, longest_step
@@ -60,7 +60,7 @@ def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float =
     """A motion along the path of another one, by a time law that leaves less swinging and bending.
 
     It takes as long as the other one where the arm's limits allow that, and the load keeps the arm's clearance as it
-    swings (`SwingingLoad`); else as much longer as they need.
+    swings (`load_clearance`); else as much longer as they need.
 
     Args:
         arm: the motion's arm, in its scene.
@@ -82,20 +82,15 @@ def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float =
     if np.ptp(motion.q, axis=0).max() <= 1e-8:  # but for rounding, it stays where it is
         return motion
     curve, duration = TimedCurve(arm, motion), float(motion.t[-1]) + more / modes[0].frequency
-    hangs, others = bool(passive.bodies.any()), list[Arm]()
-    if options.method == METHODS[0] and hangs:
+    others: list[Arm] = []
+    if options.method == METHODS[0] and passive.bodies.any():
         loads = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
         others = [with_load(arm, *load) for load in loads]
     model = SwingModel([arm, *others], *along(arm, curve.q))
     law = _LeastEnergy(arm, curve, model, modes).law
     if options.method != METHODS[0]:
         law = partial(shaped, curve.own, *shaper(options, modes))
-
-    def check(found: Motion) -> None:
-        if hangs:
-            SwingingLoad(arm, found, model).check()
-
-    return curve.kept(law, duration, longest, _GROWTH, check)
+    return curve.kept(law, duration, longest, _GROWTH, lambda found: check_load(arm, found, model))
 
 
 def shaper(options: SettlingOptions, modes: tuple[Mode, ...]) -> tuple[Floats, Floats]:
