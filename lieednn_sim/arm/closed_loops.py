@@ -96,9 +96,9 @@ class ClosedLoops:
         if np.isnan(few).any():
             return rows, 0.0
         guesses = scipy.interpolate.CubicSpline(some, few)(np.arange(len(rows)))
-        guesses[:, given] = rows[:, given]
         for guess in guesses:
             mujoco.mj_normalizeQuat(self._model, guess)
+        guesses[:, given] = rows[:, given]
         return guesses, float(np.linalg.norm(np.diff(few, axis=0), axis=1).max())
 
     def slopes(self, qpos: Floats, known: Floats) -> Floats:

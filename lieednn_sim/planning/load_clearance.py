@@ -9,14 +9,13 @@ where they are planned.
 from __future__ import annotations
 
 import copy
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import ancestry, joints_of
-from lieednn_sim.arm.oscillation import Mode, PassiveJoints
+from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.errors import InputError, NoSolutionError, PlanError, TooFastError
 from lieednn_sim.planning.clearance import FAR, Clearance, proved_clearance
 from lieednn_sim.planning.motion import Motion
@@ -35,21 +34,21 @@ def load_clearance(
         motion: the motion.
         model: its path's, if it is known.
         swinging: false for a load that would hang at rest all the way.
-
-    Raises:
-        InputError: a joint that moves the load has no name.
     """
-    passive, modes = PassiveJoints(arm), tuple[Mode, ...]()
-    with suppress(NoSolutionError):
-        modes = passive.modes(motion.q[-1]) if passive.bodies.any() else ()
-    if not modes or np.ptp(motion.q, axis=0).max() <= 1e-8:
+    passive = PassiveJoints(arm)
+    if not passive.bodies.any() or np.ptp(motion.q, axis=0).max() <= 1e-8:
         return None
-    curve = TimedCurve(arm, motion)
-    model = model or SwingModel([arm], *along(arm, curve.q))
-    t, rows, off = model.swing(curve.own, longest_step(modes), swinging / modes[0].frequency)
-    if not swinging:
-        rows, off = model.hung(curve.own(t)), 0.0 * off
-    return min(_bounds(passive, t, rows, off), key=lambda each: (each.proved, each.bound))
+    try:
+        if not (modes := passive.modes(motion.q[-1])):
+            return None
+        curve = TimedCurve(arm, motion)
+        model = model or SwingModel([arm], *along(arm, curve.q))
+        t, rows, off = model.swing(curve.own, longest_step(modes), swinging / modes[0].frequency)
+        if not swinging:
+            rows, off = model.hung(curve.own(t)), 0.0 * off
+        return min(_bounds(passive, t, rows, off), key=lambda each: (each.proved, each.bound))
+    except (InputError, NoSolutionError) as error:  # it rests nowhere, or its joints are no arm's
+        return Clearance(-np.inf, 0.0, (), motion.t[None, [0, -1]], 0.0, f"no proof of clearance: {error}")
 
 
 def check_load(arm: Arm, motion: Motion, model: SwingModel) -> None:

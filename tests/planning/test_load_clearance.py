@@ -107,3 +107,10 @@ def test_of_two_loads_the_nearer_one_counts_and_balls_swing_too():
 def test_where_nothing_hangs_there_is_no_such_bound():
     arm = ls.Arm.load("telescopic_pr")
     assert ls.plan(arm, "extended", planner="minimum-jerk").load_clearance is None
+
+
+def test_where_it_cannot_be_bounded_the_reason_is_said():
+    unnamed = gantries.gantry(gantries.PENDULUM.replace('name="swing" ', ""))
+    bound = ls.plan(unnamed, [1.0], planner="minimum-jerk", duration=6.0, settle="zv").load_clearance
+    assert not bound.proved
+    assert "hangs, needs a name" in str(bound)
