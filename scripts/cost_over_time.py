@@ -32,7 +32,7 @@ from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE, save_figure
 from lieednn_sim.planning import PLANNERS
-from lieednn_sim.planning.joint_space import joint_scale
+from lieednn_sim.planning.motion import joint_scale
 from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.studies.comparison.study import arm_and_target
 

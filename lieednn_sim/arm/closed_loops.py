@@ -20,8 +20,6 @@ CLOSED = 1e-10
 SINGULAR = 1e-5
 # The most that a joint turns in one step along the way to a configuration [rad], and the least part of the way.
 LARGEST_TURN, LEAST_STEP = 0.5, 1e-3
-# Of how many rows along a path one is followed to, and how far at most the others are from a spline [m, rad].
-STRIDE, NEAR = 12, 1e-5
 # Grid of the configurations from which others are reached [rad; part of the model's extent], and how many are kept.
 GRID_TURN, GRID_SLIDE, GRID_SIZE = 0.25, 0.05, 4096
 
@@ -75,46 +73,33 @@ class ClosedLoops:
 
         A row that has no solution, or none that is reached from the state, becomes NaN.
         """
-        every = np.arange(len(rows))
-        some = every[::STRIDE] if len(rows) > 8 * STRIDE else every
-        self._solve_in_turn(rows, some)
-        self._solve_in_turn(rows, self._solve_between(rows, some))
-
-    def _solve_in_turn(self, rows: Floats, numbers: Indices) -> None:
-        """Solve some of the rows, each from the one before if it is near."""
-        last = self._reference
-        for k in numbers:
-            solution, reached = self._reach(last, rows[k])
+        last, (guesses, moved) = self._reference, self._interpolated(rows)
+        for row, guess in zip(rows, guesses, strict=True):
+            # As good as the solution, so that one step of Newton's method leads there.
+            jacobian = self._newton(guess, moved) if moved else None
+            solution, reached = self._reach(last, row) if jacobian is None else (_Solution(guess, jacobian), True)
             if reached:
-                last, rows[k] = solution, solution.qpos
+                last, row[:] = solution, solution.qpos
             else:
-                rows[k] = np.nan
+                row[:] = np.nan
 
-    def _solve_between(self, rows: Floats, some: Indices) -> Indices:
-        """Solve the rows between those that are solved which lie on a smooth path; numbers of all others."""
-        others, model, dofs = np.setdiff1d(np.arange(len(rows)), some), self._model, self._residuals.dofs
-        joints = model.dof_jntid[dofs]
-        if not len(others) or np.isnan(rows[some]).any() or not np.isin(model.jnt_type[joints], SCALAR).all():
-            return others
-        from scipy.interpolate import make_interp_spline  # as late as that: it takes long to import
+    def _interpolated(self, rows: Floats) -> tuple[Floats, float]:
+        """Rows ``(S, nq)`` near the solutions along a path, from those of every eighth; and how far these are apart.
 
-        places = model.jnt_qposadr[joints]
-        guesses, left = make_interp_spline(some, rows[np.ix_(some, places)], 5)(others), []
-        for k, guess in zip(others, guesses, strict=True):
-            if k % STRIDE == 1:
-                undo = np.linalg.pinv(self._residuals.at(rows[k - 1])[1][:, dofs], rcond=SINGULAR)
-            row, before = rows[k].copy(), NEAR
-            row[places] = guess
-            while (error := np.abs(residual := self._residuals.at(row)[0]).max()) >= EXACT:
-                step = undo @ residual
-                if not max(error, np.abs(step).max()) < before:
-                    left.append(k)
-                    break
-                row[places] -= step
-                before = 0.25 * error
-            else:
-                rows[k] = row
-        return np.array(left, dtype=int)
+        Zero where the rows are few, too far apart for that, or have no solutions.
+        """
+        some, given = np.append(np.arange(0, len(rows) - 1, 8), len(rows) - 1), self._residuals.given
+        few = rows[some if len(some) >= 8 else []]
+        if not len(few) or np.abs(np.diff(few[:, given], axis=0)).max(initial=0.0) > 0.1:
+            return rows, 0.0
+        self.solve(few)
+        if np.isnan(few).any():
+            return rows, 0.0
+        guesses = scipy.interpolate.CubicSpline(some, few)(np.arange(len(rows)))
+        for guess in guesses:
+            mujoco.mj_normalizeQuat(self._model, guess)
+        guesses[:, given] = rows[:, given]
+        return guesses, float(np.linalg.norm(np.diff(few, axis=0), axis=1).max())
 
     def slopes(self, qpos: Floats, known: Floats) -> Floats:
         """Velocities ``(D, m)`` of the dependent dofs at the closed configuration ``(nq,)``: -J_d^+ J_i V.

@@ -173,36 +173,44 @@ class Collisions:
     def clearance(self, q: ArrayLike) -> float:
         """Smallest signed distance at all ``q`` ``(..., n)`` [m]; negative in penetration, infinite without pairs."""
         rows = as_floats("q", q, (self.arm.n_joints,), batched=True).reshape(-1, self.arm.n_joints)
-        return self.least_clearance_at(self.arm.qpos(rows))
+        return self.nearest_at(self.arm.qpos(rows))[0]
 
-    def least_clearance_at(self, qpos: ArrayLike) -> float:
-        """The same at positions ``(K, nq)`` of everything in the model."""
-        rows = as_floats("qpos", qpos, ("K", self.arm.model.nq))
-        least, cutoff = np.inf, 0.05
+    def nearest_at(self, qpos: ArrayLike) -> tuple[float, int, tuple[int, ...]]:
+        """The same at positions ``(K, nq)`` of everything, at which of them, and the geoms' ids; none without pairs."""
+        rows, best = as_floats("qpos", qpos, ("K", self.arm.model.nq)), (np.inf, 0, -1)
+
+        def look(some: NDArray[np.int_], cutoff: Floats | float) -> None:
+            nonlocal best
+            distance, at, index = self._nearer(rows[some], cutoff)
+            best = min([best, *zip(distance.tolist(), some[at].tolist(), index.tolist(), strict=True)])
+
         # At a few of them first, further and further out, so that only what is nearer is measured at the others.
-        while len(rows) and least == np.inf and cutoff < 2.0 * _PLANE_SIZE:
-            least, cutoff = self._nearer(rows[:: len(rows) // AT_ONCE + 1], cutoff).min(initial=np.inf), 4.0 * cutoff
+        every, cutoff = np.arange(len(rows)), 0.05
+        while len(rows) and best[0] == np.inf and cutoff < 2.0 * _PLANE_SIZE:
+            look(every[:: len(rows) // AT_ONCE + 1], cutoff)
+            cutoff *= 4.0
         # Boxes do not bound depths as MuJoCo measures them: whatever overlaps is measured.
         deep = np.where(np.isfinite(self._offset), np.maximum(-self._offset, 0.0), 0.0)
-        for k in range(0, len(rows) if least < np.inf else 0, AT_ONCE):
-            least = self._nearer(rows[k : k + AT_ONCE], np.maximum(deep, least)).min(initial=least)
-        return float(least)
+        for k in range(0, len(rows) if best[0] < np.inf else 0, AT_ONCE):
+            look(every[k : k + AT_ONCE], np.maximum(deep, best[0]))
+        least, row, pair = best
+        return least, row, tuple(self.pairs[pair].tolist()) if pair >= 0 else ()
 
     def is_free(self, q: ArrayLike, margin: float = 0.0, *, own: float | None = None) -> bool:
         """Whether all pairs are further apart than ``margin`` [m] at ``q`` ``(n,)``, and the arm's own than ``own``."""
         qpos, limit = self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))), float(as_floats("margin", margin, ()))
         limits = np.where(self.own, limit if own is None else float(as_floats("own", own, ())), limit)
-        return not len(self._nearer(qpos[None], np.nextafter(limits, np.inf)))
+        return not len(self._nearer(qpos[None], np.nextafter(limits, np.inf))[0])
 
-    def _nearer(self, rows: Floats, cutoff: Floats | float) -> Floats:
-        """Distances ``(C,)`` below a cutoff, ``()`` or ``(P,)`` [m], at positions ``(K, nq)``."""
+    def _nearer(self, rows: Floats, cutoff: Floats | float) -> tuple[Floats, NDArray[np.int_], NDArray[np.int_]]:
+        """Distances ``(C,)`` below a cutoff, ``()`` or ``(P,)`` [m], at which of positions ``(K, nq)``, what pairs."""
         count = self.arm.geometry.ngeom
         places, turns = np.empty((len(rows), count, 3)), np.empty((len(rows), count, 3, 3))
         for k, row in enumerate(rows):
             self._move_to(row)
             places[k], turns[k] = self._data.geom_xpos, self._data.geom_xmat.reshape(-1, 3, 3)
-        _, index, distance, _ = self.separations(places, turns, cutoff)
-        return np.asarray(distance - self._offset[index])
+        at, index, distance, _ = self.separations(places, turns, cutoff)
+        return np.asarray(distance - self._offset[index]), at, index
 
     def names(self, pair: ArrayLike) -> tuple[str, str]:
         """Names of two geoms by id; an unnamed geom is called after its body."""

@@ -23,6 +23,8 @@ from lieednn_sim.arm.equalities import (
 from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
+_PATH = 100  # rows from which on they are a path's
+
 
 @dataclass(frozen=True)
 class Follower:
@@ -73,8 +75,10 @@ class Dependents:
         self.moved = tuple(sorted(led | looped))
         self.lines, self.sums = _lines(self._followers, self.independent), dict[int, Sum]()
         self._loops: ClosedLoops | None = None
-        # The last rows that were asked for, and their solution: limits and contacts are tested one after another.
+        # The last rows that were asked for, and their solution: limits and contacts are tested one after another; along
+        # a path in another order, and with few others among them.
         self._last = np.zeros((0, model.nq)), np.zeros((0, model.nq))
+        self._path = dict[bytes, Floats]()
         if equalities:
             qpos = np.array(data.qpos)
             moving = {roots[joint] for e in equalities for joint in involved_joints(model, e) & roots.keys()} - {None}
@@ -100,8 +104,17 @@ class Dependents:
             return result
         rows = result.reshape(-1, self._model.nq)
         if not np.array_equal(rows, self._last[0]):
-            asked = rows.copy()
-            self._loops.solve(rows)
+            asked, keys = rows.copy(), [row.tobytes() for row in rows] if len(rows) > _PATH else []
+            new = [k for k, key in enumerate(keys) if key not in self._path]
+            if keys and 2 * len(new) < len(keys):
+                some = asked[new]
+                self._loops.solve(some)
+                known = {**self._path, **{keys[k]: row for k, row in zip(new, some, strict=True)}}
+                rows[:] = [known[key] for key in keys]
+            else:
+                self._loops.solve(rows)
+                if keys:
+                    self._path = dict(zip(keys, rows.copy(), strict=True))
             self._last = asked, rows.copy()
         rows[:] = self._last[1]
         missing = np.isnan(rows).any(axis=1)

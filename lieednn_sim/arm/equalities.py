@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
@@ -69,7 +70,12 @@ class Residuals:
 
     def least_squares(self, jacobian: Floats, residual: Floats) -> Floats:
         """The change ``(D, ...)`` of the dependent dofs that undoes a residual; redundant rows do no harm."""
-        return np.asarray(np.linalg.lstsq(jacobian[:, self.dofs], -residual, rcond=1e-10)[0], dtype=float)
+        # As numpy.linalg.lstsq, whose checks of its arguments take most of its time for matrices this small.
+        columns, count = jacobian[:, self.dofs], len(self.dofs)
+        right = np.zeros((max(columns.shape), *residual.shape[1:]))
+        right[: len(residual)] = -residual
+        solved = scipy.linalg.lapack.dgelss(columns, right, 1e-10)[1] if right.size and columns.size else right
+        return np.asarray(solved[:count])
 
     def move(self, qpos: Floats, step: Floats) -> None:
         """Move the dependent dofs of ``(nq,)`` by a step ``(D,)``, in place."""

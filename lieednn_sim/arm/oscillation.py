@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.equalities import involved_joints, names
 from lieednn_sim.arm.forces import actuator_moments, required_forces
+from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
@@ -78,6 +79,23 @@ class PassiveJoints:
         for body, parent in enumerate(model.body_parentid):  # parents come first
             hanging[body] |= hanging[parent]
         return hanging
+
+    @cached_property
+    def load_model(self) -> mujoco.MjModel:
+        """A copy of the model in which nothing collides but what hangs, with what does not move.
+
+        Pairs are those of MuJoCo's filter. A body that hangs and collides with nothing counts by what MuJoCo draws of
+        it, the geoms of groups 0 to 2, against all that collides and is drawn.
+        """
+        model, body = copy.deepcopy(self.arm.model), self.arm.model.geom_bodyid
+        types, affinities = model.geom_contype.copy(), model.geom_conaffinity.copy()
+        load, solid, drawn = self.bodies[body], (types | affinities) != 0, model.geom_group < 3
+        still = moved_together(model, np.append(self.arm.dofs, self.dofs))[body] == 0
+        shown = drawn & ~np.isin(body, body[solid])
+        # Bits of their own for each direction of the filter, which has 31.
+        model.geom_contype[:] = np.where(load, types | affinities << 15 | shown.astype(int) << 30, 0)
+        model.geom_conaffinity[:] = np.where(still, affinities | types << 15 | (solid & drawn).astype(int) << 30, 0)
+        return model
 
     def moved(self, qpos: Floats, by: Floats) -> Floats:
         """Positions ``(S, nq)`` moved by displacements ``(S, m)`` of the passive joints."""
@@ -145,11 +163,13 @@ class PassiveJoints:
             InputError: q is malformed.
             NoSolutionError: as of `at_rest`.
         """
-        position, m = as_floats("q", q, (self.arm.n_joints,)), len(self.dofs)
-        if not m:
-            return ()
-        rest = self.at_rest(self.arm.qpos(position)[None])
-        stiffness, damping, inertia = (self.slopes(kind, rest)[0] for kind in ("position", "velocity", "acceleration"))
+        position = as_floats("q", q, (self.arm.n_joints,))
+        return self.modes_at(self.at_rest(self.arm.qpos(position)[None])[0]) if len(self.dofs) else ()
+
+    def modes_at(self, rest: Floats) -> tuple[Mode, ...]:
+        """The same at positions ``(nq,)`` of `at_rest`, for one passive joint at least."""
+        m, kinds = len(self.dofs), ("position", "velocity", "acceleration")
+        stiffness, damping, inertia = (self.slopes(kind, rest[None])[0] for kind in kinds)
         system = np.eye(2 * m, k=m)
         system[m:] = -np.linalg.solve(inertia, np.hstack([stiffness, damping]))
         values, shapes = np.linalg.eig(system)

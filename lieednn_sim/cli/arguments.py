@@ -141,6 +141,8 @@ class Planning(Goal):
         path_constraint: line or orientation: let the end effector go on a straight line, or keep its orientation, on
             the way.
         fastest: follow the planned path as fast as the arm's limits allow.
+        settle: law of time that leaves little swinging and bending of what nothing drives, on the same path:
+            least-energy, zv, zvd or ei.
         learned: directory of 'learn' with a motion of an end effector: this arm's moves like that, from where the
             recordings began or from --start, in their duration, and to their goal or to another one.
         turning: with --learned: whether the end effector turns as was recorded.
@@ -151,6 +153,7 @@ class Planning(Goal):
     option: tuple[Setting, ...] = ()
     path_constraint: str | None = None
     fastest: bool = False
+    settle: str | None = None
     learned: Directory | None = None
     turning: bool = True
     time_budget: float = DEFAULT_TIME_BUDGET

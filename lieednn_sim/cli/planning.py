@@ -69,13 +69,14 @@ def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = (), p
         # JSON has no infinity.
         "time_budget": None if planning.time_budget == math.inf else planning.time_budget,
         "fastest": planning.fastest,
+        "settle": planning.settle,
         "path_constraint": planning.path_constraint,
         "payload": payload,
         "option": {} if options is None else asdict(options),
     }
     about, lasts = {"planner": planner, "reason": reason, "options": shown}, planning.asked_duration
     task = planning.task(arm, start, start, lasts, planning.seed, **about)
-    own = planner == "lieednn-certified" and not planning.fastest
+    own = planner == "lieednn-certified" and not planning.fastest and planning.settle is None
     with progress("plan"), time_limit(planning.time_budget):
         result = plan_motion(
             arm,
@@ -87,14 +88,15 @@ def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = (), p
             options=options,
             fastest=planning.fastest,
             path_constraint=path_constraint,
+            settle=planning.settle,
         )
     _save(run, arm, replace(task, target=tuple(result.target.tolist())), result)
 
 
 def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> None:
     """Plan a motion of the end effector that was learned, and write what is made."""
-    if planning.planner or planning.option or planning.path_constraint:
-        raise InputError("--learned takes no --planner, --option or --path-constraint: the motion is known")
+    if planning.planner or planning.option or planning.path_constraint or planning.settle:
+        raise InputError("--learned takes no --planner, --option, --path-constraint or --settle: the motion is known")
     learned, goal = LearnedMotion.load(planning.learned or ""), None
     if planning.usual_target(arm) is None:
         goal = planning.start_and_goal(arm, place=True)[1]
@@ -156,5 +158,7 @@ def print_plan(result: Plan) -> None:
         rows.add_row("1-norm of W", one_norm(network, goal := network.goal(motion.xi_target)))
     console.print(rows)
     console.print(f"clearance: {result.clearance}")
+    if result.load_clearance is not None:
+        console.print(f"what hangs, as it swings by its linear model: {result.load_clearance}")
     if network is not None:
         print_stability(network, goal)

@@ -32,7 +32,7 @@ __all__ = ["RunDirectory", "Task"]
 # Formats of the plots; the first is the default.
 PLOT_KINDS = ("png", "pdf", "svg")
 # The first two are plots of demonstrations, the third of a training, the others of a rollout.
-_PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints", "clearance", "channels")
+_PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints", "clearance", "modes", "channels")
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from lieednn_sim._mujoco import kinematics_at, mujoco, scratch_data
+from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.oscillation import PassiveJoints
-from lieednn_sim.arm.surroundings import moved_together
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.simulation import Rollout
 
@@ -24,18 +24,24 @@ class LoadMetrics:
         swing_deg: largest angle after the motion of joints without a spring from where they rest.
         bending_mm: how far joints with a spring move the end effector at most after the motion from where it rests.
         settling_s: time after the motion from which these stay below 1 degree and 5 mm for a period at least, if any.
-        clearance_mm: least distance of what hangs from what does not move, at 100 instants of the simulation, between
-            geoms of the groups 0 to 2, which MuJoCo draws, also if they do not collide; None if it was not computed.
+        clearance_mm: least distance of what hangs from what does not move, at the samples of the simulation, between
+            the geoms of `PassiveJoints.load_model`; None if it was not computed, or nothing hangs.
+        nearest: names of the two geoms, the load's first.
+        nearest_s: the time at which they are so near.
     """
 
     swing_deg: float
     bending_mm: float
     settling_s: float | None
-    clearance_mm: float | None
+    clearance_mm: float | None = None
+    nearest: tuple[str, ...] = ()
+    nearest_s: float | None = None
 
     def __str__(self) -> str:
-        settled = "does not settle" if self.settling_s is None else f"settles in {self.settling_s:.2f} s"
-        near = "" if self.clearance_mm is None else f"; the load stays {self.clearance_mm:.0f} mm from all else"
+        settled, near = "does not settle" if self.settling_s is None else f"settles in {self.settling_s:.2f} s", ""
+        if self.clearance_mm is not None:
+            load, other = self.nearest
+            near = f"; {load!r}, which hangs, stays {self.clearance_mm:.0f} mm from {other!r} ({self.nearest_s:.2f} s)"
         return f"swings by {self.swing_deg:.3g} degrees and bends by {self.bending_mm:.3g} mm, {settled}{near}"
 
 
@@ -45,8 +51,8 @@ def load_metrics(rollout: Rollout, *, clearance: bool = True) -> LoadMetrics | N
     if not len(passive.dofs):
         return None
     try:
-        modes = passive.modes(rollout.q[-1])
         rest = passive.at_rest(arm.qpos(rollout.q[-1:]))[0]
+        modes = passive.modes_at(rest)
     except NoSolutionError:
         return None
     after = rollout.t >= rollout.motion_end - 0.5 * rollout.timestep
@@ -65,20 +71,15 @@ def load_metrics(rollout: Rollout, *, clearance: bool = True) -> LoadMetrics | N
         swing_deg=float(np.rad2deg(swing.max(initial=0.0))),
         bending_mm=float(1e3 * bending.max(initial=0.0)),
         settling_s=calm if settled else None,
-        clearance_mm=_clearance(rollout, passive) if clearance else None,
+        **(_clearance(rollout, passive) if clearance else {}),
     )
 
 
-def _clearance(rollout: Rollout, passive: PassiveJoints) -> float | None:
-    """The attribute of `LoadMetrics`, if there are geoms within 10 m of each other."""
-    model, far, least = rollout.arm.model, 10.0, 10.0
-    drawn, body = model.geom_group < 3, model.geom_bodyid
-    still = moved_together(model, np.append(rollout.arm.dofs, passive.dofs))[body] == 0
-    load, others = np.flatnonzero(drawn & passive.bodies[body]).tolist(), np.flatnonzero(drawn & still).tolist()
-    data = scratch_data(model)
-    for row in np.unique(np.linspace(0, len(rollout.t) - 1, 100).astype(int)):
-        data.qpos[:] = rollout.qpos[row]
-        mujoco.mj_kinematics(model, data)
-        for one, other in product(load, others):
-            least = min(least, mujoco.mj_geomDistance(model, data, one, other, far, None))
-    return 1e3 * least if least < far else None
+def _clearance(rollout: Rollout, passive: PassiveJoints) -> dict[str, Any]:
+    """The last attributes of `LoadMetrics`."""
+    collisions = Collisions(replace(rollout.arm, collision_model=passive.load_model))
+    least, row, pair = collisions.nearest_at(rollout.qpos)
+    if not pair:
+        return {}
+    ordered = sorted(pair, key=lambda geom: not passive.bodies[rollout.arm.model.geom_bodyid[geom]])
+    return {"clearance_mm": 1e3 * least, "nearest": collisions.names(ordered), "nearest_s": float(rollout.t[row])}

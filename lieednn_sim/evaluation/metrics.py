@@ -48,7 +48,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
     tip = rollout.link_position[:, -1]
     # Every fifth sample (10 ms at the arms' step), and all with a contact; a free body between fingers is touched.
     chosen = np.union1d(np.arange(0, len(rollout.t), 5), np.flatnonzero(rollout.contacts))
-    least = Collisions(arm).least_clearance_at(rollout.qpos[chosen]) if clearance else np.inf
+    least = Collisions(arm).nearest_at(rollout.qpos[chosen])[0] if clearance else np.inf
     proof = rollout.clearance if clearance else None
     weld_force, weld_torque = (rollout.channels.get(f"weld_{load}", np.zeros(1)) for load in ("force", "torque"))
     speeds, forces, held = (np.abs(x).max(axis=0) for x in (rollout.qd, rollout.force, rollout.constraint_force))

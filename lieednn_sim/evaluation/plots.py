@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim import io
 from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.arm.oscillation import PassiveJoints
+from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.figure_layout import COLOURS, drawn, entries_of, fitted_legend
 from lieednn_sim.evaluation.metrics import pose_errors
@@ -38,9 +41,10 @@ _MOST_ROWS, _LONGEST_NAME = 12, 14
 
 
 def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """Plot a run in PNG files: tracking error, joints, and network, clearance and channels if it has them.
+    """Plot a run in PNG files: tracking error, joints, and network, clearance, modes and channels if it has them.
 
-    The files are ``tracking.png``, ``joints.png``, ``network.png``, ``clearance.png`` and ``channels.png``.
+    The files are ``tracking.png``, ``joints.png``, ``network.png``, ``clearance.png``, ``modes.png`` and
+    ``channels.png``.
 
     Args:
         rollout: the simulated run.
@@ -65,9 +69,30 @@ def plots_of(rollout: Rollout) -> dict[str, Callable[[Rollout, Path], None]]:
         drawn["network"] = plot_network
     if rollout.clearance is not None:
         drawn["clearance"] = plot_clearance
+    with suppress(NoSolutionError):
+        if PassiveJoints(rollout.arm).modes(rollout.q_ref[0]):
+            drawn["modes"] = plot_modes
     if rollout.channels:
         drawn["channels"] = plot_channels
     return drawn
+
+
+def plot_modes(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+    """Plot the natural frequencies of what nothing drives along the reference, with the driven joints held there."""
+    passive, some = PassiveJoints(rollout.arm), np.linspace(0, len(rollout.t) - 1, 41).astype(int)
+    modes = [passive.modes(q) for q in rollout.q_ref[some]]
+    with drawn(path, 10.0, 3.4) as figure:
+        axis = _subplots(figure, rollout.t, 1, 1)[0, 0]
+        # As many as there are everywhere; those that are overdamped in some places come last.
+        for k, of_one in enumerate(zip(*modes, strict=False)):
+            label = f"{k + 1} {of_one[0].joint} ({max(mode.damping for mode in of_one):.1%})"
+            axis.semilogy(rollout.t[some], [mode.frequency for mode in of_one], label=label)
+        for each in (axis.yaxis.set_major_formatter, axis.yaxis.set_minor_formatter):
+            each("{x:g}")
+        _label(axis, "[Hz]", "natural frequencies, and largest damping, of what nothing drives")
+        axis.set_xlabel("time [s]")
+        _mark_events(axis, rollout)
+        _legend(figure, entries_of(axis) | _events(rollout))
 
 
 def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
@@ -79,7 +104,7 @@ def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     assert rollout.clearance is not None
     some, bounds = np.arange(0, len(rollout.t), 5), bounds_of(rollout.arm)
     collisions, least = Collisions(rollout.arm), np.zeros(len(some) - 1)
-    distance = [1e3 * min(collisions.least_clearance_at(qpos[None]), FAR) for qpos in rollout.qpos[some]]
+    distance = [1e3 * min(collisions.nearest_at(qpos[None])[0], FAR) for qpos in rollout.qpos[some]]
     if not isinstance(bounds, str):
         t, *tracked = rollout.tracked
         least = bounds.least(*Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:])[:3], FAR)[0]

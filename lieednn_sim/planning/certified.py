@@ -16,8 +16,7 @@ from lieednn_sim.budget import check_time, report
 from lieednn_sim.errors import NotCertifiedError, PlanError, TooFastError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.dynamics import integrate
-from lieednn_sim.planning.joint_space import joint_scale
-from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, least_duration
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, joint_scale, least_duration
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.options import NetworkOptions
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time

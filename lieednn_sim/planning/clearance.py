@@ -45,6 +45,7 @@ class Clearance:
         t: the instant [s] near which it is that small.
         pair: names of the geoms; empty if nothing comes nearer than 0.1 m.
         unproved: ``(U, 2)`` begin and end [s] of stretches where contact is not excluded but at the samples.
+        doubtful: names of geoms that may touch in one of them; empty if there are none.
         proved_fraction: the fraction of the motion's time that is left.
         reason: why nothing can be proved of the arm, if nothing can.
     """
@@ -55,6 +56,7 @@ class Clearance:
     unproved: Floats
     proved_fraction: float = 1.0
     reason: str = ""
+    doubtful: tuple[str, ...] = ()
 
     @property
     def proved(self) -> bool:
@@ -189,19 +191,22 @@ def check_contact(arm: Arm, t: Floats, q: Floats) -> None:
             raise PlanError(f"{touching[0][0]!r} would {near} {touching[0][1]!r} at t = {time:.2f} s")
 
 
-def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | None = None) -> Clearance:
+def proved_clearance(
+    arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | None = None, far: float = FAR
+) -> Clearance:
     """Bound the distances from contact along a motion, at every instant.
 
     Args:
         arm, t, q, qd: as of `check_clearance`.
         off: ``(K, n)`` how far joints may be from the motion at its samples, such as a run's tracking errors [rad, m].
+        far: distance beyond which nothing is measured [m].
     """
     bounds, step = bounds_of(arm), float(t[1] - t[0])
     if isinstance(bounds, str):
         return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0, bounds)
     cubics = Cubics(step, q, qd, off)
     begin, end = _edges(q)
-    nearest, bound, time, pair = FAR, FAR, 0.0, (-1, -1)
+    nearest, bound, time, pair, doubtful = far, far, 0.0, (-1, -1), (-1, -1)
     unproved: list[tuple[float, float]] = []
     measured, coarse = 0, 0.1 if off is None else len(t) / 32.0
     while len(begin):
@@ -221,13 +226,15 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
         # What may touch in the middle cannot be proved; of errors that vary slowly, in no part.
         last = (end - begin < _SHORTEST) | ((there <= 0.0) & (end - begin < coarse)) | (measured > 4 * (_MOST + len(t)))
         last &= ~done
+        doubtful = next(map(tuple, pairs[last].tolist()), doubtful)
         unproved += zip(begin[last].tolist(), end[last].tolist(), strict=True)
         begin, end = _divided(begin, end, ~done & ~last)
     stretches = step * np.array(_joined(sorted(unproved)), dtype=float).reshape(-1, 2)
     proved = 1.0 - float(np.ptp(stretches, axis=1).sum()) / float(t[-1])
     # An instant of contact is no stretch.
     bound = bound if proved > 1e-9 else -np.inf
-    return Clearance(bound, time, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved)
+    near, touching = (bounds.names(two) if two[0] >= 0 else () for two in (pair, doubtful))
+    return Clearance(bound, time, near, stretches, proved, doubtful=touching)
 
 
 class ProofAhead:

@@ -20,8 +20,7 @@ from lieednn_sim.learning.demonstrations.alignment import GOALS, PHASES, Indices
 from lieednn_sim.learning.demonstrations.family import Response, with_response
 from lieednn_sim.learning.demonstrations.tables import TIME, TIME_UNITS, Layout, read_tables
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.joint_space import travelled
-from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE, Motion, travelled
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.shaped import lever_units

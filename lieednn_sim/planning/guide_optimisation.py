@@ -28,8 +28,8 @@ from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from lieednn_sim.arm.collision import ContactSlopes
 from lieednn_sim.budget import check_time
-from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion, travelled
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion
+from lieednn_sim.planning.motion import Motion, travelled
 from lieednn_sim.planning.path_constraints import check_path_constraint, excess_and_slopes, projected
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law

@@ -23,8 +23,8 @@ from lieednn_sim.planning.baselines.search_space import EdgeTest
 from lieednn_sim.planning.baselines.smoothing import slow_motion
 from lieednn_sim.planning.baselines.trees import connected
 from lieednn_sim.planning.guide_optimisation import GuideOptimisation
-from lieednn_sim.planning.joint_space import Workspace, travelled
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.joint_space import Workspace
+from lieednn_sim.planning.motion import Motion, travelled
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.path_constraints import outside, projected
 from lieednn_sim.planning.problem import Plan, PlanningProblem, in_time

@@ -94,17 +94,6 @@ def clamped_knots(count: int) -> Floats:
     return np.concatenate([np.zeros(SPLINE_DEGREE), inner, np.ones(SPLINE_DEGREE)])
 
 
-def joint_scale(arm: Arm) -> Floats:
-    """Units ``(n,)`` of the joints in path lengths: the velocity limit times 1 s, or the range where there is none."""
-    return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
-
-
-def travelled(points: Floats) -> Floats:
-    """Length ``(M,)`` of a path through points ``(M, ...)`` up to each of them."""
-    steps = np.diff(points, axis=0).reshape(len(points) - 1, -1)
-    return np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
-
-
 @weakly_cached
 def sweeps(arm: Arm) -> Floats:
     """Largest distance ``(n,)`` that a unit of each joint moves a link frame at random configurations [m/rad, m/m]."""

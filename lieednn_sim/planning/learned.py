@@ -19,8 +19,8 @@ from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
 from lieednn_sim.budget import check_time, cpu_time, default_limit, one_blas_thread
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, PlanError
 from lieednn_sim.learning.demonstrations import LearnedMotion
-from lieednn_sim.planning.joint_space import joint_motion, joint_scale, travelled
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.joint_space import joint_motion
+from lieednn_sim.planning.motion import Motion, joint_scale, travelled
 from lieednn_sim.planning.path_constraints import KEPT_ANGLE, KEPT_DISTANCE, projected
 from lieednn_sim.planning.problem import Duration, Plan, PlanningProblem, durations, in_time
 from lieednn_sim.planning.shaped import ShapedOptions, followed_guide

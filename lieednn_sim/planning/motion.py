@@ -142,6 +142,17 @@ def least_duration(arm: Arm, start: Floats, target: Floats) -> float:
     return float((distance / np.maximum(peak, 1e-300) + ramp).max())
 
 
+def joint_scale(arm: Arm) -> Floats:
+    """Units ``(n,)`` of the joints in path lengths: the velocity limit times 1 s, or the range where there is none."""
+    return np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, arm.ranges)
+
+
+def travelled(points: Floats) -> Floats:
+    """Length ``(M,)`` of a path through points ``(M, ...)`` up to each of them."""
+    steps = np.diff(points, axis=0).reshape(len(points) - 1, -1)
+    return np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
+
+
 def rms_jerk(arm: Arm, motion: Motion) -> float:
     """Root mean square of the joints' jerk, in units of their ranges [1/s^3]."""
     jerk = np.diff(motion.qd / arm.ranges, n=2, axis=0) / motion.timestep**2

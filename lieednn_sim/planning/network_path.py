@@ -22,8 +22,15 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.projection import Retraction
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import BlockNetwork, ComponentwiseNetwork, LieEDNN
-from lieednn_sim.planning.joint_space import joint_scale, travelled
-from lieednn_sim.planning.motion import JUMP, Motion, check_motion, count_steps, unexplained_steps
+from lieednn_sim.planning.motion import (
+    JUMP,
+    Motion,
+    check_motion,
+    count_steps,
+    joint_scale,
+    travelled,
+    unexplained_steps,
+)
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import Law, eased_law, minimum_jerk_law
 from lieednn_sim.synthesis import CurveEncoder

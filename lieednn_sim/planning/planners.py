@@ -152,7 +152,8 @@ def plan(
             that need more force than the actuators have take longer, with or without one.
         settle: a name of `settling.METHODS` or `SettlingOptions`: another time law on the planned path, after which
             little of what hangs or is elastic swings and bends (`settling.settled`). It keeps the duration where the
-            limits allow that; with ``fastest`` it takes half a period of the slowest oscillation longer.
+            limits and the swinging load's clearance allow that; with ``fastest`` it takes half a period of the slowest
+            oscillation longer.
 
     Raises:
         InputError: a value is malformed, the planner is unknown, the options are those of another one, start or target

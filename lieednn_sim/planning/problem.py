@@ -14,6 +14,7 @@ from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.network import ComponentwiseNetwork
 from lieednn_sim.planning.clearance import Clearance, proved_clearance
+from lieednn_sim.planning.load_clearance import load_clearance
 from lieednn_sim.planning.motion import Motion, count_steps
 from lieednn_sim.planning.path_constraints import end_outside
 from lieednn_sim.validation import as_floats, as_positive, as_seed
@@ -135,6 +136,11 @@ class Plan:
     def clearance(self) -> Clearance:
         """A proved lower bound of its distances from contact at every instant, found when it is first asked for."""
         return proved_clearance(self._of_arm(), self.t, self.motion.q, self.motion.qd)
+
+    @cached_property
+    def load_clearance(self) -> Clearance | None:
+        """The same of what hangs, as it swings by a linear model; None where nothing does."""
+        return load_clearance(self._of_arm(), self.motion)
 
     @property
     def proved(self) -> bool:

@@ -18,6 +18,7 @@ from lieednn_sim.planning.goals import resolved
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.planners import OBSTACLE_PLANNER, plan
 from lieednn_sim.planning.problem import Duration, Plan
+from lieednn_sim.planning.settling import SettlingOptions
 from lieednn_sim.planning.steps import Actuate, Gripping, Move
 from lieednn_sim.validation import Seed, as_seed
 from lieednn_sim.values import Floats, frozen
@@ -91,6 +92,7 @@ def plan_sequence(
     seed: Seed = 0,
     options: PlannerOptions | None = None,
     fastest: bool = False,
+    settle: str | SettlingOptions | None = None,
 ) -> PlanSequence:
     """Plan steps in a row of a view of a model, each from where the one before ended, at rest.
 
@@ -101,7 +103,7 @@ def plan_sequence(
     Args:
         arm: a view (`Arm.of`), from whose state the first step starts, at rest.
         steps: the steps.
-        planner, duration, options, fastest: as of `plan`, for each move that has no other.
+        planner, duration, options, fastest, settle: as of `plan`, for each move that has no other.
         seed: seed of all moves.
 
     Raises:
@@ -110,7 +112,7 @@ def plan_sequence(
     """
     if not steps or not all(isinstance(step, Move | Actuate) for step in steps):
         raise InputError("steps must be a list of Move and Actuate, with at least one")
-    common = {"planner": planner, "duration": duration, "options": options, "fastest": fastest}
+    common = {"planner": planner, "duration": duration, "options": options, "fastest": fastest, "settle": settle}
     common["seed"] = as_seed("seed", seed)
     planned = _Planned(arm)
     # Refused before the work.

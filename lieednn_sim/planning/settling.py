@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 
 import daqp
 import numpy as np
@@ -20,9 +21,10 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 from lieednn_sim.arm import Arm, Mode, with_load
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.errors import InputError
+from lieednn_sim.planning.load_clearance import check_load
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.swing_model import SwingModel, along
+from lieednn_sim.planning.swing_model import SwingModel, along, longest_step
 from lieednn_sim.planning.time_laws import TimedCurve
 from lieednn_sim.values import Floats
 
@@ -57,7 +59,8 @@ class SettlingOptions(PlannerOptions):
 def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float = math.inf, more: float = 0.0) -> Motion:
     """A motion along the path of another one, by a time law that leaves less swinging and bending.
 
-    It takes as long as the other one where the arm's limits allow that, else as much longer as they need.
+    It takes as long as the other one where the arm's limits allow that, and the load keeps the arm's clearance as it
+    swings (`load_clearance`); else as much longer as they need.
 
     Args:
         arm: the motion's arm, in its scene.
@@ -69,18 +72,25 @@ def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float =
     Raises:
         InputError: the arm has no passive joints that oscillate.
         NoSolutionError: these rest nowhere.
-        PlanError: the motion breaks a limit, see `check_motion`; `TooFastError` if it would take longer.
+        PlanError: the motion breaks a limit, see `check_motion`, or the load would come too near to something;
+            `TooFastError` if it would take longer.
     """
-    modes = PassiveJoints(arm).modes(motion.q[-1])
+    passive = PassiveJoints(arm)
+    modes = passive.modes(motion.q[-1])
     if not modes:
         raise InputError(f"arm {arm.name!r} has nothing that swings or bends: all joints of its model are driven")
     if np.ptp(motion.q, axis=0).max() <= 1e-8:  # but for rounding, it stays where it is
         return motion
     curve, duration = TimedCurve(arm, motion), float(motion.t[-1]) + more / modes[0].frequency
+    others: list[Arm] = []
+    if options.method == METHODS[0] and passive.bodies.any():
+        loads = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
+        others = [with_load(arm, *load) for load in loads]
+    model = SwingModel([arm, *others], *along(arm, curve.q))
+    law = _LeastEnergy(arm, curve, model, modes).law
     if options.method != METHODS[0]:
-        delays, shares = shaper(options, modes)
-        return curve.kept(lambda whole: shaped(curve.own, delays, shares, whole), duration, longest, _GROWTH)
-    return curve.kept(_LeastEnergy(arm, curve, options, modes).law, duration, longest, _GROWTH)
+        law = partial(shaped, curve.own, *shaper(options, modes))
+    return curve.kept(law, duration, longest, _GROWTH, lambda found: check_load(arm, found, model))
 
 
 def shaper(options: SettlingOptions, modes: tuple[Mode, ...]) -> tuple[Floats, Floats]:
@@ -113,47 +123,44 @@ def shaped(law: CubicHermiteSpline, delays: Floats, shares: Floats, duration: fl
 
 
 class _LeastEnergy:
-    """The law of least energy left on a path, for the loads of some options."""
+    """The law of least energy left on a path, for the loads of a model."""
 
-    def __init__(self, arm: Arm, curve: TimedCurve, options: SettlingOptions, modes: tuple[Mode, ...]) -> None:
-        others = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
-        self._arm, self._curve, self._omegas = arm, curve, [2.0 * math.pi * mode.frequency for mode in modes]
-        track = along(arm, curve.q)
-        self._models = [SwingModel(with_load(arm, *load), *track) for load in [(1.0, 1.0), *others]]
-        self._weights = np.sqrt([1.0] + [1.0 / len(others)] * len(others))
+    def __init__(self, arm: Arm, curve: TimedCurve, model: SwingModel, modes: tuple[Mode, ...]) -> None:
+        self._arm, self._curve, self._model, self._modes = arm, curve, model, modes
 
     def law(self, duration: float) -> CubicHermiteSpline:
         """The law for a duration [s]."""
-        own, slowest, fastest = self._curve.own, self._omegas[0], self._omegas[-1]
+        own = self._curve.own
         # Three coefficients for a period of the slowest mode, within bounds.
-        count = int(np.clip(3.0 * duration * slowest / (2.0 * np.pi) + 10.0, 16, 60))
+        count = int(np.clip(3.0 * duration * self._modes[0].frequency + 10.0, 16, 60))
         knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
         # s' by fractions of the duration, from and to rest without a step of the acceleration.
         spline = BSpline(knots, np.eye(count)[:, 2:-2], 3)
         parts = spline.antiderivative(), spline, spline.derivative()
-        steps = math.ceil(duration / min(0.1 / slowest, 0.3 / fastest))
-        tau = np.linspace(0.0, 1.0, steps + 1)
-        basis = [part(tau) / duration**k for k, part in enumerate(parts)]
-        fitted, *_ = np.linalg.lstsq(basis[1], own(tau * own.x[-1], 1) * own.x[-1] / duration, rcond=None)
-        now = fitted / (basis[0][-1] @ fitted)
-        jerk = spline.derivative(2)(tau) / math.sqrt(steps)
+        steps = math.ceil(duration / longest_step(self._modes))
+        # In the middle of the steps of the model, and where limits are looked at.
+        middle, tau = (np.arange(steps) + 0.5) / steps, np.linspace(0.0, 1.0, _LOOKS)
+        basis, looks = ([part(at) / duration**k for k, part in enumerate(parts)] for at in (middle, tau))
+        fitted, *_ = np.linalg.lstsq(looks[1], own(tau * own.x[-1], 1) * own.x[-1] / duration, rcond=None)
+        now = fitted / (looks[0][-1] @ fitted)
+        jerk = spline.derivative(2)(tau) / math.sqrt(_LOOKS)
         rough = math.sqrt(_SMOOTH) * jerk / np.linalg.norm(jerk @ now)
         best, unit = (math.inf, now), 0.0
         for _ in range(_LAWS):
             changes = [np.column_stack([part @ now, part]) for part in basis]
-            lefts, each = zip(*(model.left(duration / steps, changes) for model in self._models), strict=True)
-            left = (self._weights[:, None] * lefts).ravel()
-            slopes = (self._weights[:, None, None] * each).reshape(len(left), -1)
+            lefts, each = self._model.left(duration / steps, changes)
+            # All other loads together count as much as the arm's own.
+            lefts[1:], each[1:] = (part[1:] / math.sqrt(max(len(lefts) - 1, 1)) for part in (lefts, each))
+            left, slopes = lefts.ravel(), each.reshape(lefts.size, -1)
             size = float(np.linalg.norm(left))
             best, unit = min(best, (size, now), key=lambda pair: pair[0]), unit or max(size, 1e-9)
             rest = np.append((left - slopes @ now) / unit, np.zeros(len(rough)))
-            now = self._within_limits(now, np.vstack([slopes / unit, rough]), rest, basis)
+            now = self._within_limits(now, np.vstack([slopes / unit, rough]), rest, looks)
         tau = np.linspace(0.0, 1.0, _SAMPLES)
         return CubicHermiteSpline(duration * tau, parts[0](tau) @ best[1], parts[1](tau) @ best[1] / duration)
 
-    def _within_limits(self, now: Floats, slopes: Floats, rest: Floats, basis: list[Floats]) -> Floats:
+    def _within_limits(self, now: Floats, slopes: Floats, rest: Floats, looks: list[Floats]) -> Floats:
         """The coefficients c that minimise ``|slopes c + rest|^2`` within the joints' limits, linearised at ``now``."""
-        looks = [part[np.linspace(0, len(part) - 1, _LOOKS).astype(int)] for part in basis]
         s, rate, bend = (part @ now for part in looks)
         path, r, u = [self._curve.q(s, k).T[:, :, None] for k in range(4)], rate[:, None], bend[:, None]
         values = path[1] * r, path[2] * r**2 + path[1] * u
@@ -165,7 +172,7 @@ class _LeastEnergy:
         change = (change + more).reshape(-1, len(now))
         known = value.ravel() - change @ now
         # It arrives, and goes nowhere back.
-        rows = np.vstack([basis[0][-1:], looks[1], change])
+        rows = np.vstack([looks[0][-1:], looks[1], change])
         lower = np.concatenate([[1.0], np.zeros(_LOOKS), -_MARGIN - known])
         upper = np.concatenate([[1.0], np.full(_LOOKS, 1e6), _MARGIN - known])
         # DAQP's marks of soft constraints, and of an equality. Where limits cannot be kept, the motion takes longer.

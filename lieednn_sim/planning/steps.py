@@ -16,6 +16,7 @@ from lieednn_sim.arm.forces import actuator_moments
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import Duration
+from lieednn_sim.planning.settling import SettlingOptions
 from lieednn_sim.validation import Seed, as_choice, as_floats, as_positive, quoted
 from lieednn_sim.values import set_fields
 
@@ -34,7 +35,7 @@ class Move:
         name: what the move is called, by default the goal if that is a name.
         holding: name of the free body that the tip carries, from where it then is.
         touching: names of bodies that the held one may touch, besides what it stands on at the beginning.
-        planner, duration, seed, options, fastest: as of `plan`; None for those of the sequence.
+        planner, duration, seed, options, fastest, settle: as of `plan`; None for those of the sequence.
         clearance: distance that it keeps from contact [m]; None for the arm's.
         path_constraint: region in which the tip stays on the way; none if it may go anywhere.
     """
@@ -49,6 +50,7 @@ class Move:
     clearance: float | None = None
     options: PlannerOptions | None = None
     fastest: bool | None = None
+    settle: str | SettlingOptions | None = None
     path_constraint: TaskSpaceRegion | None = None
 
     def __post_init__(self) -> None:

@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import Arm, Mode
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.values import Floats
 
@@ -31,20 +31,43 @@ def along(arm: Arm, path: Callable[[Floats, int], Floats]) -> tuple[CubicSpline,
     return CubicSpline(s, arm.qpos(path(s, 0))), CubicSpline(s, arm.qvel(path(s, 0), path(s, 1)))
 
 
+def longest_step(modes: Sequence[Mode]) -> float:
+    """The longest step of time in which some modes are computed well enough [s]."""
+    return min(0.1 / modes[0].frequency, 0.3 / modes[-1].frequency) / (2.0 * np.pi)
+
+
 class SwingModel:
-    """The passive joints of an arm along a path.
+    """The passive joints of an arm along a path, with each of L loads.
 
     Args:
-        arm: the arm, which may have another load than the one that was planned for.
+        arms: the arm, and the same arm with the other loads (`with_load`).
         qpos, rates: its path, as of `along`.
 
     Raises:
         NoSolutionError: as of `PassiveJoints.at_rest`.
     """
 
-    def __init__(self, arm: Arm, qpos: CubicSpline, rates: CubicSpline) -> None:
-        passive, s = PassiveJoints(arm), np.linspace(0.0, 1.0, _STATIONS)
-        self._m = m = len(passive.dofs)
+    def __init__(self, arms: Sequence[Arm], qpos: CubicSpline, rates: CubicSpline) -> None:
+        self._passive, self._qpos, s = PassiveJoints(arms[0]), qpos, np.linspace(0.0, 1.0, _STATIONS)
+        self._m = len(self._passive.dofs)
+        tables, hanging, speeds = zip(*(self._along(PassiveJoints(arm), qpos, rates) for arm in arms), strict=True)
+        self._table, self._hanging = CubicSpline(s, np.stack(tables, axis=1)), CubicSpline(s, hanging[0])
+        self._rates = CubicSpline(s, speeds[0])
+        # Half squares of these are the energies left at the end.
+        stiffness, inertia = (self._table(1.0)[:, part, :, : self._m] for part in (0, 4))
+        curvature, axes = np.linalg.eigh(0.5 * (stiffness + np.swapaxes(stiffness, 1, 2)))
+        self._scales = np.zeros((len(arms), 2 * self._m, 2 * self._m))
+        roots = np.sqrt(np.maximum(curvature, 0.0))[:, :, None] * np.swapaxes(axes, 1, 2)
+        self._scales[:, : self._m, : self._m] = roots
+        self._scales[:, self._m :, self._m :] = np.swapaxes(np.linalg.cholesky(inertia), 1, 2)
+
+    def _along(self, passive: PassiveJoints, qpos: CubicSpline, rates: CubicSpline) -> tuple[Floats, Floats, Floats]:
+        """The table ``(S, 5, m, 2 m + 1)`` of a load, where it rests ``(S, m)``, and velocities at unit s' there.
+
+        The table has slopes of forces over x and x', and the forces at rest: of what is constant, and of what grows
+        with s', s'^2 and s''; and at last the inertia.
+        """
+        s, m = np.linspace(0.0, 1.0, _STATIONS), self._m
         rest = passive.at_rest(qpos(s))
         stiffness, damping, inertia = (passive.slopes(of, rest) for of in ("position", "velocity", "acceleration"))
         # Where it rests moves along the path so that no force arises.
@@ -54,61 +77,94 @@ class SwingModel:
         speeds, bends = rates(s), rates(s, 1)
         speeds[:, passive.dofs], bends[:, passive.dofs] = shift, CubicSpline(s, shift)(s, 1)
         still, ahead, behind = (passive.forces(rest, sign * speeds, sign**2 * bends) for sign in (0.0, 1.0, -1.0))
-        # Slopes over x and x', and the forces at rest, of what is constant, and of what grows with s', s'^2 and s''.
-        table = np.zeros((_STATIONS, 4, m, 2 * m + 1))
-        table[:, 0, :, :m], table[:, 0, :, m:-1] = stiffness, damping
+        table = np.zeros((_STATIONS, 5, m, 2 * m + 1))
+        table[:, 0, :, :m], table[:, 0, :, m:-1], table[:, 4, :, :m] = stiffness, damping, inertia
         table[:, 1, :, m:-1] = passive.slopes("velocity", rest, speeds) - damping
         table[:, 1, :, -1] = 0.5 * (ahead - behind)
         table[:, 2, :, :m] = passive.slopes("position", rest, speeds, bends) - stiffness
         table[:, 2, :, -1] = 0.5 * (ahead + behind) - still
         table[:, 3, :, :m] = passive.slopes("position", rest, 0.0, speeds) - stiffness
         table[:, 3, :, -1] = passive.forces(rest, 0.0, speeds) - still
-        self._table, self._inertia = CubicSpline(s, table), CubicSpline(s, inertia)
-        # Half squares of these are the energies left at the end.
-        curvature, axes = np.linalg.eigh(0.5 * (stiffness[-1] + stiffness[-1].T))
-        self._scales = np.sqrt(np.maximum(curvature, 0.0))[:, None] * axes.T, np.linalg.cholesky(inertia[-1]).T
+        return table, hanging, speeds
 
-    def _left(self, x: Floats, v: Floats) -> Floats:
-        """Displacements and velocities ``(m, ...)`` at the end as of `left`."""
-        return np.concatenate([scale @ part for scale, part in zip(self._scales, (x, v), strict=True)])
+    def swing(self, law: CubicHermiteSpline, step: float, after: float) -> tuple[Floats, Floats, Floats]:
+        """How the first load swings while the arm follows a law of time, and for some time after it [s].
+
+        The linear model's motion is corrected once, by the linear response to the forces that MuJoCo's inverse dynamics
+        would need for it. What is left is of second order in that correction, which stands for it.
+
+        Returns:
+            Times ``(K,)`` in about equal steps [s], positions ``(K, nq)``, and the largest correction up to then
+            ``(K, m)`` [rad, m].
+        """
+        end = float(law.x[-1])
+        t = np.linspace(0.0, end + after, 2 + int((end + after) / step))
+        step, passive, m = float(t[1]), self._passive, self._m
+        middle = np.minimum(t[1:] - 0.5 * step, end)
+        s, rate, bend = (law(middle, k) * (k == 0 or middle < end) for k in range(3))
+        drives = np.stack([np.ones_like(s), rate, rate**2, bend], axis=1)
+        change, push, force = self._steps(step, self._table(s)[:, :1], drives)
+        states = _marched(change, np.matvec(push, force))[:, 0]
+        place, speed = np.split(0.5 * (states[1:] + states[:-1]), 2, axis=1)
+        velocities = self._rates(s) * rate[:, None]
+        accelerations = self._rates(s, 1) * rate[:, None] ** 2 + self._rates(s) * bend[:, None]
+        velocities[:, passive.dofs] += speed
+        accelerations[:, passive.dofs] += np.diff(states[:, m:], axis=0) / step
+        missing = passive.forces(self.hung(s, place), velocities, accelerations)[:, None]
+        correction = _marched(change, np.matvec(push, -missing))[:, 0, :m]
+        return t, self.hung(law(np.minimum(t, end)), states[:, :m] + correction), np.maximum.accumulate(abs(correction))
+
+    def hung(self, s: Floats, away: Floats | float = 0.0) -> Floats:
+        """Positions ``(K, nq)`` along the path, with the first load so far from where it rests, ``(K, m)``."""
+        return self._passive.moved(self._qpos(s), self._hanging(s) + away)
+
+    def _steps(self, step: float, table: Floats, drives: Floats) -> tuple[Floats, Floats, Floats]:
+        """What the rule of midpoints makes of x and x' in each step [s] that it takes.
+
+        The mean x' of a step is S (M x' + (F - K x) step / 2) with S = (M + D step / 2 + K step^2 / 4)^-1. Returns the
+        matrices ``(K, L, 2 m, 2 m)`` by which each step changes x and x', and ``(K, L, 2 m, m)`` by which a force F in
+        it does, and the forces ``(K, L, m)``.
+        """
+        m, inertia = self._m, table[:, :, 4, :, : self._m]
+        whole = np.einsum("kj,kljab->klab", drives, table[:, :, :4])
+        stiffness, damping = whole[..., :m], whole[..., m:-1]
+        solved = np.linalg.inv(inertia + 0.5 * step * damping + 0.25 * step**2 * stiffness)
+        mean, push = solved @ np.concatenate([-0.5 * step * stiffness, inertia], axis=-1), 0.5 * step * solved
+        change = np.concatenate([step * mean, 2.0 * mean], axis=-2) + np.diag(np.repeat([1.0, -1.0], m))
+        return change, np.concatenate([step * push, 2.0 * push], axis=-2), -whole[..., -1]
 
     def left(self, step: float, law: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """What a law leaves ``(2 m,)``, whose squares are twice energies, and its slopes ``(2 m, N)`` over N changes.
+        """What a law leaves ``(L, 2 m)``, whose squares are twice energies, and its slopes ``(L, 2 m, N)``.
 
-        The law is s, s' and s'', each ``(K, 1 + N)`` with the changes, at a time step [s]; by the rule of trapezoids.
+        The law is s, s' and s'' in the middle of K time steps [s], each ``(K, 1 + N)`` with the N changes.
         """
         (s, more), (rate, more_rate), (bend, more_bend) = ((part[:, 0], part[:, 1:]) for part in law)
-        one, none, m = np.ones_like(s), np.zeros_like(s), self._m
-        table, inertia = self._table(s), self._inertia(s)
+        one, none, m, table, slope = np.ones_like(s), np.zeros_like(s), self._m, self._table(s), self._table(s, 1)
+        drives = np.stack([one, rate, rate**2, bend], axis=1)
+        change, push, force = self._steps(step, table, drives)
+        states = _marched(change, np.matvec(push, force))
+        middle, accelerated = 0.5 * (states[1:] + states[:-1]), np.diff(states[..., m:], axis=0) / step
+        state = np.concatenate([middle, np.ones_like(middle[..., :1])], axis=-1)
+        # How a force in each step changes what is left at the end: backwards.
+        onward = np.empty_like(change)
+        onward[-1] = self._scales
+        for k in range(len(change) - 1, 0, -1):
+            np.matmul(onward[k], change[k], out=onward[k - 1])
+        onward = onward @ push
+        slopes = np.zeros((*states[0].shape, more.shape[1]))
+        rates, bends = np.stack([none, one, 2.0 * rate, none], axis=1), np.stack([none, none, none, one], axis=1)
+        parts = ((slope, drives, more), (table, rates, more_rate), (table, bends, more_bend))
+        for k, (of, by, changed) in enumerate(parts):
+            over = np.einsum("kj,kljab,klb->kla", by, of[:, :, :4], state, optimize=True)
+            if k == 0:
+                over += np.matvec(of[:, :, 4, :, :m], accelerated)
+            slopes -= np.tensordot(np.matvec(onward, over), changed, axes=(0, 0))
+        return np.matvec(self._scales, states[-1]), slopes
 
-        def sums(*drives: Floats, of: Floats = table) -> Floats:
-            return np.einsum("kj,kjab->kab", np.stack(drives, axis=1), of)
 
-        whole = sums(one, rate, rate**2, bend)
-        equation = step, inertia, whole[..., m:-1], whole[..., :m]
-        x, v, acceleration = (each[..., 0] for each in _trapezoids(*equation, -whole[..., -1:]))
-        state = np.concatenate([x, v, one[:, None]], axis=1)
-        over_s = np.matvec(sums(one, rate, rate**2, bend, of=self._table(s, 1)), state)
-        over_s += np.matvec(self._inertia(s, 1), acceleration)
-        over_rate = np.matvec(sums(none, one, 2.0 * rate, none), state)
-        over_bend = np.matvec(sums(none, none, none, one), state)
-        changes = ((over_s, more), (over_rate, more_rate), (over_bend, more_bend))
-        force = -sum(slope[:, :, None] * change[:, None, :] for slope, change in changes)
-        slopes = _trapezoids(*equation, force)
-        return self._left(x[-1], v[-1]), self._left(slopes[0][-1], slopes[1][-1])
-
-
-def _trapezoids(
-    step: float, inertia: Floats, damping: Floats, stiffness: Floats, force: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Solutions x, x', x'' ``(K, m, N)`` from rest of M x'' + D x' + K x = F with matrices ``(K, m, m)``."""
-    inverse = np.linalg.inv(inertia + 0.5 * step * damping + 0.25 * step**2 * stiffness)
-    x, v, acceleration = (np.zeros_like(force) for _ in range(3))
-    acceleration[0] = np.linalg.solve(inertia[0], force[0])
-    for k in range(1, len(force)):
-        speed = v[k - 1] + 0.5 * step * acceleration[k - 1]
-        place = x[k - 1] + step * v[k - 1] + 0.25 * step**2 * acceleration[k - 1]
-        acceleration[k] = inverse[k] @ (force[k] - damping[k] @ speed - stiffness[k] @ place)
-        v[k] = speed + 0.5 * step * acceleration[k]
-        x[k] = place + 0.25 * step**2 * acceleration[k]
-    return x, v, acceleration
+def _marched(change: Floats, push: Floats) -> Floats:
+    """States z ``(K + 1, L, n)`` from zero on with ``z[k + 1] = change[k] z[k] + push[k]``."""
+    states = np.zeros((len(push) + 1, *push.shape[1:]))
+    for k, (matrix, more) in enumerate(zip(change, push, strict=True)):
+        states[k + 1] = np.matvec(matrix, states[k]) + more
+    return states

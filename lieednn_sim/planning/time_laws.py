@@ -24,8 +24,7 @@ from scipy.ndimage import convolve1d, maximum_filter1d
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import InputError, PlanError, TooFastError
-from lieednn_sim.planning.joint_space import joint_scale, travelled
-from lieednn_sim.planning.motion import Motion, check_motion, count_steps, rates_and_limits
+from lieednn_sim.planning.motion import Motion, check_motion, count_steps, joint_scale, rates_and_limits, travelled
 from lieednn_sim.planning.statics import check_forces, least_stretch, path_forces
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats
@@ -260,12 +259,17 @@ class TimedCurve:
         duration: float,
         longest: float = math.inf,
         growth: float = math.inf,
+        check: Callable[[Motion], None] = lambda _: None,
     ) -> Motion:
-        """The motion by a law for a duration [s], or the next longer one, by a factor each, that keeps all limits."""
+        """The motion by a law for a duration [s], or the next longer one, by a factor each, that keeps all limits.
+
+        What ``check`` says of motions that keep them counts, too.
+        """
         for _ in range(20):
             result = self.motion(law_of(duration), math.ceil(round(duration / self._arm.timestep, 6)))
             try:
                 check_motion(self._arm, result)
+                check(result)
                 return result
             except TooFastError as error:
                 # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in it.

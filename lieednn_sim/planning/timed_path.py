@@ -19,7 +19,7 @@ import numpy as np
 from lieednn_sim.arm import Arm
 from lieednn_sim.lie import continued
 from lieednn_sim.network import LieEDNN
-from lieednn_sim.planning.joint_space import joint_scale
+from lieednn_sim.planning.motion import joint_scale
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.planning.transition import Transition
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder

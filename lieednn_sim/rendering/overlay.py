@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,9 @@ _AXIS_COLOURS = np.array(
     [(0.90, 0.22, 0.21, 0.75), (0.26, 0.71, 0.32, 0.75), (0.20, 0.42, 0.92, 0.75)], dtype=np.float32
 )
 # Colours of the paths, in legends too.
-PLANNED_COLOUR, TRACED_COLOUR = (20, 191, 179), (250, 204, 26)
+PLANNED_COLOUR, TRACED_COLOUR, LOAD_COLOUR = (20, 191, 179), (250, 204, 26), (237, 84, 158)
 # Radii of the paths in pages [m], and their widths in pictures, where hidden ones are thinner, as parts of the height;
-# the travelled one is thicker, since it usually covers the planned one.
+# those travelled are thicker, since they usually cover the planned one.
 PLANNED_RADIUS, TRACED_RADIUS = 0.008, 0.011
 _PLANNED_WIDTH, _TRACED_WIDTH, _HIDDEN = 0.006, 0.008, 0.4
 _font = functools.cache(ImageFont.load_default)
@@ -41,11 +42,13 @@ class Overlay:
     planned_frames: Floats  # (K, N, 4, 4) planned link frames, the last one being the end effector
     traced_tip: Floats  # (K, 3) simulated end effector positions
     scale: float = 1.0  # of lengths and widths, 1 for an arm of two metres
+    traced_load: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3) what hangs, if anything does
 
     @classmethod
     def of(cls, rollout: Rollout, scale: float) -> Overlay:
-        """The overlay of a rollout: its reference's link frames, and the simulated end effector."""
-        return cls(scene_setup.planned_frames(rollout), rollout.link_position[:, -1], scale)
+        """The overlay of a rollout: its reference's link frames, the simulated end effector, and its load."""
+        load = scene_setup.load_path(rollout)
+        return cls(scene_setup.planned_frames(rollout), rollout.link_position[:, -1], scale, load)
 
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
         """Add the planned frames of sample ``k`` to a scene."""
@@ -56,13 +59,14 @@ class Overlay:
                 _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, 0.007 * self.scale, frame[:3, 3], tip, rgba)
 
     def paths(self, seen: Callable[[Floats], tuple[Floats, NDArray[np.bool_]]], k: int, height: int) -> list[Line]:
-        """The planned path, and the one travelled up to sample ``k``, as lines of a picture.
+        """The planned path, and those travelled up to sample ``k``, as lines of a picture.
 
         ``seen`` gives pixels of points ``(P, 3)``, and which are free, as `Camera.seen` does.
         """
-        ways = (self.planned_frames[:, -1, :3, 3], _PLANNED_WIDTH), (self.traced_tip[: k + 1], _TRACED_WIDTH)
+        ways = [(self.planned_frames[:, -1, :3, 3], _PLANNED_WIDTH)]
+        ways += [(way[: k + 1], _TRACED_WIDTH) for way in (self.traced_tip, self.traced_load) if len(way)]
         lines: list[Line] = []
-        for (way, width), (colour, _) in zip(ways, KEY, strict=True):
+        for (way, width), (colour, _) in zip(ways, KEY, strict=False):
             some = np.unique(np.linspace(0, len(way) - 1, 151, dtype=int))
             lines.append((*seen(way[some]), max(width * height, 1.5), colour))
         return lines
@@ -83,8 +87,8 @@ def _connect(
 
 # White on a dark, semi-transparent panel, which is readable on any background.
 _INK, _PANEL = (255, 255, 255, 255), (20, 26, 33, 150)
-# The legend of `Overlay`'s colours.
-KEY = ((PLANNED_COLOUR, "planned"), (TRACED_COLOUR, "travelled"))
+# The legend of `Overlay`'s colours, the last of which is for loads.
+KEY = ((PLANNED_COLOUR, "planned"), (TRACED_COLOUR, "travelled"), (LOAD_COLOUR, "load"))
 
 
 def draw_lines(image: NDArray[np.uint8], lines: Sequence[Line]) -> NDArray[np.uint8]:
@@ -109,18 +113,19 @@ def draw_lines(image: NDArray[np.uint8], lines: Sequence[Line]) -> NDArray[np.ui
     return np.asarray(picture)
 
 
-def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.uint8]:
+def write_caption(image: NDArray[np.uint8], lines: Sequence[str], load: bool = False) -> NDArray[np.uint8]:
     """A copy of a frame ``(height, width, 3)`` with lines of text and the colour legend in its upper left corner.
 
-    Frames below 160 pixels, which have no room for it, are returned unchanged.
+    The legend has the load's colour if there is one. Frames below 160 pixels, which have no room, are left as they are.
     """
+    key = KEY[: 2 + load]
     height = image.shape[0]
     if height < 160:
         return image
     size = max(9, round(height / 34.0))  # smaller letters cannot be read
     font, step, margin = _font(size), round(1.35 * size), round(0.7 * size)
     widths = [font.getlength(line) for line in lines]
-    widths.append(sum(font.getlength(text) + 3.0 * size for _, text in KEY))
+    widths.append(sum(font.getlength(text) + 3.0 * size for _, text in key))
     picture = Image.fromarray(image)
     draw = ImageDraw.Draw(picture, "RGBA")
     corner = (margin + max(widths) + 2 * margin, margin + step * (len(lines) + 1) + margin)
@@ -129,7 +134,7 @@ def write_caption(image: NDArray[np.uint8], lines: Sequence[str]) -> NDArray[np.
     for line in lines:
         draw.text((x, y), line, font=font, fill=_INK)
         y += step
-    for colour, text in KEY:
+    for colour, text in key:
         middle = y + 0.6 * size
         draw.line([x, middle, x + 1.2 * size, middle], fill=colour, width=max(2, size // 4))
         draw.text((x + 1.6 * size, y), text, font=font, fill=_INK)

@@ -21,7 +21,7 @@ from lieednn_sim.budget import report
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import optional_module
 from lieednn_sim.rendering import scene_setup, viser_scene
-from lieednn_sim.rendering.overlay import KEY, PLANNED_COLOUR, PLANNED_RADIUS, TRACED_COLOUR, TRACED_RADIUS
+from lieednn_sim.rendering.overlay import KEY, PLANNED_COLOUR, PLANNED_RADIUS, TRACED_RADIUS
 from lieednn_sim.rendering.video import check_camera
 from lieednn_sim.rendering.viewpoint import Viewpoint, viewpoint
 from lieednn_sim.rendering.viser_scene import Shapes, add_path, segments
@@ -68,8 +68,9 @@ def player(recording: str, *, title: str = "Motion", style: str = "", header: st
 def render_page(rollout: Rollout, path: str | os.PathLike[str], *, camera: str | None = None, title: str = "") -> None:
     """Write a page that plays a rollout in 3D, with a timeline and a camera that the mouse moves.
 
-    It shows the arm in its scene, the target, the planned path and the path travelled so far, and a caption. It opens
-    as a file, asks for nothing from the network, and follows the reader's choice of light or dark.
+    It shows the arm in its scene, the target, the planned path, the paths travelled so far by the end effector and by
+    what hangs, and a caption. It opens as a file, asks for nothing from the network, and follows the reader's choice of
+    light or dark.
 
     Args:
         rollout: the rollout.
@@ -89,7 +90,8 @@ def render_page(rollout: Rollout, path: str | os.PathLike[str], *, camera: str |
     texts = [f"<b>{escape(place)}</b>"]
     proof = "" if rollout.clearance is None else rollout.clearance.at()
     texts += [escape(word) for word in (title, rollout.controller, f"{rollout.motion_end:.2f} s{rest}", proof) if word]
-    texts += [f'<i style="background:rgb{colour}"></i>{word} path' for colour, word in KEY]
+    shown = KEY[: 2 + bool(len(scene_setup.load_path(rollout)))]
+    texts += [f'<i style="background:rgb{colour}"></i>{word} path' for colour, word in shown]
     page = player(
         recording.base64,
         title=f"{title or 'Motion'} on {place}",
@@ -179,29 +181,33 @@ class _Copy:
         self, scene: Any, shapes: Shapes, marker: int, rollout: Rollout, name: str, offset: Floats, scale: float
     ) -> None:
         self._rollout, self._nodes = rollout, viser_scene.ModelNodes(scene, shapes, name, offset=offset)
-        self._way = rollout.link_position[:, -1]
+        self._way = way = rollout.link_position[:, -1]
         scene_setup.mark(rollout.arm, self._nodes.data, marker, rollout.target)
         self._samples = np.unique(np.linspace(0, len(rollout.t) - 1, 101, dtype=int))
         self._plan = scene_setup.planned_frames(rollout)[self._samples, -1, :3, 3]
-        off = np.linalg.norm(self._plan - self._way[self._samples], axis=1)
+        off = np.linalg.norm(self._plan - way[self._samples], axis=1)
         self._followed = off < scale * TRACED_RADIUS
         self._planned = add_path(scene, f"{name}/planned", self._plan, PLANNED_COLOUR, scale * PLANNED_RADIUS)
-        self._tip = [self._way[0]]
-        blank = np.repeat(self._tip, 2, axis=0)
-        self._travelled = add_path(scene, f"{name}/travelled", blank, TRACED_COLOUR, scale * TRACED_RADIUS)
+        self._trails = [
+            (path, [path[0]], add_path(scene, f"{name}/{word}", path[[0, 0]], colour, scale * TRACED_RADIUS))
+            for path, (colour, word) in zip((way, scene_setup.load_path(rollout)), KEY[1:], strict=True)
+            if len(path)
+        ]
 
     def show(self, time: float) -> None:
         """Move to a time [s] after the beginning, or to the end."""
         rollout = self._rollout
         k = min(round(time / rollout.timestep), len(rollout.t) - 1)
         self._nodes.show(rollout.qpos[k])
-        tip = self._way[k]
-        if np.linalg.norm(tip - self._tip[-1]) > 1e-3:
-            self._tip.append(tip)
-            self._travelled.points = segments(np.array(self._tip))
-            # What the travelled path covers is left out: at the same depth the two lines would flicker.
-            covered = self._followed & (self._samples <= k)
-            self._planned.points = segments(self._plan)[~(covered[:-1] & covered[1:])]
+        for path, trail, node in self._trails:
+            if np.linalg.norm(path[k] - trail[-1]) <= 1e-3:
+                continue
+            trail.append(path[k])
+            node.points = segments(np.array(trail))
+            if path is self._way:
+                # What the travelled path covers is left out: at the same depth the two lines would flicker.
+                covered = self._followed & (self._samples <= k)
+                self._planned.points = segments(self._plan)[~(covered[:-1] & covered[1:])]
 
 
 def _corners(points: Floats) -> Floats:

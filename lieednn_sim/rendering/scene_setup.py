@@ -11,6 +11,7 @@ from lieednn_sim._mujoco import geom_colours, kinematics_at, mujoco
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.importer.loading import unused
+from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.rendering.viewpoint import around, free_side
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.values import Floats
@@ -34,6 +35,19 @@ def planned_frames(run: Rollout) -> Floats:
     """Planned link frames ``(K, N, 4, 4)``, the last of which is the end effector's; of a view only that one."""
     links = slice(None) if run.arm.state is None else slice(-1, None)
     return run.arm.link_poses(run.q_ref).as_matrix()[:, links]
+
+
+def load_path(run: Rollout) -> Floats:
+    """Where the centre of mass of what hangs was, ``(K, 3)``; ``(0, 3)`` where nothing does."""
+    model, places = run.arm.model, np.empty((len(run.t), 3))
+    mass = model.body_mass * PassiveJoints(run.arm).bodies
+    if not mass.any():
+        return places[:0]
+    data = mujoco.MjData(model)
+    for point, data.qpos[:] in zip(places, run.qpos, strict=True):
+        mujoco.mj_kinematics(model, data)
+        point[:] = mass @ data.xipos / mass.sum()
+    return places
 
 
 def occupied(run: Rollout) -> Floats:

@@ -184,7 +184,7 @@ def render_video(
     preset: str = "nice",
     title: str = "",
 ) -> int:
-    """Render a video of a rollout, with planned link frames and the end effector's path drawn over the arm.
+    """Render a video of a rollout, with planned link frames, and the paths of the end effector and of what hangs.
 
     Frame k shows the time k / fps. A caption in a corner has the time, the names of arm, scene and controller, what is
     proved of the clearance then, and a colour legend. The model of a view is shown as it is, with all that moves; the
@@ -217,7 +217,7 @@ def render_video(
 
             def write(picture: Image, paths: list[Line], now: float) -> None:
                 words = [*names, *scene_setup.caption(rollout, now), f"{now:.2f} s of {end:.2f} s"]
-                append(write_caption(draw_lines(picture, paths), words))
+                append(write_caption(draw_lines(picture, paths), words, bool(len(overlay.traced_load))))
 
             written: Future[None] | None = None
             for done, k in enumerate(samples, start=1):

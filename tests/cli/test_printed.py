@@ -76,6 +76,7 @@ def test_plan_prints_what_was_found_and_what_is_proved(printed, how):
         "guide": guide,
         "leaves": "'a' to 'b' (1 mm)",
         "clearance": 7,
+        "load_clearance": 8 if how == "guide" else None,
         "arm": None,
     }
     result = SimpleNamespace(planner="some", network=network, **found)
@@ -92,6 +93,7 @@ def test_plan_prints_what_was_found_and_what_is_proved(printed, how):
         **({"proof": "none, as this planner makes no network"} if network is None else proof),
     }
     assert ["clearance: 7"] in lines
+    assert (["what hangs, as it swings by its linear model: 8"] in lines) == (how == "guide")
     if network is not None:
         assert lines[-2:] == [["stability: goal of the target's poses"], ["a push of size 1"]]
 

@@ -17,6 +17,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.cli import main
 from lieednn_sim.cli.run_directory import RunDirectory, Task
 from lieednn_sim.errors import FileError
+from lieednn_sim.evaluation import evaluate
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import Motion, Plan, plan
 from lieednn_sim.planning.network_path import NetworkPath
@@ -70,6 +71,18 @@ def test_the_fastest_run_is_kept_and_simulated_and_the_network_of_an_earlier_one
         np.testing.assert_allclose(motion.q[-1], arm.keyframe("extended"), atol=1e-6)
         assert main(["simulate", str(tmp_path), "--hold", "0"]) == 0
         assert run.load_rollout(task, arm).t[-1] == pytest.approx(motion.t[-1])
+
+
+def test_a_motion_after_which_the_load_hangs_still_is_asked_for(tmp_path, capsys, fails):
+    words = ["--arm", "telescopic_crane", "--planner", "minimum-jerk", "--duration", "12", "--output", str(tmp_path)]
+    assert main(["plan", *words, "--settle", "zv"]) == 0
+    assert "what hangs, as it swings by its linear model: at least 100 mm" in capsys.readouterr().out
+    run = RunDirectory(tmp_path)
+    task, arm = run.load_task()
+    assert task.options["settle"] == "zv"
+    left = evaluate(simulate(arm, run.load_motion(task), hold=3.0)).load
+    assert left.swing_deg < 0.5
+    assert "least-energy" in fails("plan", *words, "--settle", "shaken")
 
 
 def test_a_network_with_hidden_neurons_goes_all_the_way(tmp_path, cascade, capsys, monkeypatch):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import gantries
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -231,3 +232,14 @@ def test_channels_of_one_unit_share_a_subplot_and_every_entry_has_a_line(gantry,
     assert [text.get_text() for text in forces.get_legend().texts] == names
     np.testing.assert_array_equal(forces.lines[4].get_ydata(), channels["push"][:, 1, 0])
     np.testing.assert_array_equal(torques.lines[0].get_ydata(), channels["twist"])
+
+
+def test_the_frequencies_of_a_load_are_plotted_along_the_motion(drawn, tmp_path):
+    """The same everywhere, for a pendulum below a cart."""
+    arm = gantries.gantry(damping=3.0)
+    run = ls.simulate(arm, ls.plan(arm, [1.0], planner="minimum-jerk", duration=2.0), hold=1.0)
+    assert "modes" in plots.plots_of(run)
+    plots.plot_modes(run, tmp_path / "modes.png")
+    (line, _) = drawn[-1].axes[0].lines
+    np.testing.assert_allclose(line.get_ydata(), np.sqrt(9.81 / gantries.LENGTH) / (2.0 * np.pi), rtol=1e-4)
+    assert [text.get_text() for text in drawn[-1].legends[0].texts] == ["1 swing (3.4%)", "end of the motion"]

@@ -13,7 +13,8 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.planning import PlanningProblem, RrtConnectOptions
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.search_space import EdgeTest
-from lieednn_sim.planning.joint_space import ClearanceTest, Workspace, joint_scale
+from lieednn_sim.planning.joint_space import ClearanceTest, Workspace
+from lieednn_sim.planning.motion import joint_scale
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,7 @@ from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.errors import InputError, LieEDNNError, PlanError, TooFastError
 from lieednn_sim.planning import plan, retime
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along
-from lieednn_sim.planning.joint_space import travelled
-from lieednn_sim.planning.motion import check_motion, least_duration
+from lieednn_sim.planning.motion import check_motion, least_duration, travelled
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.time_laws import eased_law, minimum_jerk_law
 from lieednn_sim.registry import DEFAULT_ARMS

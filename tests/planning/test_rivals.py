@@ -28,7 +28,8 @@ from lieednn_sim.planning import (
 from lieednn_sim.planning.baselines import sampling
 from lieednn_sim.planning.baselines.optimisation import _Descent
 from lieednn_sim.planning.baselines.smoothing import SmoothingOptions, motion_along, smoothed, stopping
-from lieednn_sim.planning.joint_space import ClearanceTest, joint_scale, sweeps
+from lieednn_sim.planning.joint_space import ClearanceTest, sweeps
+from lieednn_sim.planning.motion import joint_scale
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 
 from .arms import posted

@@ -13,8 +13,7 @@ from lieednn_sim.errors import PlanError
 from lieednn_sim.evaluation.metrics import motion_metrics
 from lieednn_sim.planning import PLANNERS, GuideOptions, ShapedOptions, plan, shaped
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
-from lieednn_sim.planning.joint_space import travelled
-from lieednn_sim.planning.motion import check_motion
+from lieednn_sim.planning.motion import check_motion, travelled
 from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.planning.time_laws import law_of

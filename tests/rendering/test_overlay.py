@@ -6,15 +6,24 @@ import contextlib
 from dataclasses import replace
 from types import SimpleNamespace
 
+import gantries
 import numpy as np
 from rollouts import make_rollout
 
+import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.planning.clearance import Clearance
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.rendering import video
-from lieednn_sim.rendering.overlay import PLANNED_COLOUR, TRACED_COLOUR, Overlay, draw_lines, write_caption
+from lieednn_sim.rendering.overlay import (
+    LOAD_COLOUR,
+    PLANNED_COLOUR,
+    TRACED_COLOUR,
+    Overlay,
+    draw_lines,
+    write_caption,
+)
 from lieednn_sim.simulation import simulate
 
 
@@ -69,6 +78,18 @@ def test_paths_have_the_colours_of_the_legend_and_are_thin_where_they_are_hidden
     draw_lines(image, [(pixels, free & (np.arange(9) < 4), 5.0, PLANNED_COLOUR)])
 
 
+def test_the_path_of_a_load_is_that_of_its_centre_of_mass():
+    arm = gantries.gantry()
+    run = simulate(arm, ls.plan(arm, [1.0], planner="minimum-jerk", duration=2.0), hold=0.0)
+    overlay, (cart, angle) = Overlay.of(run, 1.0), run.qpos.T
+    np.testing.assert_allclose(overlay.traced_load[:, 0], cart - gantries.LENGTH * np.sin(angle), atol=1e-9)
+    assert angle.max() > 0.05
+    # In pictures up to now, as the end effector's.
+    _, (tip, *_), (load, *_, colour) = overlay.paths(lambda points: (points, np.ones(len(points), bool)), 100, 480)
+    assert colour == LOAD_COLOUR
+    np.testing.assert_allclose([tip[-1], load[-1]], [overlay.traced_tip[100], overlay.traced_load[100]])
+
+
 def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_path):
     """Half a second of motion and half of rest, at 4 frames a second and 100 samples; frame k is of time k / fps."""
     t = 0.01 * np.arange(51)
@@ -95,11 +116,11 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
         return contextlib.nullcontext(lambda _: None)
 
     monkeypatch.setattr(video, "Camera", lambda *_, **given: targets.append(given["run"].target) or Pictures())
-    overlay = SimpleNamespace(draw=lambda _, k: samples.append(k), paths=lambda *_: [])
+    overlay = SimpleNamespace(draw=lambda _, k: samples.append(k), paths=lambda *_: [], traced_load=())
     monkeypatch.setattr(video, "Overlay", SimpleNamespace(of=lambda *given: overlays.append(given) or overlay))
     monkeypatch.setattr(video, "_writer", writer)
     monkeypatch.setattr(video, "_check_complete", lambda *_: None)
-    monkeypatch.setattr(video, "write_caption", lambda _, lines: captions.append(lines))
+    monkeypatch.setattr(video, "write_caption", lambda _, lines, *__: captions.append(lines))
     assert video.render_video(rollout, tmp_path / "v.mp4", fps=4, title="a planner") == 5
     assert samples == [0, 25, 50, 75, 100]
     np.testing.assert_array_equal(targets, [rollout.target])

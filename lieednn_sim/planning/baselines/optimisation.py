@@ -18,15 +18,8 @@ from scipy.optimize import least_squares
 
 from lieednn_sim.budget import check_time
 from lieednn_sim.errors import PlanError
-from lieednn_sim.planning.joint_space import (
-    SPLINE_DEGREE,
-    ClearanceTest,
-    Workspace,
-    clamped_knots,
-    joint_motion,
-    joint_scale,
-)
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.joint_space import SPLINE_DEGREE, ClearanceTest, Workspace, clamped_knots, joint_motion
+from lieednn_sim.planning.motion import Motion, joint_scale
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.planning.time_laws import minimum_jerk_law

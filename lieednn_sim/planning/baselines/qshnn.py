@@ -30,8 +30,8 @@ from lieednn_sim.learning import TrainingOptions, TrainingResult, train
 from lieednn_sim.learning.manifold import QuaternionWeights
 from lieednn_sim.network.componentwise import HopfieldNetwork
 from lieednn_sim.planning.baselines.smoothing import smoothed
-from lieednn_sim.planning.joint_space import joint_motion, joint_scale, travelled
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.joint_space import joint_motion
+from lieednn_sim.planning.motion import Motion, joint_scale, travelled
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.values import Floats

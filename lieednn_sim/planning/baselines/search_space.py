@@ -14,7 +14,8 @@ import numpy as np
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import check_time, out_of_time
-from lieednn_sim.planning.joint_space import Workspace, joint_scale, sweeps
+from lieednn_sim.planning.joint_space import Workspace, sweeps
+from lieednn_sim.planning.motion import joint_scale
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.registry import optional_module
 from lieednn_sim.values import Floats

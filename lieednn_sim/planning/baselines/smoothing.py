@@ -20,8 +20,8 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from lieednn_sim.errors import PlanError, TooFastError
 from lieednn_sim.planning.baselines.search_space import bisecting
-from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion, joint_scale
-from lieednn_sim.planning.motion import Motion
+from lieednn_sim.planning.joint_space import SPLINE_DEGREE, clamped_knots, joint_motion
+from lieednn_sim.planning.motion import Motion, joint_scale
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.problem import PlanningProblem, in_time
 from lieednn_sim.planning.time_laws import minimum_jerk_law, retime
