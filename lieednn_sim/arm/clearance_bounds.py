@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
+from lieednn_sim.arm.checks import BALL, SLIDE
 from lieednn_sim.arm.collision import AT_ONCE, Collisions, Pairs
 from lieednn_sim.arm.deviations import Group
 from lieednn_sim.arm.equalities import dof_addresses
@@ -57,11 +58,9 @@ class ClearanceBounds:
         self._members = np.zeros((len(groups), n))
         for row, (indices, weights) in zip(self._members, groups, strict=True):
             row[indices] = 1.0 / weights
-        joints = model.dof_jntid
-        self._joints, kinds = joints, model.jnt_type
-        self._dof_turns = (kinds != mujoco.mjtJoint.mjJNT_SLIDE)[joints]
-        self._turns = kinds != mujoco.mjtJoint.mjJNT_SLIDE
-        self._is_ball = kinds == mujoco.mjtJoint.mjJNT_BALL
+        self._joints = joints = model.dof_jntid
+        self._turns, self._is_ball = model.jnt_type != SLIDE, model.jnt_type == BALL
+        self._dof_turns = self._turns[joints]
         self._bend = np.where(self._is_ball, 0.75, np.where(self._turns, 0.5, 0.0))
         # From coordinates to the displacements of scalar joints; and the coordinates of each ball joint.
         self._into = np.zeros((model.njnt, n))

@@ -114,7 +114,7 @@ class Collisions:
         Raises:
             InputError: q is malformed, or the cutoff is not positive.
         """
-        self._move(q)
+        self._move_to(self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))))
         limits = as_floats("cutoff", cutoff, (), batched=True)
         limits = np.broadcast_to(as_floats("cutoff", limits, self.pairs.shape[: limits.ndim]), len(self.pairs))
         if (limits <= 0.0).any():
@@ -211,9 +211,6 @@ class Collisions:
         first, second = (geom_name(model, geom) for geom in ids)
         return first, second
 
-    def _move(self, q: ArrayLike) -> None:
-        self._move_to(self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))))
-
     def _move_to(self, qpos: Floats) -> None:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self.arm.geometry, self._data)
@@ -300,16 +297,13 @@ def _colliding_pairs(model: mujoco.MjModel) -> Pairs:
     kind, affinity = model.geom_contype, model.geom_conaffinity
     meets = ((kind[first] & affinity[second]) | (kind[second] & affinity[first])) != 0
     first, second = first[meets], second[meets]
-    bodies = model.geom_bodyid[first], model.geom_bodyid[second]
-    weld = model.body_weldid
-    apart = weld[bodies[0]] != weld[bodies[1]]
+    bodies, weld = model.geom_bodyid[[first, second]], model.body_weldid
+    one, other = weld[bodies]
+    apart = one != other
     if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
         parent = weld[model.body_parentid[weld]]
-        welds = weld[bodies[0]], weld[bodies[1]]
-        related = (welds[0] == parent[welds[1]]) | (welds[1] == parent[welds[0]])
-        apart &= ~(related & (welds[0] != 0) & (welds[1] != 0))
-    signature = (np.minimum(*bodies).astype(np.int64) << 16) + np.maximum(*bodies)
-    apart &= ~np.isin(signature, model.exclude_signature)
+        apart &= ((one != parent[other]) & (other != parent[one])) | (one == 0) | (other == 0)
+    apart &= ~np.isin((bodies.min(axis=0).astype(np.int64) << 16) + bodies.max(axis=0), model.exclude_signature)
     implicit = np.stack([first[apart], second[apart]], axis=1)
     explicit = np.sort(np.stack([model.pair_geom1, model.pair_geom2], axis=1).astype(int), axis=1)
     pairs = np.unique(np.concatenate([implicit, explicit]), axis=0)

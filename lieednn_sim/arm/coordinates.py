@@ -71,6 +71,10 @@ class Coordinates:
         addresses[self.scalars], addresses[self.balls] = self.scalar_rate_addresses, self.ball_rate_addresses
         return addresses
 
+    def ball(self, address: int) -> NDArray[np.int_]:
+        """Indices in q ``(3,)`` of the ball joint at an address in qpos."""
+        return self.balls[np.flatnonzero(self.ball_addresses[:, 0] == address)[0]]
+
     def to_qpos(self, q: Floats) -> Floats:
         """``(..., n)`` to ``(..., nq)``."""
         qpos = q @ self.coupling.T + self.offset

@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.checks import FREE
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms
 from lieednn_sim.arm.frames import BodyFrames
 from lieednn_sim.errors import InputError
@@ -69,10 +70,7 @@ def find_grasp(
     Raises:
         InputError: there is no such free body, it carries the arm, or there is no body to touch.
     """
-    free = {
-        model.body(model.jnt_bodyid[joint]).name: joint
-        for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).tolist()
-    }
+    free = {model.body(model.jnt_bodyid[j]).name: j for j in np.flatnonzero(model.jnt_type == FREE).tolist()}
     if holding not in free:
         names = ", ".join(sorted(filter(None, free))) or "none"
         raise InputError(f"nothing to hold is called {quoted(holding)}; bodies with a free joint are: {names}")

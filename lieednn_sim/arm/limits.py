@@ -93,12 +93,9 @@ class Stops:
     def __init__(self, model: mujoco.MjModel, joints: Sequence[int], moving: Sequence[int], *, loops: bool) -> None:
         self._model, self._loops = model, loops
         self._joints = [joint for joint in joints if model.jnt_limited[joint] and model.jnt_type[joint] != FREE]
-        self._tendons = [
-            tendon
-            for tendon in np.flatnonzero(model.tendon_limited).tolist()
-            if tendon_joints(model, tendon).intersection(moving)
-        ]
-        ranges = [*(joint_range(model, joint) for joint in self._joints)]
+        limited = np.flatnonzero(model.tendon_limited).tolist()
+        self._tendons = [tendon for tendon in limited if tendon_joints(model, tendon).intersection(moving)]
+        ranges = [joint_range(model, joint) for joint in self._joints]
         ranges += [*free_ranges(model.tendon_range[self._tendons], model.tendon_margin[self._tendons])]
         self._low, self._high = np.array(ranges, dtype=float).reshape(-1, 2).T
         self._data = mujoco.MjData(model) if self._tendons else None

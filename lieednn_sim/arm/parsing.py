@@ -205,17 +205,14 @@ def read_position_limits(
     """Limits ``(n, 2)``: the strictest of the joints that it alone moves; for a ball joint, its largest angle."""
     limits = np.tile([-np.inf, np.inf], (len(coordinates), 1))
     for joint in (joint for group in chain.groups for joint in group):
-        low, high = ranges[joint]
+        address, span = model.jnt_qposadr[joint], ranges[joint]
+        moving = np.flatnonzero(coordinates.coupling[address])
         if joint_kind(model, joint) == "ball":
-            row = int(np.flatnonzero(coordinates.ball_addresses[:, 0] == model.jnt_qposadr[joint])[0])
-            limits[coordinates.balls[row]] = [-high, high]
-            continue
-        address = model.jnt_qposadr[joint]
-        k, *others = np.flatnonzero(coordinates.coupling[address])
-        if others:
-            continue
-        bounds = np.sort((np.array([low, high]) - coordinates.offset[address]) / coordinates.coupling[address, k])
-        limits[k] = max(limits[k, 0], bounds[0]), min(limits[k, 1], bounds[1])
+            limits[coordinates.ball(address)] = [-span[1], span[1]]
+        elif len(moving) == 1:
+            (k,) = moving
+            low, high = np.sort((span - coordinates.offset[address]) / coordinates.coupling[address, k])
+            limits[k] = max(limits[k, 0], low), min(limits[k, 1], high)
     return limits
 
 
@@ -239,9 +236,8 @@ def _factors(
     inverse = frame.inv()
     anchor = inverse.apply(data.xanchor[joint])
     if joint_kind(model, joint) == "ball":
-        row = int(np.flatnonzero(coordinates.ball_addresses[:, 0] == model.jnt_qposadr[joint])[0])
         axes = (inverse.rotation * _orientation(data, model.jnt_bodyid[joint])).as_matrix()
-        yield Factor("ball", axes, anchor, coordinates.balls[row])
+        yield Factor("ball", axes, anchor, coordinates.ball(model.jnt_qposadr[joint]))
         return
     ratios, axis = coordinates.coupling[model.jnt_qposadr[joint]], inverse.rotation.apply(data.xaxis[joint])
     for index in np.flatnonzero(ratios):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.checks import ancestry, check_numbers, joints_of
+from lieednn_sim.arm.checks import FREE, ancestry, check_numbers, joints_of
 from lieednn_sim.arm.compound_joints import Couplings, along_tendons, cut
 from lieednn_sim.arm.contacts import without_clearance
 from lieednn_sim.arm.coordinates import Coordinates
@@ -198,7 +198,7 @@ def _welded(model: mujoco.MjModel, data: mujoco.MjData, dependents: Dependents, 
         if model.eq_objtype[weld] == int(mujoco.mjtObj.mjOBJ_SITE):
             pair = [int(model.site_bodyid[site]) for site in pair]
         for body, hand in (pair, pair[::-1]):
-            free = model.jnt_type[joints_of(model, body)] == int(mujoco.mjtJoint.mjJNT_FREE)
+            free = model.jnt_type[joints_of(model, body)] == FREE
             if free.any() and model.body(body).name and group[hand] == group[end]:
                 return model.body(body).name, weld
     return None, -1

@@ -2,13 +2,8 @@
 
 The network is a cascade: hidden neurons switch one after another as they come to rest, and steer the visible ones
 (`cascade`). Its equilibrium and its certificate hold by construction for all parameters, so the fit is unconstrained;
-it may miss the curve, and the result says by how much.
-
-Switches are placed along the curve first. Each hidden neuron is a turn or a shift: one coordinate of its rotational or
-of its translational half switches, and the other half rests. Then a visible neuron's input is a sum of vectors
-alpha R e_x, one for each switch, and theta need not translate. So the fit is linear least squares, without start and
-local minima. Overlapping soft switches leave ripples far below the requested deviation, which a motion feels as jerk:
-the third derivative of the error is penalised too.
+it may miss the curve, and the result says by how much. `docs/mathematics/shaped.md` says how it is fitted: switches
+are placed along the curve first, each of them a turn or a shift, so that linear least squares remain.
 """
 
 from __future__ import annotations
