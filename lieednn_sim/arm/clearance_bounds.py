@@ -41,7 +41,7 @@ class ClearanceBounds:
     """Proves that nothing touches while the joints are anywhere near a few configurations.
 
     Args:
-        arm: the arm, in its scene.
+        arm: in its scene.
         groups: all coordinates in groups with weights, as of `Retractor.groups`.
         margin: distance to keep [m].
 

@@ -238,10 +238,7 @@ class ContactSlopes(ContactFinder):
     It takes about as long as the collision detection itself, a tenth of `Collisions`. Holds a `mujoco.MjData` of its
     own: one instance for each thread.
 
-    Args:
-        arm: the arm, in its scene.
-        margin: distance below which geoms count [m].
-        own: whether two geoms of moving bodies count.
+    Geoms closer than the margin [m] count, two of moving bodies only with ``own``.
     """
 
     def __init__(self, arm: Arm, margin: float, *, own: bool) -> None:

@@ -120,11 +120,8 @@ def cut(
     is a compound joint of its own. If all would be one, the first joint is separated: a network of a single neuron has
     hardly any target that can be certified.
 
-    Args:
-        model, data: the model, with its kinematics at a representative configuration.
-        joints: joint ids from the base outwards.
-        ranges: for each joint, its range ``(2,)``.
-        couplings: joints that follow others.
+    Joints are ids from the base outwards, each with its range ``(2,)``; the data has the kinematics at a representative
+    configuration.
 
     Raises:
         InputError: a joint moves nothing, because a follower undoes its motion.

@@ -32,16 +32,14 @@ class ContactOffsets:
     MuJoCo's margin of two geoms is the sum of theirs, or that of their explicit pair; in a gap beyond it there is a
     contact without a force.
 
-    Args:
-        model: the compiled model.
-        given: offsets of pairs of geoms that are not the model's [m], by the ids of both.
+    ``given`` are offsets of pairs of geoms that are not the model's [m], by the ids of both.
     """
 
-    def __init__(self, model: mujoco.MjModel, given: Mapping[tuple[int, int], float] | None = None) -> None:
+    def __init__(self, model: mujoco.MjModel, given: Mapping[tuple[int, int], float]) -> None:
         self._margins = np.array(model.geom_margin)
         pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), model.pair_margin.tolist(), strict=True)
         self._special = {(min(a, b), max(a, b)): margin for a, b, margin in pairs}
-        self._special |= {(min(pair), max(pair)): offset for pair, offset in (given or {}).items()}
+        self._special |= {(min(pair), max(pair)): offset for pair, offset in given.items()}
         #: Whether all offsets are zero.
         self.none = not self._margins.any() and not any(self._special.values())
         #: The largest of all [m].
@@ -76,7 +74,7 @@ class ContactFinder:
         offsets: Mapping[tuple[int, int], float] | None = None,
         leaving: Floats | None = None,
     ) -> None:
-        self._margin, self._offsets = margin, ContactOffsets(model, offsets)
+        self._margin, self._offsets = margin, ContactOffsets(model, offsets or {})
         self._model = copy.deepcopy(model)
         # Overridden rather than written into the geoms, whose bounding volumes were built for the old margins.
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)

@@ -93,11 +93,7 @@ def spread_of_nearest(problem: NearestPose, links: NDArray[np.int_], deviations:
 
     It is the minimum connected with the given one that is bounded; a search may find another that is lower.
 
-    Args:
-        problem: the least squares problem.
-        links: ``(m,)`` its links.
-        deviations: the deviations.
-        offset: ``(K, c)`` displacements of its coordinates at the given states.
+    The problem has the links ``(m,)``, and its coordinates the displacements ``offset`` ``(K, c)`` at the given states.
     """
     turning, sliding = problem.counts
     length, count = problem.length, len(links)

@@ -54,18 +54,11 @@ class Grasp:
 def find_grasp(
     model: mujoco.MjModel, qpos: Floats, tip: BodyFrames, holding: str, touching: Sequence[str], clearance: float
 ) -> Grasp:
-    """The grasp of a free body at its present pose.
+    """The grasp of the free body called ``holding`` at its present pose, where the model is at ``qpos`` ``(nq,)``.
 
-    The held body may touch what it is nearer to than the clearance now, and the bodies of ``touching``, but sink into
-    them no deeper than now. What carries it may touch it, and so may other parts of the arm that are that near now.
-
-    Args:
-        model: the model.
-        qpos: its positions ``(nq,)``.
-        tip: the frame of the end effector.
-        holding: name of a body with a free joint.
-        touching: names of bodies that the held body may touch as well, such as where it is put.
-        clearance: distance that other pairs keep [m].
+    The held body may touch what it is nearer to than the clearance [m] now, and the bodies called as in ``touching``,
+    such as where it is put, but sink into them no deeper than now. What carries it may touch it, and so may other parts
+    of the arm that are that near now.
 
     Raises:
         InputError: there is no such free body, it carries the arm, or there is no body to touch.

@@ -124,14 +124,7 @@ class _Point:
 
 
 class _Search:
-    """Searches joint positions with the end effector at a goal and, if there is one, in a region to keep.
-
-    Args:
-        arm: the arm.
-        goal: of the end effector.
-        path_constraint: a region in which it is, too.
-        start: ``(n,)`` joint coordinates from which the first search begins.
-    """
+    """Searches joint positions, first from a start ``(n,)``, with the end effector at a goal and in a region to keep."""
 
     def __init__(
         self, arm: Arm, goal: _Point | TaskSpaceRegion, path_constraint: TaskSpaceRegion | None, start: Floats

@@ -36,17 +36,13 @@ def joint_ranges(
     around: Floats,
     within: Mapping[int, Floats],
 ) -> dict[int, Floats]:
-    """The range ``(2,)`` [rad, m] of each joint; new and narrowed ranges are added to ``notes``.
+    """The range ``(2,)`` [rad, m] of each joint of links' ``groups``; new and narrowed ones are added to ``notes``.
 
     A coordinate may move as far as all the joints that it moves. A hinge or ball joint without a range gets 0.95 pi
     either side of its reference. A hinge alone in its link keeps its range, whatever it is; other hinges, and ball
     joints, are narrowed to 0.99 pi, where the logarithm is still unique.
 
     Args:
-        model: the model as given.
-        groups: for each link, the joints that move it.
-        couplings: joints that follow others.
-        notes: remarks for the report.
         around: positions ``(nq,)`` about which hinges without a range may make a turn in each direction.
         within: ranges ``(2,)`` that bound some joints besides, of joints elsewhere that follow them.
 

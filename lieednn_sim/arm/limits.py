@@ -49,12 +49,9 @@ def read_numeric(model: mujoco.MjModel, arm: str, field: str, default: Floats, v
 
 
 def largest_inertia(model: mujoco.MjModel, configurations: Floats, rates: Floats) -> Floats:
-    """Largest inertia ``(n,)``, armature included, of each coordinate with the others held.
+    """Largest inertia ``(n,)``, armature included, of each coordinate with the others held, at ``(S, nq)``.
 
-    Args:
-        model: the compiled model.
-        configurations: ``(S, nq)``.
-        rates: as in `force_ranges`, ``(nv, n)`` or, where they differ, ``(S, nv, n)``.
+    Rates are as in `force_ranges`, ``(nv, n)`` or, where they differ, ``(S, nv, n)``.
     """
     data, column = mujoco.MjData(model), np.zeros(model.nv)
     rates = np.broadcast_to(rates, (len(configurations), *rates.shape[-2:]))
@@ -81,10 +78,9 @@ def spare_acceleration(model: mujoco.MjModel, configurations: Floats, rates: Flo
 
 
 class Stops:
-    """The ranges of joints that an arm moves by loops or curves and of limited tendons, at positions of a model.
+    """The ranges of joints that an arm moves by loops or curves and of limited tendons, in a compiled model.
 
     Args:
-        model: the compiled model, which is not changed.
         joints: ids of the dependent joints; those with a range count, and that all can be solved.
         moving: ids of all joints that the arm moves: limited tendons between them count.
         loops: whether rows may be NaN, because loops cannot be closed there.

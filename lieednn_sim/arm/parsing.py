@@ -60,17 +60,14 @@ def read_arm(
     ranges: Mapping[int, Floats] | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The fields of an `Arm` that its model determines.
+    """The fields of an `Arm` that its model determines; ``arm`` is its name, for messages.
+
+    Without a chain, that of the sites base_frame, link1_frame, ... is read, by the model's own ranges and equalities.
 
     Args:
-        model: the compiled model.
-        arm: the arm's name, for messages.
-        chain: frames and joints; by default those of the sites base_frame, link1_frame, ...
         rest: ``(nq,)`` where the other joints stay; by default at the keyframe ``home``.
-        lines: the couplings of the chain's joints, and of others that follow them; by default the former, by the
-            model's equalities.
-        sums: joints of the chain, and others, that follow several joints of it.
-        ranges: the range ``(2,)`` of each joint of the chain; by default the model's.
+        lines, sums: of the joints of a chain, and others, that follow one or several joints of it.
+        ranges: the range ``(2,)`` of each joint of a chain.
         notes: which of these were made or narrowed.
 
     Raises:

@@ -50,14 +50,13 @@ def singularity_margin(jacobian: Floats) -> Floats:
 def straighten(
     evaluate: _Evaluate, exact: Floats, guess: Floats, margin: Floats, goal: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Coordinates ``(K, c)`` along a path, and which of them ``(K,)`` are straightened.
+    """Coordinates ``(K, c)`` along a path of stacked poses ``(K, r)``, and which of them ``(K,)`` are straightened.
 
     Args:
         evaluate: maps coordinates ``(B, c)`` to stacked poses ``(B, r)`` and their Jacobian ``(B, r, c)``.
         exact: ``(K, c)`` coordinates that minimise the distance at each sample.
         guess: ``(K, c)`` coordinates near these that go straight on.
         margin: ``(K,)`` `singularity_margin` at the samples.
-        goal: ``(K, r)`` stacked poses of the path.
     """
     singular = margin < 1.0
     singular[[0, -1]] = False

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -110,13 +109,6 @@ class _Linear(NamedTuple):
 _NOTHING = _Linear(np.empty(0), np.empty((0, 0)), np.empty((0, 0)))
 
 
-@cache
-def _kinds_of_pairs(size: int, first: int) -> tuple[Flags, Flags, Floats]:
-    """For `pairs`: whether b < ``first``, whether a = b, and the weight with which (a, b) also accounts for (b, a)."""
-    a, b = pairs(size, first)
-    return b < first, a == b, np.where(a == b, 1.0, np.sqrt(2.0))
-
-
 def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
     """Linearisation of the vector of which `_merit` is half the square."""
     n, size, count = problem.n_neurons, problem.size, len(point.unknowns)
@@ -130,12 +122,12 @@ def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
     for first in sorted(set(firsts.tolist())):
         alike = (firsts == first).nonzero()[0]
         a, b = pairs(size, first)
-        across, diagonal, weight = _kinds_of_pairs(size, first)
+        diagonal, weight = a == b, np.where(a == b, 1.0, np.sqrt(2.0))  # (a, b) also accounts for (b, a)
         for piece in (alike[k : k + _PIECE] for k in range(0, len(alike), _PIECE)):
             part, over = point.of(piece), excess[piece][:, a]
             # Divided differences of max(x - aim, 0): 1 within the violated eigenspace, a ratio across.
             gap = part.values[:, a] - part.values[:, b]
-            slope = weight * np.divide(over, gap, out=np.ones_like(gap), where=across)
+            slope = weight * np.divide(over, gap, out=np.ones_like(gap), where=b < first)
             jacobian = np.zeros((len(piece), height + len(a), point.unknowns.shape[-1]))
             rows, columns = height // n, problem.n_quaternion // n
             for i in range(n):

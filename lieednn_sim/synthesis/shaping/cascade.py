@@ -215,9 +215,7 @@ def with_pairs(
     """A network whose motion depends on its visible start, and its target, with the pairs and gains that this takes.
 
     Args:
-        parameters: parameters of the cascade.
-        clock: its clockwork, with rho = 1.
-        network: the network of the cascade.
+        parameters, clock, network: of the cascade, with rho = 1.
         start: ``(N, 6)`` visible start of its motion, which stays as it is.
         response: ``(K, 6N, E)`` derivatives of the visible states at the clock's instants in the visible start, E = 6N,
             or in that and in the target, E = 12N.
