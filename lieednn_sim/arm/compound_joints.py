@@ -17,17 +17,11 @@ from lieednn_sim.values import Floats
 
 @dataclass(frozen=True)
 class Couplings:
-    """Joints that follow others: qpos = ratio * (qpos of the leader) + shift.
+    """Joints that follow others: qpos = ratio * (qpos of the leader) + shift."""
 
-    Attributes:
-        lines: for each follower, its independent leader, ratio and shift.
-        added: for each follower tied by a fixed tendon and by no equality yet, the tendon.
-        sums: of joints that follow several others, ratios by leader, and shift.
-    """
-
-    lines: dict[int, Line] = field(default_factory=dict)
-    added: dict[int, int] = field(default_factory=dict)
-    sums: dict[int, Sum] = field(default_factory=dict)
+    lines: dict[int, Line] = field(default_factory=dict)  # of each follower of one independent joint
+    added: dict[int, int] = field(default_factory=dict)  # tendons of those that no equality ties yet
+    sums: dict[int, Sum] = field(default_factory=dict)  # of joints that follow several others
 
     def line(self, joint: int) -> Line:
         """The independent joint that ``joint`` follows, or itself, with ratio and shift."""

@@ -29,20 +29,13 @@ Group = tuple[NDArray[np.int_], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Sets of deviations of an arm's links about K states.
+    """Sets of deviations of an arm's links about K states."""
 
-    Attributes:
-        twist: ``(K, N, 6)`` the links' twists [rad, m].
-        q: ``(K, n)`` the joint position onto which they are projected [rad, m].
-        size: ``(N, 2)`` largest turn [rad] and shift [m] of each link.
-        slack: ``(K, N, 2)`` how far, in addition, the state itself may be from the one given.
-        known: what was computed for these states, whatever the size; `dataclasses.replace` hands it over.
-    """
-
-    twist: Floats
-    q: Floats
-    size: Floats
-    slack: Floats
+    twist: Floats  # (K, N, 6) the links' twists [rad, m]
+    q: Floats  # (K, n) the joint position onto which they are projected [rad, m]
+    size: Floats  # (N, 2) largest turn [rad] and shift [m] of each link
+    slack: Floats  # (K, N, 2) how far, in addition, the state itself may be from the one given
+    # What was computed for these states, whatever the size; `dataclasses.replace` hands it over.
     known: dict[Any, Any] = field(default_factory=dict)
 
     @property

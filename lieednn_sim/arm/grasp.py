@@ -33,21 +33,14 @@ _DEPTH = 5e-4
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """A free body fixed to the end effector.
+    """A free body fixed to the end effector."""
 
-    Attributes:
-        bodies: ids of it, first, and of all bodies that hang from it.
-        carrier: id of the body that carries it, that of the end effector.
-        place: its pose in the end effector's frame.
-        qpos, qvel: addresses of its free joint's first entries.
-        offsets: distances at which its geoms count as touching others, less the clearance (`contacts.ContactOffsets`).
-    """
-
-    bodies: tuple[int, ...]
-    carrier: int
-    place: RigidTransform
-    qpos: int
-    qvel: int
+    bodies: tuple[int, ...]  # ids of it, first, and of all bodies that hang from it
+    carrier: int  # id of the body that carries it, that of the end effector
+    place: RigidTransform  # in the end effector's frame
+    qpos: int  # address of its free joint's first entry
+    qvel: int  # the same in qvel
+    # Distances at which its geoms count as touching others, less the clearance (`contacts.ContactOffsets`) [m].
     offsets: dict[tuple[int, int], float]
 
 

@@ -124,7 +124,7 @@ class _Point:
 
 
 class _Search:
-    """Searches joint positions, first from a start ``(n,)``, with the end effector at a goal and in a region to keep."""
+    """Searches joint positions, from a start ``(n,)``, with the end effector at a goal and in a region to keep."""
 
     def __init__(
         self, arm: Arm, goal: _Point | TaskSpaceRegion, path_constraint: TaskSpaceRegion | None, start: Floats

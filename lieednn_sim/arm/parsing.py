@@ -12,21 +12,14 @@ import scipy
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.checks import (
-    check_independent,
-    check_integrator,
-    check_numbers,
-    check_turn,
-    joint_kind,
-    joint_label,
-)
+from lieednn_sim.arm.checks import check_numbers, joint_kind, joint_label
 from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import joint_range
 from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, drivable, force_ranges, tangent_basis
 from lieednn_sim.arm.frames import BodyFrames, Frame, joint_groups, site_frame
 from lieednn_sim.arm.joint_ranges import narrow_to_servos
-from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
+from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor, least_singular_value
 from lieednn_sim.arm.limits import read_numeric
 from lieednn_sim.arm.surroundings import home_data
 from lieednn_sim.errors import InputError
@@ -38,15 +31,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Link frames and the joints between them.
+    """Link frames and the joints between them."""
 
-    Attributes:
-        frames: N + 1 frames, that of the base first.
-        groups: N tuples of joints, each from the base outwards.
-    """
-
-    frames: tuple[Frame, ...]
-    groups: tuple[tuple[int, ...], ...]
+    frames: tuple[Frame, ...]  # N + 1, that of the base first
+    groups: tuple[tuple[int, ...], ...]  # N tuples of joints, each from the base outwards
 
 
 def read_arm(
@@ -74,7 +62,7 @@ def read_arm(
         InputError: the model is not an arm.
     """
     check_numbers(model)
-    check_integrator(model, arm)
+    _check_integrator(model, arm)
     viewed = chain is not None
     chain = read_chain(model, arm) if chain is None else chain
     group = [joint for group in chain.groups for joint in group]
@@ -185,9 +173,9 @@ def read_joints(
         shared = any(np.isin(compound.indices, other.indices).any() for other in joints if other is not compound)
         if compound.screw is None or shared:
             for joint in group:
-                check_turn(model, arm, joint, ranges[joint])
+                _check_turn(model, arm, joint, ranges[joint])
         if not shared:
-            check_independent(compound, len(coordinates), f"link {i} of arm {arm!r}")
+            _check_independent(compound, len(coordinates), f"link {i} of arm {arm!r}")
     return (
         CompoundJoints(tuple(joints), reference),
         world[0],
@@ -243,3 +231,43 @@ def _factors(
 
 def _orientation(data: mujoco.MjData, body: int) -> Rotation:
     return scipy.spatial.transform.Rotation.from_matrix(data.xmat[body].reshape(3, 3))
+
+
+def _check_integrator(model: mujoco.MjModel, arm: str) -> None:
+    """Raise `InputError` for RK4: MuJoCo can neither split its step, as controllers need, nor invert it.
+
+    `mj_step1` and `mj_step2` would silently integrate with Euler's method; inverse dynamics would fail.
+    """
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise InputError(
+            f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; set "
+            'its <option integrator="..."> to implicitfast, implicit or Euler'
+        )
+
+
+def _check_turn(model: mujoco.MjModel, arm: str, joint: int, span: Floats) -> None:
+    """Raise `InputError` for a joint whose range ``span`` ``(2,)`` is too wide to be encoded by a logarithm."""
+    label, kind = joint_label(model, arm, joint), joint_kind(model, joint)
+    if kind == "slide":
+        return
+    reference = 0.0 if kind == "ball" else model.qpos0[model.jnt_qposadr[joint]]
+    most = np.abs(span - reference).max()
+    if most >= np.pi:
+        raise InputError(
+            f"{label} may turn by {most:.3g} rad from its reference; the logarithm needs less than pi where other "
+            "joints move the same link"
+        )
+
+
+def _check_independent(joint: CompoundJoint, size: int, link: str) -> None:
+    """Raise `InputError` for a compound joint whose pose determines its coordinates at none of a few configurations."""
+    # They are tested at random configurations, and dependent where the singular value is below the last number.
+    count, configurations, dependent = len(joint.indices), 8, 1e-6
+    if count > 6:
+        raise InputError(f"{link} is moved by {count} coordinates, but a pose determines six; name more links")
+    frames, _ = joint.pose_and_slopes(np.random.default_rng(0).uniform(-1.0, 1.0, (configurations, size)))
+    columns = np.swapaxes(joint.selection(joint.indices) @ frames[:, 1:].reshape(configurations, -1, 12), -1, -2)
+    if least_singular_value(columns, dependent).max() < dependent:
+        raise InputError(
+            f"{link} is moved by {count} coordinates that are not independent; name more links to separate them"
+        )

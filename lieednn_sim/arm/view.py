@@ -29,17 +29,10 @@ from lieednn_sim.values import Floats
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What `read_view` reads.
+    """What `read_view` reads."""
 
-    Attributes:
-        fields: the fields of an `Arm` that some joints of a model determine.
-        held: name of a free body that the end effector holds by an active weld, if any.
-        chain: the frames, and the joints between them.
-        couplings: joints that follow others.
-    """
-
-    fields: dict[str, Any]
-    held: str | None
+    fields: dict[str, Any]  # those of an `Arm` that some joints of a model determine
+    held: str | None  # name of a free body that the end effector holds by an active weld, if any
     chain: Chain
     couplings: Couplings
 

@@ -129,7 +129,7 @@ def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
 
 
 def replace_integrator(spec: mujoco.MjSpec, notes: list[str]) -> None:
-    """Replace RK4 by implicitfast, see `arm.checks.check_integrator`."""
+    """Replace RK4 by implicitfast, see `arm.parsing`."""
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         notes.append("integrator implicitfast in place of RK4, which has no inverse dynamics in discrete time")
