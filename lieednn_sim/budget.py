@@ -25,11 +25,9 @@ from lieednn_sim.validation import as_positive
 
 __all__ = ["reporting", "time_limit"]
 
-# CPU time of a planner [s]; far more than any needs for the arms of the package.
-DEFAULT_TIME_BUDGET = 60.0
+DEFAULT_TIME_BUDGET = 60.0  # CPU time of a planner [s]; far more than any needs for the arms of the package
 
-# CPU time that the calling thread has used [s], from an arbitrary zero.
-cpu_time = time.thread_time
+cpu_time = time.thread_time  # CPU time that the calling thread has used [s], from an arbitrary zero
 
 # Time at which the present work must end, by `cpu_time`, and its budget [s].
 _LIMIT: ContextVar[tuple[float, float] | None] = ContextVar("lieednn_sim time limit", default=None)

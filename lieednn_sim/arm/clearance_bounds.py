@@ -33,8 +33,7 @@ from lieednn_sim.arm.equalities import dof_addresses
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.values import Floats
 
-# Distance below which normals are lost in rounding, so that nothing is proved [m].
-_TOUCHING = 1e-6
+_TOUCHING = 1e-6  # distance below which normals are lost in rounding, so that nothing is proved [m]
 
 
 class ClearanceBounds:
@@ -81,17 +80,12 @@ class ClearanceBounds:
     ) -> tuple[Floats, Floats, Pairs]:
         """Largest scales s for which nothing touches at any q + c path + r + d, |c| <= 1, |r_j| <= rest_j.
 
-        The deviation d is any with |W d| <= s ``spread`` in each group, W being the group's weights.
-
-        Args:
-            q: ``(I, n)`` configurations.
-            path: ``(I, n)`` directions.
-            rest: ``(I, 2, n)`` bounds with the path, and without it.
-            spread: ``(I, G)`` sizes at s = 1.
-            most: no larger scale is looked for.
+        q and the path are ``(I, n)``, and the rests ``(I, 2, n)`` with the path, and without it. The deviation d is
+        any with |W d| <= s ``spread`` ``(I, G)`` in each group, W being the group's weights.
 
         Returns:
-            The scales ``(I,)``, those without the path (c = 0), and the geoms ``(I, 2)`` that limit the latter, or -1.
+            The scales ``(I,)``, up to ``most``, those without the path (c = 0), and the geoms ``(I, 2)`` that limit the
+            latter, or -1.
         """
         if len(q) > AT_ONCE:
             return _in_parts(partial(self, most=most), q, path, rest, spread)
@@ -110,14 +104,8 @@ class ClearanceBounds:
     def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
         """Lower bounds ``(I,)`` of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
 
-        They are no larger than the cutoff, and not below -1, as where loops cannot be closed. The geoms ``(I, 2)`` are
-        those of the bound, or -1.
-
-        Args:
-            q: ``(I, n)`` configurations.
-            path: ``(I, n)`` directions.
-            rest: ``(I, n)`` bounds.
-            cutoff: distance beyond which geoms do not count [m].
+        All three are ``(I, n)``. Bounds are no larger than the cutoff [m], and not below -1, as where loops cannot be
+        closed. The geoms ``(I, 2)`` are those of the bound, or -1.
         """
         if len(q) > AT_ONCE:
             return _in_parts(partial(self.least, cutoff=cutoff), q, path, rest)
@@ -260,15 +248,7 @@ class ClearanceBounds:
 
 
 class _Places:
-    """Where MuJoCo has geoms and joints at positions ``(I, nq)``.
-
-    Attributes:
-        geoms: ``(I, ngeom, 3)``.
-        turns: ``(I, ngeom, 3, 3)``.
-        anchors: ``(I, njnt, 3)``.
-        axes: ``(I, njnt, 3)``.
-        bodies: ``(I, nbody, 9)`` rotations of the bodies.
-    """
+    """Where MuJoCo has geoms and joints at positions ``(I, nq)``, and the bodies' rotations."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats) -> None:
         count = len(qpos)

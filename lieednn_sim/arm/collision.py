@@ -27,12 +27,9 @@ __all__ = ["Collisions"]
 
 Pairs = NDArray[np.int_]
 
-# A plane is a half-space: for the bounds, a box of this half size [m].
-_PLANE_SIZE = 1e3
-# Configurations whose pairs of geoms are in memory at once.
-AT_ONCE = 32
-# Rounding of the bounds [m].
-_SLACK = 1e-9
+_PLANE_SIZE = 1e3  # a plane is a half-space: for the bounds, a box of this half size [m]
+AT_ONCE = 32  # configurations whose pairs of geoms are in memory at once
+_SLACK = 1e-9  # rounding of the bounds [m]
 
 
 class Distances(NamedTuple):

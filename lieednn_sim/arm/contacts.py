@@ -60,7 +60,7 @@ class ContactFinder:
     Holds a `mujoco.MjData` of its own: one instance for each thread.
 
     Args:
-        model: the compiled model, which is not changed.
+        model: copied.
         margin: distance [m] beyond their offset (`ContactOffsets`) below which geoms count as touching.
         offsets: as of `ContactOffsets`.
         leaving: ``(nq,)`` where a motion begins, if that is too near to something. Geoms that are closer than the

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
     from lieednn_sim.arm.serial_arm import SerialArm
 
-# How much further than at the start the held body may sink into what it stands on [m].
-_DEPTH = 5e-4
+_DEPTH = 5e-4  # how much further than at the start the held body may sink into what it stands on [m]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,10 +21,8 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
-# Error at which the pose counts as reached [m, rad].
-_TOLERANCE = 1e-6
-# Attempts if none of them comes near a solution, and otherwise; steps of each.
-_ATTEMPTS, _MOST, _STEPS = 8, 32, 60
+_TOLERANCE = 1e-6  # error at which the pose counts as reached [m, rad]
+_ATTEMPTS, _MOST, _STEPS = 8, 32, 60  # attempts if none of them comes near a solution, and otherwise; steps of each
 
 
 def solve_ik(

@@ -20,8 +20,7 @@ from lieednn_sim.values import Floats
 
 # Fraction of an actuator's spare force used for acceleration: the rest is for friction and coupling to other joints.
 _ACCELERATING_FRACTION = 0.5
-# How far beyond a range rounding may lead [rad, m].
-_ROUNDING = 1e-6
+_ROUNDING = 1e-6  # how far beyond a range rounding may lead [rad, m]
 
 
 def check_rates(limits: Any) -> None:

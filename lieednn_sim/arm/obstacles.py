@@ -23,13 +23,11 @@ from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, quoted
 from lieednn_sim.values import Floats
 
-# Suffixes that tell a file from the name of a scene.
-SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")
+SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")  # suffixes that tell a file from the name of a scene
 # Obstacles in a list, and goals.
 _MOST = 10_000
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
-# MuJoCo draws groups 0 to 2 by default.
-_HIDDEN = 5
+_HIDDEN = 5  # MuJoCo draws groups 0 to 2 by default
 # The entries of each shape, besides its pose.
 _SHAPES = {
     "box": {"size"},

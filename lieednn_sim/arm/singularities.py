@@ -26,8 +26,7 @@ from lieednn_sim.values import Floats
 # v, for a Jacobian with columns of unit length, and r. Smaller values follow poses more closely, but turn hinges more.
 # With these, 0.3 mm beside a pose where the configuration changes by 1 rad/s, hinges turn by 5 mrad at 2 rad/s^2.
 NEARLY_SINGULAR, _STRAIGHTENED_FRACTION = 0.15, 0.05
-# Curvatures below this fraction of the largest count as zero.
-_FLAT = 1e-9
+_FLAT = 1e-9  # curvatures below this fraction of the largest count as zero
 
 _Evaluate = Callable[[Floats], tuple[Floats, Floats]]
 

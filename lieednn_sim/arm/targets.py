@@ -20,8 +20,7 @@ __all__ = ["draw_target"]
 
 # Distances that the arm keeps from obstacles, and its parts from each other, at a target [m].
 TARGET_CLEARANCE, OWN_CLEARANCE = 0.02, 0.0025
-# Fraction of a joint's range that targets keep away from its limits.
-LIMIT_MARGIN = 0.05
+LIMIT_MARGIN = 0.05  # fraction of a joint's range that targets keep away from its limits
 # Targets of arms whose joints have six dofs each: U(-0.8, 0.8) in the network's coordinates (paper, section 5).
 NETWORK_SPREAD = 0.8
 _ATTEMPTS = 400

@@ -21,8 +21,7 @@ from lieednn_sim.validation import as_path
 from lieednn_sim.values import Floats
 
 _PACKAGE = "package://"
-# The first bytes of a Git LFS pointer file.
-_POINTER = b"version https://git-lfs.github.com/"
+_POINTER = b"version https://git-lfs.github.com/"  # the first bytes of a Git LFS pointer file
 # Bytes of a file with its includes, copies of repeated elements, and entries of height fields and textures.
 _LARGEST, _MOST_COPIES, _MOST_ENTRIES = 10**8, 10_000, 2 * 10**7
 # What xacro replaces, and comments, in which it may be left.
