@@ -6,8 +6,7 @@
         ...  # work inside that knows how much there is calls `report`
 
 The CPU time is that of the calling thread, so that other load on the machine does not count; within `one_blas_thread`
-it is all. Only that error depends on
-the clock: work that ends within its budget has the same result as without one.
+it is all. Only that error depends on the clock: work that ends within its budget has the same result as without one.
 """
 
 from __future__ import annotations

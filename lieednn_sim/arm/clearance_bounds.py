@@ -1,18 +1,12 @@
 """How far the joints may be from a configuration without any contact: a proof by separating planes.
 
-Let A and B be convex geoms with a gap between them along a unit vector n, measured at a configuration q. Then the
-joints are changed to q + a one after another, from the base outwards. A joint that moves both geoms moves them rigidly:
-n is turned with them, and the gap stays. One that moves B alone, by the angle theta about an axis z through o, moves
-the points x of B, which those before it have only moved rigidly. These have turned the axis and the points by at most
-Theta, the sum of their own angles, against n. So along n, x moves by
-
-    theta n . (z x (x - o)) + rest,    |rest| <= |z x (x - o)| |theta| (|theta| / 2 + Theta),
-
-and for a slide by ds (n . z) + rest with |rest| <= |ds| Theta. In a ball joint |z x (x - o)| becomes |x - o|, and 1/2
-becomes 3/4, since its rotation vector w turns the body by J(w) dw only to first order. Levers are those at q, whatever
-the deviation. The sum over all joints is linear in a, but for the rests, and both it and n . x are linear in x: so it
-suffices that the corners of a polytope around B stay off A. Any n gives a valid bound; the normal at the nearest points
-gives a sharp one. Geoms are assumed to be convex; MuJoCo takes meshes for their convex hulls.
+Let A and B be convex geoms with a gap between them along a unit vector n, measured at a configuration q. Step 4 of
+`docs/mathematics/tube.md` bounds how far changes of the joints move the points x of B along n: by a sum that is linear
+in the changes, but for a rest of second order, and in x. So it suffices that the corners of a polytope around B stay
+off A. In a ball joint the lever |z x (x - o)| becomes |x - o|, and 1/2 becomes 3/4, since its rotation vector w turns
+the body by J(w) dw only to first order. Levers are those at q, whatever the deviation. Any n gives a valid bound; the
+normal at the nearest points gives a sharp one. Geoms are assumed to be convex; MuJoCo takes meshes for their convex
+hulls.
 """
 
 from __future__ import annotations

@@ -39,10 +39,7 @@ def along_tendons(model: mujoco.MjModel, joints: Sequence[int], couplings: Coupl
     An actuator on a fixed tendon of length sum c_i q_i determines only how far the stages extend together. It pulls
     stage i with c_i times its force, so similar stages (of equal inertia and friction) move in the ratio of the c_i,
     which is also the smallest motion that gives the length. Equal coefficients mean equal displacements, as with a belt
-    around all stages.
-
-    Raises:
-        InputError: such a tendon drives hinges and slides together.
+    around all stages. `InputError` if such a tendon drives hinges and slides together.
     """
     for tendon in dict.fromkeys(driven_tendons(model)):
         couplings = _along_tendon(model, joints, couplings, tendon)
@@ -115,10 +112,7 @@ def cut(
     hardly any target that can be certified.
 
     Joints are ids from the base outwards, each with its range ``(2,)``; the data has the kinematics at a representative
-    configuration.
-
-    Raises:
-        InputError: a joint moves nothing, because a follower undoes its motion.
+    configuration. `InputError` if a joint moves nothing, because a follower undoes its motion.
     """
     units = _units(model, data, joints, ranges, couplings)
     groups: list[list[_Unit]] = []

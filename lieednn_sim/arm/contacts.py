@@ -201,8 +201,7 @@ def fixed_body(model: mujoco.MjModel, name: str) -> int:
 def move_bodies(model: mujoco.MjModel, places: Mapping[str, ArrayLike]) -> None:
     """Put bodies without joints at positions ``(3,)`` in the frames of their parents [m], by name, in a model.
 
-    Raises:
-        InputError: there is no such body, or a value is malformed.
+    `InputError` if there is no such body, or a value is malformed.
     """
     for name, place in places.items():
         model.body_pos[fixed_body(model, name)] = as_floats(f"the place of {quoted(name)}", place, (3,))

@@ -5,9 +5,7 @@ states. Every bound here is a Lipschitz constant on a ball, proved as follows. O
 projection is bounded under the assumption that the coordinates change by at most some amount; if the bound then says
 that they change by less, they cannot have left that amount on the straight way to any state of the ball. Where the
 argument fails, since the nearest configuration may jump, the bound is infinite.
-
-For T = Exp(omega, v) = (R, p): the angle of R' R^-1 is at most |d omega|, and p = J(omega) v with the left Jacobian
-J = integral of Exp(s omega) over s from 0 to 1, so |dp| <= |dv| + |v| |d omega| / 2.
+For turns and shifts of the poses see step 3 of `docs/mathematics/tube.md`.
 """
 
 from __future__ import annotations

@@ -110,11 +110,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 def named_frames(model: mujoco.MjModel, links: Sequence[str], base: str | None) -> tuple[Frame, ...]:
-    """Base and link frames by name, base first; the base may be left out.
-
-    Raises:
-        InputError: a name is unknown or comes twice.
-    """
+    """Base and link frames by name, the base, which may be left out, first; `InputError` for unknown or equal ones."""
     results = [find_frame(model, name) for name in links]
     inboard = results[0] if base is None else find_frame(model, base)
     if base is None:

@@ -81,11 +81,9 @@ def find_grasp(
     for others, offset in ((hand, -np.inf), (stands, -_DEPTH - clearance)):
         for pair in product(np.flatnonzero(mine & solid).tolist(), np.flatnonzero(others & solid).tolist()):
             offsets.setdefault(pair, offset)
-    place, turn = tip.poses(data.xpos, data.xmat)
-    inside = turn[0].T @ data.xmat[body].reshape(3, 3), turn[0].T @ (data.xpos[body] - place[0])
-    pose = scipy.spatial.transform.RigidTransform.from_components(
-        inside[1], scipy.spatial.transform.Rotation.from_matrix(inside[0])
-    )
+    (place,), (turn,) = tip.poses(data.xpos, data.xmat)
+    turned = scipy.spatial.transform.Rotation.from_matrix(turn.T @ data.xmat[body].reshape(3, 3))
+    pose = scipy.spatial.transform.RigidTransform.from_components(turn.T @ (data.xpos[body] - place), turned)
     addresses = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     return Grasp((body, *bodies[bodies != body].tolist()), carrier, pose, *addresses, offsets)
 
@@ -106,8 +104,7 @@ def add_payload(spec: Any, arm: SerialArm, mass: float, name: str) -> None:
 def load_body(model: mujoco.MjModel, arm: SerialArm, mass: float) -> None:
     """Add a ball [kg] to the mass and inertia of the end effector's body in a compiled model, which is changed.
 
-    Raises:
-        InputError: MuJoCo compensates that body for gravity, at its centre of mass.
+    `InputError` if MuJoCo compensates that body for gravity, at its centre of mass.
     """
     tip = arm.frames[-1:]
     body, turn = int(tip.bodies[0]), np.empty(9)

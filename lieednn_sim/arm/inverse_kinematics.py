@@ -64,8 +64,7 @@ def ik_candidates(
     """Several joint positions ``(n,)`` as of `solve_ik`, the one that is reached soonest first.
 
     The measure is the time that the slowest joint needs at its velocity limit, or at its range in a second where it has
-    none. The search ends with four different positions, or after 32 attempts; after 8 if
-    none of them came near.
+    none. The search ends with four different positions, or after 32 attempts; after 8 if none of them came near.
 
     Args:
         arm: the arm.

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim.lie import hat, left_jacobian_so3, logarithm, moving, skew, transforms
+from lieednn_sim.lie.se3 import hat, left_jacobian_so3, logarithm, moving, skew, transforms
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:

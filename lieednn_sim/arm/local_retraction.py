@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dposv
 
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.kinematics import Factor
-from lieednn_sim.lie import hat, skew
+from lieednn_sim.lie.se3 import hat, skew
 from lieednn_sim.values import Floats
 
 # Step of the central difference for rates [s]: neither rounding nor the third derivative is seen in ten digits.

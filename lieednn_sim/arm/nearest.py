@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lieednn_sim.arm.kinematics import CompoundJoint, least_singular_value
 from lieednn_sim.arm.singularities import NEARLY_SINGULAR, pseudo_inverse, singularity_margin, straighten
 from lieednn_sim.budget import check_time
-from lieednn_sim.lie import skew
+from lieednn_sim.lie.se3 import skew
 from lieednn_sim.values import Floats
 
 _LONG = 0.2  # a stride along a path is shorter if a coordinate would move more than this in it [rad, m]

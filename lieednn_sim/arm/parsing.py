@@ -52,14 +52,13 @@ def read_arm(
 
     Without a chain, that of the sites base_frame, link1_frame, ... is read, by the model's own ranges and equalities.
 
+    `InputError` if the model is not an arm.
+
     Args:
         rest: ``(nq,)`` where the other joints stay; by default at the keyframe ``home``.
         lines, sums: of the joints of a chain, and others, that follow one or several joints of it.
         ranges: the range ``(2,)`` of each joint of a chain.
         notes: which of these were made or narrowed.
-
-    Raises:
-        InputError: the model is not an arm.
     """
     check_numbers(model)
     _check_integrator(model, arm)
@@ -155,9 +154,8 @@ def read_joints(
     reference = coordinates.from_qpos(model.qpos0)
     data = kinematics_at(model, coordinates.to_qpos(reference))
     places, turns = BodyFrames.of(chain.frames).poses(data.xpos, data.xmat)
-    world = scipy.spatial.transform.RigidTransform.from_components(
-        places, scipy.spatial.transform.Rotation.from_matrix(turns)
-    )
+    turned = scipy.spatial.transform.Rotation.from_matrix(turns)
+    world = scipy.spatial.transform.RigidTransform.from_components(places, turned)
     joints, mounts, tips = [], [], []
     for (parent, child), group in zip(itertools.pairwise(world), chain.groups, strict=True):
         # The joint frame sits on the last axis that turns and takes the axes of the first moving body.

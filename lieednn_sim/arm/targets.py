@@ -54,11 +54,9 @@ def draw_target(arm: Arm, seed: Seed = 0) -> Floats:
         point = places[site] + turns[site] @ inside
         near = np.clip(home + 0.25 * rng.normal(size=arm.n_joints) * arm.ranges, low + inset, high - inset)
         q = _towards(arm, data, near, point, low + inset, high - inset)
-        if (
-            q is not None
-            and arm.limit_excess(q).max() <= 0.0
-            and collisions.is_free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE)
-        ):
+        if q is None or arm.limit_excess(q).max() > 0.0:
+            continue
+        if collisions.is_free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE):
             return q
     raise NoSolutionError(
         f"no target was found for arm {arm.name!r} among its obstacles: in {_ATTEMPTS} tries its end effector did not "

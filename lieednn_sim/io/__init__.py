@@ -1,6 +1,5 @@
 """Files: arrays as ``.npz``, everything else as JSON, written atomically and never pickled; and folders of results."""
 
-from lieednn_sim.io.reading import LARGEST_TEXT as LARGEST_TEXT
 from lieednn_sim.io.reading import Archive as Archive
 from lieednn_sim.io.reading import is_file as is_file
 from lieednn_sim.io.reading import load_arrays as load_arrays
@@ -9,7 +8,6 @@ from lieednn_sim.io.reading import load_json as load_json
 from lieednn_sim.io.reading import opened as opened
 from lieednn_sim.io.reading import read_array as read_array
 from lieednn_sim.io.reading import take as take
-from lieednn_sim.io.writing import MARK as MARK
 from lieednn_sim.io.writing import atomic_path as atomic_path
 from lieednn_sim.io.writing import atomic_paths as atomic_paths
 from lieednn_sim.io.writing import atomic_text as atomic_text

@@ -157,11 +157,8 @@ class BlockNetwork(ABC):
 
     def interaction(self, output: Floats) -> Floats:
         """W times flat outputs ``(..., dN)``, without its rows of zeros; unchecked."""
-        driven = output @ self.driven_weight.T
-        if driven.shape == output.shape:
-            return driven
         whole = np.zeros_like(output)
-        whole[..., : driven.shape[-1]] = driven
+        whole[..., : len(self.driven_weight)] = output @ self.driven_weight.T
         return whole
 
     @property

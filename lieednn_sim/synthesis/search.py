@@ -14,8 +14,6 @@ from lieednn_sim.lie.se3 import skew
 from lieednn_sim.synthesis.problem import Point, Problem, pairs
 from lieednn_sim.values import Floats
 
-Flags = NDArray[np.bool_]
-
 _ROUGH = 1e-2  # the searches need meet the equations only this well: from there the polish converges quadratically
 # Fast search: weight of the equations against the eigenvalues, most steps, and bounds of the damping.
 _EQUATION_WEIGHT, _MOST_STEPS = 3.0, 40
@@ -27,7 +25,7 @@ _LOG_SCALE_BOUND = 8.0
 QUATERNION_BOUNDS = (3.0, 60.0)
 
 
-def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: float) -> tuple[Floats, Flags]:
+def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: float) -> tuple[Floats, NDArray[np.bool_]]:
     """Levenberg-Marquardt on the distance to feasibility, for each problem of a stack.
 
     Minimises w^2 |W_R u - c|^2 + ||(A - aim I)_+||_F^2 with A = sym(S W_R S^-1), w = 3: the squared distance

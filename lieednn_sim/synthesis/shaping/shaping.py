@@ -213,6 +213,5 @@ def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple
     density += _LEAST_DENSITY * density.mean() + _LEAST_DENSITY
     mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
     edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, w)
-    # Slope of a switch over the density of switches, and the least slope: without overlap the path would ripple.
-    overlap, least_slope = 1.0, 1.0
-    return edges[1::2], np.clip(overlap / (edges[2::2] - edges[:-2:2]), least_slope, LARGEST_SLOPE)
+    # Each as steep as switches are dense, and no less steep than 1: without overlap the path would ripple.
+    return edges[1::2], np.clip(1.0 / (edges[2::2] - edges[:-2:2]), 1.0, LARGEST_SLOPE)
