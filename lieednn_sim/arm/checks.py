@@ -1,4 +1,4 @@
-"""Kinds, owners and names of the joints of a compiled model, and whether its numbers are numbers."""
+"""Kinds, owners and names of the joints of a compiled model, and a check of its numbers."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class Contraction:
     Attributes:
         factor: upper triangular T ``(n, n)`` of the norm |e|_P = |T e|_2, P = T^T T.
         multiplier: the diagonal of Q, ``(n,)``.
-        value: the least v for which the inequality holds.
+        value: the least v for which distances fall at the rate gamma - mu v.
         rounding: bound on the error of `value` in floating point; infinite where T is too ill-conditioned.
         bound: gamma/mu.
         gamma: decay rate of an isolated neuron, in 1 / (the network's time).
@@ -164,8 +164,8 @@ def least_level(scaled: Floats) -> tuple[float, float, float]:
 def norm_at(weight: Floats, log_scale: Floats, level: float) -> Floats | None:
     """T ``(n, n)`` of a well-conditioned P that proves a level v with Q = S^2, or None.
 
-    Equality in the inequality is a Riccati equation for X = S^-1 P S^-1: with M = S W S^-1,
-    (I + X M) (I + X M)^T = 4 v X, of which this is the stabilising solution.
+    Equality in the inequality of `docs/mathematics/robustness.md` is a Riccati equation for X = S^-1 P S^-1: with
+    M = S W S^-1, (I + X M) (I + X M)^T = 4 v X, of which this is the stabilising solution.
     """
     scaled, n = scale(weight, log_scale), len(weight)
     shifted = scaled - 2.0 * level * np.eye(n)

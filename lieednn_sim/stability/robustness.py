@@ -79,7 +79,7 @@ def _by_contraction(weight: Floats, log_scale: Floats, best: Contraction, gamma:
 
 
 def _contraction_step(scaled: Floats, factor: Floats, gamma: float, mu: float) -> float:
-    """h_0 from M = S W S^-1 and T S^-1, in the coordinates S e and S f."""
+    """The largest h_0 with 2 <e', e>_P <= -h_0 |e'|_P^2, from M = S W S^-1 and T S^-1, in coordinates S e and S f."""
     n = len(scaled)
     metric, identity = factor.T @ factor, np.eye(n)
     cross = -mu * (metric @ scaled + identity)
