@@ -11,8 +11,7 @@ FREE, BALL, SLIDE, HINGE = (
     int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL", "SLIDE", "HINGE")
 )
 JOINT_KINDS = {HINGE: "hinge", SLIDE: "slide", BALL: "ball"}
-# Kinds of joints with one dof.
-SCALAR = (HINGE, SLIDE)
+SCALAR = (HINGE, SLIDE)  # kinds of joints with one dof
 _NUMBERS = (
     *(f"body_{what}" for what in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")),
     *(f"jnt_{what}" for what in ("pos", "axis", "range", "stiffness")),

@@ -157,8 +157,11 @@ class BlockNetwork(ABC):
 
     def interaction(self, output: Floats) -> Floats:
         """W times flat outputs ``(..., dN)``, without its rows of zeros; unchecked."""
+        driven = output @ self.driven_weight.T
+        if driven.shape == output.shape:
+            return driven
         whole = np.zeros_like(output)
-        whole[..., : len(self.driven_weight)] = output @ self.driven_weight.T
+        whole[..., : driven.shape[-1]] = driven
         return whole
 
     @property

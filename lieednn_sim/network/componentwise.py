@@ -189,7 +189,10 @@ class ComponentwiseNetwork(BlockNetwork):
         rate = bias - self.gamma * x
         # For one state the method is quicker.
         driven = weight.dot(self.phi(x)) if x.ndim == 1 else self.phi(x) @ weight.T
-        rate[..., : len(weight)] += driven
+        if len(weight) == len(bias):
+            rate += driven
+        else:
+            rate[..., : len(weight)] += driven
         return rate
 
     @cached_property

@@ -33,8 +33,7 @@ CONDITIONS = (
     "local",
 )
 
-# Couplings stronger than this, relative to the decay, make a network stiff: its time scales are so far apart that
-# explicit integrators need very many steps, and rounding errors are amplified.
+# Couplings stronger than this, relative to the decay, make a network stiff: explicit integrators need very many steps.
 STIFF = 100.0
 
 
