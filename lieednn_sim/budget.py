@@ -6,8 +6,7 @@
         ...  # work inside that knows how much there is calls `report`
 
 The CPU time is that of the calling thread, so that other load on the machine does not count; within `one_blas_thread`
-it is all. Only that error depends on
-the clock: work that ends within its budget has the same result as without one.
+it is all. Only that error depends on the clock: work that ends within its budget has the same result as without one.
 """
 
 from __future__ import annotations
@@ -25,11 +24,9 @@ from lieednn_sim.validation import as_positive
 
 __all__ = ["reporting", "time_limit"]
 
-# CPU time of a planner [s]; far more than any needs for the arms of the package.
-DEFAULT_TIME_BUDGET = 60.0
+DEFAULT_TIME_BUDGET = 60.0  # CPU time of a planner [s]; far more than any needs for the arms of the package
 
-# CPU time that the calling thread has used [s], from an arbitrary zero.
-cpu_time = time.thread_time
+cpu_time = time.thread_time  # CPU time that the calling thread has used [s], from an arbitrary zero
 
 # Time at which the present work must end, by `cpu_time`, and its budget [s].
 _LIMIT: ContextVar[tuple[float, float] | None] = ContextVar("lieednn_sim time limit", default=None)

@@ -22,8 +22,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from lieednn_sim.errors import InputError, LieEDNNError
 
-# CPU time of a case of most planners, and that above which a planner is slow [s].
-TYPICAL, SLOW = 0.6, 1.0
+TYPICAL, SLOW = 0.6, 1.0  # CPU time of a case of most planners, and that above which a planner is slow [s]
 
 _Given = TypeVar("_Given")
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")

@@ -19,10 +19,8 @@ Seed = int | np.random.SeedSequence | np.random.Generator
 
 # Larger than any meaningful length, angle, rate or weight; products of three such numbers do not overflow.
 LARGEST = 1e100
-# Most characters of a refused value that are quoted.
-_QUOTED = 80
-# Most entries of an array: a gibibyte of float64.
-MOST_ENTRIES = 2**27
+_QUOTED = 80  # most characters of a refused value that are quoted
+MOST_ENTRIES = 2**27  # most entries of an array: a gibibyte of float64
 
 
 def _describe(shape: Iterable[int | str]) -> str:

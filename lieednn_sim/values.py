@@ -17,8 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-# Real arrays; their shapes are documented where they are used.
-Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]  # real arrays; their shapes are documented where they are used
 StrPath = str | os.PathLike[str]
 _Class = TypeVar("_Class")
 

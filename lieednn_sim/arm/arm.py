@@ -359,7 +359,6 @@ class Arm(ModelArm):
 
 @lru_cache(maxsize=8)
 def _loaded(recipe: bytes) -> Arm:
-    """An arm by its pickled recipe."""
     arm: Any = Arm
     for method, arguments, options in pickle.loads(recipe):
         arm = getattr(arm, method)(*arguments, **options)

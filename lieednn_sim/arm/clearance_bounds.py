@@ -1,18 +1,12 @@
 """How far the joints may be from a configuration without any contact: a proof by separating planes.
 
-Let A and B be convex geoms with a gap between them along a unit vector n, measured at a configuration q. Then the
-joints are changed to q + a one after another, from the base outwards. A joint that moves both geoms moves them rigidly:
-n is turned with them, and the gap stays. One that moves B alone, by the angle theta about an axis z through o, moves
-the points x of B, which those before it have only moved rigidly. These have turned the axis and the points by at most
-Theta, the sum of their own angles, against n. So along n, x moves by
-
-    theta n . (z x (x - o)) + rest,    |rest| <= |z x (x - o)| |theta| (|theta| / 2 + Theta),
-
-and for a slide by ds (n . z) + rest with |rest| <= |ds| Theta. In a ball joint |z x (x - o)| becomes |x - o|, and 1/2
-becomes 3/4, since its rotation vector w turns the body by J(w) dw only to first order. Levers are those at q, whatever
-the deviation. The sum over all joints is linear in a, but for the rests, and both it and n . x are linear in x: so it
-suffices that the corners of a polytope around B stay off A. Any n gives a valid bound; the normal at the nearest points
-gives a sharp one. Geoms are assumed to be convex; MuJoCo takes meshes for their convex hulls.
+Let A and B be convex geoms with a gap between them along a unit vector n, measured at a configuration q. Step 4 of
+`docs/mathematics/tube.md` bounds how far changes of the joints move the points x of B along n: by a sum that is linear
+in the changes, but for a rest of second order, and in x. So it suffices that the corners of a polytope around B stay
+off A. In a ball joint the lever |z x (x - o)| becomes |x - o|, and 1/2 becomes 3/4, since its rotation vector w turns
+the body by J(w) dw only to first order. Levers are those at q, whatever the deviation. Any n gives a valid bound; the
+normal at the nearest points gives a sharp one. Geoms are assumed to be convex; MuJoCo takes meshes for their convex
+hulls.
 """
 
 from __future__ import annotations
@@ -26,21 +20,21 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
+from lieednn_sim.arm.checks import BALL, SLIDE
 from lieednn_sim.arm.collision import AT_ONCE, Collisions, Pairs
 from lieednn_sim.arm.deviations import Group
 from lieednn_sim.arm.equalities import dof_addresses
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.values import Floats
 
-# Distance below which normals are lost in rounding, so that nothing is proved [m].
-_TOUCHING = 1e-6
+_TOUCHING = 1e-6  # distance below which normals are lost in rounding, so that nothing is proved [m]
 
 
 class ClearanceBounds:
     """Proves that nothing touches while the joints are anywhere near a few configurations.
 
     Args:
-        arm: the arm, in its scene.
+        arm: in its scene.
         groups: all coordinates in groups with weights, as of `Retractor.groups`.
         margin: distance to keep [m].
 
@@ -57,11 +51,9 @@ class ClearanceBounds:
         self._members = np.zeros((len(groups), n))
         for row, (indices, weights) in zip(self._members, groups, strict=True):
             row[indices] = 1.0 / weights
-        joints = model.dof_jntid
-        self._joints, kinds = joints, model.jnt_type
-        self._dof_turns = (kinds != mujoco.mjtJoint.mjJNT_SLIDE)[joints]
-        self._turns = kinds != mujoco.mjtJoint.mjJNT_SLIDE
-        self._is_ball = kinds == mujoco.mjtJoint.mjJNT_BALL
+        self._joints = joints = model.dof_jntid
+        self._turns, self._is_ball = model.jnt_type != SLIDE, model.jnt_type == BALL
+        self._dof_turns = self._turns[joints]
         self._bend = np.where(self._is_ball, 0.75, np.where(self._turns, 0.5, 0.0))
         # From coordinates to the displacements of scalar joints; and the coordinates of each ball joint.
         self._into = np.zeros((model.njnt, n))
@@ -82,17 +74,12 @@ class ClearanceBounds:
     ) -> tuple[Floats, Floats, Pairs]:
         """Largest scales s for which nothing touches at any q + c path + r + d, |c| <= 1, |r_j| <= rest_j.
 
-        The deviation d is any with |W d| <= s ``spread`` in each group, W being the group's weights.
-
-        Args:
-            q: ``(I, n)`` configurations.
-            path: ``(I, n)`` directions.
-            rest: ``(I, 2, n)`` bounds with the path, and without it.
-            spread: ``(I, G)`` sizes at s = 1.
-            most: no larger scale is looked for.
+        q and the path are ``(I, n)``, and the rests ``(I, 2, n)`` with the path, and without it. The deviation d is
+        any with |W d| <= s ``spread`` ``(I, G)`` in each group, W being the group's weights.
 
         Returns:
-            The scales ``(I,)``, those without the path (c = 0), and the geoms ``(I, 2)`` that limit the latter, or -1.
+            The scales ``(I,)``, up to ``most``, those without the path (c = 0), and the geoms ``(I, 2)`` that limit the
+            latter, or -1.
         """
         if len(q) > AT_ONCE:
             return _in_parts(partial(self, most=most), q, path, rest, spread)
@@ -111,14 +98,8 @@ class ClearanceBounds:
     def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
         """Lower bounds ``(I,)`` of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
 
-        They are no larger than the cutoff, and not below -1, as where loops cannot be closed. The geoms ``(I, 2)`` are
-        those of the bound, or -1.
-
-        Args:
-            q: ``(I, n)`` configurations.
-            path: ``(I, n)`` directions.
-            rest: ``(I, n)`` bounds.
-            cutoff: distance beyond which geoms do not count [m].
+        All three are ``(I, n)``. Bounds are no larger than the cutoff [m], and not below -1, as where loops cannot be
+        closed. The geoms ``(I, 2)`` are those of the bound, or -1.
         """
         if len(q) > AT_ONCE:
             return _in_parts(partial(self.least, cutoff=cutoff), q, path, rest)
@@ -261,15 +242,7 @@ class ClearanceBounds:
 
 
 class _Places:
-    """Where MuJoCo has geoms and joints at positions ``(I, nq)``.
-
-    Attributes:
-        geoms: ``(I, ngeom, 3)``.
-        turns: ``(I, ngeom, 3, 3)``.
-        anchors: ``(I, njnt, 3)``.
-        axes: ``(I, njnt, 3)``.
-        bodies: ``(I, nbody, 9)`` rotations of the bodies.
-    """
+    """Where MuJoCo has geoms and joints at positions ``(I, nq)``, and the bodies' rotations."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, qpos: Floats) -> None:
         count = len(qpos)

@@ -14,7 +14,7 @@ import numpy as np
 
 from lieednn_sim.arm.deviations import Deviations, Group
 from lieednn_sim.arm.kinematics import CompoundJoint
-from lieednn_sim.lie import exp, hat, left_jacobian_so3, rotation_vectors, rotations, spatial_twist
+from lieednn_sim.lie.se3 import exp, hat, left_jacobian_so3, rotation_vectors, rotations, spatial_twist
 from lieednn_sim.values import Floats
 
 

@@ -27,12 +27,9 @@ __all__ = ["Collisions"]
 
 Pairs = NDArray[np.int_]
 
-# A plane is a half-space: for the bounds, a box of this half size [m].
-_PLANE_SIZE = 1e3
-# Configurations whose pairs of geoms are in memory at once.
-AT_ONCE = 32
-# Rounding of the bounds [m].
-_SLACK = 1e-9
+_PLANE_SIZE = 1e3  # a plane is a half-space: for the bounds, a box of this half size [m]
+AT_ONCE = 32  # configurations whose pairs of geoms are in memory at once
+_SLACK = 1e-9  # rounding of the bounds [m]
 
 
 class Distances(NamedTuple):
@@ -114,7 +111,7 @@ class Collisions:
         Raises:
             InputError: q is malformed, or the cutoff is not positive.
         """
-        self._move(q)
+        self._move_to(self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))))
         limits = as_floats("cutoff", cutoff, (), batched=True)
         limits = np.broadcast_to(as_floats("cutoff", limits, self.pairs.shape[: limits.ndim]), len(self.pairs))
         if (limits <= 0.0).any():
@@ -219,9 +216,6 @@ class Collisions:
         first, second = (geom_name(model, geom) for geom in ids)
         return first, second
 
-    def _move(self, q: ArrayLike) -> None:
-        self._move_to(self.arm.qpos(as_floats("q", q, (self.arm.n_joints,))))
-
     def _move_to(self, qpos: Floats) -> None:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self.arm.geometry, self._data)
@@ -249,10 +243,7 @@ class ContactSlopes(ContactFinder):
     It takes about as long as the collision detection itself, a tenth of `Collisions`. Holds a `mujoco.MjData` of its
     own: one instance for each thread.
 
-    Args:
-        arm: the arm, in its scene.
-        margin: distance below which geoms count [m].
-        own: whether two geoms of moving bodies count.
+    Geoms closer than the margin [m] count, two of moving bodies only with ``own``.
     """
 
     def __init__(self, arm: Arm, margin: float, *, own: bool) -> None:
@@ -308,16 +299,13 @@ def _colliding_pairs(model: mujoco.MjModel) -> Pairs:
     kind, affinity = model.geom_contype, model.geom_conaffinity
     meets = ((kind[first] & affinity[second]) | (kind[second] & affinity[first])) != 0
     first, second = first[meets], second[meets]
-    bodies = model.geom_bodyid[first], model.geom_bodyid[second]
-    weld = model.body_weldid
-    apart = weld[bodies[0]] != weld[bodies[1]]
+    bodies, weld = model.geom_bodyid[[first, second]], model.body_weldid
+    one, other = weld[bodies]
+    apart = one != other
     if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
         parent = weld[model.body_parentid[weld]]
-        welds = weld[bodies[0]], weld[bodies[1]]
-        related = (welds[0] == parent[welds[1]]) | (welds[1] == parent[welds[0]])
-        apart &= ~(related & (welds[0] != 0) & (welds[1] != 0))
-    signature = (np.minimum(*bodies).astype(np.int64) << 16) + np.maximum(*bodies)
-    apart &= ~np.isin(signature, model.exclude_signature)
+        apart &= ((one != parent[other]) & (other != parent[one])) | (one == 0) | (other == 0)
+    apart &= ~np.isin((bodies.min(axis=0).astype(np.int64) << 16) + bodies.max(axis=0), model.exclude_signature)
     implicit = np.stack([first[apart], second[apart]], axis=1)
     explicit = np.sort(np.stack([model.pair_geom1, model.pair_geom2], axis=1).astype(int), axis=1)
     pairs = np.unique(np.concatenate([implicit, explicit]), axis=0)

@@ -17,17 +17,11 @@ from lieednn_sim.values import Floats
 
 @dataclass(frozen=True)
 class Couplings:
-    """Joints that follow others: qpos = ratio * (qpos of the leader) + shift.
+    """Joints that follow others: qpos = ratio * (qpos of the leader) + shift."""
 
-    Attributes:
-        lines: for each follower, its independent leader, ratio and shift.
-        added: for each follower tied by a fixed tendon and by no equality yet, the tendon.
-        sums: of joints that follow several others, ratios by leader, and shift.
-    """
-
-    lines: dict[int, Line] = field(default_factory=dict)
-    added: dict[int, int] = field(default_factory=dict)
-    sums: dict[int, Sum] = field(default_factory=dict)
+    lines: dict[int, Line] = field(default_factory=dict)  # of each follower of one independent joint
+    added: dict[int, int] = field(default_factory=dict)  # tendons of those that no equality ties yet
+    sums: dict[int, Sum] = field(default_factory=dict)  # of joints that follow several others
 
     def line(self, joint: int) -> Line:
         """The independent joint that ``joint`` follows, or itself, with ratio and shift."""
@@ -45,10 +39,7 @@ def along_tendons(model: mujoco.MjModel, joints: Sequence[int], couplings: Coupl
     An actuator on a fixed tendon of length sum c_i q_i determines only how far the stages extend together. It pulls
     stage i with c_i times its force, so similar stages (of equal inertia and friction) move in the ratio of the c_i,
     which is also the smallest motion that gives the length. Equal coefficients mean equal displacements, as with a belt
-    around all stages.
-
-    Raises:
-        InputError: such a tendon drives hinges and slides together.
+    around all stages. `InputError` if such a tendon drives hinges and slides together.
     """
     for tendon in dict.fromkeys(driven_tendons(model)):
         couplings = _along_tendon(model, joints, couplings, tendon)
@@ -120,14 +111,8 @@ def cut(
     is a compound joint of its own. If all would be one, the first joint is separated: a network of a single neuron has
     hardly any target that can be certified.
 
-    Args:
-        model, data: the model, with its kinematics at a representative configuration.
-        joints: joint ids from the base outwards.
-        ranges: for each joint, its range ``(2,)``.
-        couplings: joints that follow others.
-
-    Raises:
-        InputError: a joint moves nothing, because a follower undoes its motion.
+    Joints are ids from the base outwards, each with its range ``(2,)``; the data has the kinematics at a representative
+    configuration. `InputError` if a joint moves nothing, because a follower undoes its motion.
     """
     units = _units(model, data, joints, ranges, couplings)
     groups: list[list[_Unit]] = []

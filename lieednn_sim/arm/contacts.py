@@ -32,16 +32,14 @@ class ContactOffsets:
     MuJoCo's margin of two geoms is the sum of theirs, or that of their explicit pair; in a gap beyond it there is a
     contact without a force.
 
-    Args:
-        model: the compiled model.
-        given: offsets of pairs of geoms that are not the model's [m], by the ids of both.
+    ``given`` are offsets of pairs of geoms that are not the model's [m], by the ids of both.
     """
 
-    def __init__(self, model: mujoco.MjModel, given: Mapping[tuple[int, int], float] | None = None) -> None:
+    def __init__(self, model: mujoco.MjModel, given: Mapping[tuple[int, int], float]) -> None:
         self._margins = np.array(model.geom_margin)
         pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), model.pair_margin.tolist(), strict=True)
         self._special = {(min(a, b), max(a, b)): margin for a, b, margin in pairs}
-        self._special |= {(min(pair), max(pair)): offset for pair, offset in (given or {}).items()}
+        self._special |= {(min(pair), max(pair)): offset for pair, offset in given.items()}
         #: Whether all offsets are zero.
         self.none = not self._margins.any() and not any(self._special.values())
         #: The largest of all [m].
@@ -62,7 +60,7 @@ class ContactFinder:
     Holds a `mujoco.MjData` of its own: one instance for each thread.
 
     Args:
-        model: the compiled model, which is not changed.
+        model: copied.
         margin: distance [m] beyond their offset (`ContactOffsets`) below which geoms count as touching.
         offsets: as of `ContactOffsets`.
         leaving: ``(nq,)`` where a motion begins, if that is too near to something. Geoms that are closer than the
@@ -76,7 +74,7 @@ class ContactFinder:
         offsets: Mapping[tuple[int, int], float] | None = None,
         leaving: Floats | None = None,
     ) -> None:
-        self._margin, self._offsets = margin, ContactOffsets(model, offsets)
+        self._margin, self._offsets = margin, ContactOffsets(model, offsets or {})
         self._model = copy.deepcopy(model)
         # Overridden rather than written into the geoms, whose bounding volumes were built for the old margins.
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
@@ -203,8 +201,7 @@ def fixed_body(model: mujoco.MjModel, name: str) -> int:
 def move_bodies(model: mujoco.MjModel, places: Mapping[str, ArrayLike]) -> None:
     """Put bodies without joints at positions ``(3,)`` in the frames of their parents [m], by name, in a model.
 
-    Raises:
-        InputError: there is no such body, or a value is malformed.
+    `InputError` if there is no such body, or a value is malformed.
     """
     for name, place in places.items():
         model.body_pos[fixed_body(model, name)] = as_floats(f"the place of {quoted(name)}", place, (3,))

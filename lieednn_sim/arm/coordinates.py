@@ -23,32 +23,19 @@ class Coordinates:
 
     Of coupled stages of a telescope only the leader has a coordinate: all scalar joints together are
     qpos = coupling @ q + offset. Joints that are not part of the arm keep their position in ``offset``.
-
-    Attributes:
-        names: n names; a ball joint's three end in ``_x``, ``_y``, ``_z``.
-        units: n units, ``"rad"`` or ``"m"``.
-        coupling: ``(nq, n)``, zero in the rows of ball joints.
-        rates: ``(nv, n)``, the same for velocities.
-        offset: ``(nq,)``.
-        scalars: indices in q of hinges and slides.
-        scalar_addresses: their addresses in qpos.
-        scalar_rate_addresses: their addresses in qvel.
-        balls: ``(B, 3)`` indices in q of the ball joints.
-        ball_addresses: ``(B, 4)`` their quaternions in qpos.
-        ball_rate_addresses: ``(B, 3)`` their angular velocities, in the frame of the moving body, in qvel.
     """
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    coupling: Floats
-    rates: Floats
-    offset: Floats
-    scalars: NDArray[np.int_]
-    scalar_addresses: NDArray[np.int_]
-    scalar_rate_addresses: NDArray[np.int_]
-    balls: NDArray[np.int_]
-    ball_addresses: NDArray[np.int_]
-    ball_rate_addresses: NDArray[np.int_]
+    names: tuple[str, ...]  # n names; a ball joint's three end in "_x", "_y", "_z"
+    units: tuple[str, ...]  # n units, "rad" or "m"
+    coupling: Floats  # (nq, n), zero in the rows of ball joints
+    rates: Floats  # (nv, n), the same for velocities
+    offset: Floats  # (nq,)
+    scalars: NDArray[np.int_]  # indices in q of hinges and slides
+    scalar_addresses: NDArray[np.int_]  # their addresses in qpos
+    scalar_rate_addresses: NDArray[np.int_]  # their addresses in qvel
+    balls: NDArray[np.int_]  # (B, 3) indices in q of the ball joints
+    ball_addresses: NDArray[np.int_]  # (B, 4) their quaternions in qpos
+    ball_rate_addresses: NDArray[np.int_]  # (B, 3) their angular velocities, in the moving body's frame, in qvel
 
     def __len__(self) -> int:
         """Return n."""
@@ -70,6 +57,10 @@ class Coordinates:
         addresses = np.empty(len(self), dtype=int)
         addresses[self.scalars], addresses[self.balls] = self.scalar_rate_addresses, self.ball_rate_addresses
         return addresses
+
+    def ball(self, address: int) -> NDArray[np.int_]:
+        """Indices in q ``(3,)`` of the ball joint at an address in qpos."""
+        return self.balls[np.flatnonzero(self.ball_addresses[:, 0] == address)[0]]
 
     def to_qpos(self, q: Floats) -> Floats:
         """``(..., n)`` to ``(..., nq)``."""

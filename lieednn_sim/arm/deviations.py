@@ -5,9 +5,7 @@ states. Every bound here is a Lipschitz constant on a ball, proved as follows. O
 projection is bounded under the assumption that the coordinates change by at most some amount; if the bound then says
 that they change by less, they cannot have left that amount on the straight way to any state of the ball. Where the
 argument fails, since the nearest configuration may jump, the bound is infinite.
-
-For T = Exp(omega, v) = (R, p): the angle of R' R^-1 is at most |d omega|, and p = J(omega) v with the left Jacobian
-J = integral of Exp(s omega) over s from 0 to 1, so |dp| <= |dv| + |v| |d omega| / 2.
+For turns and shifts of the poses see step 3 of `docs/mathematics/tube.md`.
 """
 
 from __future__ import annotations
@@ -29,20 +27,13 @@ Group = tuple[NDArray[np.int_], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Sets of deviations of an arm's links about K states.
+    """Sets of deviations of an arm's links about K states."""
 
-    Attributes:
-        twist: ``(K, N, 6)`` the links' twists [rad, m].
-        q: ``(K, n)`` the joint position onto which they are projected [rad, m].
-        size: ``(N, 2)`` largest turn [rad] and shift [m] of each link.
-        slack: ``(K, N, 2)`` how far, in addition, the state itself may be from the one given.
-        known: what was computed for these states, whatever the size; `dataclasses.replace` hands it over.
-    """
-
-    twist: Floats
-    q: Floats
-    size: Floats
-    slack: Floats
+    twist: Floats  # (K, N, 6) the links' twists [rad, m]
+    q: Floats  # (K, n) the joint position onto which they are projected [rad, m]
+    size: Floats  # (N, 2) largest turn [rad] and shift [m] of each link
+    slack: Floats  # (K, N, 2) how far, in addition, the state itself may be from the one given
+    # What was computed for these states, whatever the size; `dataclasses.replace` hands it over.
     known: dict[Any, Any] = field(default_factory=dict)
 
     @property
@@ -93,11 +84,7 @@ def spread_of_nearest(problem: NearestPose, links: NDArray[np.int_], deviations:
 
     It is the minimum connected with the given one that is bounded; a search may find another that is lower.
 
-    Args:
-        problem: the least squares problem.
-        links: ``(m,)`` its links.
-        deviations: the deviations.
-        offset: ``(K, c)`` displacements of its coordinates at the given states.
+    The problem has the links ``(m,)``, and its coordinates the displacements ``offset`` ``(K, c)`` at the given states.
     """
     turning, sliding = problem.counts
     length, count = problem.length, len(links)

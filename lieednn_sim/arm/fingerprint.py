@@ -1,7 +1,4 @@
-"""What of a model affects its motion: fingerprints, a hash of all of it, and a model without what is only drawn.
-
-Without its visual geoms a model moves exactly as the whole one does, to the last bit, at half the cost.
-"""
+"""What of a model affects its motion: fingerprints, a hash of all of it, and a model without what is only drawn."""
 
 from __future__ import annotations
 

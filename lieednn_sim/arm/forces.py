@@ -104,15 +104,12 @@ def control_ranges(model: mujoco.MjModel) -> Floats:
 
 
 def force_ranges(model: mujoco.MjModel, rates: Floats) -> Floats:
-    """Least and largest force ``(n, 2)`` [N m, N] of the actuators on each coordinate.
+    """Least and largest force ``(n, 2)`` [N m, N] of the actuators on joints or fixed tendons on each coordinate.
 
     The ranges of all actuators on a coordinate add up, each times its moment; the ``actfrcrange`` of a joint bounds
     their sum. Where a range leaves no force in one direction, the limits of the coordinate count as unknown: they are
-    infinite, as without an actuator.
-
-    Args:
-        model: the compiled model; only its actuators on joints or fixed tendons count.
-        rates: ``(nv, n)`` velocities of its dofs per unit rate of each coordinate, coupled stages included.
+    infinite, as without an actuator. ``rates`` ``(nv, n)`` are the velocities of the model's dofs per unit rate of each
+    coordinate, coupled stages included.
     """
     moments = constant_moments(model)
     single = actuator_ranges(model)
@@ -141,7 +138,6 @@ def required_forces(
     They are those of inverse dynamics, M qacc + bias - passive, without contacts and dry friction.
 
     Args:
-        model: the compiled model, which is not changed.
         qpos: MuJoCo's positions ``(S, nq)``.
         qvel, qacc: its velocities and accelerations ``(S, nv)``; by default at rest.
         limited: whether forces that ``actuatorfrcrange`` limits are meant: it limits compensation by actuators as well.
@@ -178,9 +174,7 @@ def required_forces(
 def servo_gains(model: mujoco.MjModel, rates: Floats) -> tuple[Floats, Floats]:
     """The gains kp [N m/rad, N/m] and kv [N m s/rad, N s/m], both ``(n,)``, of the position servos on each coordinate.
 
-    Args:
-        model: the compiled model; only its position servos on joints or fixed tendons count.
-        rates: as in `force_ranges`.
+    Rates, and the servos that count, are as in `force_ranges`.
     """
     kp, kv = -model.actuator_biasprm[:, 1:3].T @ (constant_moments(model) @ rates) ** 2
     return kp, kv

@@ -18,36 +18,22 @@ from lieednn_sim.values import Floats
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A named frame fixed to a body: a site, or the body's own origin.
+    """A named frame fixed to a body: a site, or the body's own origin."""
 
-    Attributes:
-        name: name of the body or site.
-        body: its id.
-        pos: ``(3,)`` in the body [m].
-        quat: ``(4,)`` in the body, scalar first.
-    """
-
-    name: str
-    body: int
-    pos: Floats
-    quat: Floats
+    name: str  # of the body or site
+    body: int  # the body's id
+    pos: Floats  # (3,) in the body [m]
+    quat: Floats  # (4,) in the body, scalar first
 
 
 @dataclass(frozen=True, eq=False)
 class BodyFrames:
-    """N frames fixed to bodies of a model.
+    """N frames fixed to bodies of a model."""
 
-    Attributes:
-        names: of the bodies or sites.
-        bodies: ``(N,)`` ids.
-        positions: ``(N, 3)`` in the bodies [m].
-        rotations: ``(N, 3, 3)`` in the bodies.
-    """
-
-    names: tuple[str, ...]
-    bodies: NDArray[np.int_]
-    positions: Floats
-    rotations: Floats
+    names: tuple[str, ...]  # of the bodies or sites
+    bodies: NDArray[np.int_]  # (N,) ids
+    positions: Floats  # (N, 3) in the bodies [m]
+    rotations: Floats  # (N, 3, 3) in the bodies
 
     @classmethod
     def of(cls, frames: Sequence[Frame]) -> BodyFrames:
@@ -124,11 +110,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 def named_frames(model: mujoco.MjModel, links: Sequence[str], base: str | None) -> tuple[Frame, ...]:
-    """Base and link frames by name, base first; the base may be left out.
-
-    Raises:
-        InputError: a name is unknown or comes twice.
-    """
+    """Base and link frames by name, the base, which may be left out, first; `InputError` for unknown or equal ones."""
     results = [find_frame(model, name) for name in links]
     inboard = results[0] if base is None else find_frame(model, base)
     if base is None:

@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.checks import FREE
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms
 from lieednn_sim.arm.frames import BodyFrames
 from lieednn_sim.errors import InputError
@@ -26,53 +27,35 @@ if TYPE_CHECKING:
 
     from lieednn_sim.arm.serial_arm import SerialArm
 
-# How much further than at the start the held body may sink into what it stands on [m].
-_DEPTH = 5e-4
+_DEPTH = 5e-4  # how much further than at the start the held body may sink into what it stands on [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """A free body fixed to the end effector.
+    """A free body fixed to the end effector."""
 
-    Attributes:
-        bodies: ids of it, first, and of all bodies that hang from it.
-        carrier: id of the body that carries it, that of the end effector.
-        place: its pose in the end effector's frame.
-        qpos, qvel: addresses of its free joint's first entries.
-        offsets: distances at which its geoms count as touching others, less the clearance (`contacts.ContactOffsets`).
-    """
-
-    bodies: tuple[int, ...]
-    carrier: int
-    place: RigidTransform
-    qpos: int
-    qvel: int
+    bodies: tuple[int, ...]  # ids of it, first, and of all bodies that hang from it
+    carrier: int  # id of the body that carries it, that of the end effector
+    place: RigidTransform  # in the end effector's frame
+    qpos: int  # address of its free joint's first entry
+    qvel: int  # the same in qvel
+    # Distances at which its geoms count as touching others, less the clearance (`contacts.ContactOffsets`) [m].
     offsets: dict[tuple[int, int], float]
 
 
 def find_grasp(
     model: mujoco.MjModel, qpos: Floats, tip: BodyFrames, holding: str, touching: Sequence[str], clearance: float
 ) -> Grasp:
-    """The grasp of a free body at its present pose.
+    """The grasp of the free body called ``holding`` at its present pose, where the model is at ``qpos`` ``(nq,)``.
 
-    The held body may touch what it is nearer to than the clearance now, and the bodies of ``touching``, but sink into
-    them no deeper than now. What carries it may touch it, and so may other parts of the arm that are that near now.
-
-    Args:
-        model: the model.
-        qpos: its positions ``(nq,)``.
-        tip: the frame of the end effector.
-        holding: name of a body with a free joint.
-        touching: names of bodies that the held body may touch as well, such as where it is put.
-        clearance: distance that other pairs keep [m].
+    The held body may touch what it is nearer to than the clearance [m] now, and the bodies called as in ``touching``,
+    such as where it is put, but sink into them no deeper than now. What carries it may touch it, and so may other parts
+    of the arm that are that near now.
 
     Raises:
         InputError: there is no such free body, it carries the arm, or there is no body to touch.
     """
-    free = {
-        model.body(model.jnt_bodyid[joint]).name: joint
-        for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).tolist()
-    }
+    free = {model.body(model.jnt_bodyid[j]).name: j for j in np.flatnonzero(model.jnt_type == FREE).tolist()}
     if holding not in free:
         names = ", ".join(sorted(filter(None, free))) or "none"
         raise InputError(f"nothing to hold is called {quoted(holding)}; bodies with a free joint are: {names}")
@@ -98,11 +81,9 @@ def find_grasp(
     for others, offset in ((hand, -np.inf), (stands, -_DEPTH - clearance)):
         for pair in product(np.flatnonzero(mine & solid).tolist(), np.flatnonzero(others & solid).tolist()):
             offsets.setdefault(pair, offset)
-    place, turn = tip.poses(data.xpos, data.xmat)
-    inside = turn[0].T @ data.xmat[body].reshape(3, 3), turn[0].T @ (data.xpos[body] - place[0])
-    pose = scipy.spatial.transform.RigidTransform.from_components(
-        inside[1], scipy.spatial.transform.Rotation.from_matrix(inside[0])
-    )
+    (place,), (turn,) = tip.poses(data.xpos, data.xmat)
+    turned = scipy.spatial.transform.Rotation.from_matrix(turn.T @ data.xmat[body].reshape(3, 3))
+    pose = scipy.spatial.transform.RigidTransform.from_components(turn.T @ (data.xpos[body] - place), turned)
     addresses = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     return Grasp((body, *bodies[bodies != body].tolist()), carrier, pose, *addresses, offsets)
 
@@ -123,8 +104,7 @@ def add_payload(spec: Any, arm: SerialArm, mass: float, name: str) -> None:
 def load_body(model: mujoco.MjModel, arm: SerialArm, mass: float) -> None:
     """Add a ball [kg] to the mass and inertia of the end effector's body in a compiled model, which is changed.
 
-    Raises:
-        InputError: MuJoCo compensates that body for gravity, at its centre of mass.
+    `InputError` if MuJoCo compensates that body for gravity, at its centre of mass.
     """
     tip = arm.frames[-1:]
     body, turn = int(tip.bodies[0]), np.empty(9)

@@ -21,10 +21,8 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
-# Error at which the pose counts as reached [m, rad].
-_TOLERANCE = 1e-6
-# Attempts if none of them comes near a solution, and otherwise; steps of each.
-_ATTEMPTS, _MOST, _STEPS = 8, 32, 60
+_TOLERANCE = 1e-6  # error at which the pose counts as reached [m, rad]
+_ATTEMPTS, _MOST, _STEPS = 8, 32, 60  # attempts if none of them comes near a solution, and otherwise; steps of each
 
 
 def solve_ik(
@@ -66,8 +64,7 @@ def ik_candidates(
     """Several joint positions ``(n,)`` as of `solve_ik`, the one that is reached soonest first.
 
     The measure is the time that the slowest joint needs at its velocity limit, or at its range in a second where it has
-    none. The search ends with four different positions, or after 32 attempts; after 8 if
-    none of them came near.
+    none. The search ends with four different positions, or after 32 attempts; after 8 if none of them came near.
 
     Args:
         arm: the arm.
@@ -124,14 +121,7 @@ class _Point:
 
 
 class _Search:
-    """Searches joint positions with the end effector at a goal and, if there is one, in a region to keep.
-
-    Args:
-        arm: the arm.
-        goal: of the end effector.
-        path_constraint: a region in which it is, too.
-        start: ``(n,)`` joint coordinates from which the first search begins.
-    """
+    """Searches joint positions, from a start ``(n,)``, with the end effector at a goal and in a region to keep."""
 
     def __init__(
         self, arm: Arm, goal: _Point | TaskSpaceRegion, path_constraint: TaskSpaceRegion | None, start: Floats

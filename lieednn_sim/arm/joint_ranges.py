@@ -36,22 +36,13 @@ def joint_ranges(
     around: Floats,
     within: Mapping[int, Floats],
 ) -> dict[int, Floats]:
-    """The range ``(2,)`` [rad, m] of each joint; new and narrowed ranges are added to ``notes``.
+    """The range ``(2,)`` [rad, m] of each joint of links' ``groups``; new and narrowed ones are added to ``notes``.
 
     A coordinate may move as far as all the joints that it moves. A hinge or ball joint without a range gets 0.95 pi
     either side of its reference. A hinge alone in its link keeps its range, whatever it is; other hinges, and ball
-    joints, are narrowed to 0.99 pi, where the logarithm is still unique.
-
-    Args:
-        model: the model as given.
-        groups: for each link, the joints that move it.
-        couplings: joints that follow others.
-        notes: remarks for the report.
-        around: positions ``(nq,)`` about which hinges without a range may make a turn in each direction.
-        within: ranges ``(2,)`` that bound some joints besides, of joints elsewhere that follow them.
-
-    Raises:
-        InputError: a slide has no range, or nothing is left of a range.
+    joints, are narrowed to 0.99 pi, where the logarithm is still unique. About the positions ``around`` ``(nq,)``
+    hinges without a range may make a turn in each direction; ``within`` are ranges ``(2,)`` that bound some joints
+    besides, of joints elsewhere that follow them. `InputError` if a slide has no range, or nothing is left of a range.
     """
     joints = [joint for group in groups for joint in group]
     spans = {joint: _span(model, joint, notes, around, alone=len(group) == 1) for group in groups for joint in group}
@@ -91,10 +82,8 @@ def narrow_to_servos(
     """The limits ``(n, 2)`` of the coordinates within which position servos can hold them.
 
     Without a load a servo rests at the length l at which g ctrl + b0 + b1 l = 0, with the control in its range. Those
-    count that act on one coordinate, on which nothing else acts, where they are at ``qpos`` ``(nq,)``.
-
-    Raises:
-        InputError: nothing is left of a range.
+    count that act on one coordinate, on which nothing else acts, where they are at ``qpos`` ``(nq,)``. `InputError` if
+    nothing is left of a range.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim.lie import hat, left_jacobian_so3, logarithm, moving, skew, transforms
+from lieednn_sim.lie.se3 import hat, left_jacobian_so3, logarithm, moving, skew, transforms
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -23,21 +23,13 @@ _ONE = np.eye(3)
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """One joint of MuJoCo in a compound joint, described in the joint frame at the reference position.
+    """One joint of MuJoCo in a compound joint, described in the joint frame at the reference position."""
 
-    Attributes:
-        kind: ``"hinge"``, ``"slide"`` or ``"ball"``.
-        axes: ``(3, c)`` the unit axis of a hinge or slide; for a ball joint, the axes of its rotation vector.
-        anchor: ``(3,)`` a point that the joint does not move.
-        indices: ``(c,)`` indices of its coordinates in q.
-        ratio: displacement of the joint per unit of its coordinate; it differs from 1 for coupled joints only.
-    """
-
-    kind: str
-    axes: Floats
-    anchor: Floats
-    indices: NDArray[np.int_]
-    ratio: float = 1.0
+    kind: str  # "hinge", "slide" or "ball"
+    axes: Floats  # (3, c) the unit axis of a hinge or slide; for a ball joint, the axes of its rotation vector
+    anchor: Floats  # (3,) a point that the joint does not move
+    indices: NDArray[np.int_]  # (c,) indices of its coordinates in q
+    ratio: float = 1.0  # displacement per unit of its coordinate; it differs from 1 for coupled joints only
 
     def motion(self, offset: Floats) -> tuple[Floats, Floats]:
         """Rotation ``(..., 3, 3)`` and translation ``(..., 3)`` at displacements ``(..., n)`` of q."""
@@ -198,15 +190,10 @@ def _compose(rotation: Floats, translation: Floats, turn: Floats, shift: Floats)
 
 @dataclass(frozen=True, eq=False)
 class CompoundJoints:
-    """The N compound joints of an arm.
+    """The N compound joints of an arm."""
 
-    Attributes:
-        joints: from the base outwards.
-        reference: ``(n,)`` q at which every T is the identity.
-    """
-
-    joints: tuple[CompoundJoint, ...]
-    reference: Floats
+    joints: tuple[CompoundJoint, ...]  # from the base outwards
+    reference: Floats  # (n,) q at which every T is the identity
 
     def poses(self, q: Floats) -> RigidTransform:
         """T_i(q), ``(..., n)`` to poses of shape ``(..., N)``."""

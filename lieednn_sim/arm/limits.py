@@ -20,8 +20,7 @@ from lieednn_sim.values import Floats
 
 # Fraction of an actuator's spare force used for acceleration: the rest is for friction and coupling to other joints.
 _ACCELERATING_FRACTION = 0.5
-# How far beyond a range rounding may lead [rad, m].
-_ROUNDING = 1e-6
+_ROUNDING = 1e-6  # how far beyond a range rounding may lead [rad, m]
 
 
 def check_rates(limits: Any) -> None:
@@ -49,12 +48,9 @@ def read_numeric(model: mujoco.MjModel, arm: str, field: str, default: Floats, v
 
 
 def largest_inertia(model: mujoco.MjModel, configurations: Floats, rates: Floats) -> Floats:
-    """Largest inertia ``(n,)``, armature included, of each coordinate with the others held.
+    """Largest inertia ``(n,)``, armature included, of each coordinate with the others held, at ``(S, nq)``.
 
-    Args:
-        model: the compiled model.
-        configurations: ``(S, nq)``.
-        rates: as in `force_ranges`, ``(nv, n)`` or, where they differ, ``(S, nv, n)``.
+    Rates are as in `force_ranges`, ``(nv, n)`` or, where they differ, ``(S, nv, n)``.
     """
     data, column = mujoco.MjData(model), np.zeros(model.nv)
     rates = np.broadcast_to(rates, (len(configurations), *rates.shape[-2:]))
@@ -81,10 +77,9 @@ def spare_acceleration(model: mujoco.MjModel, configurations: Floats, rates: Flo
 
 
 class Stops:
-    """The ranges of joints that an arm moves by loops or curves and of limited tendons, at positions of a model.
+    """The ranges of joints that an arm moves by loops or curves and of limited tendons, in a compiled model.
 
     Args:
-        model: the compiled model, which is not changed.
         joints: ids of the dependent joints; those with a range count, and that all can be solved.
         moving: ids of all joints that the arm moves: limited tendons between them count.
         loops: whether rows may be NaN, because loops cannot be closed there.
@@ -93,12 +88,9 @@ class Stops:
     def __init__(self, model: mujoco.MjModel, joints: Sequence[int], moving: Sequence[int], *, loops: bool) -> None:
         self._model, self._loops = model, loops
         self._joints = [joint for joint in joints if model.jnt_limited[joint] and model.jnt_type[joint] != FREE]
-        self._tendons = [
-            tendon
-            for tendon in np.flatnonzero(model.tendon_limited).tolist()
-            if tendon_joints(model, tendon).intersection(moving)
-        ]
-        ranges = [*(joint_range(model, joint) for joint in self._joints)]
+        limited = np.flatnonzero(model.tendon_limited).tolist()
+        self._tendons = [tendon for tendon in limited if tendon_joints(model, tendon).intersection(moving)]
+        ranges = [joint_range(model, joint) for joint in self._joints]
         ranges += [*free_ranges(model.tendon_range[self._tendons], model.tendon_margin[self._tendons])]
         self._low, self._high = np.array(ranges, dtype=float).reshape(-1, 2).T
         self._data = mujoco.MjData(model) if self._tendons else None

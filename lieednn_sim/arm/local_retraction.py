@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dposv
 
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.kinematics import Factor
-from lieednn_sim.lie import hat, skew
+from lieednn_sim.lie.se3 import hat, skew
 from lieednn_sim.values import Floats
 
 # Step of the central difference for rates [s]: neither rounding nor the third derivative is seen in ten digits.
@@ -31,12 +31,8 @@ _ONE = np.eye(4).ravel()
 class LocalRetraction:
     """Minimises ||R_i(q) - R_i||^2 / 2 + ||p_i(q) - p_i||^2 / length^2, summed over links i, near the last q.
 
-    Args:
-        arm: the arm.
-        q: ``(n,)`` the initial configuration [rad, m].
-
     Attributes:
-        q: ``(n,)`` the last configuration [rad, m]; may be set.
+        q: ``(n,)`` the last configuration [rad, m], at first the one given; may be set.
     """
 
     def __init__(self, arm: Arm, q: Floats) -> None:

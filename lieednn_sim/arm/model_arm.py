@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.checks import SCALAR, ancestry
+from lieednn_sim.arm.checks import FREE, SCALAR, ancestry
 from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder
 from lieednn_sim.arm.dependents import Dependents
 from lieednn_sim.arm.equalities import dof_addresses
@@ -133,7 +133,7 @@ class ModelArm(SerialArm):
     def _free_bodies(self) -> set[str]:
         """Names of the bodies in a view's model that are free and not carried."""
         model, carried = self.model, () if self.grasp is None else self.grasp.bodies
-        free = model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)] if self.state is not None else ()
+        free = model.jnt_bodyid[model.jnt_type == FREE] if self.state is not None else ()
         return {model.body(body).name for body in free if body not in carried}
 
     @property

@@ -23,13 +23,11 @@ from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, quoted
 from lieednn_sim.values import Floats
 
-# Suffixes that tell a file from the name of a scene.
-SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")
+SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")  # suffixes that tell a file from the name of a scene
 # Obstacles in a list, and goals.
 _MOST = 10_000
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
-# MuJoCo draws groups 0 to 2 by default.
-_HIDDEN = 5
+_HIDDEN = 5  # MuJoCo draws groups 0 to 2 by default
 # The entries of each shape, besides its pose.
 _SHAPES = {
     "box": {"size"},
@@ -57,25 +55,20 @@ def scene_label(path: str | os.PathLike[str]) -> str:
 def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
     """Read a file of obstacles; lengths are in metres, angles in radians, poses in the world's frame.
 
-    An MJCF file holds bodies without joints. Its sites ``goal...`` are boxes in which targets are drawn; without any,
-    they are drawn anywhere. A YAML or JSON file holds a list ``obstacles`` and optionally a list ``goals``. An obstacle
-    has a ``shape`` with its dimensions: ``box``: ``size`` (3 edge lengths); ``sphere``: ``radius``; ``cylinder``,
-    ``capsule``: ``radius``, ``length`` (along z; of a capsule, without its caps); ``mesh``: ``file`` (STL, OBJ or MSH,
-    relative to the list or absolute), and optionally ``scale`` (one number or three); ``plane``: everything below it,
-    along its z. It has a ``position`` (3) and optionally a ``name`` and either ``rpy`` (roll, pitch, yaw, as in a URDF)
-    or ``quaternion`` (w, x, y, z). A goal is a box: ``size``, ``position``, and optionally its orientation. Meshes
-    collide as their convex hulls. ``floor``, a height or ``none``, takes the place of the floor of an imported arm.
+    An MJCF file holds bodies without joints; its sites ``goal...`` are boxes in which targets are drawn. A YAML or JSON
+    file holds a list ``obstacles``, each with a ``shape`` (``box``, ``sphere``, ``cylinder``, ``capsule``, ``mesh``, or
+    ``plane``: everything below it, along its z) and its entries, as in `docs/howto/own_scene.md`; optionally a list
+    ``goals`` of boxes, and the ``floor`` of an imported arm, a height or ``none``.
 
     Raises:
         FileError: the file or one of its meshes is missing, or it cannot be read.
         InputError: an entry is invalid; the message names it.
     """
     source = as_path("the name of a scene", path)
-    spec = (
-        load_spec(source)
-        if source.suffix.lower() == ".xml"
-        else shapes(io.load_description(source, "list of obstacles"), source)
-    )
+    if source.suffix.lower() == ".xml":
+        spec = load_spec(source)
+    else:
+        spec = shapes(io.load_description(source, "list of obstacles"), source)
     for key in spec.keys:
         spec.delete(key)
     for site in spec.sites:
@@ -199,11 +192,9 @@ def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folde
             raise InputError("scale must not be 0")
         spec.add_mesh(name=name, file=str(file.resolve()), scale=scale)
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **look)
-    elif shape == "plane":
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05], **look)
     else:
-        kind = getattr(mujoco.mjtGeom, f"mjGEOM_{shape.upper()}")
-        body.add_geom(type=kind, size=_half_sizes(entry, shape), **look)
+        size = [0.0, 0.0, 0.05] if shape == "plane" else _half_sizes(entry, shape)
+        body.add_geom(type=getattr(mujoco.mjtGeom, f"mjGEOM_{shape.upper()}"), size=size, **look)
 
 
 def _add_goal(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: Path, _: set[str]) -> None:

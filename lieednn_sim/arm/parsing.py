@@ -12,21 +12,14 @@ import scipy
 from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.checks import (
-    check_independent,
-    check_integrator,
-    check_numbers,
-    check_turn,
-    joint_kind,
-    joint_label,
-)
+from lieednn_sim.arm.checks import check_numbers, joint_kind, joint_label
 from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
 from lieednn_sim.arm.dependents import Dependents, independent_joints
 from lieednn_sim.arm.equalities import joint_range
 from lieednn_sim.arm.forces import DRIVABLE, actuator_moments, drivable, force_ranges, tangent_basis
 from lieednn_sim.arm.frames import BodyFrames, Frame, joint_groups, site_frame
 from lieednn_sim.arm.joint_ranges import narrow_to_servos
-from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor
+from lieednn_sim.arm.kinematics import CompoundJoint, CompoundJoints, Factor, least_singular_value
 from lieednn_sim.arm.limits import read_numeric
 from lieednn_sim.arm.surroundings import home_data
 from lieednn_sim.errors import InputError
@@ -38,15 +31,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Link frames and the joints between them.
+    """Link frames and the joints between them."""
 
-    Attributes:
-        frames: N + 1 frames, that of the base first.
-        groups: N tuples of joints, each from the base outwards.
-    """
-
-    frames: tuple[Frame, ...]
-    groups: tuple[tuple[int, ...], ...]
+    frames: tuple[Frame, ...]  # N + 1, that of the base first
+    groups: tuple[tuple[int, ...], ...]  # N tuples of joints, each from the base outwards
 
 
 def read_arm(
@@ -60,24 +48,20 @@ def read_arm(
     ranges: Mapping[int, Floats] | None = None,
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The fields of an `Arm` that its model determines.
+    """The fields of an `Arm` that its model determines; ``arm`` is its name, for messages.
+
+    Without a chain, that of the sites base_frame, link1_frame, ... is read, by the model's own ranges and equalities.
+
+    `InputError` if the model is not an arm.
 
     Args:
-        model: the compiled model.
-        arm: the arm's name, for messages.
-        chain: frames and joints; by default those of the sites base_frame, link1_frame, ...
         rest: ``(nq,)`` where the other joints stay; by default at the keyframe ``home``.
-        lines: the couplings of the chain's joints, and of others that follow them; by default the former, by the
-            model's equalities.
-        sums: joints of the chain, and others, that follow several joints of it.
-        ranges: the range ``(2,)`` of each joint of the chain; by default the model's.
+        lines, sums: of the joints of a chain, and others, that follow one or several joints of it.
+        ranges: the range ``(2,)`` of each joint of a chain.
         notes: which of these were made or narrowed.
-
-    Raises:
-        InputError: the model is not an arm.
     """
     check_numbers(model)
-    check_integrator(model, arm)
+    _check_integrator(model, arm)
     viewed = chain is not None
     chain = read_chain(model, arm) if chain is None else chain
     group = [joint for group in chain.groups for joint in group]
@@ -170,9 +154,8 @@ def read_joints(
     reference = coordinates.from_qpos(model.qpos0)
     data = kinematics_at(model, coordinates.to_qpos(reference))
     places, turns = BodyFrames.of(chain.frames).poses(data.xpos, data.xmat)
-    world = scipy.spatial.transform.RigidTransform.from_components(
-        places, scipy.spatial.transform.Rotation.from_matrix(turns)
-    )
+    turned = scipy.spatial.transform.Rotation.from_matrix(turns)
+    world = scipy.spatial.transform.RigidTransform.from_components(places, turned)
     joints, mounts, tips = [], [], []
     for (parent, child), group in zip(itertools.pairwise(world), chain.groups, strict=True):
         # The joint frame sits on the last axis that turns and takes the axes of the first moving body.
@@ -188,9 +171,9 @@ def read_joints(
         shared = any(np.isin(compound.indices, other.indices).any() for other in joints if other is not compound)
         if compound.screw is None or shared:
             for joint in group:
-                check_turn(model, arm, joint, ranges[joint])
+                _check_turn(model, arm, joint, ranges[joint])
         if not shared:
-            check_independent(compound, len(coordinates), f"link {i} of arm {arm!r}")
+            _check_independent(compound, len(coordinates), f"link {i} of arm {arm!r}")
     return (
         CompoundJoints(tuple(joints), reference),
         world[0],
@@ -205,17 +188,14 @@ def read_position_limits(
     """Limits ``(n, 2)``: the strictest of the joints that it alone moves; for a ball joint, its largest angle."""
     limits = np.tile([-np.inf, np.inf], (len(coordinates), 1))
     for joint in (joint for group in chain.groups for joint in group):
-        low, high = ranges[joint]
+        address, span = model.jnt_qposadr[joint], ranges[joint]
+        moving = np.flatnonzero(coordinates.coupling[address])
         if joint_kind(model, joint) == "ball":
-            row = int(np.flatnonzero(coordinates.ball_addresses[:, 0] == model.jnt_qposadr[joint])[0])
-            limits[coordinates.balls[row]] = [-high, high]
-            continue
-        address = model.jnt_qposadr[joint]
-        k, *others = np.flatnonzero(coordinates.coupling[address])
-        if others:
-            continue
-        bounds = np.sort((np.array([low, high]) - coordinates.offset[address]) / coordinates.coupling[address, k])
-        limits[k] = max(limits[k, 0], bounds[0]), min(limits[k, 1], bounds[1])
+            limits[coordinates.ball(address)] = [-span[1], span[1]]
+        elif len(moving) == 1:
+            (k,) = moving
+            low, high = np.sort((span - coordinates.offset[address]) / coordinates.coupling[address, k])
+            limits[k] = max(limits[k, 0], low), min(limits[k, 1], high)
     return limits
 
 
@@ -239,9 +219,8 @@ def _factors(
     inverse = frame.inv()
     anchor = inverse.apply(data.xanchor[joint])
     if joint_kind(model, joint) == "ball":
-        row = int(np.flatnonzero(coordinates.ball_addresses[:, 0] == model.jnt_qposadr[joint])[0])
         axes = (inverse.rotation * _orientation(data, model.jnt_bodyid[joint])).as_matrix()
-        yield Factor("ball", axes, anchor, coordinates.balls[row])
+        yield Factor("ball", axes, anchor, coordinates.ball(model.jnt_qposadr[joint]))
         return
     ratios, axis = coordinates.coupling[model.jnt_qposadr[joint]], inverse.rotation.apply(data.xaxis[joint])
     for index in np.flatnonzero(ratios):
@@ -250,3 +229,43 @@ def _factors(
 
 def _orientation(data: mujoco.MjData, body: int) -> Rotation:
     return scipy.spatial.transform.Rotation.from_matrix(data.xmat[body].reshape(3, 3))
+
+
+def _check_integrator(model: mujoco.MjModel, arm: str) -> None:
+    """Raise `InputError` for RK4: MuJoCo can neither split its step, as controllers need, nor invert it.
+
+    `mj_step1` and `mj_step2` would silently integrate with Euler's method; inverse dynamics would fail.
+    """
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise InputError(
+            f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; set "
+            'its <option integrator="..."> to implicitfast, implicit or Euler'
+        )
+
+
+def _check_turn(model: mujoco.MjModel, arm: str, joint: int, span: Floats) -> None:
+    """Raise `InputError` for a joint whose range ``span`` ``(2,)`` is too wide to be encoded by a logarithm."""
+    label, kind = joint_label(model, arm, joint), joint_kind(model, joint)
+    if kind == "slide":
+        return
+    reference = 0.0 if kind == "ball" else model.qpos0[model.jnt_qposadr[joint]]
+    most = np.abs(span - reference).max()
+    if most >= np.pi:
+        raise InputError(
+            f"{label} may turn by {most:.3g} rad from its reference; the logarithm needs less than pi where other "
+            "joints move the same link"
+        )
+
+
+def _check_independent(joint: CompoundJoint, size: int, link: str) -> None:
+    """Raise `InputError` for a compound joint whose pose determines its coordinates at none of a few configurations."""
+    # They are tested at random configurations, and dependent where the singular value is below the last number.
+    count, configurations, dependent = len(joint.indices), 8, 1e-6
+    if count > 6:
+        raise InputError(f"{link} is moved by {count} coordinates, but a pose determines six; name more links")
+    frames, _ = joint.pose_and_slopes(np.random.default_rng(0).uniform(-1.0, 1.0, (configurations, size)))
+    columns = np.swapaxes(joint.selection(joint.indices) @ frames[:, 1:].reshape(configurations, -1, 12), -1, -2)
+    if least_singular_value(columns, dependent).max() < dependent:
+        raise InputError(
+            f"{link} is moved by {count} coordinates that are not independent; name more links to separate them"
+        )

@@ -56,12 +56,7 @@ class Retraction:
 
 
 class Retractor:
-    """Retracts the poses of an arm's compound joints.
-
-    Args:
-        joints: the arm's compound joints.
-        length: length [m] that counts as much as one radian where a pose cannot be met.
-    """
+    """Retracts the poses of compound joints; a length [m] counts as much as a radian where a pose cannot be met."""
 
     def __init__(self, joints: CompoundJoints, length: float) -> None:
         self._joints = joints
@@ -73,13 +68,10 @@ class Retractor:
         return all(isinstance(solver, SixDof) for solver in self._solvers)
 
     def __call__(self, xi: Floats, xi_dot: Floats | None = None, start: Floats | None = None) -> Retraction:
-        """Nearest joint position to exp(xi_i), with its derivative along xi_dot.
+        """Nearest joint position to exp(xi_i), with its derivative along xi_dot, both ``(..., N, 6)``.
 
-        Args:
-            xi: ``(..., N, 6)``.
-            xi_dot: ``(..., N, 6)``, or None for poses at rest.
-            start: ``(n,)`` configuration from which ``xi`` ``(K, ..., N, 6)`` are followed along their first axis, see
-                `nearest.NearestPose.follow`; or guesses ``(K, ..., n)`` of the result.
+        From a configuration ``start`` ``(n,)``, ``xi`` ``(K, ..., N, 6)`` are followed along their first axis, see
+        `nearest.NearestPose.follow`; ``start`` may also be guesses ``(K, ..., n)`` of the result.
         """
         check_time()
         near = None if start is None else start - self._joints.reference

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform, Rotation
 
 _FREE = np.full(3, np.inf)
-# Bounds and frames are at most this far away [m], so that squares stay far from overflow.
-_FARTHEST = 1e6
+_FARTHEST = 1e6  # bounds and frames are at most this far away [m], so that squares stay far from overflow
 
 
 @frozen

@@ -19,14 +19,12 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.registry import SCENES
 from lieednn_sim.values import Floats
 
-# Distance that every obstacle keeps from the arm at home [m].
-HOME_CLEARANCE = 0.05
+HOME_CLEARANCE = 0.05  # distance that every obstacle keeps from the arm at home [m]
 PREFIX = "obstacle_"
 GOAL_PREFIX = "obstacle_goal"
 
 _BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
-# Options of a geom that touches nothing.
-_DRAWN = {"contype": 0, "conaffinity": 0}
+_DRAWN = {"contype": 0, "conaffinity": 0}  # options of a geom that touches nothing
 _MATERIALS = {
     # Obstacles that the arm goes behind are transparent.
     "obstacle_panel": (0.83, 0.80, 0.74, 0.35),

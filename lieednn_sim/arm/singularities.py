@@ -26,8 +26,7 @@ from lieednn_sim.values import Floats
 # v, for a Jacobian with columns of unit length, and r. Smaller values follow poses more closely, but turn hinges more.
 # With these, 0.3 mm beside a pose where the configuration changes by 1 rad/s, hinges turn by 5 mrad at 2 rad/s^2.
 NEARLY_SINGULAR, _STRAIGHTENED_FRACTION = 0.15, 0.05
-# Curvatures below this fraction of the largest count as zero.
-_FLAT = 1e-9
+_FLAT = 1e-9  # curvatures below this fraction of the largest count as zero
 
 _Evaluate = Callable[[Floats], tuple[Floats, Floats]]
 
@@ -50,14 +49,13 @@ def singularity_margin(jacobian: Floats) -> Floats:
 def straighten(
     evaluate: _Evaluate, exact: Floats, guess: Floats, margin: Floats, goal: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Coordinates ``(K, c)`` along a path, and which of them ``(K,)`` are straightened.
+    """Coordinates ``(K, c)`` along a path of stacked poses ``(K, r)``, and which of them ``(K,)`` are straightened.
 
     Args:
         evaluate: maps coordinates ``(B, c)`` to stacked poses ``(B, r)`` and their Jacobian ``(B, r, c)``.
         exact: ``(K, c)`` coordinates that minimise the distance at each sample.
         guess: ``(K, c)`` coordinates near these that go straight on.
         margin: ``(K,)`` `singularity_margin` at the samples.
-        goal: ``(K, r)`` stacked poses of the path.
     """
     singular = margin < 1.0
     singular[[0, -1]] = False

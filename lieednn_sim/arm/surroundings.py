@@ -72,13 +72,8 @@ def rigid_groups(
     filter uses and kinematics do not. Pairs that move together, such as the fingers of a hand, do not count, nor those
     that the filter leaves out in the model: a link and its parent, even if that is fixed now.
 
-    Args:
-        model: the model.
-        dofs: those that the arm moves.
-        carried: ids of a body with a free joint that is carried, and of those that hang from it.
-
-    Returns:
-        The copy, and the offset -inf (`contacts.ContactOffsets`) of the pairs.
+    The arm moves ``dofs``; ``carried`` are the ids of a body with a free joint that is carried, and of those that hang
+    from it. The pairs have the offset -inf (`contacts.ContactOffsets`).
     """
     group = moved_together(model, dofs)
     group[list(carried)] = carried[0] if len(carried) else 0

@@ -20,8 +20,7 @@ __all__ = ["draw_target"]
 
 # Distances that the arm keeps from obstacles, and its parts from each other, at a target [m].
 TARGET_CLEARANCE, OWN_CLEARANCE = 0.02, 0.0025
-# Fraction of a joint's range that targets keep away from its limits.
-LIMIT_MARGIN = 0.05
+LIMIT_MARGIN = 0.05  # fraction of a joint's range that targets keep away from its limits
 # Targets of arms whose joints have six dofs each: U(-0.8, 0.8) in the network's coordinates (paper, section 5).
 NETWORK_SPREAD = 0.8
 _ATTEMPTS = 400
@@ -55,11 +54,9 @@ def draw_target(arm: Arm, seed: Seed = 0) -> Floats:
         point = places[site] + turns[site] @ inside
         near = np.clip(home + 0.25 * rng.normal(size=arm.n_joints) * arm.ranges, low + inset, high - inset)
         q = _towards(arm, data, near, point, low + inset, high - inset)
-        if (
-            q is not None
-            and arm.limit_excess(q).max() <= 0.0
-            and collisions.is_free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE)
-        ):
+        if q is None or arm.limit_excess(q).max() > 0.0:
+            continue
+        if collisions.is_free(q, TARGET_CLEARANCE, own=OWN_CLEARANCE):
             return q
     raise NoSolutionError(
         f"no target was found for arm {arm.name!r} among its obstacles: in {_ATTEMPTS} tries its end effector did not "

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.checks import ancestry, check_numbers, joints_of
+from lieednn_sim.arm.checks import FREE, ancestry, check_numbers, joints_of
 from lieednn_sim.arm.compound_joints import Couplings, along_tendons, cut
 from lieednn_sim.arm.contacts import without_clearance
 from lieednn_sim.arm.coordinates import Coordinates
@@ -29,17 +29,10 @@ from lieednn_sim.values import Floats
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What `read_view` reads.
+    """What `read_view` reads."""
 
-    Attributes:
-        fields: the fields of an `Arm` that some joints of a model determine.
-        held: name of a free body that the end effector holds by an active weld, if any.
-        chain: the frames, and the joints between them.
-        couplings: joints that follow others.
-    """
-
-    fields: dict[str, Any]
-    held: str | None
+    fields: dict[str, Any]  # those of an `Arm` that some joints of a model determine
+    held: str | None  # name of a free body that the end effector holds by an active weld, if any
     chain: Chain
     couplings: Couplings
 
@@ -198,7 +191,7 @@ def _welded(model: mujoco.MjModel, data: mujoco.MjData, dependents: Dependents, 
         if model.eq_objtype[weld] == int(mujoco.mjtObj.mjOBJ_SITE):
             pair = [int(model.site_bodyid[site]) for site in pair]
         for body, hand in (pair, pair[::-1]):
-            free = model.jnt_type[joints_of(model, body)] == int(mujoco.mjtJoint.mjJNT_FREE)
+            free = model.jnt_type[joints_of(model, body)] == FREE
             if free.any() and model.body(body).name and group[hand] == group[end]:
                 return model.body(body).name, weld
     return None, -1

@@ -1,10 +1,5 @@
-"""Files: arrays as ``.npz``, everything else as JSON, written atomically and never pickled; and folders of results.
+"""Files: arrays as ``.npz``, everything else as JSON, written atomically and never pickled; and folders of results."""
 
-What is read may hold anything, so its size, memory and time are bounded. A folder of results is new, empty, or says in
-a small file that it is ours and for what; see `output_folder`.
-"""
-
-from lieednn_sim.io.reading import LARGEST_TEXT as LARGEST_TEXT
 from lieednn_sim.io.reading import Archive as Archive
 from lieednn_sim.io.reading import is_file as is_file
 from lieednn_sim.io.reading import load_arrays as load_arrays

@@ -22,10 +22,8 @@ from numpy.typing import NDArray
 from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_path
 
-# Bytes of a file, and of the arrays of one once they are unpacked.
-LARGEST_FILE = LARGEST_ARRAYS = 2**30
-# Bytes of a JSON or YAML file, and of the text beside arrays; those of the package are far smaller.
-LARGEST_TEXT = 1_000_000
+LARGEST_FILE = LARGEST_ARRAYS = 2**30  # bytes of a file, and of the arrays of one once they are unpacked
+LARGEST_TEXT = 1_000_000  # bytes of a JSON or YAML file, and of the text beside arrays
 # Values in a YAML or JSON file, each counted as often as aliases repeat it, and how deep they are nested.
 _MOST_VALUES, _DEEPEST = 1_000_000, 100
 _MOST_ARRAYS = 1000

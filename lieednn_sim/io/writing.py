@@ -25,8 +25,7 @@ except ImportError:  # on Windows
 else:
     _LOCKS = True
 
-# The file that says that a folder is ours, and what it holds.
-MARK = "lieednn_sim.json"
+MARK = "lieednn_sim.json"  # the file that says that a folder is ours, and what it holds
 # Between the name of a file and the random end of its temporary name; nobody else's files are called so.
 _UNFINISHED = ".unfinished-"
 

@@ -17,12 +17,8 @@ from lieednn_sim.lie.se3 import adjoint, exp, hat, left_jacobian_se3, left_jacob
 
 # Unchecked, for the rest of the package.
 from lieednn_sim.lie.se3 import continued as continued
-from lieednn_sim.lie.se3 import logarithm as logarithm
-from lieednn_sim.lie.se3 import moving as moving
-from lieednn_sim.lie.se3 import rotation_vectors as rotation_vectors
 from lieednn_sim.lie.se3 import rotations as rotations
 from lieednn_sim.lie.se3 import same_signs as same_signs
-from lieednn_sim.lie.se3 import skew as skew
 from lieednn_sim.lie.se3 import transforms as transforms
 from lieednn_sim.typecheck import typecheck_public
 

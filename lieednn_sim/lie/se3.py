@@ -46,9 +46,7 @@ def vee(matrix: ArrayLike) -> Floats:
     array = as_floats("matrix", matrix, (), batched=True, largest=_LARGEST)
     if array.shape[-2:] not in ((3, 3), (4, 4)):
         raise InputError(f"vee needs matrices of shape (..., 3, 3) or (..., 4, 4), got {array.shape}")
-    omega = np.empty((*array.shape[:-2], 3))
-    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
-        omega[..., k] = 0.5 * (array[..., i, j] - array[..., j, i])
+    omega = 0.5 * (array[..., [2, 0, 1], [1, 2, 0]] - array[..., [1, 2, 0], [2, 0, 1]])
     if array.shape[-1] == 3:
         return omega
     return np.concatenate([omega, array[..., :3, 3]], axis=-1)

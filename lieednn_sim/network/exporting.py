@@ -135,7 +135,6 @@ def _number(value: object) -> str:
 
 
 def _array(values: NDArray[Any]) -> str:
-    """A brace-enclosed initialiser."""
     if values.ndim == 1:
         return "{" + ", ".join(map(_number, values.tolist())) + "}"
     return "{\n" + ",\n".join(map(_array, values)) + "}"

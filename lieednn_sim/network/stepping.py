@@ -1,9 +1,9 @@
 """Steps of a network in real time: by the Runge-Kutta method, or exact where its hidden neurons have no inputs.
 
-`RungeKuttaStepper` makes few products of small arrays. With u(x) = (mu / gamma) W phi(x) and the pull v = (mu / gamma)
-b, a network is x' = gamma (v + u(x) - x). So every stage of a step h is a sum of x, v and the u of the stages before
-it, whose factors are polynomials of z = gamma h. A stage takes one product for the state and one for its u. The result
-is that of `dynamics.runge_kutta_step` up to rounding.
+With u(x) = (mu / gamma) W phi(x) and the pull v = (mu / gamma) b, a network is x' = gamma (v + u(x) - x). So every
+stage of a step h is a sum of x, v and the u of the stages before it, whose factors are polynomials of z = gamma h.
+`RungeKuttaStepper` takes one product for a stage's state and one for its u, with the result of
+`dynamics.runge_kutta_step` up to rounding.
 
 For `UndrivenState`, with gamma time z and the hidden rest state a, the hidden neurons are h = a + (h_0 - a) e^-z, and
 the visible ones obey x' = u(h) - x with u(h) = (mu / gamma) (W phi(h) + b), so that

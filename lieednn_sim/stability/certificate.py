@@ -1,13 +1,10 @@
 """The diagonal-Lyapunov certificate: a proof of global stability that is one vector of positive numbers.
 
-For x' = -gamma x + mu W phi(x) + mu b with every slope of phi in (0, 1]: if a positive diagonal P makes
-P (W - (gamma/mu) I) negative definite in its symmetric part, then for every bias b there is exactly one equilibrium and
-it attracts every start (Forti and Tesi, IEEE Trans. Circuits Syst. I 42(7), 1995). With S = P^(1/2) the condition reads
-lambda_max(sym(S W S^-1)) < gamma/mu.
-
-`docs/mathematics/certificates.md` proves the rate gamma - mu max(lambda_max, 0), by the Lyapunov function V = sum_i p_i
-int_{x*_i}^{x_i} (phi(s) - phi(x*_i)) ds about the equilibrium x*, and why W of blocks alpha_ij Ad(theta_ij) has such a
-P exactly when W_R = [alpha_ij R_ij] has one. Hence everything here works on W_R, of shape (3N, 3N).
+For x' = -gamma x + mu W phi(x) + mu b with every slope of phi in (0, 1]: if a positive diagonal P = S^2 has
+lambda_max(sym(S W S^-1)) < gamma/mu, then for every bias b there is exactly one equilibrium and it attracts every start
+(Forti and Tesi, IEEE Trans. Circuits Syst. I 42(7), 1995). `docs/mathematics/certificates.md` proves the rate, and why
+W of blocks alpha_ij Ad(theta_ij) has such a P exactly when W_R = [alpha_ij R_ij] has one. Hence everything here works
+on W_R, of shape (3N, 3N).
 
 The best P is found by the method of centres, which needs only NumPy and has no local minima.
 A level lambda is feasible when some positive diagonal P makes F(P) = 2 lambda P - P W - W^T P positive definite. F is
@@ -16,7 +13,7 @@ barrier within bounds on P, is found by Newton's method, and leaves room to lowe
 each other down to the least lambda (Boyd and El Ghaoui, Linear Algebra and its Applications 188, 1993). Each lowering
 first follows the tangent of the path of centres, which saves most of the Newton steps.
 
-In relative changes d of P the barrier's derivatives need three products of matrices. With M = S W S^-1, S = P^(1/2),
+In relative changes d of P the barrier's derivatives need three products of matrices. With M = S W S^-1,
 A = lambda I - M and G = (A + A^T)^-1 the gradient is -2 (A G)_ii, the Hessian 2 (G o (A G A^T) + (A G) o (A G)^T), o
 entry by entry, and the gradient's derivative in lambda -2 (G - 2 A G G)_ii.
 """

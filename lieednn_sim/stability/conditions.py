@@ -1,10 +1,8 @@
 """The hierarchy of stability conditions: which of them hold for a network, and the rate that each one proves.
 
-They range from sums of weights over the best diagonal Lyapunov matrix to local stability. For one matrix, the paper's
-norms imply the log norms, and those the weighted norm; this implies the diagonal Lyapunov condition, and so do the sum
-condition, by way of the Euclidean log norm, and contraction in a quadratic norm (`stability.contraction`). No converse
-holds. A later condition need not prove a higher rate than an earlier one in its own distance, so the verdict names both
-the first that holds and the fastest.
+They range from sums of weights over the best diagonal Lyapunov matrix to local stability; which implies which is in
+`docs/mathematics/certificates.md`. A later condition need not prove a higher rate than an earlier one in its own
+distance, so the verdict names both the first that holds and the fastest.
 """
 
 from __future__ import annotations
@@ -35,8 +33,7 @@ CONDITIONS = (
     "local",
 )
 
-# Couplings stronger than this, relative to the decay, make a network stiff: its time scales are so far apart that
-# explicit integrators need very many steps, and rounding errors are amplified.
+# Couplings stronger than this, relative to the decay, make a network stiff: explicit integrators need very many steps.
 STIFF = 100.0
 
 

@@ -1,18 +1,13 @@
 """Contraction: the distance between any two solutions falls at a proven rate in one norm.
 
-With P positive definite and full, and Q positive and diagonal, the distance |e|_P = (e^T P e)^(1/2) of two solutions
-falls at the rate gamma - mu v when
-
-    [[2 v P, P W + Q], [(P W + Q)^T, 2 Q]] >= 0
-
-(sharp conditions of this kind: Gokhale, Proskurnikov, Kawano and Bullo, arXiv 2604.15238, 2026). With S = Q^(1/2) and P
-= T^T T the least v of a pair (P, Q) is |T^-T S + T W S^-1|_2^2 / 4, which `verify_contraction` evaluates, with a bound
-on its rounding. For Q alone, the least v over all P is the largest of
+With P = T^T T positive definite and full, and Q = S^2 positive and diagonal, the distance |e|_P = |T e|_2 of two
+solutions falls at the rate gamma - mu v for v = |T^-T S + T W S^-1|_2^2 / 4, which `verify_contraction` evaluates, with
+a bound on its rounding. For Q alone, the least v over all P is the largest of
 
     cos(a) lambda_max(Herm(exp(i a) S W S^-1)),  |a| < pi/2.
 
 At a = 0 this is the left side of the diagonal Lyapunov condition with P = Q, which contraction therefore implies.
-`docs/mathematics/robustness.md` derives all this.
+`docs/mathematics/robustness.md` derives all this, and has its sources.
 """
 
 from __future__ import annotations
@@ -38,7 +33,7 @@ class Contraction:
     Attributes:
         factor: upper triangular T ``(n, n)`` of the norm |e|_P = |T e|_2, P = T^T T.
         multiplier: the diagonal of Q, ``(n,)``.
-        value: the least v for which the inequality holds.
+        value: the least v for which distances fall at the rate gamma - mu v.
         rounding: bound on the error of `value` in floating point; infinite where T is too ill-conditioned.
         bound: gamma/mu.
         gamma: decay rate of an isolated neuron, in 1 / (the network's time).
@@ -169,8 +164,8 @@ def least_level(scaled: Floats) -> tuple[float, float, float]:
 def norm_at(weight: Floats, log_scale: Floats, level: float) -> Floats | None:
     """T ``(n, n)`` of a well-conditioned P that proves a level v with Q = S^2, or None.
 
-    Equality in the inequality is a Riccati equation for X = S^-1 P S^-1: with M = S W S^-1,
-    (I + X M) (I + X M)^T = 4 v X, of which this is the stabilising solution.
+    Equality in the inequality of `docs/mathematics/robustness.md` is a Riccati equation for X = S^-1 P S^-1: with
+    M = S W S^-1, (I + X M) (I + X M)^T = 4 v X, of which this is the stabilising solution.
     """
     scaled, n = scale(weight, log_scale), len(weight)
     shifted = scaled - 2.0 * level * np.eye(n)

@@ -3,21 +3,13 @@
 A push moves only the coordinates that W lets it reach: the others stay on their course. So everything is proved on the
 submatrix of the coordinates reached, and in a cascade a push on its last layer involves that layer alone.
 
-On the coordinates considered, e' = -gamma e + mu W f, with f_i between 0 and e_i, has two kinds of proof, in the norm
-|e|_P = |T e|_2.
+There are two kinds of proof, in the norm |e|_P = |T e|_2, both derived in `docs/mathematics/robustness.md`: contraction
+of any two motions (`stability.contraction`), with steps h < h_0 of forward Euler and of Runge-Kutta 4; and where that
+is not proved, the certificate's own diagonal P = S^2, about the equilibrium, by U = eps |S e|^2 / 2 + V.
 
-Contraction (`stability.contraction`), of any two motions: |e(t)|_P <= exp(-c t) |e(0)|_P, a lag of at most |x*'|_P / c
-behind an equilibrium that moves at the velocity x*', and steps h < h_0 of forward Euler and of Runge-Kutta 4, with the
-largest h_0 for which 2 <e', e>_P <= -h_0 |e'|_P^2; see `docs/mathematics/robustness.md`.
-
-The certificate's own diagonal P = S^2, about the equilibrium, where contraction is not proved: with y = S e, g = S f
-and V of `stability.certificate`, U = eps |y|^2 / 2 + V falls at a rate c (`docs/mathematics/robustness.md`), and
-
-    |y(t)| <= sqrt(1 + 1/eps) exp(-c t / 2) |y(0)|,  |y| <= 2 (1 + 1/eps) / c |S x*'|.
-
-Time steps h. Under U, whose second derivative is at most (1 + eps) P, a quadratic form in |y| and |g| tells when U
-falls. The mean of the four fields of Runge-Kutta 4 differs from the first by at most z/2 + z^2/6 + z^3/24 of it, z = h
-(gamma + mu |S W S^-1|_2). The weights of the adaptive Runge-Kutta 4(5) are not all positive: it has no proof.
+Under U, whose second derivative is at most (1 + eps) P, a quadratic form in |y| = |S e| and |g| = |S f|, where f is
+what phi makes of e, tells when a step h lets U fall. The mean of the four fields of Runge-Kutta 4 differs from the
+first by at most z/2 + z^2/6 + z^3/24 of it, z = h (gamma + mu |S W S^-1|_2).
 """
 
 from __future__ import annotations
@@ -87,7 +79,7 @@ def _by_contraction(weight: Floats, log_scale: Floats, best: Contraction, gamma:
 
 
 def _contraction_step(scaled: Floats, factor: Floats, gamma: float, mu: float) -> float:
-    """h_0 from M = S W S^-1 and T S^-1, in the coordinates S e and S f."""
+    """The largest h_0 with 2 <e', e>_P <= -h_0 |e'|_P^2, from M = S W S^-1 and T S^-1, in coordinates S e and S f."""
     n = len(scaled)
     metric, identity = factor.T @ factor, np.eye(n)
     cross = -mu * (metric @ scaled + identity)

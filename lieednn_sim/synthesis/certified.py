@@ -254,7 +254,6 @@ def _start(stack: Sequence[_Task]) -> tuple[Problem, Floats]:
 
 
 def _fast_attempt(stack: Sequence[_Task], solved: bool) -> None:
-    """Search from another start of each task."""
     problem, start = _start(stack)
     for task in stack:
         task.attempts += 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +14,6 @@ from lieednn_sim.lie.se3 import skew
 from lieednn_sim.synthesis.problem import Point, Problem, pairs
 from lieednn_sim.values import Floats
 
-Flags = NDArray[np.bool_]
-
 _ROUGH = 1e-2  # the searches need meet the equations only this well: from there the polish converges quadratically
 # Fast search: weight of the equations against the eigenvalues, most steps, and bounds of the damping.
 _EQUATION_WEIGHT, _MOST_STEPS = 3.0, 40
@@ -28,7 +25,7 @@ _LOG_SCALE_BOUND = 8.0
 QUATERNION_BOUNDS = (3.0, 60.0)
 
 
-def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: float) -> tuple[Floats, Flags]:
+def feasible_points(problem: Problem, start: Floats, *, aim: float, accept: float) -> tuple[Floats, NDArray[np.bool_]]:
     """Levenberg-Marquardt on the distance to feasibility, for each problem of a stack.
 
     Minimises w^2 |W_R u - c|^2 + ||(A - aim I)_+||_F^2 with A = sym(S W_R S^-1), w = 3: the squared distance
@@ -110,13 +107,6 @@ class _Linear(NamedTuple):
 _NOTHING = _Linear(np.empty(0), np.empty((0, 0)), np.empty((0, 0)))
 
 
-@cache
-def _kinds_of_pairs(size: int, first: int) -> tuple[Flags, Flags, Floats]:
-    """For `pairs`: whether b < ``first``, whether a = b, and the weight with which (a, b) also accounts for (b, a)."""
-    a, b = pairs(size, first)
-    return b < first, a == b, np.where(a == b, 1.0, np.sqrt(2.0))
-
-
 def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
     """Linearisation of the vector of which `_merit` is half the square."""
     n, size, count = problem.n_neurons, problem.size, len(point.unknowns)
@@ -130,12 +120,12 @@ def _linearised(problem: Problem, point: Point, aim: float) -> list[_Linear]:
     for first in sorted(set(firsts.tolist())):
         alike = (firsts == first).nonzero()[0]
         a, b = pairs(size, first)
-        across, diagonal, weight = _kinds_of_pairs(size, first)
+        diagonal, weight = a == b, np.where(a == b, 1.0, np.sqrt(2.0))  # (a, b) also accounts for (b, a)
         for piece in (alike[k : k + _PIECE] for k in range(0, len(alike), _PIECE)):
             part, over = point.of(piece), excess[piece][:, a]
             # Divided differences of max(x - aim, 0): 1 within the violated eigenspace, a ratio across.
             gap = part.values[:, a] - part.values[:, b]
-            slope = weight * np.divide(over, gap, out=np.ones_like(gap), where=across)
+            slope = weight * np.divide(over, gap, out=np.ones_like(gap), where=b < first)
             jacobian = np.zeros((len(piece), height + len(a), point.unknowns.shape[-1]))
             rows, columns = height // n, problem.n_quaternion // n
             for i in range(n):

@@ -1,28 +1,15 @@
 """Networks beyond the printed one on SE(3): on any matrix Lie group, and with an equivariant activation.
 
-Complex and quaternion-valued networks are among those on groups (paper, Sec. 3.2 and App. D). The network z_i' = -gamma
-z_i + mu sum_j w_ij phi(z_j) + mu b_i, with phi on each real component and w_ij from the left, is not a network on C^x
-or H^x, as the paper's Discussion has it (`docs/mathematics/groups.md`), but on affine(C^x) or affine(H^x): with theta =
-(A, 0) and A the matrix of p -> w p, translations transform by v -> A v, the full product. They are an invariant
-subspace when the other coordinates and their bias are 0.
+Complex and quaternion-valued networks are among those on groups (paper, Sec. 3.2 and App. D): on affine(C^x) or
+affine(H^x), whose translations transform by v -> A v with theta = (A, 0) and A the matrix of p -> w p. They are an
+invariant subspace when the other coordinates and their bias are 0. Of w_ij these see alpha_ij alone, the translations
+alpha_ij |theta_ij|: we choose alpha_ij = |w_ij| / s and theta_ij = s w_ij / |w_ij| with s so large that the others
+decay at rate gamma/2 at least. (With alpha_ij = 1 they would grow from rounding for N > gamma/mu.) So the network has
+a certificate exactly when the complex or quaternion network has one.
 
-The other coordinates see alpha_ij alone, the translations alpha_ij |theta_ij|: how |w_ij| is shared between the two is
-free. We choose alpha_ij = |w_ij| / s and theta_ij = s w_ij / |w_ij| with s so large that the other coordinates decay at
-rate gamma/2 at least. W is block diagonal (others, translations), so the network has a certificate exactly when the
-complex or quaternion network has one. (With alpha_ij = 1 the others would grow from rounding for N > gamma/mu.)
-
-Complex networks need no scale at all: alpha_ij = |w_ij| and theta_ij the rotation by arg w_ij gives the same on SE(2).
-
-An activation may commute with the adjoint action (paper, App. N). Phi(X) = tanh(||omega||)/||omega|| X scales the whole
-twist X = (omega, v). Ad_h turns omega by a rotation, so the factor is invariant and Phi(Ad_h X) = Ad_h Phi(X). It is
-continuous at omega = 0, with value X.
-
-Frames: if each neuron is written in a frame of its own, X_i -> Ad(h_i) X_i, then theta_ij -> h_i theta_ij h_j^-1 and
-b_i -> Ad(h_i) b_i describe the same network. The paper's theta_ij -> h theta_ij h^-1 is the case of one common h.
-
-Stability. Phi is unbounded and not globally Lipschitz in (omega, v), so the theorem of `stability` does not apply to W.
-It follows by the cascade from a P = diag(p_i I_3) with P (W_R - (gamma/mu) I) negative definite in its symmetric part;
-`docs/mathematics/groups.md` has the proof. P is constant on each neuron, so the proof is as invariant as the network.
+An activation may commute with the adjoint action (paper, App. N): Phi(X) = tanh(||omega||)/||omega|| X scales the whole
+twist X = (omega, v), and is X at omega = 0. `docs/mathematics/groups.md` proves stability with it, by a P that is
+constant on each neuron, and says where the paper is read differently here.
 """
 
 from __future__ import annotations

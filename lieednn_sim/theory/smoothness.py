@@ -1,7 +1,6 @@
 """The paper's bounds on velocity, acceleration and curvature of a network's trajectory (App. H).
 
-All hold while |xi|_inf <= R: for all time for R = max(|xi(0)|_inf, (mu/gamma) (||W||_inf M + |b|_inf)), beyond which
-every coordinate falls.
+All hold while |xi|_inf <= R: for all time for R = max(|xi(0)|_inf, (mu/gamma) (||W||_inf M + |b|_inf)).
 """
 
 from __future__ import annotations

@@ -79,14 +79,14 @@ def stroke(luff):
 
 
 @pytest.mark.parametrize("jacobian", ["dense", "sparse"])
-def test_the_cylinder_of_a_crane_takes_two_iterations(monkeypatch, jacobian):
+def test_the_cylinder_of_a_crane_takes_three_iterations(monkeypatch, jacobian):
     model, data, dependents = make(*CRANE, "slew luff extend", jacobian)
     assert [model.joint(j).name for j in dependents.moved] == ["swivel", "stroke"]
     luff, calls, real = np.linspace(-0.3, 1.2, 500), [], mujoco.mj_makeConstraint
     rows = rows_at(model, luff=luff, slew=luff, extend=0.3)
     monkeypatch.setattr(mujoco, "mj_makeConstraint", lambda *a: calls.append(real(*a)))
     solved = dependents.to_qpos(rows.reshape(2, 250, -1)).reshape(rows.shape)
-    assert len(calls) <= 2 * len(rows)  # for the way from the state to the first row
+    assert len(calls) <= 2.5 * len(rows)  # for the way from the state to the first row
     assert column(model, solved, "stroke") == pytest.approx(stroke(luff), abs=1e-10)
     others = [model.joint(name).qposadr[0] for name in ("slew", "luff", "extend", "g1", "g2")]
     assert np.array_equal(solved[:, others], rows[:, others])

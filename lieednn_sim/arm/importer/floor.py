@@ -16,12 +16,9 @@ from lieednn_sim.validation import as_floats
 if TYPE_CHECKING:
     from lieednn_sim.arm.model_arm import ModelArm
 
-# Where `floor` is left to the importer, and where none is wanted.
-AUTO, NONE = "auto", "none"
-# The body of a floor that the importer or a scene has added.
-FLOOR = "floor"
-# How far below the moving parts at home a floor lies at least [m].
-_ROOM = PLANNED_CLEARANCE + 0.01
+AUTO, NONE = "auto", "none"  # where `floor` is left to the importer, and where none is wanted
+FLOOR = "floor"  # the body of a floor that the importer or a scene has added
+_ROOM = PLANNED_CLEARANCE + 0.01  # how far below the moving parts at home a floor lies at least [m]
 
 
 def as_floor(value: float | str) -> float | str:

@@ -36,16 +36,8 @@ def import_model(
 
     Without ``links``, ``joints`` and ``tip`` the arm is the chain with the most driven joints
     (`serial_chain.longest_chain`). It is cut into compound joints (`compound_joints.cut`), with its link frames at the
-    origins of the bodies behind the cuts. Only this is added to the model, and said in the report:
-
-    - servos where nothing drives a joint (`servos.add_servos`), and stiff ties between stages that a tendon drives;
-    - exclusions of contacts between parts that overlap by design (`overlaps.ignore_overlaps`);
-    - a floor below what stands on the ground (`floor.add_floor`);
-    - inertias of a URDF that are missing or impossible, and an integrator in place of RK4 (`mending`);
-    - a fixed base, where a free body carries the arm;
-    - the keyframe ``home``.
-
-    A spec is not changed; ``source`` is its file. For the options see `ImportOptions`.
+    origins of the bodies behind the cuts. What is added to it, `docs/howto/own_arm.md` lists, and the report says. A
+    spec is not changed; ``source`` is its file. For the options see `ImportOptions`.
 
     Raises:
         FileError: the file or one of its meshes is missing, or MuJoCo cannot compile it.
@@ -105,7 +97,6 @@ def _closed(arm: ModelArm, home: Floats, samples: Floats) -> Floats:
 
 
 def _first_body(model: mujoco.MjModel, named: dict[str, Any]) -> int:
-    """The first body that the arm moves."""
     if "links" in named:
         joints, *_ = joint_groups(model, named_frames(model, named["links"], named.get("base")))
     else:

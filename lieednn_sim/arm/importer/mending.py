@@ -129,7 +129,7 @@ def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
 
 
 def replace_integrator(spec: mujoco.MjSpec, notes: list[str]) -> None:
-    """Replace RK4 by implicitfast, see `arm.checks.check_integrator`."""
+    """Replace RK4 by implicitfast, see `arm.parsing`."""
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         notes.append("integrator implicitfast in place of RK4, which has no inverse dynamics in discrete time")
@@ -194,11 +194,10 @@ def tie_stages(spec: mujoco.MjSpec, model: mujoco.MjModel, couplings: Couplings,
 
 def _place(spec: mujoco.MjSpec, body: mujoco.MjsBody, model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Put a child of the world where it is in a state."""
-    transform = scipy.spatial.transform.RigidTransform
-    turn = scipy.spatial.transform.Rotation.from_quat
 
     def pose(pos: Floats, quat: Floats) -> scipy.spatial.transform.RigidTransform:
-        return transform.from_components(pos, turn(quat, scalar_first=True))
+        turn = scipy.spatial.transform.Rotation.from_quat(quat, scalar_first=True)
+        return scipy.spatial.transform.RigidTransform.from_components(pos, turn)
 
     quat = np.array(body.quat)
     if body.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:

@@ -23,9 +23,8 @@ _OFF = 3e-4  # worth a remark [rad, m]: over a few joints, a millimetre at an ar
 _PATHS, _LOOKS = 256, 20  # straight paths, and configurations on each
 _SHOWN = 24  # pairs of bodies in a remark
 _MANY_TURNS = 4.0  # of a hinge with limits
-# Least singular value of a link's screws, of unit size, at which its pose still determines its joints. By the same
-# measure paths begin to be straightened at the larger `singularities.NEARLY_SINGULAR`; the gap that this leaves is
-# worth a remark here.
+# Least singular value of a link's screws, of unit size, at which its pose still determines its joints; at the larger
+# `singularities.NEARLY_SINGULAR` paths begin to be straightened.
 _SINGULAR = 0.1
 _SLOW = 5.0  # worth a remark [Hz]
 _DESIGN = "servos='design' designs a new one"

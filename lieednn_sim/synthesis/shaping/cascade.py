@@ -6,14 +6,11 @@ With gamma = mu = 1 the hidden neurons are h_n(t) = a_n + c_n g(t), where g fall
 
 with any activation phi and Q = 1 / (1 + d/dt) from rest. For rho = 1, g = e^-t is the hidden neurons' own decay. For
 rho < 1, a clock p' = -p + (1 - rho) phi(p) drives them with (1 - rho) phi(p), so that they follow it exactly: g is p
-over its start, and finally falls at the rate 1 - (1 - rho) phi'(0), which is rho for phi'(0) = 1. In neither case does
-g depend on the parameters, so Q is one matrix, and no differential equation is solved when they change.
+over its start. In neither case does g depend on the parameters, so Q is one matrix, and no differential equation is
+solved when they change (`docs/mathematics/shaped.md`).
 
-Pairs of opposite switches bend a motion by their starts, and are silent otherwise. A switch phi(a + c g) and its
-opposite phi(-a - c g), both read out by D I, cancel at every instant and at rest. With both starts shifted by delta,
-coordinate by coordinate, they add 2 D delta g phi'(a + c g) + O(delta^3) to a visible neuron's input: a bump where g =
--a/c. Pairs at equal steps of the clock are basis functions, for rho = 1, where g = e^-t is a shift's own decay; their
-codes delta are hidden starts. See `docs/mathematics/families.md`.
+Pairs of opposite switches, phi(a + c g) and phi(-a - c g), bend a motion by their starts, for rho = 1, and are silent
+otherwise (`docs/mathematics/families.md`).
 """
 
 from __future__ import annotations
@@ -218,9 +215,7 @@ def with_pairs(
     """A network whose motion depends on its visible start, and its target, with the pairs and gains that this takes.
 
     Args:
-        parameters: parameters of the cascade.
-        clock: its clockwork, with rho = 1.
-        network: the network of the cascade.
+        parameters, clock, network: of the cascade, with rho = 1.
         start: ``(N, 6)`` visible start of its motion, which stays as it is.
         response: ``(K, 6N, E)`` derivatives of the visible states at the clock's instants in the visible start, E = 6N,
             or in that and in the target, E = 12N.

@@ -85,10 +85,8 @@ def as_units(units: ArrayLike, n: int) -> Floats:
 def clock_along(points: Floats, per_turn: float, smoothing: float) -> Floats:
     """Fractions ``(P + 1,)`` of the clock at points ``(P + 1, D)`` that divide a curve evenly: slower where it turns.
 
-    Args:
-        points: points at even steps of the curve's length, in its metric.
-        per_turn: a turn of the tangent by one radian takes as much of the clock as this fraction of the length.
-        smoothing: fraction of the length over which turns are smoothed.
+    A turn of the tangent by one radian takes as much of the clock as the fraction ``per_turn`` of the length; turns are
+    smoothed over the fraction ``smoothing``.
     """
     s, pieces = np.linspace(0.0, 1.0, len(points)), np.diff(points, axis=0)
     directions = pieces / np.maximum(np.linalg.norm(pieces, axis=1, keepdims=True), 1e-300)

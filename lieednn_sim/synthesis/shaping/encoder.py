@@ -1,14 +1,9 @@
 """A universal network: its weights are fixed and certified once, and the hidden neurons' start encodes any curve.
 
 Each visible neuron has `CODE_PAIRS` pairs of opposite switches (`cascade`) and nothing else. From a code of zero it
-goes straight to the target. With g = e^-t, r a hidden neuron's rest state and h(0) = r + c + delta, it obeys
-
-    x(g) = x_d + g (x_0 - x_d) + g int_g^1 u(s) / s^2 ds
-    u(s) = D sum_m [phi(z_m + s delta_m) - phi(z_m - s delta_m)],    z_m = a_m + c_m s.
-
-Here u is odd in delta, and nearly linear while codes are small. So encoding is one linear least-squares problem,
-solved beforehand for all curves: a product of matrices remains. The proof of arrival is that of the weights, whatever
-the code; how close the path is to the curve is a fit.
+goes straight to the target. `docs/mathematics/families.md` has its path x(g) with the input u(s), g = e^-t, which is
+odd in the code, and nearly linear while codes are small. So encoding is one linear least-squares problem, solved
+beforehand for all curves: a product of matrices remains.
 """
 
 from __future__ import annotations

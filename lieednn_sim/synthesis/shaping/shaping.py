@@ -2,13 +2,8 @@
 
 The network is a cascade: hidden neurons switch one after another as they come to rest, and steer the visible ones
 (`cascade`). Its equilibrium and its certificate hold by construction for all parameters, so the fit is unconstrained;
-it may miss the curve, and the result says by how much.
-
-Switches are placed along the curve first. Each hidden neuron is a turn or a shift: one coordinate of its rotational or
-of its translational half switches, and the other half rests. Then a visible neuron's input is a sum of vectors
-alpha R e_x, one for each switch, and theta need not translate. So the fit is linear least squares, without start and
-local minima. Overlapping soft switches leave ripples far below the requested deviation, which a motion feels as jerk:
-the third derivative of the error is penalised too.
+it may miss the curve, and the result says by how much. `docs/mathematics/shaped.md` says how it is fitted: switches
+are placed along the curve first, each of them a turn or a shift, so that linear least squares remain.
 """
 
 from __future__ import annotations
@@ -218,6 +213,5 @@ def _switches(curve: Curve, pace: CubicSpline, half: slice, count: int) -> tuple
     density += _LEAST_DENSITY * density.mean() + _LEAST_DENSITY
     mass = np.append(0.0, np.cumsum(0.5 * (density[1:] + density[:-1])))
     edges = np.interp(np.linspace(0.0, mass[-1], 2 * count + 1), mass, w)
-    # Slope of a switch over the density of switches, and the least slope: without overlap the path would ripple.
-    overlap, least_slope = 1.0, 1.0
-    return edges[1::2], np.clip(overlap / (edges[2::2] - edges[:-2:2]), least_slope, LARGEST_SLOPE)
+    # Each as steep as switches are dense, and no less steep than 1: without overlap the path would ripple.
+    return edges[1::2], np.clip(1.0 / (edges[2::2] - edges[:-2:2]), 1.0, LARGEST_SLOPE)
