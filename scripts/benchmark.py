@@ -8,7 +8,6 @@ run, see `benchmark_rows`.
 
 from __future__ import annotations
 
-import argparse
 import os
 import platform
 import subprocess
@@ -20,7 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmark_rows import HEADINGS, epoch_costs, ratio_rows, seconds
+from benchmark_rows import HEADINGS, ratio_rows, seconds
+from common import options
 from threadpoolctl import threadpool_info
 
 from lieednn_sim import io
@@ -174,15 +174,13 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
     """Measure a fraction 1 / ``scale`` of all targets and write both files; returns the path of the table."""
     synthesize(random_targets(4, 1)[0])  # warm up
     rows, grown = synthesis_rows(scale), growth(scale, SIZES)
-    epochs = epoch_costs(random_targets(4, min(5, max(1000 // scale, 1))), max(5000 // scale, 1))
-    ratios = ratio_rows(random_targets(4, max(200 // scale, 1), seed=2), epochs, scale)
+    ratios = ratio_rows(random_targets(4, max(200 // scale, 1), seed=2), scale)
     memories = memory(scale)
     io.save_json(
         directory / "benchmark.json",
         {
             "synthesis": rows,
             "growth": grown,
-            "epoch [us]": {name: float(np.median(costs)) for name, costs in epochs.items()},
             "ratios": {row.what: {**row.spread, "samples": len(row.samples), "aim": row.aim} for row in ratios},
             "memory [MB]": memories,
         },
@@ -198,9 +196,6 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
             ["CPU time [ms]", *(f"N = {size}" for size in SIZES), "exponent"],
             ([name, *values] for name, values in grown.items()),
         ),
-        *markdown_table(
-            ["learning, N = 4", "one epoch [us]"], ([name, f"{np.median(c):.0f}"] for name, c in epochs.items())
-        ),
         "",
         "Ratios of times in this run, each measured several times; what it should be at least or at most is the aim.",
         *markdown_table(HEADINGS, (row.cells() for row in ratios)),
@@ -214,14 +209,10 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
-    parser.add_argument("--output", default="results/benchmark", help="directory (default: %(default)s)")
-    options = parser.parse_args(arguments)
-    directory = io.make_directory(options.output)
+    given = options(arguments, __doc__, "results/benchmark", quick=False)
     # BLAS threads that wait for work would count as busy.
     with one_blas_thread():
-        write(directory, 10 if options.quick else 1, " --quick" if options.quick else "")
+        write(io.make_directory(given.output), 10 if given.quick else 1, " --quick" if given.quick else "")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ goes on. Writes ``chunks.md``; CPU times are those of one core with one BLAS thr
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import time
@@ -30,6 +29,7 @@ from typing import Any
 import chunk_policies as policies
 import numpy as np
 from chunk_policies import DT, PERIOD, REFERENCES, H
+from common import options, write
 
 import lieednn_sim as ls
 from lieednn_sim import io
@@ -240,19 +240,15 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Do the runs that are missing, and write the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--chunks", type=int, default=200, help="of each kind")
-    parser.add_argument("--episodes", type=int, default=20, help="of each task, policy, delay and reference")
-    parser.add_argument("--policies", nargs="+", default=["expert", "clone"], choices=["expert", "clone"])
-    parser.add_argument("--jobs", type=int, default=2, help="processes at once")
-    parser.add_argument("--output", type=Path, default=Path("results/chunks"))
-    options = parser.parse_args(arguments)
-    folder = io.make_directory(options.output / "runs")
+    known = ("expert", "clone")
+    defaults: dict[str, Any] = {"chunks": 200, "episodes": 20, "policies": known, "jobs": 2}
+    given = options(arguments, __doc__, "results/chunks", choices={"policies": known}, **defaults)
+    folder = io.make_directory(given.output / "runs")
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes
-    counts: dict[tuple[Any, ...], int] = {(kind,): options.chunks for kind in (*CLEAN, *FAULTS)}
-    counts |= dict.fromkeys(product(TASKS, options.policies, DELAYS, REFERENCES), options.episodes)
-    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
-        weights = [folder / f"{name}.npz" for name in TASKS if "clone" in options.policies]
+    counts: dict[tuple[Any, ...], int] = {(kind,): given.chunks for kind in (*CLEAN, *FAULTS)}
+    counts |= dict.fromkeys(product(TASKS, given.policies, DELAYS, REFERENCES), given.episodes)
+    with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
+        weights = [folder / f"{name}.npz" for name in TASKS if "clone" in given.policies]
         fits = [pool.submit(policies.fit, path.stem, path) for path in weights if not path.exists()]
         missing = [job for job in counts if not kept(job, folder).exists()]
         runs = [pool.submit(run, job, counts[job], folder) for job in missing if "clone" not in job]
@@ -264,9 +260,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     found = {job: json.loads(kept(job, folder).read_text(encoding="utf-8"))["rows"] for job in counts}
     used = f"; Ruckig {metadata.version('ruckig')}"
     text = report(found, used + (f", torch {metadata.version('torch')}" if weights else ""))
-    with io.atomic_text(options.output / "chunks.md") as file:
-        file.write(text)
-    print(text)
+    write(given.output / "chunks.md", text)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ is its summary. All columns except the times are reproducible.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -18,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import options, write
 from rich.console import Console
 
-from lieednn_sim import io
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.learning.demonstrations import align, load_demonstrations
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
@@ -202,13 +201,8 @@ def _number(value: float) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", default="", help="kinds or names of sets, separated by commas")
-    parser.add_argument("--starts", type=int, default=STARTS)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--output", type=Path, default=Path("results/demonstrations"))
-    given = parser.parse_args(arguments)
+    defaults: dict[str, Any] = {"only": "", "starts": STARTS, "jobs": 1}
+    given = options(arguments, __doc__, "results/demonstrations", ["folder"], **defaults)
     wanted = set(filter(None, given.only.split(",")))
     files = [
         (kind, path, unit)
@@ -223,9 +217,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for kind in KINDS:
         if sets := [row for row in found if row.kind == kind and row.success]:
             lines += [f"## {kind}", "", *verdicts(sets, kind), *table(sets, kind), ""]
-    with io.atomic_text(given.output / "demonstrations.md") as stream:
-        stream.write("\n".join(lines))
-    print(given.output / "demonstrations.md")
+    write(given.output / "demonstrations.md", "\n".join(lines))
 
 
 if __name__ == "__main__":

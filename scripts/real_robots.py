@@ -1,6 +1,6 @@
 """Import third-party robots, plan to random targets, and follow the plans: a row for each robot.
 
-    python scripts/real_robots.py FOLDER... [--robots NAME,...] [--targets 10] [--output results/robots]
+    python scripts/real_robots.py FOLDER... [--robots NAME,...] [--targets 10] [--models WORDS] [--output ...]
 
 The folders hold the models, such as checkouts of MuJoCo Menagerie and of ROS packages. Those of `ROBOTS` that are in
 none are left out; `--robots` also takes other files. Writes a JSON file for each robot, so that interrupted runs can be
@@ -9,13 +9,13 @@ continued, and a table of all of them, `robots.md`. Seconds are CPU time.
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import options, write
 
 import lieednn_sim as ls
 from lieednn_sim import io
@@ -202,28 +202,20 @@ def as_markdown(rows: list[dict[str, Any]], folder: str) -> str:
 
 def main(words: list[str] | None = None) -> None:
     """Try the robots that are not done yet; the table is written after each."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", type=Path, nargs="+")
-    parser.add_argument("--robots", default="", help="files in the folders, by default those of ROBOTS")
-    parser.add_argument("--targets", type=int, default=10)
-    parser.add_argument("--models", default="", help="what the models are, for the table: a name and a commit")
-    parser.add_argument("--output", type=Path, default=Path("results/robots"))
-    arguments = parser.parse_args(words)
-    files = arguments.robots.split(",") if arguments.robots else list(ROBOTS)
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    rows = []
-    for name in files:
-        file = next((folder / name for folder in arguments.folders if (folder / name).is_file()), None)
+    defaults: dict[str, Any] = {"robots": tuple(ROBOTS), "targets": 10, "models": ""}
+    given = options(words, __doc__, "results/robots", ["folders+"], **defaults)
+    output, rows = io.make_directory(given.output), []
+    for name in given.robots:
+        file = next((folder / name for folder in given.folders if (folder / name).is_file()), None)
         if file is None:
             print(f"{name}: not there")
             continue
-        path = arguments.output / f"{file.parent.name}_{file.stem}.json"
+        path = output / f"{file.parent.name}_{file.stem}.json"
         if not path.is_file():
-            io.save_json(path, try_robot(file, ROBOTS.get(name, {}), arguments.targets))
+            io.save_json(path, try_robot(file, ROBOTS.get(name, {}), given.targets))
         rows.append(json.loads(path.read_text()) | {"robot": f"{Path(name).parts[0]}/{file.stem}"})
-        with io.atomic_text(arguments.output / "robots.md") as stream:
-            stream.write(as_markdown(rows, arguments.models or ", ".join(folder.name for folder in arguments.folders)))
-        print(f"{name}: done", flush=True)
+        models = given.models or ", ".join(folder.name for folder in given.folders)
+        write(output / "robots.md", as_markdown(rows, models))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ simulation. Writes ``settling.csv`` and ``linear.csv``, with which an interrupte
 
 from __future__ import annotations
 
-import argparse
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,12 +22,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from saved_rows import saved_rows
+from common import options, saved_rows, write
 from task_cases import ASSETS, Boom, Crane, trapezoidal
 from tasks import PLANNERS
 
 import lieednn_sim as ls
-from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import with_load
 from lieednn_sim.arm.oscillation import PassiveJoints
@@ -270,23 +268,18 @@ def plot(others: dict[tuple[str, str], list[float]], path: Path) -> None:
 
 def main(words: list[str] | None = None) -> None:
     """Measure what is missing, and write tables and figure."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", default=",".join(TASKS))
-    parser.add_argument("--planners", default=",".join((*PLANNERS, "mjpl")))
-    parser.add_argument("--output", type=Path, default=Path("results/settling"))
-    given = parser.parse_args(words)
-    folder, tasks = io.make_directory(given.output), given.tasks.split(",")
+    given = options(words, __doc__, "results/settling", tasks=tuple(TASKS), planners=(*PLANNERS, "mjpl"))
+    folder, tasks = given.output, given.tasks
     cases = [
         {"task": task, "planner": planner, "case": case, "law": law}
-        for task, planner in product(tasks, given.planners.split(","))
+        for task, planner in product(tasks, given.planners)
         for case, law in product(range(TASKS[task].cases), LAWS)
     ]
     rows = saved_rows(folder / "settling.csv", cases, measured)
     cranes = [task for task in ("crane", "luffing") if task in tasks]
     random = [{"task": task, "seed": seed} for task, seed in product(cranes, range(MOTIONS))]
     motions = saved_rows(folder / "linear.csv", random, linear)
-    with io.atomic_text(folder / "settling.md") as stream:
-        stream.write(report(rows, motions))
+    write(folder / "settling.md", report(rows, motions))
     if others := varied(rows):
         plot(others, folder / "settling.png")
 
