@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import csv
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +57,29 @@ def write(path: Path, text: str) -> None:
     with io.atomic_text(path) as stream:
         stream.write(text)
     print(text)
+
+
+def saved_runs(folder: Path, runs: Mapping[str, tuple[Any, ...]], work: Callable[..., Any], jobs: int) -> list[Any]:
+    """What ``work`` makes of the arguments of each run, by its name, kept in JSON files with which a study goes on.
+
+    With several jobs, runs are in processes of one thread, whose sums are always in the same order.
+    """
+    missing = {name: given for name, given in runs.items() if not (folder / f"{name}.json").is_file()}
+    io.make_directory(folder)
+    if jobs == 1:
+        for name, given in missing.items():
+            _kept(folder / f"{name}.json", work, given)
+    elif missing:
+        os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes
+        with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+            for done in [pool.submit(_kept, folder / f"{name}.json", work, given) for name, given in missing.items()]:
+                done.result()
+    return [io.load_json(folder / f"{name}.json", "a run")["made"] for name in runs]
+
+
+def _kept(path: Path, work: Callable[..., Any], given: tuple[Any, ...]) -> None:
+    with one_blas_thread():
+        io.save_json(path, {"made": work(*given)})
 
 
 def saved_rows(

@@ -9,25 +9,21 @@
 
 Behaviour cloning of the expert, and SAC and PPO of Stable-Baselines3 with its default settings (PPO's batch of 2048
 steps comes from eight environments) on observations normalised by its `VecNormalize`, act ten times a second. Each
-learner has a fixed budget, see `LEARNERS`, and each run is a process of one thread. Finished runs are kept in
+learner has a fixed budget, see `LEARNERS`, and runs are processes of one thread. Finished runs are kept in
 ``OUTPUT/runs`` and not repeated, so that an interrupted study goes on. Writes ``learning.md`` and ``learning.png``.
 """
 
 from __future__ import annotations
 
-import json
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module, metadata
 from itertools import pairwise
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import options, write
+from common import options, saved_runs, write
 
 from lieednn_sim import io
 from lieednn_sim.environments.expert import Expert
@@ -159,27 +155,25 @@ def reinforced(learner: str, seed: int) -> Iterator[tuple[int, Act]]:
         yield model.num_timesteps, act
 
 
-def run(learner: str, seed: int, folder: Path) -> None:
-    """Train and evaluate one learner with one seed, and keep what came of it."""
+def run(learner: str, seed: int, folder: Path) -> dict[str, Any]:
+    """What comes of one learner with one seed, trained and evaluated."""
     if learner == EXPERT:
         where = environment()
-        result: dict[str, Any] = {"last": evaluate(expert_of(where), MANY, where)}
-    elif learner == RANDOM:
+        return {"last": evaluate(expert_of(where), MANY, where)}
+    if learner == RANDOM:
         rng, size = np.random.default_rng(seed), environment().action_space.shape
-        result = {"last": evaluate(lambda _: rng.uniform(-1.0, 1.0, size), MANY)}
-    else:
-        import_module("torch").set_num_threads(1)
-        spent, start, curve, act = 0.0, time.process_time(), [], None
-        data = folder / "demonstrations.npz"
-        for steps, act in cloned(seed, data) if learner == "behaviour cloning" else reinforced(learner, seed):
-            spent += time.process_time() - start
-            curve.append((steps, float(np.mean(evaluate(act, FEW)["success"]))))
-            print(f"{learner} {seed}: {steps} steps, {spent:.0f} s, success {curve[-1][1]:.2f}", flush=True)
-            start = time.process_time()
-        if act is None:
-            raise LieEDNNError(f"{learner} made no policy")
-        result = {"curve": curve, "cpu_s": spent, "last": evaluate(act, MANY)}
-    io.save_json(folder / f"{learner}-{seed}.json", result)
+        return {"last": evaluate(lambda _: rng.uniform(-1.0, 1.0, size), MANY)}
+    import_module("torch").set_num_threads(1)
+    spent, start, curve, act = 0.0, time.process_time(), [], None
+    data = folder / "demonstrations.npz"
+    for steps, act in cloned(seed, data) if learner == "behaviour cloning" else reinforced(learner, seed):
+        spent += time.process_time() - start
+        curve.append((steps, float(np.mean(evaluate(act, FEW)["success"]))))
+        print(f"{learner} {seed}: {steps} steps, {spent:.0f} s, success {curve[-1][1]:.2f}", flush=True)
+        start = time.process_time()
+    if act is None:
+        raise LieEDNNError(f"{learner} made no policy")
+    return {"curve": curve, "cpu_s": spent, "last": evaluate(act, MANY)}
 
 
 def report(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
@@ -230,16 +224,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Do the runs that are missing, each in a process of its own, and write table and picture."""
     given = options(arguments, __doc__, "results/learning", seeds=3, jobs=2)
     folder = io.make_directory(given.output / "runs")
-    files = {EXPERT: [folder / f"{EXPERT}-0.json"]}
-    files |= {name: [folder / f"{name}-{seed}.json" for seed in range(given.seeds)] for name in (*LEARNERS, RANDOM)}
     # All clones learn from the same demonstrations, which are made first.
     demonstrations(folder / "demonstrations.npz")
-    missing = [(name, seed) for name, paths in files.items() for seed, path in enumerate(paths) if not path.exists()]
-    os.environ["OMP_NUM_THREADS"] = "1"  # of the processes
-    with ProcessPoolExecutor(given.jobs, get_context("spawn"), max_tasks_per_child=1) as pool:
-        for done in [pool.submit(run, name, seed, folder) for name, seed in missing]:
-            done.result()
-    runs = {name: [json.loads(path.read_text(encoding="utf-8")) for path in paths] for name, paths in files.items()}
+    seeds = {EXPERT: 1} | dict.fromkeys((*LEARNERS, RANDOM), given.seeds)
+    asked = {f"{name}-{seed}": (name, seed, folder) for name, count in seeds.items() for seed in range(count)}
+    made = iter(saved_runs(folder, asked, run, given.jobs))
+    runs = {name: [next(made) for _ in range(count)] for name, count in seeds.items()}
     used = [f"{name} {metadata.version(name)}" for name in ("stable-baselines3", "torch", "gymnasium")]
     write(given.output / "learning.md", report(runs, f"; {', '.join(used)}"))
     plot(runs, given.output / "learning.png")

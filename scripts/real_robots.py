@@ -9,16 +9,14 @@ continued, and a table of all of them, `robots.md`. Seconds are CPU time.
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import options, write
+from common import options, saved_runs, write
 
 import lieednn_sim as ls
-from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.contacts import ContactFinder
 from lieednn_sim.arm.importer.loading import load_spec
@@ -73,15 +71,15 @@ _EVERY = 20  # every 20th sample of a motion is checked in the original model
 _CONFIGURATIONS = 100  # number of configurations at which the forward maps are compared
 
 
-def try_robot(file: Path, options: dict[str, Any], targets: int) -> dict[str, Any]:
-    """The results for a robot: a row of the table, with details."""
-    start = time.process_time()
+def try_robot(file: Path, name: str, targets: int) -> dict[str, Any]:
+    """The results for a robot, by its name in `ROBOTS`: a row of the table, with details."""
+    start, robot = time.process_time(), f"{Path(name).parts[0]}/{file.stem}"
     try:
-        arm = ls.Arm.load(file, **options)
+        arm = ls.Arm.load(file, **ROBOTS.get(name, {}))
     except ls.LieEDNNError as error:
-        return {"failures": [f"load: {error}"]}
+        return {"robot": robot, "failures": [f"load: {error}"]}
     original = _Original(arm, file)
-    row = {"links": arm.n_links, "joints": arm.n_joints, "forward_map_m": original.forward_error()}
+    row = {"robot": robot, "links": arm.n_links, "joints": arm.n_joints, "forward_map_m": original.forward_error()}
     times: dict[str, list[float]] = {planner: [] for planner in PLANNERS}
     arrived, failures, deepest = dict.fromkeys(CONTROLLERS, 0), list[str](), 0.0
     for seed in range(targets):
@@ -201,21 +199,19 @@ def as_markdown(rows: list[dict[str, Any]], folder: str) -> str:
 
 
 def main(words: list[str] | None = None) -> None:
-    """Try the robots that are not done yet; the table is written after each."""
+    """Try the robots that are not done yet, then write the table."""
     defaults: dict[str, Any] = {"robots": tuple(ROBOTS), "targets": 10, "models": ""}
     given = options(words, __doc__, "results/robots", ["folders+"], **defaults)
-    output, rows = io.make_directory(given.output), []
+    runs: dict[str, tuple[Any, ...]] = {}
     for name in given.robots:
         file = next((folder / name for folder in given.folders if (folder / name).is_file()), None)
         if file is None:
             print(f"{name}: not there")
-            continue
-        path = output / f"{file.parent.name}_{file.stem}.json"
-        if not path.is_file():
-            io.save_json(path, try_robot(file, ROBOTS.get(name, {}), given.targets))
-        rows.append(json.loads(path.read_text()) | {"robot": f"{Path(name).parts[0]}/{file.stem}"})
-        models = given.models or ", ".join(folder.name for folder in given.folders)
-        write(output / "robots.md", as_markdown(rows, models))
+        else:
+            runs[f"{file.parent.name}_{file.stem}"] = (file, name, given.targets)
+    rows = saved_runs(given.output, runs, try_robot, 1)
+    models = given.models or ", ".join(folder.name for folder in given.folders)
+    write(given.output / "robots.md", as_markdown(rows, models))
 
 
 if __name__ == "__main__":

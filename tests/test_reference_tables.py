@@ -152,7 +152,7 @@ def measured(name, model, rms_mm=1.0, rms_deg=0.1, left_out=1.0, training=1.0, a
 
     mean = replace(errors(1.0), rms_mm=rms_mm, rms_deg=rms_deg)
     there = Attraction(3, arrived, spurious)
-    return scored("recorded", name, ModelRow(model, 7, 0.25, mean, errors(training), errors(left_out), there))
+    return scored(name, ModelRow(model, 7, 0.25, mean, errors(training), errors(left_out), there))
 
 
 def test_claims_on_tasks_hold_where_the_network_is_no_worse():

@@ -136,7 +136,7 @@ def test_the_table_of_demonstrations(tmp_path, monkeypatch):
     assert "- Every start arrives, and there is no other attractor: holds.\n" in first
     assert first.count("| 3/3 | 0 |") == 1 + len(RIVALS)
     # What is there is not computed again.
-    monkeypatch.setattr(evaluate_demonstrations.DemonstrationSets, "run", None)
+    monkeypatch.setattr(evaluate_demonstrations, "scores", None)
     evaluate_demonstrations.main(words)
     assert (tmp_path / "out" / "demonstrations.md").read_text() == first
 
