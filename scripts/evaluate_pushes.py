@@ -59,8 +59,6 @@ def pushed(arm: str, rate: float, seed: int) -> dict[str, Any]:
     rollout, recovery = run(force, DURATION)
     tip = rollout.link_position[-1, -1] - np.asarray(robot.link_poses(target).translation)[-1]
     return {
-        "link": link,
-        "force_n": round(force, 1),
         "deviation": round(recovery.deviation, 4),
         "time_s": "" if recovery.time_s is None else round(recovery.time_s, 3),
         "fraction": "" if recovery.fraction is None else round(recovery.fraction, 4),

@@ -65,20 +65,16 @@ def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
     near = [1e3 * Collisions(room).clearance(each.q[::STRIDE]) for each in (motion, guide)]
     return {
         "guide": plan.guide.planner,
-        "hidden": plan.network.n_hidden,
         "certified": int(verified_after_loading(plan.network)),
         "deviation_mm": 1e3 * plan.details.deviation,
         "gap_mm": mine.gap_mm,
-        "gap_deg": mine.gap_deg,
         "jerk": mine.jerk_joints / given.jerk_joints,
         "effector_jerk": mine.jerk_effector / given.jerk_effector,
         "path": mine.path_ranges / given.path_ranges,
         "effort": effort(room, motion) / effort(room, guide),
         "clearance_mm": near[0],
         "guide_clearance_mm": near[1],
-        "motion_s": mine.motion_s,
         "fit_ms": 1e3 * plan.details.fit_time,
-        "guide_s": plan.guide.cpu_time,
         "planning_s": plan.cpu_time,
     }
 
