@@ -95,7 +95,7 @@ def saved_rows(
     Raises:
         FileError: the file is no such table.
     """
-    rows = _read(path)
+    rows = _read(io.make_directory(path.parent) / path.name)
     for case in cases:
         if any(case.items() <= row.items() for row in rows):
             continue

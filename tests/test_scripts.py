@@ -187,14 +187,15 @@ def test_cost_over_time_measures_and_draws(tmp_path, capsys, monkeypatch):
 
 
 def test_shaped_networks_are_measured_beside_their_guides(tmp_path):
-    words = ["--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1", "--output", str(tmp_path)]
+    output = tmp_path / "new" / "folder"
+    words = ["--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1", "--output", str(output)]
     shaped.main(words)
     row = shaped.measured("telescopic_pr", "free", 0)
     assert (row["guide"], row["certified"]) == ("minimum-jerk", 1)
     assert row["jerk"] == pytest.approx(1.0, abs=0.05)
     assert row["effort"] == pytest.approx(1.0, abs=0.05)
     assert 0.0 < row["gap_mm"] < 1.0
-    assert "| telescopic_pr | free | 1 of 1 | 1 |" in (tmp_path / "summary.md").read_text()
+    assert "| telescopic_pr | free | 1 of 1 | 1 |" in (output / "summary.md").read_text()
 
 
 def test_rows_are_measured_once_in_their_types_and_failures_are_kept_with_their_reasons(tmp_path):
