@@ -24,7 +24,7 @@ def options(
     choices: Mapping[str, Iterable[str]] | None = None,
     **defaults: Any,
 ) -> argparse.Namespace:
-    """What a command line says: folders, several after a plus, ``--output`` and options with their defaults' types.
+    """What a command line says: folders, several with a plus, ``--output`` and options with their defaults' types.
 
     Options of several values take them with blanks or commas between; ``choices`` are those that some allow.
     """
@@ -38,7 +38,8 @@ def options(
         else:
             kind = str if name in several else type(default)
             parser.add_argument(f"--{name}", type=kind, default=default, nargs="+" if name in several else None)
-    parser.add_argument("--output", type=Path, default=Path(output))
+    if output:
+        parser.add_argument("--output", type=Path, default=Path(output))
     given = parser.parse_args(words)
     for name, default in several.items():
         kind, value = type(default[0]), getattr(given, name)
