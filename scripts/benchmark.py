@@ -8,19 +8,15 @@ run, see `benchmark_rows`.
 
 from __future__ import annotations
 
-import argparse
 import os
 import platform
-import subprocess
-import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from benchmark_rows import HEADINGS, epoch_costs, ratio_rows, seconds
+from benchmark_rows import HEADINGS, ratio_rows, seconds
+from common import options
 from threadpoolctl import threadpool_info
 
 from lieednn_sim import io
@@ -28,11 +24,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.evaluation.display import markdown_table
-from lieednn_sim.planning import PLANNERS
 from lieednn_sim.registry import DEFAULT_ARMS
-from lieednn_sim.studies import Comparison, Row, write_summary
-from lieednn_sim.studies.comparison.rows import COLUMNS
-from lieednn_sim.studies.report import write_page
 from lieednn_sim.synthesis import ShapingOptions, Synthesis, shape, synthesize
 
 # Numbers of neurons between which costs are compared.
@@ -127,64 +119,17 @@ def growth(scale: int, sizes: Sequence[int]) -> dict[str, list[str]]:
     return {name: [f"{value:.3g}" for value in found] + [f"{exponents[name]:.1f}"] for name, found in times.items()}
 
 
-def add_rows(folder: Path, count: int) -> None:
-    """Add made-up rows to the table of a comparison."""
-    rows, names = Comparison().open(folder), list(PLANNERS)
-    for k in range(count):
-        values: dict[str, Any] = {column.name: 0.123456 * (k + i) for i, column in enumerate(COLUMNS)}
-        values |= dict.fromkeys((name for name in values if name.endswith("violations")), 0)
-        case = ("telescopic_pr", "free", names[k % len(names)], "position-servo", k // len(names), 1.0)
-        rows.add([Row(*case, **values)])
-
-
-def show_rows(folder: Path) -> None:
-    """Write summary and page of a comparison."""
-    rows = Comparison().open(folder)
-    write_summary(folder / "comparison.md", rows)
-    write_page(folder / "comparison.html", rows)
-
-
-def peak_memory(code: str) -> int:
-    """Peak resident memory of a fresh Python that runs some code [MB]."""
-    # Not `ru_maxrss`, which starts from the parent's memory when it forked.
-    words = f"{code}\nprint(*(line for line in open('/proc/self/status') if 'VmHWM' in line))"
-    done = subprocess.run([sys.executable, "-c", words], check=True, capture_output=True, text=True)
-    return round(int(done.stdout.split()[-2]) / 1024)
-
-
-def memory(scale: int) -> dict[str, int]:
-    """Peak memory [MB] of a table of many rows, a loaded arm, a long rollout, and the demo without its video."""
-    count, hold = 100_000 // scale, max(600 // scale, 1)
-    load = "import lieednn_sim as ls\narm = ls.Arm.load('telescopic_pr')"
-    plan = "ls.plan(arm, 'extended', planner='minimum-jerk')"
-    with tempfile.TemporaryDirectory() as folder:
-        here = f"import sys, pathlib\nsys.path.insert(0, {str(Path(__file__).parent)!r})\nfrom benchmark import *\n"
-        codes = {
-            f"a table to which {count:,} rows are added": f"{here}add_rows(pathlib.Path({folder!r}), {count})",
-            f"summary and page of {count:,} rows": f"{here}show_rows(pathlib.Path({folder!r}))",
-            "a loaded arm": load,
-            f"a rollout of {hold + 4} s at 500 Hz": f"{load}\nls.simulate(arm, {plan}, hold={hold})",
-            "the demo without its video": "from lieednn_sim.cli import main\n"
-            f"main(['demo', '--no-video', '--output', {folder + '/demo'!r}])",
-        }
-        return {name: peak_memory(code) for name, code in codes.items()}
-
-
 def write(directory: Path, scale: int, suffix: str = "") -> Path:
     """Measure a fraction 1 / ``scale`` of all targets and write both files; returns the path of the table."""
     synthesize(random_targets(4, 1)[0])  # warm up
     rows, grown = synthesis_rows(scale), growth(scale, SIZES)
-    epochs = epoch_costs(random_targets(4, min(5, max(1000 // scale, 1))), max(5000 // scale, 1))
-    ratios = ratio_rows(random_targets(4, max(200 // scale, 1), seed=2), epochs, scale)
-    memories = memory(scale)
+    ratios = ratio_rows(random_targets(4, max(200 // scale, 1), seed=2), scale)
     io.save_json(
         directory / "benchmark.json",
         {
             "synthesis": rows,
             "growth": grown,
-            "epoch [us]": {name: float(np.median(costs)) for name, costs in epochs.items()},
             "ratios": {row.what: {**row.spread, "samples": len(row.samples), "aim": row.aim} for row in ratios},
-            "memory [MB]": memories,
         },
     )
     threads = max((pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"), default=1)
@@ -198,13 +143,9 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
             ["CPU time [ms]", *(f"N = {size}" for size in SIZES), "exponent"],
             ([name, *values] for name, values in grown.items()),
         ),
-        *markdown_table(
-            ["learning, N = 4", "one epoch [us]"], ([name, f"{np.median(c):.0f}"] for name, c in epochs.items())
-        ),
         "",
         "Ratios of times in this run, each measured several times; what it should be at least or at most is the aim.",
         *markdown_table(HEADINGS, (row.cells() for row in ratios)),
-        *markdown_table(["peak memory", "MB"], memories.items()),
     ]
     path = directory / "benchmark.md"
     with io.atomic_text(path) as stream:
@@ -214,14 +155,10 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a tenth of the targets")
-    parser.add_argument("--output", default="results/benchmark", help="directory (default: %(default)s)")
-    options = parser.parse_args(arguments)
-    directory = io.make_directory(options.output)
+    given = options(arguments, __doc__, "results/benchmark", quick=False)
     # BLAS threads that wait for work would count as busy.
     with one_blas_thread():
-        write(directory, 10 if options.quick else 1, " --quick" if options.quick else "")
+        write(io.make_directory(given.output), 10 if given.quick else 1, " --quick" if given.quick else "")
 
 
 if __name__ == "__main__":

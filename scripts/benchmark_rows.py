@@ -29,12 +29,10 @@ from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.arm.targets import draw_target
 from lieednn_sim.environments.gymnasium import Environment, VectorEnvironment
 from lieednn_sim.errors import LieEDNNError, RenderingUnavailableError
-from lieednn_sim.learning import TrainingOptions, train
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import PLANNERS, Plan, plan
 from lieednn_sim.planning.certified import CandidateOptions
 from lieednn_sim.planning.motion import Motion, check_motion
-from lieednn_sim.planning.network_path import NetworkPath
 from lieednn_sim.policies import POLICIES, NetworkPolicy, ReplanningPolicy, make_policy
 from lieednn_sim.registry import DEFAULT_ARMS
 from lieednn_sim.rendering.overlay import Overlay, draw_lines
@@ -89,48 +87,23 @@ def ratios(
     return [seconds(one, clock, times) / seconds(other, clock, times) for _ in range(repeats)]
 
 
-def epoch_costs(targets: list[np.ndarray], epochs: int) -> dict[str, list[float]]:
-    """Microseconds per epoch of each learning algorithm, for each target."""
-    algorithms = {
-        "literal Algorithm 1": TrainingOptions.literal(max_epochs=max(epochs // 10, 1)),
-        "repaired Algorithm 1": TrainingOptions(max_epochs=epochs),
-        "repaired, no projection": TrainingOptions(max_epochs=epochs, projection="none"),
-        "tracked": TrainingOptions.tracked(),
-    }
-    costs: dict[str, list[float]] = {name: [] for name in algorithms}
-    for seed, xi in enumerate(targets):
-        for name, options in algorithms.items():
-            result = train(xi, options, seed=seed)
-            costs[name].append(1e6 * result.cpu_time / result.epochs)
-    return costs
-
-
-def learning_rows(targets: list[np.ndarray], epochs: dict[str, list[float]]) -> Iterator[Row]:
-    """Epochs of Algorithm 1 in each other and in linear solves, and learning and retargeting in syntheses."""
-    literal, repaired = np.array(epochs["literal Algorithm 1"]), np.array(epochs["repaired Algorithm 1"])
-    matrix, right = np.random.default_rng(0).normal(size=(24, 24)), np.ones(24)
-    solve = np.median([1e6 * seconds(partial(np.linalg.solve, matrix, right), times=1000) for _ in repaired])
-    yield Row("epoch of the literal Algorithm 1, in epochs of the repaired", literal / repaired, ">= 50")
-    yield Row("epoch of the repaired Algorithm 1, in LU solves of its size by NumPy", repaired / solve, "<= 5")
-    learned, retargeted = [], []
+def retarget_row(targets: list[np.ndarray]) -> Row:
+    """Time of a synthesis, in that of retargeting its network."""
+    ratios = []
     for seed, xi in enumerate(targets):
         synthesis = synthesize(xi, seed=seed)
-        learned.append(train(xi, TrainingOptions.tracked(), seed=seed).cpu_time / synthesis.cpu_time)
-        retargeted.append(synthesis.cpu_time / seconds(partial(synthesis.unwrap().retarget, 0.5 * xi), times=200))
-    yield Row("tracked learning of a network, in certified syntheses", learned)
-    yield Row("certified synthesis of a network, in retargetings", retargeted)
+        ratios.append(synthesis.cpu_time / seconds(partial(synthesis.unwrap().retarget, 0.5 * xi), times=200))
+    return Row("certified synthesis of a network, in retargetings", ratios)
 
 
-def plan_rows(arm: Arm, goal: np.ndarray, motion: Motion, synthesis: float, repeats: int) -> Iterator[Row]:
-    """Times of plans in that of a synthesis [s], and of simulations in that which they simulate."""
-    plans = [seconds(partial(plan, arm, goal), time.perf_counter) / synthesis for _ in range(repeats)]
-    yield Row("planning in free space, in syntheses", plans)
+def real_time_row(arm: Arm, motion: Motion, repeats: int) -> Row:
+    """Times that are simulated, in those that it takes."""
     simulated = [simulate(arm, motion).t[-1] / seconds(partial(simulate, arm, motion)) for _ in range(repeats)]
-    yield Row("real time, in simulations of it", simulated)
+    return Row("real time, in simulations of it", simulated)
 
 
-def control_step_rows(arm: Arm) -> Iterator[Row]:
-    """Time of a control step of `follow` with feedback and 12 neurons, and in evaluations of the vector field.
+def control_step_row(arm: Arm) -> Row:
+    """Time of a control step of `follow` with feedback and 12 neurons.
 
     Over a run with its simulation, which empties the processor's caches between steps.
     """
@@ -139,11 +112,7 @@ def control_step_rows(arm: Arm) -> Iterator[Row]:
     network = shape(guide.xi[::2], options=ShapingOptions(neurons=(8,))).network
     assert network.n_neurons == 12
     times = follow(NetworkPolicy(arm, network), target, 7.0).step_time
-    x = network.start(arm.encode(arm.keyframe("home"))).ravel()
-    field = np.median([seconds(partial(network.flat_vector_field, x), times=200) for _ in range(5)])
-    name = f"control step of follow with feedback, 12 neurons, {arm.name}"
-    yield Row(f"{name} [us]", 1e6 * times)
-    yield Row(f"{name}, in evaluations of the field", times / field)
+    return Row(f"control step of follow with feedback, 12 neurons, {arm.name} [us]", 1e6 * times)
 
 
 def policy_rows(arm: Arm) -> Iterator[Row]:
@@ -166,20 +135,12 @@ def change_row(arm: Arm, count: int) -> Row:
     return Row(f"new target for lieednn-replanning, {arm.name} [us]", times, "<= 1000")
 
 
-def evaluation_rows(arm: Arm, network: LieEDNN, instants: int, repeats: int) -> Iterator[Row]:
-    """Time to retarget, in that of a product W phi(x); and that of xi(t) and joints in that of exponentials alone."""
+def product_row(network: LieEDNN, repeats: int) -> Row:
+    """Time to retarget, in that of a product W phi(x)."""
     xi, weight = 0.5 * network.visible(network.equilibrium().xi), network.weight
     product = lambda: weight @ network.phi(xi).ravel()  # noqa: E731
     samples = ratios(partial(network.retarget, xi), product, repeats, times=500)
-    yield Row("retargeting, in products W phi(x)", samples, "<= 5")
-    path = NetworkPath.integrate(arm, network, arm.keyframe("home"))
-    assert path.speed is not None
-    tau = np.linspace(0.0, path.speed.x[-1], instants)
-    twists = network.visible(path.states(tau)).reshape(-1, 6)
-    samples = ratios(
-        lambda: arm.decode(network.visible(path.states(tau))), partial(RigidTransform.from_exp_coords, twists), repeats
-    )
-    yield Row(f"xi(t) and q(t) at {instants:,} instants, in SciPy's exponentials", samples, "<= 3")
+    return Row("retargeting, in products W phi(x)", samples, "<= 5")
 
 
 def start_rows(repeats: int) -> Iterator[Row]:
@@ -198,6 +159,10 @@ def start_rows(repeats: int) -> Iterator[Row]:
         yield Row(what, ratios(python(*ours), python("-c", floor), repeats, children), "<= 1.5")
 
 
+# The package simulates no visual geoms, which do not change the motion, so there are two floors; aims are of the first.
+_FLOORS = {" on the whole model": False, " without visual geoms": True}
+
+
 def floor(arm: Arm, controller: str, followed: Rollout, bare: bool) -> Simulation:
     """A plant at the start of a rollout, with the controls of its first step, with or without visual geoms."""
     arm = arm.without_visuals if bare else arm
@@ -208,11 +173,6 @@ def floor(arm: Arm, controller: str, followed: Rollout, bare: bool) -> Simulatio
     simulation.reset(followed.q[0])
     driver.act(simulation.data, 0, simulation.noise)
     return simulation
-
-
-# The package simulates no visual geoms, which do not change the motion, so there are two floors; aims are of the first.
-_WHOLE, _BARE = " on the whole model", " without visual geoms"
-_FLOORS = {_WHOLE: False, _BARE: True}
 
 
 def rollout_rows(arm: Arm, motion: Motion, repeats: int) -> Iterator[Row]:
@@ -246,71 +206,48 @@ def many_rows(arm: Arm, count: int, repeats: int) -> Iterator[Row]:
     ours = partial(simulate_many, arm, motions, hold=0.0, threads=threads)
     result = ours()
     for label, bare in _FLOORS.items():
-        simulation = floor(arm, "position-servo", result.rollout(0), bare)
+        simulation, kind = floor(arm, "position-servo", result.rollout(0), bare), mujoco.mjtState.mjSTATE_FULLPHYSICS
         model, data = simulation.model, [mujoco.MjData(simulation.model) for _ in range(threads)]
-        states = np.tile(full_state(model, simulation.data), (count, 1))
-        rival = partial(rollout.rollout, model, data, states, np.ascontiguousarray(result.ctrl))
+        state = np.zeros(mujoco.mj_stateSize(model, kind))
+        mujoco.mj_getState(model, simulation.data, state, kind)
+        rival = partial(rollout.rollout, model, data, np.tile(state, (count, 1)), np.ascontiguousarray(result.ctrl))
         name = f"steps/s of {count} rollouts by simulate_many, in those of mujoco.rollout{label}"
         yield Row(name, ratios(rival, ours, repeats), "" if bare else ">= 0.9")
-
-
-def full_state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """The state from which `mujoco.rollout` starts, ``(size,)``."""
-    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    state = np.zeros(mujoco.mj_stateSize(model, kind))
-    mujoco.mj_getState(model, data, state, kind)
-    return state
 
 
 def environment_rows(arm: Arm, repeats: int, actions: int) -> Iterator[Row]:
     """Time that environments add to bare substeps, in both interfaces."""
     own = Environment(arm=arm)
-    substeps = own.task.substeps
-    # The environment, how it is reset, and the models of its bare substeps; dm_control simulates what it renders.
-    environments: dict[str, tuple[Any, Callable[[], object], dict[str, mujoco.MjModel]]] = {
-        "Gymnasium": (own, partial(own.reset, seed=0), {"": arm.model, _BARE: arm.without_visuals.model})
-    }
-    # dm_control does not support MuJoCo 4.
+    substeps, whole, bare = own.task.substeps, arm.model, arm.without_visuals.model
+    cases: list[tuple[str, Any, Any]] = [("Gymnasium", own, whole), ("Gymnasium", own, bare)]
+    # dm_control does not support MuJoCo 4; it simulates what it renders.
     if importlib.util.find_spec("dm_control") is not None:
-        suite = importlib.import_module("lieednn_sim.environments.suite").load(arm, "reach", random=0)
-        environments["dm_control"] = (suite, partial(suite.reset, seed=0), {"": arm.model})
+        suite = importlib.import_module("lieednn_sim.environments.suite")
+        cases.append(("dm_control", suite.load(arm, "reach", random=0), whole))
     given = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (actions, arm.n_joints))
-    for name, (environment, reset, models) in environments.items():
-        for label, model in models.items():
-            data, added, shares = mujoco.MjData(model), [], []
-            for _ in range(repeats):
-                reset()
-                mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-                every = iter(given)
-                ours = seconds(lambda step=environment.step, rows=every: step(next(rows)), times=actions)  # type: ignore[misc]
-                alone = seconds(partial(mujoco.mj_step, model, data, substeps), times=actions)
-                added.append(1e6 * (ours - alone))
-                shares.append(ours / alone)
-            step = f"environment step of {name}"
-            yield Row(f"{step}, in its {substeps} bare substeps{label}", shares)
-            yield Row(f"{step}, added to its {substeps} bare substeps{label} [us]", added, "" if label else "<= 10")
+    for name, environment, model in cases:
+        data, added = mujoco.MjData(model), []
+        for _ in range(repeats):
+            environment.reset(seed=0)
+            mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+            every = iter(given)
+            ours = seconds(lambda step=environment.step, rows=every: step(next(rows)), times=actions)  # type: ignore[misc]
+            added.append(1e6 * (ours - seconds(partial(mujoco.mj_step, model, data, substeps), times=actions)))
+        label, aim = (" without visual geoms", "") if model is bare else ("", "<= 10")
+        yield Row(f"environment step of {name}, added to its {substeps} bare substeps{label} [us]", added, aim)
 
 
-def vector_rows(arm: Arm, repeats: int, actions: int, count: int) -> Iterator[Row]:
-    """Steps/s of many environments at once, and of their physics alone, in those of Gymnasium's processes."""
+def vector_row(arm: Arm, repeats: int, actions: int, count: int) -> Row:
+    """Steps/s of many environments at once, in those of Gymnasium's processes."""
     own, processes = VectorEnvironment(count, arm=arm), AsyncVectorEnv([partial(Environment, arm=arm.name)] * count)
-    some, task = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (count, arm.n_joints)), own.task
+    some = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (count, arm.n_joints))
     own.reset(seed=0)
     processes.reset(seed=0)
-    model = task.simulation.model
-    data = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
-    states = np.tile(full_state(model, task.simulation.data), (count, 1))
-    home = np.tile(arm.keyframe("home"), (count, 1))
-    controls = task.commands.controls(home, task.commands.moved(home, some))
     # Wall time: processes and threads run on all cores.
-    compared = partial(ratios, partial(processes.step, some), repeats=repeats, clock=time.perf_counter, times=actions)
-    name = f"of {count} environments at once, in those of Gymnasium's AsyncVectorEnv"
-    yield Row(f"steps/s {name}", compared(partial(own.step, some)), ">= 10")
-    with rollout.Rollout(nthread=len(data)) as threads:
-        physics = partial(threads.rollout, model, data, states, controls)
-        yield Row(f"steps/s of the physics alone {name}", compared(physics))
+    samples = ratios(partial(processes.step, some), partial(own.step, some), repeats, time.perf_counter, actions)
     own.close()
     processes.close()
+    return Row(f"steps/s of {count} environments at once, in those of Gymnasium's AsyncVectorEnv", samples, ">= 10")
 
 
 # Functions that count as linear algebra in a synthesis, by module.
@@ -507,25 +444,24 @@ def code_rows(steps: int, neurons: int = 16) -> Iterator[Row]:
     yield Row(f"step of a network of {neurons} neurons in C [us]", list(map(float, times)), "<= 20")
 
 
-def ratio_rows(targets: list[np.ndarray], epochs: dict[str, list[float]], scale: int) -> list[Row]:
-    """All rows, with a fraction 1 / ``scale`` of the repetitions; ``epochs`` are the costs of `epoch_costs`."""
+def ratio_rows(targets: list[np.ndarray], scale: int) -> list[Row]:
+    """All rows, with a fraction 1 / ``scale`` of the repetitions."""
     arms, arm = [Arm.load(name) for name in DEFAULT_ARMS], Arm.load("telescopic_pr")
     few, repeats, often = (max(count // scale, 1) for count in (5, 10, 20))
     chosen: Plan = plan(arm, arm.keyframe("extended"))
     assert isinstance(chosen.network, LieEDNN)
-    synthesis = float(np.median([synthesize(xi, seed=seed).cpu_time for seed, xi in enumerate(targets[:20])]))
     return [
-        *learning_rows(targets[:20], epochs),
-        *plan_rows(arm, arm.keyframe("extended"), chosen.motion, synthesis, often),
-        *(row for each in arms for row in control_step_rows(each)),
+        retarget_row(targets[:20]),
+        real_time_row(arm, chosen.motion, often),
+        *map(control_step_row, arms),
         *policy_rows(arm),
         *(change_row(each, max(200 // scale, 2)) for each in arms),
-        *evaluation_rows(arm, chosen.network, max(10_000 // scale, 10), often),
+        product_row(chosen.network, often),
         *start_rows(repeats),
         *rollout_rows(arm, chosen.motion, repeats),
         *many_rows(arm, max(256 // scale, 2), min(few, 3)),
         *environment_rows(arm, repeats, max(50 // scale, 2)),
-        *vector_rows(arm, few, max(20 // scale, 2), max(64 // scale, 2)),
+        vector_row(arm, few, max(20 // scale, 2), max(64 // scale, 2)),
         *synthesis_rows(targets, arms, max(1000 // scale, 1), few),
         check_row(Arm.load("telescopic_pr", "poles", 1), 1, few),
         *rival_rows(arms, max(10 // scale, 1)),

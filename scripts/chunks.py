@@ -13,23 +13,19 @@ goes on. Writes ``chunks.md``; CPU times are those of one core with one BLAS thr
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import time
 from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from importlib import metadata
 from itertools import product
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import chunk_policies as policies
 import numpy as np
 from chunk_policies import DT, PERIOD, REFERENCES, H
+from common import options, saved_runs, write
 
 import lieednn_sim as ls
 from lieednn_sim import io
@@ -177,19 +173,12 @@ def episode(name: str, policy: str, delay: float, way: str, seed: int, folder: P
     }
 
 
-def run(job: tuple[Any, ...], count: int, folder: Path) -> None:
-    """Do what a row is made of, and keep it."""
+def run(job: tuple[Any, ...], count: int, folder: Path) -> list[dict[str, float]]:
+    """What a row is made of."""
     if len(job) == 1:
-        rows = [judged(job[0], seed) for seed in range(count)]
-    else:
-        name, policy, delay, way = job
-        rows = [episode(name, policy, delay, way, seed, folder) for seed in range(count)]
-    io.save_json(kept(job, folder), {"rows": rows})
-
-
-def kept(job: tuple[Any, ...], folder: Path) -> Path:
-    """The file of a job."""
-    return folder / f"{'-'.join(map(str, job)).replace(' ', '_')}.json"
+        return [judged(job[0], seed) for seed in range(count)]
+    name, policy, delay, way = job
+    return [episode(name, policy, delay, way, seed, folder) for seed in range(count)]
 
 
 def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str = "") -> str:
@@ -240,33 +229,20 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Do the runs that are missing, and write the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--chunks", type=int, default=200, help="of each kind")
-    parser.add_argument("--episodes", type=int, default=20, help="of each task, policy, delay and reference")
-    parser.add_argument("--policies", nargs="+", default=["expert", "clone"], choices=["expert", "clone"])
-    parser.add_argument("--jobs", type=int, default=2, help="processes at once")
-    parser.add_argument("--output", type=Path, default=Path("results/chunks"))
-    options = parser.parse_args(arguments)
-    folder = io.make_directory(options.output / "runs")
-    os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes
-    counts: dict[tuple[Any, ...], int] = {(kind,): options.chunks for kind in (*CLEAN, *FAULTS)}
-    counts |= dict.fromkeys(product(TASKS, options.policies, DELAYS, REFERENCES), options.episodes)
-    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
-        weights = [folder / f"{name}.npz" for name in TASKS if "clone" in options.policies]
-        fits = [pool.submit(policies.fit, path.stem, path) for path in weights if not path.exists()]
-        missing = [job for job in counts if not kept(job, folder).exists()]
-        runs = [pool.submit(run, job, counts[job], folder) for job in missing if "clone" not in job]
-        for done in fits:
-            done.result()
-        runs += [pool.submit(run, job, counts[job], folder) for job in missing if "clone" in job]
-        for done in runs:
-            done.result()
-    found = {job: json.loads(kept(job, folder).read_text(encoding="utf-8"))["rows"] for job in counts}
+    known = ("expert", "clone")
+    defaults: dict[str, Any] = {"chunks": 200, "episodes": 20, "policies": known, "jobs": 2}
+    given = options(arguments, __doc__, "results/chunks", choices={"policies": known}, **defaults)
+    folder = io.make_directory(given.output / "runs")
+    counts: dict[tuple[Any, ...], int] = {(kind,): given.chunks for kind in (*CLEAN, *FAULTS)}
+    counts |= dict.fromkeys(product(TASKS, given.policies, DELAYS, REFERENCES), given.episodes)
     used = f"; Ruckig {metadata.version('ruckig')}"
-    text = report(found, used + (f", torch {metadata.version('torch')}" if weights else ""))
-    with io.atomic_text(options.output / "chunks.md") as file:
-        file.write(text)
-    print(text)
+    if "clone" in given.policies:
+        fits = {f"fit-{name}": (name, folder / f"{name}.npz") for name in TASKS}
+        saved_runs(folder, fits, policies.fit, given.jobs)
+        used += f", torch {metadata.version('torch')}"
+    runs = {"-".join(map(str, job)).replace(" ", "_"): (job, count, folder) for job, count in counts.items()}
+    found = dict(zip(counts, saved_runs(folder, runs, run, given.jobs), strict=True))
+    write(given.output / "chunks.md", report(found, used))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Cost over time of the rival planners that improve what they found, beside RRT-Connect, which does not.
 
-    python scripts/cost_over_time.py [--planners rrt-star,...] [--seeds 4] [--output results/cost_over_time]
+    python scripts/cost_over_time.py [--planners NAME ...] [--arms NAME ...] [--seeds 4] [--output ...]
 
 The work allowed, which the planners' options count, doubles from run to run. Each run is a separate plan, with its CPU
 time and the length of its joint path in units of the joints' velocity limits, which is what these planners minimise.
@@ -14,23 +14,20 @@ problems, with unsolved ones as the longest. Writes ``cost_over_time.csv`` with 
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
-from saved_rows import saved_rows
+from common import options, saved_rows, write
 
 import lieednn_sim as ls
-from lieednn_sim import io
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import NoSolutionError
 from lieednn_sim.evaluation.display import markdown_table
-from lieednn_sim.evaluation.figure_layout import COLOURS, STYLE, save_figure
+from lieednn_sim.evaluation.figure_layout import COLOURS, drawn
 from lieednn_sim.planning import PLANNERS
 from lieednn_sim.planning.motion import joint_scale
 from lieednn_sim.registry import DEFAULT_ARMS
@@ -108,8 +105,7 @@ def report(runs: Sequence[dict[str, Any]], command: str) -> str:
 
 def plot(runs: Sequence[dict[str, Any]], path: Path) -> None:
     """The medians over time, as steps."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(7.5, 4.2), layout="constrained")
+    with drawn(path, 7.5, 4.2) as figure:
         axes = figure.subplots()
         for index, (name, ratios) in enumerate(best_by(runs, CURVE.tolist()).items()):
             median = np.quantile(ratios, 0.5, axis=0, method="higher")
@@ -123,33 +119,23 @@ def plot(runs: Sequence[dict[str, Any]], path: Path) -> None:
         axes.set_ylabel("joint path / shortest known")
         axes.set_title("median over problems, once half of them are solved; dotted: beyond the longest run", loc="left")
         axes.legend()
-        save_figure(figure, path)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure missing runs, and write all three files."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     able = [name for name in LADDERS if name not in PLANNERS.missing()]
-    parser.add_argument("--planners", nargs="+", choices=LADDERS, default=able, metavar="PLANNER")
-    parser.add_argument("--arms", nargs="+", choices=DEFAULT_ARMS, default=DEFAULT_ARMS, metavar="ARM")
-    parser.add_argument("--seeds", type=int, default=4)
-    parser.add_argument("--output", type=Path, default=Path("results/cost_over_time"))
-    options = parser.parse_args(arguments)
-    folder = io.make_directory(options.output)
+    defaults: dict[str, Any] = {"planners": able, "arms": DEFAULT_ARMS, "seeds": 4}
+    given = options(arguments, __doc__, "results/cost_over_time", choices={"planners": LADDERS}, **defaults)
     cases = [
         {"planner": planner, "arm": arm, "seed": seed, "work": work}
-        for arm in options.arms
-        for seed in range(FIRST_SEED, FIRST_SEED + options.seeds)
-        for planner in options.planners
+        for arm, seed, planner in product(given.arms, range(FIRST_SEED, FIRST_SEED + given.seeds), given.planners)
         for work in LADDERS[planner][1]
     ]
-    runs = saved_rows(folder / "cost_over_time.csv", cases, measured)
+    path = given.output / "cost_over_time.csv"
+    runs = saved_rows(path, cases, measured)
     runs.sort(key=lambda run: list(LADDERS).index(run["planner"]))
-    text = report(runs, f"python scripts/cost_over_time.py --seeds {options.seeds}")
-    with io.atomic_text(folder / "cost_over_time.md") as file:
-        file.write(text)
-    plot(runs, folder / "cost_over_time.png")
-    print(text)
+    write(path.with_suffix(".md"), report(runs, f"python scripts/cost_over_time.py --seeds {given.seeds}"))
+    plot(runs, path.with_suffix(".png"))
 
 
 if __name__ == "__main__":

@@ -4,31 +4,25 @@
                                               [--output results/demonstrations]
 
 FOLDER holds ``robottasks/*.npy`` (centimetres, quaternions w x y z) and ``lasa/*.mat`` (millimetres); they are not part
-of this project. Rows are kept in ``demonstrations.csv``, so an interrupted run can be continued; ``demonstrations.md``
-is its summary. All columns except the times are reproducible.
+of this project. Rows are kept in ``OUTPUT/runs``, with which an interrupted run goes on; ``demonstrations.md`` has the
+tables. All columns except the times are reproducible.
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
+from common import options, saved_runs, write
 
-from lieednn_sim import io
+from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.learning.demonstrations import align, load_demonstrations
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
-from lieednn_sim.registry import RIVALS
 from lieednn_sim.studies.demonstrations.models import ModelRow, compare_models
-from lieednn_sim.studies.rows import TableRow, column, grouped, outcome
-from lieednn_sim.studies.study import Study, compute
-from lieednn_sim.studies.table import Table
 
 STARTS = 1000
 NOTES = (
@@ -49,109 +43,30 @@ NOTES = (
     "that is left out would shift all that follows.",
 )
 KINDS = {"robottasks": ("*.npy", "cm"), "lasa": ("*.mat", "mm")}
-_error = partial(column, meaning="see `ModelRow` and `PathErrors`")
 
 
-@dataclass(frozen=True, slots=True)
-class ModelScore(TableRow):
-    """The errors of a model of one set of demonstrations; see `ModelRow`.
-
-    Attributes:
-        kind: where the set is from; together with the next two, the key of the row.
-        set: name of the set.
-        model: name of the model.
-        success: whether the models could be fitted.
-        reason: why they could not; empty on success.
-    """
-
-    _key = ("kind", "set", "model")
-
-    kind: str
-    set: str
-    model: str
-    success: bool = outcome()
-    reason: str = ""
-    n_parameters: int | None = column("parameters", "number of fitted parameters")
-    starts: int | None = column("starts", "number of random starts")
-    arrived: int | None = column("arrived", "random starts that arrived")
-    spurious: int | None = column("spurious", "places elsewhere at which other starts came to rest")
-    fit_s: float | None = column("fit s", "CPU time of the fit", timed=True)
-    mean_rms_mm: float | None = _error("RMS mm, mean")
-    mean_rms_deg: float | None = _error("deg, mean")
-    mean_dtwd_mm: float | None = _error("DTWD mm, mean")
-    mean_frechet_mm: float | None = _error("Frechet mm, mean")
-    mean_goal_mm: float | None = _error("goal mm, mean")
-    training_rms_mm: float | None = _error("RMS mm, training")
-    training_rms_deg: float | None = _error("deg, training")
-    training_dtwd_mm: float | None = _error("DTWD mm, training")
-    training_frechet_mm: float | None = _error("Frechet mm, training")
-    training_goal_mm: float | None = _error("goal mm, training")
-    left_out_rms_mm: float | None = _error("RMS mm, left out")
-    left_out_rms_deg: float | None = _error("deg, left out")
-    left_out_dtwd_mm: float | None = _error("DTWD mm, left out")
-    left_out_frechet_mm: float | None = _error("Frechet mm, left out")
-    left_out_goal_mm: float | None = _error("goal mm, left out")
+def scores(path: str, unit: str, starts: int) -> list[dict[str, Any]]:
+    """A row for each model of the demonstrations in a file, the network first; none where they cannot be fitted."""
+    try:
+        demonstrations = align(load_demonstrations([Path(path)], unit=unit))
+        rows, _ = compare_models(demonstrations, ShapedMotion.fit(demonstrations), starts=starts)
+    except LieEDNNError as error:
+        print(f"{path}: {error}")
+        return []
+    return [scored(Path(path).stem, row) for row in rows]
 
 
-def score(kind: str, path: str, unit: str, starts: int) -> list[ModelScore]:
-    """A row for each model of the demonstrations in a file."""
-    demonstrations = align(load_demonstrations([Path(path)], unit=unit))
-    shaped = ShapedMotion.fit(demonstrations)
-    rows, _ = compare_models(demonstrations, shaped, starts=starts)
-    return [scored(kind, Path(path).stem, row) for row in rows]
-
-
-def scored(kind: str, name: str, row: ModelRow) -> ModelScore:
-    """The row of a table for a model of a set."""
+def scored(name: str, row: ModelRow) -> dict[str, Any]:
+    """The row of a table for a model of a set: see `ModelRow`, with `PathErrors` by part."""
     parts = {"mean": row.mean, "training": row.training, "left_out": row.left_out}
-    # What rows hold of `PathErrors`.
-    kept = ("rms_mm", "rms_deg", "dtwd_mm", "frechet_mm", "goal_mm")
     errors = {
-        f"{part}_{key}": getattr(result, key) for part, result in parts.items() if result is not None for key in kept
+        f"{part}_{key}": value for part, result in parts.items() if result for key, value in asdict(result).items()
     }
-    there = asdict(row.attraction)
-    return ModelScore(kind, name, row.model, n_parameters=row.n_parameters, fit_s=row.fit_s, **there, **errors)
+    there = {"parameters": row.n_parameters, "fit_s": row.fit_s, **asdict(row.attraction)}
+    return {"set": name, "model": row.model, **there, **errors}
 
 
-def models() -> list[str]:
-    """Names of the models, the network first."""
-    return [ShapedMotion.name, *RIVALS]
-
-
-def failed(kind: str, path: str, _unit: str, _starts: int, reason: str) -> list[ModelScore]:
-    """Rows of models that could not be fitted, with the reason."""
-    return [ModelScore(kind, Path(path).stem, model, reason=reason) for model in models()]
-
-
-@dataclass(frozen=True)
-class DemonstrationSets(Study[ModelScore]):
-    """A shaped network and its rivals on sets of demonstrations, each in a file.
-
-    Attributes:
-        files: where each set is from, its file, and its unit of length, ``"m"``, ``"cm"`` or ``"mm"``.
-        starts: number of random starts.
-    """
-
-    name, kind = "demonstrations", ModelScore
-    run, failed = staticmethod(score), staticmethod(failed)
-
-    files: Sequence[tuple[str, Path, str]]
-    starts: int = 1000
-
-    def settings(self) -> Mapping[str, Any]:
-        """See `Study`."""
-        return {"starts": self.starts}
-
-    def todo(self, table: Table[ModelScore]) -> list[tuple[str, str, str, int]]:
-        """See `Study`."""
-        return [
-            (kind, str(path), unit, self.starts)
-            for kind, path, unit in self.files
-            if any((kind, path.stem, model) not in table.rows for model in models())
-        ]
-
-
-def table(found: Sequence[ModelScore], kind: str) -> list[str]:
+def table(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
     """A Markdown table with a row for each set and model, and the means of each model."""
     turns = kind == "robottasks"
     columns = ["RMS mm", *(["deg"] if turns else []), "DTWD mm", "Frechet mm"]
@@ -160,29 +75,34 @@ def table(found: Sequence[ModelScore], kind: str) -> list[str]:
     shown = [*(f"{what}_{key}" for what in ("mean", "training", "left_out") for key in keys), "training_goal_mm"]
     lines = []
     for row in found:
-        cells = [row.set, row.model, str(row.n_parameters), *(_number(getattr(row, name)) for name in shown)]
-        lines.append([*cells, f"{row.arrived}/{row.starts}", str(row.spurious), f"{row.fit_s:.1f}"])
-    for group in grouped(found, ("model",)):
-        means = [_number(float(np.mean(group.values(name)))) for name in shown]
-        lines.append(["**mean**", group.key[0], "", *means, "", "", ""])
+        cells = [row["set"], row["model"], row["parameters"], *(_number(row[name]) for name in shown)]
+        lines.append([*cells, f"{row['arrived']}/{row['starts']}", row["spurious"], f"{row['fit_s']:.1f}"])
+    for model in dict.fromkeys(row["model"] for row in found):
+        means = [_number(_mean(found, model, name)) for name in shown]
+        lines.append(["**mean**", model, "", *means, "", "", ""])
     return markdown_table(["set", "model", "parameters", *heads, "goal mm", "arrived", "spurious", "fit s"], lines)
 
 
-def verdicts(found: Sequence[ModelScore], kind: str) -> list[str]:
+def _mean(found: Sequence[dict[str, Any]], model: str, name: str) -> float:
+    return float(np.mean([row[name] for row in found if row["model"] == model]))
+
+
+def verdicts(found: Sequence[dict[str, Any]], kind: str) -> list[str]:
     """Requirements of the shaped network, and whether they hold."""
-    sets = [{row.model: row for row in group.rows} for group in grouped(found, ("set",))]
-    pairs = [(rows["lieednn-shaped"], rows["dmp"]) for rows in sets]
-    arrived = all(ours.arrived == ours.starts and not ours.spurious for ours, _ in pairs)
+    both = ([row for row in found if row["model"] == name] for name in ("lieednn-shaped", "dmp"))
+    pairs = list(zip(*both, strict=True))
+    arrived = all(ours["arrived"] == ours["starts"] and not ours["spurious"] for ours, _ in pairs)
     lines = [f"- Every start arrives, and there is no other attractor: {_holds(arrived)}."]
     if kind == "robottasks":
-        near = [(ours.mean_rms_mm or 0.0) <= 2.0 and (ours.mean_rms_deg or 0.0) <= 0.5 for ours, _ in pairs]
+        near = [ours["mean_rms_mm"] <= 2.0 and ours["mean_rms_deg"] <= 0.5 for ours, _ in pairs]
         lines.append(f"- The mean demonstration within 2 mm and 0.5 degrees RMS: {_holds(*near)}.")
         for key, what in (("dtwd_mm", "DTWD"), ("rms_mm", "RMS of positions"), ("rms_deg", "RMS of turns")):
-            better = [getattr(ours, f"left_out_{key}") <= getattr(dmp, f"left_out_{key}") for ours, dmp in pairs]
+            better = [ours[f"left_out_{key}"] <= dmp[f"left_out_{key}"] for ours, dmp in pairs]
             lines.append(f"- {what} of demonstrations left out no more than the primitive's: {_holds(*better)}.")
     else:
         for part in ("training", "left_out"):
-            mean = {group.key[0]: np.mean(group.values(f"{part}_dtwd_mm")) for group in grouped(found, ("model",))}
+            models = dict.fromkeys(row["model"] for row in found)
+            mean = {model: _mean(found, model, f"{part}_dtwd_mm") for model in models}
             best = mean["lieednn-shaped"]
             says = ", ".join(f"{name} {value:.0f}" for name, value in mean.items())
             lines.append(f"- Mean DTWD [mm], {part.replace('_', ' ')}: {says}.")
@@ -202,30 +122,16 @@ def _number(value: float) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", default="", help="kinds or names of sets, separated by commas")
-    parser.add_argument("--starts", type=int, default=STARTS)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--output", type=Path, default=Path("results/demonstrations"))
-    given = parser.parse_args(arguments)
+    defaults: dict[str, Any] = {"only": "", "starts": STARTS, "jobs": 1}
+    given = options(arguments, __doc__, "results/demonstrations", ["folder"], **defaults)
     wanted = set(filter(None, given.only.split(",")))
-    files = [
-        (kind, path, unit)
-        for kind, (pattern, unit) in KINDS.items()
-        for path in sorted((given.folder / kind).glob(pattern))
-        if not wanted or {kind, path.stem} & wanted
-    ]
-    study = DemonstrationSets(files, given.starts)
-    made = compute(study, given.output, jobs=given.jobs, console=Console(stderr=True))
-    found = sorted(made.rows.values(), key=lambda row: (row.set, models().index(row.model)))
     lines = ["# Models of demonstrations", "", "`python scripts/evaluate_demonstrations.py FOLDER`", "", *NOTES, ""]
-    for kind in KINDS:
-        if sets := [row for row in found if row.kind == kind and row.success]:
-            lines += [f"## {kind}", "", *verdicts(sets, kind), *table(sets, kind), ""]
-    with io.atomic_text(given.output / "demonstrations.md") as stream:
-        stream.write("\n".join(lines))
-    print(given.output / "demonstrations.md")
+    for kind, (pattern, unit) in KINDS.items():
+        paths = [path for path in (given.folder / kind).glob(pattern) if not wanted or {kind, path.stem} & wanted]
+        runs = {f"{kind}-{path.stem}": (str(path), unit, given.starts) for path in sorted(paths)}
+        sets = [row for rows in saved_runs(given.output / "runs", runs, scores, given.jobs) for row in rows]
+        lines += [f"## {kind}", "", *verdicts(sets, kind), *table(sets, kind), ""] if sets else []
+    write(given.output / "demonstrations.md", "\n".join(lines))
 
 
 if __name__ == "__main__":

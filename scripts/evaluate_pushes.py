@@ -1,6 +1,6 @@
 """Push arms off the path of a shaped network by a tenth of their range, and measure where they return to it.
 
-    python scripts/evaluate_pushes.py [--pushes 50] [--rates 0.1 0.3 1] [--arms ...] [--output results/pushes]
+    python scripts/evaluate_pushes.py [--pushes 50] [--rates 0.1 0.3 1] [--arms NAME ...] [--output results/pushes]
 
 For each arm and rho, the arm follows the network with feedback (`NetworkPolicy`) in MuJoCo, without
 obstacles. A force acts for 0.2 s on a random link in a random direction, after 20 to 50 % of the path. Its size is
@@ -10,17 +10,14 @@ with a row for each push, and ``pushes.md``; an interrupted run can be continued
 
 from __future__ import annotations
 
-import argparse
 import itertools
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from saved_rows import saved_rows
+from common import options, saved_rows, write
 
 import lieednn_sim as ls
-from lieednn_sim import io
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.registry import DEFAULT_ARMS
@@ -62,8 +59,6 @@ def pushed(arm: str, rate: float, seed: int) -> dict[str, Any]:
     rollout, recovery = run(force, DURATION)
     tip = rollout.link_position[-1, -1] - np.asarray(robot.link_poses(target).translation)[-1]
     return {
-        "link": link,
-        "force_n": round(force, 1),
         "deviation": round(recovery.deviation, 4),
         "time_s": "" if recovery.time_s is None else round(recovery.time_s, 3),
         "fraction": "" if recovery.fraction is None else round(recovery.fraction, 4),
@@ -106,22 +101,14 @@ def summary(rows: list[dict[str, Any]], command: str) -> str:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--pushes", type=int, default=50, help="for each arm and rho (default: %(default)s)")
-    parser.add_argument("--rates", type=float, nargs="+", default=[0.1, 0.3, 1.0], help="rho (default: %(default)s)")
-    parser.add_argument("--arms", nargs="+", default=DEFAULT_ARMS, help="(default: all but the crane)")
-    parser.add_argument("--output", default="results/pushes", help="directory (default: %(default)s)")
-    options = parser.parse_args(arguments)
-    directory: Path = io.make_directory(options.output)
-    asked = itertools.product(options.arms, options.rates, range(options.pushes))
+    given = options(arguments, __doc__, "results/pushes", pushes=50, rates=(0.1, 0.3, 1.0), arms=DEFAULT_ARMS)
+    asked = itertools.product(given.arms, given.rates, range(given.pushes))
     cases = [{"arm": arm, "rate": rate, "seed": seed} for arm, rate, seed in asked]
-    rows = saved_rows(directory / "pushes.csv", cases, pushed)
+    rows = saved_rows(given.output / "pushes.csv", cases, pushed)
     rows.sort(key=lambda row: (row["arm"], row["rate"], row["seed"]))
-    rates = " ".join(f"{rate:g}" for rate in options.rates)
-    text = summary(rows, f"python scripts/evaluate_pushes.py --pushes {options.pushes} --rates {rates}")
-    with io.atomic_text(directory / "pushes.md") as stream:
-        stream.write(text)
-    print(text)
+    rates = " ".join(f"{rate:g}" for rate in given.rates)
+    text = summary(rows, f"python scripts/evaluate_pushes.py --pushes {given.pushes} --rates {rates}")
+    write(given.output / "pushes.md", text)
 
 
 if __name__ == "__main__":

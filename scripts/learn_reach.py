@@ -9,34 +9,28 @@
 
 Behaviour cloning of the expert, and SAC and PPO of Stable-Baselines3 with its default settings (PPO's batch of 2048
 steps comes from eight environments) on observations normalised by its `VecNormalize`, act ten times a second. Each
-learner has a fixed budget, see `LEARNERS`, and each run is a process of one thread. Finished runs are kept in
+learner has a fixed budget, see `LEARNERS`, and runs are processes of one thread. Finished runs are kept in
 ``OUTPUT/runs`` and not repeated, so that an interrupted study goes on. Writes ``learning.md`` and ``learning.png``.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module, metadata
 from itertools import pairwise
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
+from common import options, saved_runs, write
 
 from lieednn_sim import io
 from lieednn_sim.environments.expert import Expert
 from lieednn_sim.environments.gymnasium import ENVIRONMENTS, Environment
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.evaluation.display import markdown_table
-from lieednn_sim.evaluation.figure_layout import STYLE, save_figure
+from lieednn_sim.evaluation.figure_layout import drawn
 from lieednn_sim.values import Floats
 
 NAME = next(iter(ENVIRONMENTS))
@@ -161,27 +155,25 @@ def reinforced(learner: str, seed: int) -> Iterator[tuple[int, Act]]:
         yield model.num_timesteps, act
 
 
-def run(learner: str, seed: int, folder: Path) -> None:
-    """Train and evaluate one learner with one seed, and keep what came of it."""
+def run(learner: str, seed: int, folder: Path) -> dict[str, Any]:
+    """What comes of one learner with one seed, trained and evaluated."""
     if learner == EXPERT:
         where = environment()
-        result: dict[str, Any] = {"last": evaluate(expert_of(where), MANY, where)}
-    elif learner == RANDOM:
+        return {"last": evaluate(expert_of(where), MANY, where)}
+    if learner == RANDOM:
         rng, size = np.random.default_rng(seed), environment().action_space.shape
-        result = {"last": evaluate(lambda _: rng.uniform(-1.0, 1.0, size), MANY)}
-    else:
-        import_module("torch").set_num_threads(1)
-        spent, start, curve, act = 0.0, time.process_time(), [], None
-        data = folder / "demonstrations.npz"
-        for steps, act in cloned(seed, data) if learner == "behaviour cloning" else reinforced(learner, seed):
-            spent += time.process_time() - start
-            curve.append((steps, float(np.mean(evaluate(act, FEW)["success"]))))
-            print(f"{learner} {seed}: {steps} steps, {spent:.0f} s, success {curve[-1][1]:.2f}", flush=True)
-            start = time.process_time()
-        if act is None:
-            raise LieEDNNError(f"{learner} made no policy")
-        result = {"curve": curve, "cpu_s": spent, "last": evaluate(act, MANY)}
-    io.save_json(folder / f"{learner}-{seed}.json", result)
+        return {"last": evaluate(lambda _: rng.uniform(-1.0, 1.0, size), MANY)}
+    import_module("torch").set_num_threads(1)
+    spent, start, curve, act = 0.0, time.process_time(), [], None
+    data = folder / "demonstrations.npz"
+    for steps, act in cloned(seed, data) if learner == "behaviour cloning" else reinforced(learner, seed):
+        spent += time.process_time() - start
+        curve.append((steps, float(np.mean(evaluate(act, FEW)["success"]))))
+        print(f"{learner} {seed}: {steps} steps, {spent:.0f} s, success {curve[-1][1]:.2f}", flush=True)
+        start = time.process_time()
+    if act is None:
+        raise LieEDNNError(f"{learner} made no policy")
+    return {"curve": curve, "cpu_s": spent, "last": evaluate(act, MANY)}
 
 
 def report(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
@@ -211,8 +203,7 @@ def report(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
 
 def plot(runs: dict[str, list[dict[str, Any]]], path: Path) -> None:
     """Success over the budgets, as means and ranges, and the expert's as a line."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(6.5, 3.4), layout="constrained")
+    with drawn(path, 6.5, 3.4) as figure:
         axes = figure.subplots()
         for learner, found in runs.items():
             if "curve" in found[0]:
@@ -227,33 +218,21 @@ def plot(runs: dict[str, list[dict[str, Any]]], path: Path) -> None:
         axes.axhline(rate, color="black", linestyle="--", label=EXPERT)
         axes.set(ylim=(-4, 104), xlabel="share of the budget of steps, or of updates [%]", ylabel="success [%]")
         axes.legend(loc="center", bbox_to_anchor=(0.65, 0.3))
-        save_figure(figure, path)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Do the runs that are missing, each in a process of its own, and write table and picture."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--jobs", type=int, default=2, help="runs at once")
-    parser.add_argument("--output", type=Path, default=Path("results/learning"))
-    options = parser.parse_args(arguments)
-    folder = io.make_directory(options.output / "runs")
-    files = {EXPERT: [folder / f"{EXPERT}-0.json"]}
-    files |= {name: [folder / f"{name}-{seed}.json" for seed in range(options.seeds)] for name in (*LEARNERS, RANDOM)}
+    given = options(arguments, __doc__, "results/learning", seeds=3, jobs=2)
+    folder = io.make_directory(given.output / "runs")
     # All clones learn from the same demonstrations, which are made first.
     demonstrations(folder / "demonstrations.npz")
-    missing = [(name, seed) for name, paths in files.items() for seed, path in enumerate(paths) if not path.exists()]
-    os.environ["OMP_NUM_THREADS"] = "1"  # of the processes
-    with ProcessPoolExecutor(options.jobs, get_context("spawn"), max_tasks_per_child=1) as pool:
-        for done in [pool.submit(run, name, seed, folder) for name, seed in missing]:
-            done.result()
-    runs = {name: [json.loads(path.read_text(encoding="utf-8")) for path in paths] for name, paths in files.items()}
+    seeds = {EXPERT: 1} | dict.fromkeys((*LEARNERS, RANDOM), given.seeds)
+    asked = {f"{name}-{seed}": (name, seed, folder) for name, count in seeds.items() for seed in range(count)}
+    made = iter(saved_runs(folder, asked, run, given.jobs))
+    runs = {name: [next(made) for _ in range(count)] for name, count in seeds.items()}
     used = [f"{name} {metadata.version(name)}" for name in ("stable-baselines3", "torch", "gymnasium")]
-    text = report(runs, f"; {', '.join(used)}")
-    with io.atomic_text(options.output / "learning.md") as file:
-        file.write(text)
-    plot(runs, options.output / "learning.png")
-    print(text)
+    write(given.output / "learning.md", report(runs, f"; {', '.join(used)}"))
+    plot(runs, given.output / "learning.png")
 
 
 if __name__ == "__main__":

@@ -10,14 +10,13 @@ says how the problems are posed. Each robot's rows are a table below the output,
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Any
 
 import numpy as np
+from common import options, write
 from rich.console import Console
 
-from lieednn_sim import io
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.problems.study import PublishedProblems, Solution
@@ -74,23 +73,14 @@ def report(rows: dict[str, Sequence[Solution]]) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """Compute missing rows, then write the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("folder", type=Path, help="VAMP's resources")
-    parser.add_argument("--robots", nargs="+", default=ROBOTS, help=f"folders in it (default: {' '.join(ROBOTS)})")
-    parser.add_argument("--planners", nargs="+", default=PLANNERS, help=f"names (default: {' '.join(PLANNERS)})")
-    parser.add_argument("--problems", type=int, default=100, help="for each robot (default: %(default)s)")
-    parser.add_argument("--jobs", type=int, default=1, help="worker processes (default: %(default)s)")
-    parser.add_argument("--output", type=Path, default=Path("results/motion_bench_maker"))
-    given = parser.parse_args(arguments)
+    defaults: dict[str, Any] = {"robots": ROBOTS, "planners": PLANNERS, "problems": 100, "jobs": 1}
+    given = options(arguments, __doc__, "results/motion_bench_maker", ["folder"], **defaults)
     rows: dict[str, Sequence[Solution]] = {}
     for robot in given.robots:
         study = PublishedProblems(ProblemSets(given.folder / robot), given.planners, given.problems, BUDGET)
         made = compute(study, given.output / robot, jobs=given.jobs, console=Console(stderr=True))
         rows[robot] = list(made.rows.values())
-    path = given.output / "motion_bench_maker.md"
-    with io.atomic_text(path) as stream:
-        stream.write(report(rows))
-    print(path)
+    write(given.output / "motion_bench_maker.md", report(rows))
 
 
 if __name__ == "__main__":

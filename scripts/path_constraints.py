@@ -9,11 +9,11 @@ steps, because of its limits, its reach or contact, are drawn again.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from common import options
 from scipy.spatial.transform import RigidTransform
 
 import lieednn_sim as ls
@@ -63,12 +63,9 @@ def row(arm: ls.Arm, kind: str, ways: int) -> list[Any]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("arms", nargs="+", help="names of arms or model files")
-    parser.add_argument("--ways", type=int, default=20, help="ways of each kind that the arm can follow")
-    options = parser.parse_args(arguments)
-    arms = [ls.Arm.load(name) for name in options.arms]
-    print(*markdown_table(HEADINGS, (row(arm, kind, options.ways) for arm in arms for kind in KINDS)), sep="\n")
+    given = options(arguments, __doc__, "", ["arms+"], ways=20)
+    arms = [ls.Arm.load(str(name)) for name in given.arms]
+    print(*markdown_table(HEADINGS, (row(arm, kind, given.ways) for arm in arms for kind in KINDS)), sep="\n")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Motions with continuous-time collision certificates, in the scenes that planners with reachable sets are tried in.
 
-    python scripts/provers.py ARMOUR SPARROWS [--sets armour sparrows] [--planners NAME ...] [--model FILE]
-                              [--jobs 1] [--output results/provers]
+    python scripts/provers.py ARMOUR SPARROWS [--sets armour sparrows] [--planners NAME ...] [--jobs 1]
+                              [--output results/provers]
 
 The folders are checkouts of roahmlab/armour and roahmlab/sparrows, which are not part of this project;
 docs/howto/published_problems.md says how the problems are posed. Writes a Markdown table, ``provers.md``; exits with
@@ -10,7 +10,6 @@ status 1 if anything is nearer than what is proved.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -20,13 +19,13 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from common import options, write
 from scipy.interpolate import CubicHermiteSpline
 
-from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.obstacles import shapes
 from lieednn_sim.budget import cpu_time, one_blas_thread
-from lieednn_sim.errors import LieEDNNError
+from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.evaluation import evaluate
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.planning import Plan, find_tube, plan
@@ -181,26 +180,16 @@ def broken(rows: Sequence[Proof]) -> list[Proof]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Plan and prove in every scene, then write the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("armour", type=Path, help="checkout of roahmlab/armour")
-    parser.add_argument("sparrows", type=Path, help="checkout of roahmlab/sparrows")
-    parser.add_argument("--sets", nargs="+", default=list(SETS), choices=list(SETS))
-    parser.add_argument("--planners", nargs="+", default=PLANNERS, help=f"names (default: {' '.join(PLANNERS)})")
-    parser.add_argument("--model", type=Path, help="of a Gen3 (default: the one in the first checkout)")
-    parser.add_argument("--jobs", type=int, default=1, help="worker processes (default: %(default)s)")
-    parser.add_argument("--output", type=Path, default=Path("results/provers"))
-    given = parser.parse_args(arguments)
+    defaults = {"sets": tuple(SETS), "planners": PLANNERS, "jobs": 1}
+    given = options(arguments, __doc__, "results/provers", ["armour", "sparrows"], {"sets": SETS}, **defaults)
     files = {name: sorted((getattr(given, name) / SETS[name]).glob("scene_*.csv")) for name in given.sets}
     if missing := [name for name in given.sets if not files[name]]:
-        parser.error(f"{getattr(given, missing[0])} has no {SETS[missing[0]]}/scene_*.csv")
-    model = str(given.model or given.armour / MODEL)
+        raise FileError(f"{getattr(given, missing[0])} has no {SETS[missing[0]]}/scene_*.csv")
+    model = str(given.armour / MODEL)
     each = [(name, planner) for name in given.sets for planner in given.planners]
     with ProcessPoolExecutor(given.jobs) as pool:
         rows = list(pool.map(prove, [(model, name, file, planner) for name, planner in each for file in files[name]]))
-    path = io.make_directory(given.output) / "provers.md"
-    with io.atomic_text(path) as stream:
-        stream.write(report(rows))
-    print(path)
+    write(given.output / "provers.md", report(rows))
     return 1 if broken(rows) else 0
 
 

@@ -7,13 +7,13 @@ The same command continues an interrupted run; --fresh starts over, as after a c
 
 from __future__ import annotations
 
-import argparse
 import os
 from pathlib import Path
 
 # Set before NumPy loads, and inherited by the workers: the matrices are far too small for threads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from common import options
 from paper import figures, report
 from paper.plan import FULL, QUICK, Plan, jobs
 from paper.results import Results, load, run_all
@@ -35,20 +35,12 @@ def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, comma
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="few targets and epochs, in a minute")
-    parser.add_argument("--output", default="results/paper", help="directory (default: %(default)s)")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="worker processes (default: all cores)")
-    parser.add_argument("--fresh", action="store_true", help="use no results of earlier runs")
-    options = parser.parse_args(arguments)
-    if options.jobs < 1:
-        parser.error(f"argument --jobs: must be at least 1, got {options.jobs}")
-    command = "python scripts/reproduce_paper.py" + (" --quick" if options.quick else "")
-    if options.fresh:
-        for path in (Path(options.output) / "jobs").glob("*.npz"):
-            path.unlink()
-    plan = QUICK if options.quick else FULL
-    print(reproduce(plan, options.output, options.jobs, command, Console(stderr=True)))
+    given = options(arguments, __doc__, "results/paper", quick=False, jobs=os.cpu_count() or 1, fresh=False)
+    command = "python scripts/reproduce_paper.py" + (" --quick" if given.quick else "")
+    for path in (given.output / "jobs").glob("*.npz") if given.fresh else ():
+        path.unlink()
+    plan = QUICK if given.quick else FULL
+    print(reproduce(plan, given.output, given.jobs, command, Console(stderr=True)))
 
 
 if __name__ == "__main__":

@@ -7,20 +7,18 @@ Writes a Markdown table (ten minutes on one core). Exits with status 1 if a boun
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import sys
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+from common import options, write
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from lieednn_sim import io
 from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.network import LieEDNN
@@ -229,16 +227,9 @@ def report(cases: int, jobs: int) -> tuple[str, int]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure and write the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cases", type=int, default=1000)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--output", type=Path, default=Path("results/robustness.md"))
-    options = parser.parse_args(arguments)
-    text, broken = report(options.cases, options.jobs)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    with io.atomic_text(options.output) as file:
-        file.write(text)
-    print(text)
+    given = options(arguments, __doc__, "results/robustness.md", cases=1000, jobs=1)
+    text, broken = report(given.cases, given.jobs)
+    write(given.output, text)
     return 1 if broken else 0
 
 

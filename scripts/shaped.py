@@ -1,6 +1,6 @@
 """Measure `lieednn-shaped` against its own guide: arms x scenes x seeds, one row each, resumable.
 
-    python scripts/shaped.py [--arms ...] [--scenes ...] [--seeds 50] [--output results/shaped]
+    python scripts/shaped.py [--arms NAME ...] [--scenes NAME ...] [--seeds 50] [--output results/shaped]
 
 Writes ``rows.csv``, which an interrupted run goes on with, and then ``summary.md``. Times are CPU seconds of one core
 with one BLAS thread.
@@ -8,17 +8,16 @@ with one BLAS thread.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from saved_rows import saved_rows
+from common import options, saved_rows, write
 
 import lieednn_sim as ls
-from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.evaluation.display import markdown_table
@@ -66,20 +65,16 @@ def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
     near = [1e3 * Collisions(room).clearance(each.q[::STRIDE]) for each in (motion, guide)]
     return {
         "guide": plan.guide.planner,
-        "hidden": plan.network.n_hidden,
         "certified": int(verified_after_loading(plan.network)),
         "deviation_mm": 1e3 * plan.details.deviation,
         "gap_mm": mine.gap_mm,
-        "gap_deg": mine.gap_deg,
         "jerk": mine.jerk_joints / given.jerk_joints,
         "effector_jerk": mine.jerk_effector / given.jerk_effector,
         "path": mine.path_ranges / given.path_ranges,
         "effort": effort(room, motion) / effort(room, guide),
         "clearance_mm": near[0],
         "guide_clearance_mm": near[1],
-        "motion_s": mine.motion_s,
         "fit_ms": 1e3 * plan.details.fit_time,
-        "guide_s": plan.guide.cpu_time,
         "planning_s": plan.cpu_time,
     }
 
@@ -119,29 +114,19 @@ def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure missing cases, then write the summary."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--arms", nargs="+", default=DEFAULT_ARMS)
-    parser.add_argument("--scenes", nargs="+", default=["window", "shelf", "poles"])
-    parser.add_argument("--seeds", type=int, default=50, help="from 0 on")
-    parser.add_argument("--output", type=Path, default=Path("results/shaped"))
-    given = parser.parse_args(arguments)
-    folder = io.make_directory(given.output)
+    scenes = ("window", "shelf", "poles")
+    given = options(arguments, __doc__, "results/shaped", arms=DEFAULT_ARMS, scenes=scenes, seeds=50)
     # Seeds in the outer loop, so that an interrupted run covers all arms and scenes.
-    cases = [
-        {"arm": arm, "scene": scene, "seed": seed}
-        for seed in range(given.seeds)
-        for arm in given.arms
-        for scene in given.scenes
-    ]
-    rows = saved_rows(folder / "rows.csv", cases, measured)
+    asked = product(range(given.seeds), given.arms, given.scenes)
+    cases = [{"arm": arm, "scene": scene, "seed": seed} for seed, arm, scene in asked]
+    rows = saved_rows(given.output / "rows.csv", cases, measured)
     head = (
         "# Shaped networks against their guides\n\nMedian / worst of the planned "
         "motions; jerk, path and effort over the guide's. All are motions of universal networks, whose code "
         "is the hidden neurons' start; fit is its time. One seed, from 0 on, for target, obstacles "
         "and planner. Every network was saved, loaded and verified again. Times are CPU seconds of one core.\n"
     )
-    with io.atomic_text(folder / "summary.md") as file:
-        file.write(head + "\n".join(summary(rows)) + "\n")
+    write(given.output / "summary.md", head + "\n".join(summary(rows)) + "\n")
 
 
 if __name__ == "__main__":

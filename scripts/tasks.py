@@ -7,18 +7,19 @@ the task `shelf` is `hello_robot_stretch_3` of MuJoCo Menagerie, in a folder giv
 mujoco_menagerie; without either the task is left out. Every planner gets five cases of every task. Writes a JSON file
 for each task, so that interrupted runs can be continued, the table `tasks.md`, and a film and a page that turns of each
 task. Seconds of planning are CPU time. A planner's name may be followed by a time law that settles the load, as in
-``lieednn-shaped+least-energy``, in tasks with one.
+``lieednn-shaped+least-energy``, for the crane.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import options, write
 from PIL import Image
 from task_cases import Boom, Crane, Harvester, LeftOutError, Outcome, SlowCrane, Task
 from task_shelf import Shelf
@@ -46,6 +47,7 @@ PLANNERS = (
     "stomp",
     "trajectory-optimisation",
 )
+SETTLED = "lieednn-shaped+least-energy"
 FILMED = "lieednn-shaped"
 CASES = 5
 _ROWS = (  # of a simulation
@@ -139,39 +141,32 @@ def as_markdown(results: dict[str, dict[str, Any]]) -> str:
 
 def main(words: list[str] | None = None) -> None:
     """Do the cases that are not done yet; the table is written after each task."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--menagerie", type=Path, nargs="*", default=[], help="folders with hello_robot_stretch_3")
-    parser.add_argument("--tasks", default=",".join(TASKS))
-    parser.add_argument("--planners", default=",".join(PLANNERS))
-    parser.add_argument("--output", type=Path, default=Path("results/tasks"))
-    arguments = parser.parse_args(words)
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    results = {}
-    for name in arguments.tasks.split(","):
+    defaults: dict[str, Any] = {"menagerie": ("",), "tasks": tuple(TASKS), "planners": (*PLANNERS, SETTLED)}
+    given = options(words, __doc__, "results/tasks", **defaults)
+    folder, results = io.make_directory(given.output), {}
+    for name in given.tasks:
         try:
-            task = TASKS[name](arguments.menagerie)
+            task = TASKS[name]([Path(one) for one in given.menagerie if one])
         except LeftOutError as error:
             print(f"{name}: left out: {error}")
             continue
-        path = arguments.output / f"{name}.json"
+        path, film = folder / f"{name}.json", folder / f"tasks_{name}.gif"
         rows = json.loads(path.read_text()) if path.is_file() else {}
-        for planner in arguments.planners.split(","):
-            for case in range(CASES):
-                key = f"{planner} {case}"
-                film = arguments.output / f"tasks_{name}.gif"
-                filmed = planner == FILMED and case == 0 and not film.is_file()
-                if key in rows and not filmed:
-                    continue
-                row, done = attempt(task, case, planner)
-                rows[key] = {"planner": planner, "case": case} | row
-                io.save_json(path, rows)
-                print(f"{name}, {planner}, case {case + 1}: {row}", flush=True)
-                if filmed and done is not None:
-                    write_film(film, done)
-                    write_pages(arguments.output, name, done)
+        planners = [planner for planner in given.planners if "+" not in planner or isinstance(task, Crane)]
+        for planner, case in product(planners, range(CASES)):
+            key = f"{planner} {case}"
+            filmed = planner == FILMED and case == 0 and not film.is_file()
+            if key in rows and not filmed:
+                continue
+            row, done = attempt(task, case, planner)
+            rows[key] = {"planner": planner, "case": case} | row
+            io.save_json(path, rows)
+            print(f"{name}, {planner}, case {case + 1}: {row}", flush=True)
+            if filmed and done is not None:
+                write_film(film, done)
+                write_pages(folder, name, done)
         results[name] = rows
-        with io.atomic_text(arguments.output / "tasks.md") as stream:
-            stream.write(as_markdown(results))
+        write(folder / "tasks.md", as_markdown(results))
 
 
 if __name__ == "__main__":

@@ -9,14 +9,12 @@ further off than its bound.
 
 from __future__ import annotations
 
-import argparse
 import sys
-from pathlib import Path
 
 import numpy as np
+from common import options, write
 
 import lieednn_sim as ls
-from lieednn_sim import io
 from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.simulation import tracking_bound
@@ -46,16 +44,13 @@ def compared(arm: ls.Arm, mass_scale: tuple[float, float], payload: float, seed:
 
 def main() -> int:
     """Run the study; returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=63)
-    parser.add_argument("--output", type=Path, default=Path("results/tracking_bound.md"))
-    options = parser.parse_args()
+    given = options(None, __doc__, "results/tracking_bound.md", seeds=63)
     rows, runs, broken = [], 0, 0
     for name in ARMS:
         arm = ls.Arm.load(name)
-        for what, given in RANGES.items():
+        for what, span in RANGES.items():
             with one_blas_thread():
-                pairs = np.concatenate([compared(arm, *given, seed) for seed in range(options.seeds)])
+                pairs = np.concatenate([compared(arm, *span, seed) for seed in range(given.seeds)])
             error, bound = pairs.swapaxes(0, 1)
             beyond, most = int((error > bound).any(axis=1).sum()), error.max(axis=1)
             ratio = np.percentile(bound.max(axis=1) / most, [0, 50, 95])
@@ -66,14 +61,12 @@ def main() -> int:
     headings = ["arm", "range", "runs", "beyond", "error [1e-3]", "bound [1e-3]", "least ratio", "median", "95 %"]
     head = (
         "# Tracking errors and their bound before the run\n\n"
-        f"`python scripts/tracking_bound.py --seeds {options.seeds}`: runs by the controller `computed-torque` with "
+        f"`python scripts/tracking_bound.py --seeds {given.seeds}`: runs by the controller `computed-torque` with "
         "masses and payloads that it does not know, drawn from the range that `simulation.tracking_bound` was asked "
         "for. Medians of the largest error of a joint and of its bound [rad, m], and the bound over the error. A joint "
         f"was beyond its bound in {broken} of {runs} runs.\n"
     )
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    with io.atomic_text(options.output) as file:
-        file.write(head + "\n".join(markdown_table(headings, rows)) + "\n")
+    write(given.output, head + "\n".join(markdown_table(headings, rows)) + "\n")
     return int(broken > 0)
 
 

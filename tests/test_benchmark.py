@@ -34,8 +34,6 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark, "SIZES", (2, 3))
     for module in (certified, training):
         monkeypatch.setattr(module, "cpu_time", time.thread_time)
-    codes = []
-    monkeypatch.setattr(benchmark, "peak_memory", lambda code: codes.append(code) or 9)
     text = benchmark.write(tmp_path, 1000).read_text(encoding="utf-8")
     written = json.loads((tmp_path / "benchmark.json").read_text(encoding="utf-8"))
     rows, measured = written["synthesis"], written["ratios"]
@@ -46,10 +44,10 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     for parts, count in (
         (("mj_step", "rollout"), 12),
         (("simulate_many",), 2),
-        (("environments at once",), 2),
-        (("environment step of ",), 6 if find_spec("dm_control") else 4),
+        (("environments at once",), 1),
+        (("environment step of ",), 3 if find_spec("dm_control") else 2),
         (("step of policy ",), len(POLICIES)),
-        (("control step of follow",), 2 * len(DEFAULT_ARMS)),
+        (("control step of follow",), len(DEFAULT_ARMS)),
         (("new target for lieednn-replanning",), len(DEFAULT_ARMS)),
     ):
         assert len([name for name in measured if all(part in name for part in parts)]) == count, parts
@@ -61,12 +59,6 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
         ("16 neurons in C", any(map(shutil.which, ("cc", "gcc", "clang")))),
     ):
         assert sum(part in name for name in measured) == bool(there)
-    assert len(written["memory [MB]"]) == len(codes) == 5
-    for code in codes:
-        compile(code, "memory", "exec")
-    benchmark.add_rows(tmp_path / "table", 20)
-    benchmark.show_rows(tmp_path / "table")
-    assert {".md", ".html"} <= {path.suffix for path in (tmp_path / "table").iterdir()}
     studied = [row for row in rows if "angles" in row["targets"]]
     assert {row["targets"].split(",")[0] for row in studied} == set(DEFAULT_ARMS)
     assert all(row["certified"] == "1 of 1" for row in studied)
@@ -106,12 +98,6 @@ def test_targets_of_arms_keep_the_limits_and_have_the_angles_that_they_say(kind)
         "zero": np.abs(angles).max() < 1e-9,
     }
     assert said[kind]
-
-
-def test_memory_is_that_of_a_fresh_python_at_its_peak():
-    """A list of 64 million bytes that is gone at the end."""
-    little, much = (benchmark.peak_memory(code) for code in ("", "b = b'x' * 64_000_000; del b"))
-    assert 50.0 < much - little < 80.0
 
 
 def test_linear_algebra_is_counted_once_and_put_back():

@@ -152,7 +152,7 @@ def measured(name, model, rms_mm=1.0, rms_deg=0.1, left_out=1.0, training=1.0, a
 
     mean = replace(errors(1.0), rms_mm=rms_mm, rms_deg=rms_deg)
     there = Attraction(3, arrived, spurious)
-    return scored("recorded", name, ModelRow(model, 7, 0.25, mean, errors(training), errors(left_out), there))
+    return scored(name, ModelRow(model, 7, 0.25, mean, errors(training), errors(left_out), there))
 
 
 def test_claims_on_tasks_hold_where_the_network_is_no_worse():
@@ -229,6 +229,27 @@ def test_what_is_said_of_chunks_is_in_their_table():
     assert f"in {rates['lieednn-chunks']} % of its episodes, with raw chunks in {rates['raw']} %" in said
     ours = [row for row in closed if row[2] == "lieednn-chunks"]
     assert all(float(row[5]) <= 1.0 and row[4] == "0" for row in ours)
+
+
+def test_what_is_said_of_loads_that_swing_is_in_their_tables():
+    root = Path(benchmark.__file__).parents[1]
+    text = (root / "results/reference/settling.md").read_text(encoding="utf-8")
+    rows = [cells(line) for line in text.splitlines() if line.startswith("| ")]
+    percent = {
+        tuple(row[:2]): [100.0 * float(value) for value in row[2:]]
+        for row in rows
+        if len(row) == 11 and row[2][0] in "0123456789"
+    }
+    ours, ei = percent["crane", "least-energy"], percent["crane", "ei"]
+    said = (root / "docs/results/index.md").read_text(encoding="utf-8")
+    assert f"leaves {ours[0]:.0f} % of a trapezoid's swing, and at most {max(ours):.0f} % of other loads'" in said
+    assert f"EI in the same time {ei[0]:.0f} %" in said
+    page = (root / "docs/results/settling.md").read_text(encoding="utf-8").replace("\n", " ")
+    for counts in re.findall(r"leaves no more than EI in (\d+ of \d+) plans", text):
+        assert counts in page
+    for row in rows:
+        if row[0] in ("crane", "luffing") and len(row) == 6:
+            assert f"{row[2]} of {row[1]}" in page
 
 
 def test_the_answers_on_the_site_are_in_the_tables():
