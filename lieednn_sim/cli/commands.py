@@ -54,7 +54,7 @@ def demo(
     simulating.all_disturbances(arm)
     if video:
         check_view(arm, **still_look(look))
-        check_rate(look.get("fps", 30), "video.mp4")
+        check_rate(look.get("fps", 25), "video.mp4")
     run = RunDirectory(output, plots)
     with run.at_work():
         # The paper's bias leaves more to the weights.

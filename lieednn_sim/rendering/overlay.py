@@ -58,8 +58,9 @@ class Overlay:
 def _polyline(scene: mujoco.MjvScene, points: Floats, radius: float, colour: tuple[float, ...]) -> None:
     if len(points) < 2:
         return
-    max_segments = 150
-    chosen = points[np.unique(np.linspace(0, len(points) - 1, max_segments + 1, dtype=int))]
+    max_segments = 60  # a software renderer takes long for more, which look the same
+    way = np.concatenate([[0.0], np.linalg.norm(np.diff(points, axis=0), axis=1).cumsum()])
+    chosen = points[np.searchsorted(way, np.linspace(0.0, way[-1], max_segments + 1))]
     rgba = np.array(colour, dtype=np.float32)
     for i in np.flatnonzero(np.linalg.norm(np.diff(chosen, axis=0), axis=1) > 1e-5):
         _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, chosen[i], chosen[i + 1], rgba)
