@@ -26,7 +26,9 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
+from lieednn_sim.arm.checks import ancestry
 from lieednn_sim.arm.collision import AT_ONCE, Collisions, Pairs
+from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.arm.deviations import Group
 from lieednn_sim.arm.equalities import dof_addresses
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -76,6 +78,8 @@ class ClearanceBounds:
         self._hulls, self._counts, self._round = _hulls(model)
         self._radius = np.linalg.norm(self._hulls, axis=-1).max(axis=1) + self._round
         self._first, self._second = self._collisions.pairs.T
+        carried = ancestry(model, int(arm.frames.bodies[-1]))[1:]
+        self._parts = moving_geoms(model) | np.isin(model.geom_bodyid, carried)
 
     def __call__(
         self, q: Floats, path: Floats, rest: Floats, spread: Floats, most: float
@@ -108,7 +112,7 @@ class ClearanceBounds:
         there, limiting = _least(found[1], at, pairs, len(q), most)
         return whole, there, limiting
 
-    def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
+    def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float, own: bool = True) -> tuple[Floats, Pairs]:
         """Lower bounds ``(I,)`` of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
 
         They are no larger than the cutoff, and not below -1, as where loops cannot be closed. The geoms ``(I, 2)`` are
@@ -119,20 +123,29 @@ class ClearanceBounds:
             path: ``(I, n)`` directions.
             rest: ``(I, n)`` bounds.
             cutoff: distance beyond which geoms do not count [m].
+            own: whether the arm's own parts, its base included, count against each other.
         """
         if len(q) > AT_ONCE:
-            return _in_parts(partial(self.least, cutoff=cutoff), q, path, rest)
+            return _in_parts(partial(self.least, cutoff=cutoff, own=own), q, path, rest)
         steps = self._displacements(np.stack([np.abs(path) + rest, 0.0 * rest, 0.0 * rest]))
         rests, still = np.stack([rest, 0.0 * rest], axis=1), np.zeros((len(q), len(self._members)))
         try:
-            at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)
+            at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff, own)
         except NoSolutionError:
             return np.full(len(q), -1.0), np.full((len(q), 2), -1)
         found = np.maximum(np.maximum(free[0].min(axis=-1, initial=cutoff), gap[0]), -1.0)
         return _least(found, at, pairs, len(q), cutoff)
 
     def _rows(
-        self, q: Floats, path: Floats, rest: Floats, spread: Floats, steps: Floats, widest: Floats, cutoff: float
+        self,
+        q: Floats,
+        path: Floats,
+        rest: Floats,
+        spread: Floats,
+        steps: Floats,
+        widest: Floats,
+        cutoff: float,
+        own: bool = True,
     ) -> tuple[NDArray[np.int_], Pairs, Floats, Floats, Floats, Floats]:
         """Pairs of geoms that displacements ``widest`` ``(I, J)`` of the joints could bring nearer than a cutoff.
 
@@ -151,6 +164,9 @@ class ClearanceBounds:
         at, index, gaps, points = self._collisions.separations(
             place.geoms, place.turns, moved + (cutoff + self._margin)
         )
+        if not own:
+            others = ~self._parts[self._collisions.pairs[index]].all(axis=1)
+            at, index, gaps, points = at[others], index[others], gaps[others], points[others]
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
         margin = self._margin + self._collisions.offsets(pairs)
         fixed, moving = pairs.T
@@ -181,6 +197,10 @@ class ClearanceBounds:
     def names(self, pair: tuple[int, int]) -> tuple[str, str]:
         """Names of two geoms."""
         return self._collisions.names(pair)
+
+    def owns(self, pair: tuple[int, int]) -> bool:
+        """Whether two geoms are both parts of the arm, its base included."""
+        return bool(self._parts[[*pair]].all())
 
     def _displacements(self, q: Floats) -> Floats:
         """Largest displacements of the joints ``(..., J)`` for changes of the coordinates up to ``(..., n)``."""

@@ -47,6 +47,7 @@ class Clearance:
         unproved: ``(U, 2)`` begin and end [s] of stretches where contact is not excluded but at the samples.
         proved_fraction: the fraction of the motion's time that is left.
         reason: why nothing can be proved of the arm, if nothing can.
+        others: where the arm's own parts are nearest to each other, the same of all other pairs.
     """
 
     bound: float
@@ -55,6 +56,7 @@ class Clearance:
     unproved: Floats
     proved_fraction: float = 1.0
     reason: str = ""
+    others: Clearance | None = None
 
     @property
     def proved(self) -> bool:
@@ -68,8 +70,9 @@ class Clearance:
         return f"at least {1e3 * self.bound:.3g} mm clear, proved"
 
     def __str__(self) -> str:
-        by = f", {self.pair[0]!r} from {self.pair[1]!r} at {self.t:.2f} s" if self.pair else ""
-        least = f"at least {1e3 * self.bound:.3g} mm{by}"
+        least = f"at least {self._least()}"
+        if self.others is not None:
+            least = f"at least {self._least(' between parts of the arm')}; {self.others._least(' from all else')}"
         if self.proved:
             return f"{least}, proved at every instant"
         if self.bound == -np.inf:
@@ -77,6 +80,10 @@ class Clearance:
         some = ", ".join(f"{begin:.3f} to {end:.3f} s" for begin, end in self.unproved[:3])
         more = f" and {len(self.unproved) - 3} more stretches" if len(self.unproved) > 3 else ""
         return f"not proved from {some}{more}; elsewhere {least}"
+
+    def _least(self, between: str = "") -> str:
+        by = f", {self.pair[0]!r} from {self.pair[1]!r} at {self.t:.2f} s" if self.pair else ""
+        return f"{1e3 * self.bound:.3g} mm{between}{by}"
 
 
 class Cubics:
@@ -189,12 +196,15 @@ def check_contact(arm: Arm, t: Floats, q: Floats) -> None:
             raise PlanError(f"{touching[0][0]!r} would {near} {touching[0][1]!r} at t = {time:.2f} s")
 
 
-def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | None = None) -> Clearance:
+def proved_clearance(
+    arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | None = None, *, own: bool = True
+) -> Clearance:
     """Bound the distances from contact along a motion, at every instant.
 
     Args:
         arm, t, q, qd: as of `check_clearance`.
         off: ``(K, n)`` how far joints may be from the motion at its samples, such as a run's tracking errors [rad, m].
+        own: whether the arm's own parts, its base included, count against each other.
     """
     bounds, step = bounds_of(arm), float(t[1] - t[0])
     if isinstance(bounds, str):
@@ -208,8 +218,8 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
         check_time()
         measured += len(begin)
         at, way, rest, left = cubics.around(begin, end)
-        least, pairs = bounds.least(at, way, rest, nearest)
-        there, _ = bounds.least(at, 0.0 * way, left, nearest)
+        least, pairs = bounds.least(at, way, rest, nearest, own)
+        there, _ = bounds.least(at, 0.0 * way, left, nearest, own)
         nearest = max(float(there[there > 0.0].min(initial=nearest)), NEAR)
         done = (least > 0.0) & ((least >= _SHARP * nearest) | (end - begin <= 1.0))
         if measured > _MOST + len(t) // 4:
@@ -227,7 +237,8 @@ def proved_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | N
     proved = 1.0 - float(np.ptp(stretches, axis=1).sum()) / float(t[-1])
     # An instant of contact is no stretch.
     bound = bound if proved > 1e-9 else -np.inf
-    return Clearance(bound, time, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved)
+    others = proved_clearance(arm, t, q, qd, off, own=False) if pair[0] >= 0 and bounds.owns(pair) else None
+    return Clearance(bound, time, bounds.names(pair) if pair[0] >= 0 else (), stretches, proved, others=others)
 
 
 class ProofAhead:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypedDict
@@ -107,6 +109,7 @@ class ImportReport:
         others: joints that are not the arm's: their own actuators or added ones hold them, or they swing and bend.
         servos: what drives each independent coordinate.
         notes: everything else that was decided, and what to look at.
+        remarks: those of the notes that may ask for something to be done.
         modes: free oscillations at home of what nothing drives (`oscillation.PassiveJoints`), slowest first.
     """
 
@@ -119,6 +122,7 @@ class ImportReport:
     servos: tuple[Servo, ...]
     notes: tuple[str, ...]
     modes: tuple[Mode, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         lines = [f"configuration: {self.configuration}", f"base: {self.base}"]
@@ -129,3 +133,14 @@ class ImportReport:
             lines += [f"{title}: {entry}" for entry in entries]
         lines.append(f"other joints: {', '.join(self.others) or 'none'}")
         return "\n".join(lines)
+
+    def summary(self, file: str) -> str:
+        """The report of a file in four lines at most, of which the last says how to read the whole."""
+        made = sum(not servo.kept for servo in self.servos)
+        drives = {"kept": len(self.servos) - made, "made": made}
+        told = " and ".join(f"{count} {how}" for how, count in drives.items() if count)
+        lines = [f"  links {', '.join(self.links)} on {self.base}; actuators: {told}"]
+        # Which bodies come near each other is a long list.
+        seen = [remark.partition(", between ")[0] for remark in self.remarks[:2]]
+        lines += [f"  look at: {textwrap.shorten(remark, 120, placeholder=' ...')}" for remark in seen]
+        return "\n".join([*lines, f"  the whole report: lieednn-sim arms {shlex.quote(file)}"])
