@@ -71,7 +71,6 @@ def view(
         imported: how a model file is imported.
     """
     shown = Arm.load(arm, scene, scene_seed, **imported)
-    print_import_report(shown)
     page = show(
         shown,
         target=None if target is None else joint_position(shown, target, "target"),
@@ -82,6 +81,7 @@ def view(
     )
     with page:
         console.print(f"view: {page.url} (Ctrl-C ends it)")
+        print_import_report(shown)
         sys.stdout.flush()
         # Without a window `webbrowser` may start a browser in this terminal.
         windows = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))

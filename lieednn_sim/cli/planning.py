@@ -155,7 +155,8 @@ def print_plan(made: MadePlan, arrival: str, clearance: Clearance | None = None,
     if made.arm.payload > 0.0:
         console.print(f"payload: {made.arm.payload:g} kg")
     millimetres, degrees = 1e3 * motion.gap_translation.max(), np.rad2deg(motion.gap_rotation.max())
-    gap = f"{rounded(millimetres)} mm and {rounded(degrees)} degrees at most on the way, 0 at the target"
+    gaps = rounded(millimetres), rounded(degrees)
+    gap = "none" if gaps == ("0", "0") else "{} mm and {} degrees at most on the way, 0 at the target".format(*gaps)
     console.print(f"mechanism gap: {gap}")
     print_import_report(made.arm, whole=verbose)
     if not verbose:
