@@ -95,7 +95,7 @@ fresh() {
     return 1
 }
 
-# Python compiles what is imported, a fifth of what pip would.
+# Python compiles what is imported.
 pip_install() { $venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile "$@"; }
 
 wrong=

@@ -45,13 +45,14 @@ class ClearanceBounds:
         arm: the arm, in its scene.
         groups: all coordinates in groups with weights, as of `Retractor.groups`.
         margin: distance to keep [m].
+        own: whether the arm's own parts, its base included, count against each other.
 
     Raises:
         InputError: a geom that could touch another is moved by a closed loop or a curve (`Arm.dependents`), of which
             nothing is proved; or it is of the type sdf.
     """
 
-    def __init__(self, arm: Arm, groups: Sequence[Group], margin: float = 0.0) -> None:
+    def __init__(self, arm: Arm, groups: Sequence[Group], margin: float = 0.0, own: bool = True) -> None:
         model, n = arm.model, arm.n_joints
         self._arm, self._collisions, self._margin = arm, Collisions(arm), margin
         _check_provable(arm, self._collisions.pairs)
@@ -78,8 +79,8 @@ class ClearanceBounds:
         self._hulls, self._counts, self._round = _hulls(model)
         self._radius = np.linalg.norm(self._hulls, axis=-1).max(axis=1) + self._round
         self._first, self._second = self._collisions.pairs.T
-        carried = ancestry(model, int(arm.frames.bodies[-1]))[1:]
-        self._parts = moving_geoms(model) | np.isin(model.geom_bodyid, carried)
+        parts = moving_geoms(model) | np.isin(model.geom_bodyid, ancestry(model, int(arm.frames.bodies[-1]))[1:])
+        self._parts, self._counted = parts, np.asarray(~parts[self._collisions.pairs].all(axis=1) | own)
 
     def __call__(
         self, q: Floats, path: Floats, rest: Floats, spread: Floats, most: float
@@ -112,7 +113,7 @@ class ClearanceBounds:
         there, limiting = _least(found[1], at, pairs, len(q), most)
         return whole, there, limiting
 
-    def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float, own: bool = True) -> tuple[Floats, Pairs]:
+    def least(self, q: Floats, path: Floats, rest: Floats, cutoff: float) -> tuple[Floats, Pairs]:
         """Lower bounds ``(I,)`` of the distance from contact at all q + c path + r, |c| <= 1, |r_j| <= rest_j [m].
 
         They are no larger than the cutoff, and not below -1, as where loops cannot be closed. The geoms ``(I, 2)`` are
@@ -123,29 +124,20 @@ class ClearanceBounds:
             path: ``(I, n)`` directions.
             rest: ``(I, n)`` bounds.
             cutoff: distance beyond which geoms do not count [m].
-            own: whether the arm's own parts, its base included, count against each other.
         """
         if len(q) > AT_ONCE:
-            return _in_parts(partial(self.least, cutoff=cutoff, own=own), q, path, rest)
+            return _in_parts(partial(self.least, cutoff=cutoff), q, path, rest)
         steps = self._displacements(np.stack([np.abs(path) + rest, 0.0 * rest, 0.0 * rest]))
         rests, still = np.stack([rest, 0.0 * rest], axis=1), np.zeros((len(q), len(self._members)))
         try:
-            at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff, own)
+            at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)
         except NoSolutionError:
             return np.full(len(q), -1.0), np.full((len(q), 2), -1)
         found = np.maximum(np.maximum(free[0].min(axis=-1, initial=cutoff), gap[0]), -1.0)
         return _least(found, at, pairs, len(q), cutoff)
 
     def _rows(
-        self,
-        q: Floats,
-        path: Floats,
-        rest: Floats,
-        spread: Floats,
-        steps: Floats,
-        widest: Floats,
-        cutoff: float,
-        own: bool = True,
+        self, q: Floats, path: Floats, rest: Floats, spread: Floats, steps: Floats, widest: Floats, cutoff: float
     ) -> tuple[NDArray[np.int_], Pairs, Floats, Floats, Floats, Floats]:
         """Pairs of geoms that displacements ``widest`` ``(I, J)`` of the joints could bring nearer than a cutoff.
 
@@ -164,9 +156,8 @@ class ClearanceBounds:
         at, index, gaps, points = self._collisions.separations(
             place.geoms, place.turns, moved + (cutoff + self._margin)
         )
-        if not own:
-            others = ~self._parts[self._collisions.pairs[index]].all(axis=1)
-            at, index, gaps, points = at[others], index[others], gaps[others], points[others]
+        counted = self._counted[index]
+        at, index, gaps, points = at[counted], index[counted], gaps[counted], points[counted]
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
         margin = self._margin + self._collisions.offsets(pairs)
         fixed, moving = pairs.T

@@ -14,7 +14,6 @@ from lieednn_sim.cli.planning import plan_run, print_plan
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError, SimulationError
 from lieednn_sim.evaluation import Evaluation
-from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.exports import export as export_sources
 from lieednn_sim.exports.formats import record
@@ -63,17 +62,17 @@ def demo(
     run = RunDirectory(output, plots)
     with run.at_work():
         # The paper's bias leaves more to the weights.
-        made = plan_run(run, planning, ["bias_magnitudes=0.125", "n_first=24"])
-        arrival, clearance, written, lines = "not evaluated", None, made.written, list[Any]()
+        plan, head, written = plan_run(run, planning, ["bias_magnitudes=0.125", "n_first=24"])
+        arrival, clearance, told = "not evaluated", plan.clearance, list[Any]()
         try:
             written += _simulate(run, simulating)
             rollout, evaluation, files = _evaluate(run)
-            arrival, clearance, written = evaluation.arrival, rollout.clearance, [*written, *files]
-            lines = [evaluation] if verbose else [_use(evaluation), *evaluation.notes]
+            arrival, clearance, written = evaluation.arrival, rollout.clearance or clearance, written + files
+            told = [evaluation] if verbose else evaluation.notes
         finally:
-            print_plan(made, arrival, clearance, verbose=verbose)
-            for line in lines:
-                console.print(line)
+            print_plan(plan, head, clearance, arrival, verbose=verbose)
+            for each in told:
+                console.print(each)
             wrote(*written)
         if page:
             try:
@@ -187,13 +186,6 @@ def export(
     with progress("export"):
         written = export_sources(sources, output, format=format, rate=rate)
     wrote(*written)
-
-
-def _use(evaluation: Evaluation) -> str:
-    """How well the plan was followed, and what of the limits was used, in a line."""
-    off = f"{rounded(evaluation.tracking_max_mm)} mm and {rounded(evaluation.tracking_max_deg)} degrees"
-    used = f"{evaluation.velocity_fraction:.0%} of a velocity limit, {evaluation.force_fraction:.0%} of a force limit"
-    return f"tracking: at most {off} off the plan, by {evaluation.controller}; at most {used}"
 
 
 def _simulate(run: RunDirectory, simulating: Simulating) -> list[Path]:

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -57,21 +56,12 @@ def print_import_report(arm: Arm, *, whole: bool = False) -> None:
 
 
 def print_stability(network: ComponentwiseNetwork, xi: ArrayLike, *, whole: bool = True) -> None:
-    """Print how stable the equilibrium found from ``xi`` is; as a whole with every condition, and bounds.
-
-    The bounds are on pushes, moving targets and steps. Conditions that fail are no fault where another one holds.
-    """
+    """Print how stable the equilibrium found from ``xi`` is, or every condition, and bounds on pushes and targets."""
     verdict = str(network.assess(xi))
     console.print(f"stability: {verdict if whole else verdict.splitlines()[0]}")
     if whole:
         with contextlib.suppress(NotCertifiedError):
             console.print(str(network.robustness()))
-
-
-def one_norm(network: ComponentwiseNetwork, xi: ArrayLike) -> str:
-    """The 1-norm of the weights, and its least value for any network with the equilibrium ``xi``."""
-    result, least = np.linalg.norm(network.weight, 1), network.smallest_one_norm(xi)
-    return f"{result:.2f} (no network with this equilibrium below {least:.2f})"
 
 
 def wrote(*paths: str | Path) -> None:

@@ -6,14 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import time_limit
 from lieednn_sim.cli.arguments import Planning, joint_position, read_options
-from lieednn_sim.cli.console import console, one_norm, print_import_report, print_stability, progress, wrote
+from lieednn_sim.cli.console import console, print_import_report, print_stability, progress, wrote
 from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError
@@ -41,23 +40,18 @@ def plan(*, planning: Planning, payload: float = 0.0, output: Directory = "resul
     """
     run = RunDirectory(output)
     with run.at_work():
-        made = plan_run(run, planning, payload=payload)
-        print_plan(made, f"arrives in {made.plan.motion.t[-1]:.3g} s", verbose=verbose)
-        wrote(*made.written)
+        result, head, written = plan_run(run, planning, payload=payload)
+        print_plan(result, head, result.clearance, f"arrives in {result.motion.t[-1]:.3g} s", verbose=verbose)
+        wrote(*written)
 
 
-class MadePlan(NamedTuple):
-    """A plan in a run directory."""
+def plan_run(
+    run: RunDirectory, planning: Planning, usual: Sequence[str] = (), payload: float = 0.0
+) -> tuple[Plan, str, list[Path]]:
+    """Plan, and write what is made; ``usual`` are options of ``lieednn-certified`` if no others are given.
 
-    plan: Plan
-    arm: Arm
-    why: str  # this planner
-    target: str  # in the words of the command line
-    written: list[Path]
-
-
-def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = (), payload: float = 0.0) -> MadePlan:
-    """Plan, and write what is made; ``usual`` are options of ``lieednn-certified`` if no others are given."""
+    Returns the plan, a line on planner and target, and the files written.
+    """
     arm = planning.load().with_payload(payload)
     if planning.learned is not None:
         return _plan_learned(run, arm, planning)
@@ -99,11 +93,11 @@ def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = (), p
             path_constraint=path_constraint,
         )
     task = replace(task, target=tuple(result.target.tolist()))
-    written = run.save_network(task, result.network, result.motion)
-    return MadePlan(result, arm, reason, planning.usual_target(arm) or planning.target or "a pose", written)
+    head = f"planner: {planner}, {reason}; target: {planning.usual_target(arm) or planning.target or 'a pose'}"
+    return result, head, run.save_network(task, result.network, result.motion)
 
 
-def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> MadePlan:
+def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> tuple[Plan, str, list[Path]]:
     """Plan a motion of the end effector that was learned, and write what is made."""
     if planning.planner or planning.option or planning.path_constraint:
         raise InputError("--learned takes no --planner, --option or --path-constraint: the motion is known")
@@ -134,39 +128,37 @@ def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> MadePlan:
     about = {"planner": result.planner, "reason": "learned", "options": {**made, "fastest": planning.fastest}}
     q, lasts = result.motion.q, float(result.motion.t[-1])
     task = planning.task(arm, q[0], result.target, lasts, planning.seed, **about)
-    return MadePlan(result, arm, "", "as shown", run.save_network(task, result.network, result.motion))
+    return result, f"planner: {result.planner}, as shown", run.save_network(task, result.network, result.motion)
 
 
-def print_plan(made: MadePlan, arrival: str, clearance: Clearance | None = None, *, verbose: bool = False) -> None:
+def print_plan(result: Plan, head: str, clearance: Clearance, arrival: str, *, verbose: bool = False) -> None:
     """Print a verdict in one line, and what to look at of a plan; if verbose, all that is known and proved of it.
 
-    ``clearance`` is that of the simulated run, where there is one, and ``arrival`` says how plan or run ends.
+    ``head`` is that of `plan_run`; clearance and arrival are those of the plan, or of a run that followed it.
     """
-    result, network = made.plan, made.plan.network
-    motion, details, clear = result.motion, result.details, clearance or result.clearance
+    network, motion = result.network, result.motion
     proof = "certified" if network is not None and network.certified else "no certificate"
-    console.print(f"{proof}; {clear.at()}; {arrival}")
+    console.print(f"{proof}; {clearance.at()}; {arrival}")
     if network is not None:
         console.print(f"certificate: {network.certificate}")
-    console.print(f"clearance: {clear}")
-    console.print(f"planner: {result.planner}{f', {made.why}' * bool(made.why)}; target: {made.target}")
+    console.print(f"clearance: {clearance}")
+    console.print(head)
     if result.leaves:
         console.print(f"leaves at the start: {result.leaves}")
-    if made.arm.payload > 0.0:
-        console.print(f"payload: {made.arm.payload:g} kg")
+    if result.arm is not None and result.arm.payload > 0.0:
+        console.print(f"payload: {result.arm.payload:g} kg")
     millimetres, degrees = 1e3 * motion.gap_translation.max(), np.rad2deg(motion.gap_rotation.max())
     gaps = rounded(millimetres), rounded(degrees)
     gap = "none" if gaps == ("0", "0") else "{} mm and {} degrees at most on the way, 0 at the target".format(*gaps)
     console.print(f"mechanism gap: {gap}")
-    print_import_report(made.arm, whole=verbose)
+    if result.arm is not None:
+        print_import_report(result.arm, whole=verbose)
     if not verbose:
         return
-    if isinstance(details, CertifiedDetails):
-        console.print(f"networks: {details.n_networks} drawn, {details.within_limits} keep the joint limits")
-    if isinstance(details, ShapedDetails) and result.guide is not None:
-        off = f"the plan is {1e3 * details.deviation:.2g} mm off its path at the end effector"
+    if isinstance(result.details, CertifiedDetails):
+        console.print(f"networks: {result.details.n_networks} drawn, {result.details.within_limits} keep the limits")
+    if isinstance(result.details, ShapedDetails) and result.guide is not None:
+        off = f"the plan is {1e3 * result.details.deviation:.2g} mm off its path at the end effector"
         console.print(f"guide: {result.guide.planner}; {off}")
     if network is not None:
-        goal = network.goal(motion.xi_target)
-        console.print(f"largest bias: {np.abs(network.bias).max():.3g}; 1-norm of W: {one_norm(network, goal)}")
-        print_stability(network, goal)
+        print_stability(network, network.goal(motion.xi_target))

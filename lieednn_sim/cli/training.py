@@ -6,11 +6,9 @@ import functools
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
-import numpy as np
-
 from lieednn_sim import io
 from lieednn_sim.cli.arguments import Goal
-from lieednn_sim.cli.console import console, one_norm, print_import_report, print_stability, progress, wrote
+from lieednn_sim.cli.console import console, print_import_report, print_stability, progress, wrote
 from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, PlanError
@@ -51,12 +49,7 @@ class Learning:
 
 
 def train(
-    *,
-    goal: Goal,
-    learning: Learning,
-    output: Directory = "results/run",
-    plots: str = "png",
-    verbose: bool = False,
+    *, goal: Goal, learning: Learning, output: Directory = "results/run", plots: str = "png", verbose: bool = False
 ) -> int:
     """Learn a network for a target with the algorithm of the paper, or an improved one, in a run directory.
 
@@ -138,9 +131,5 @@ def _report(result: TrainingResult, network: LieEDNN | None, xi: Floats, verbose
     proof = "" if network is None else "; certified" if network.certified else "; not certified"
     each = 1e6 * result.cpu_time / max(result.epochs, 1)
     console.print(f"{result.message}{proof}; {result.cpu_time:.2f} s of CPU time, {each:.0f} us an epoch")
-    if network is None:
-        return
-    if verbose:
-        console.print(f"1-norm of W: {one_norm(network, xi)}")
-        console.print(f"largest |t|: {np.linalg.norm(network.translation, axis=-1).max():.2f}")
-    print_stability(network, xi, whole=verbose)
+    if network is not None:
+        print_stability(network, xi, whole=verbose)

@@ -56,13 +56,11 @@ class Snapshot(NamedTuple):
 
     @property
     def state(self) -> str:
-        """What the arm does, in words."""
-        if self.arrived:
-            return "has arrived"
-        # The policy knows nothing of an arm that does not follow.
-        if self.tick.message == "moves" and np.abs(self.tick.q_ref - self.tick.target).max() < 1e-4:
+        """What the arm does, in words; the policy knows nothing of an arm that does not follow."""
+        there = np.allclose(self.tick.q_ref, self.tick.target, rtol=0.0, atol=1e-4)
+        if there and self.tick.message == "moves" and not self.arrived:
             return f"its reference has arrived, the arm is still {_millimetres(self.tracking)} off"
-        return self.tick.message
+        return "has arrived" if self.arrived else self.tick.message
 
 
 class Observer:

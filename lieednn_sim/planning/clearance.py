@@ -197,7 +197,7 @@ def check_contact(arm: Arm, t: Floats, q: Floats) -> None:
 
 
 def proved_clearance(
-    arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | None = None, *, own: bool = True
+    arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | None = None, own: bool = True
 ) -> Clearance:
     """Bound the distances from contact along a motion, at every instant.
 
@@ -206,7 +206,7 @@ def proved_clearance(
         off: ``(K, n)`` how far joints may be from the motion at its samples, such as a run's tracking errors [rad, m].
         own: whether the arm's own parts, its base included, count against each other.
     """
-    bounds, step = bounds_of(arm), float(t[1] - t[0])
+    bounds, step = bounds_of(arm, own), float(t[1] - t[0])
     if isinstance(bounds, str):
         return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0, bounds)
     cubics = Cubics(step, q, qd, off)
@@ -218,8 +218,8 @@ def proved_clearance(
         check_time()
         measured += len(begin)
         at, way, rest, left = cubics.around(begin, end)
-        least, pairs = bounds.least(at, way, rest, nearest, own)
-        there, _ = bounds.least(at, 0.0 * way, left, nearest, own)
+        least, pairs = bounds.least(at, way, rest, nearest)
+        there, _ = bounds.least(at, 0.0 * way, left, nearest)
         nearest = max(float(there[there > 0.0].min(initial=nearest)), NEAR)
         done = (least > 0.0) & ((least >= _SHARP * nearest) | (end - begin <= 1.0))
         if measured > _MOST + len(t) // 4:
@@ -310,15 +310,15 @@ def _joined(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return result
 
 
-def bounds_of(arm: Arm) -> ClearanceBounds | str:
+def bounds_of(arm: Arm, own: bool = True) -> ClearanceBounds | str:
     """What bounds an arm's distances, or why nothing does; one for each thread, since it holds data of MuJoCo's."""
-    return _bounds_in(arm, threading.get_ident())
+    return _bounds_in(arm, own, threading.get_ident())
 
 
 @weakly_cached
-def _bounds_in(arm: Arm, _: int) -> ClearanceBounds | str:
+def _bounds_in(arm: Arm, own: bool, _: int) -> ClearanceBounds | str:
     n = arm.n_joints
     try:
-        return ClearanceBounds(replace(arm.without_visuals), [(np.arange(n), np.ones(n))])
+        return ClearanceBounds(replace(arm.without_visuals), [(np.arange(n), np.ones(n))], own=own)
     except InputError as error:
         return str(error)

@@ -205,9 +205,7 @@ class Robustness:
         return largest if self.others is None else min(largest, self.others.largest_step(method))
 
     def __repr__(self) -> str:
-        return f"<Robustness: {len(self.pushed)} coordinates pushed, {len(self.reached)} reached, steps up to " + (
-            f"{self.largest_step('RK4'):.3g} (RK4)>"
-        )
+        return f"<Robustness: {str(self).splitlines()[0]}>"
 
     def __str__(self) -> str:
         scope = "any motion" if self.contracting else "the equilibrium"

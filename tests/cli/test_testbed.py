@@ -44,7 +44,7 @@ def test_an_arm_of_ones_own_goes_the_whole_road_from_another_directory(own, tmp_
     printed = capsys.readouterr().out
     assert "target: random:0" in printed
     report = printed[printed.index("own, imported from own.xml:\n") :].splitlines()
-    assert report[1] == "  links two, tool on world; actuators: 3 made"
+    assert report[1] == "  links two, tool on world; actuators: 0 kept, 3 made"
     assert report[-1].startswith("done in")
     assert "  the whole report: lieednn-sim arms own.xml" in report[2:5]
     task = Task.load("run/task.json")

@@ -136,11 +136,10 @@ class ImportReport:
 
     def summary(self, file: str) -> str:
         """The report of a file in four lines at most, of which the last says how to read the whole."""
-        made = sum(not servo.kept for servo in self.servos)
-        drives = {"kept": len(self.servos) - made, "made": made}
-        told = " and ".join(f"{count} {how}" for how, count in drives.items() if count)
-        lines = [f"  links {', '.join(self.links)} on {self.base}; actuators: {told}"]
-        # Which bodies come near each other is a long list.
-        seen = [remark.partition(", between ")[0] for remark in self.remarks[:2]]
-        lines += [f"  look at: {textwrap.shorten(remark, 120, placeholder=' ...')}" for remark in seen]
+        kept = sum(servo.kept for servo in self.servos)
+        driven = f"{kept} kept, {len(self.servos) - kept} made"
+        lines = [f"  links {', '.join(self.links)} on {self.base}; actuators: {driven}"]
+        # Without the long list of which bodies come near each other.
+        seen = [textwrap.shorten(text.partition(", between ")[0], 120, placeholder=" ...") for text in self.remarks]
+        lines += [f"  look at: {text}" for text in seen[:2]]
         return "\n".join([*lines, f"  the whole report: lieednn-sim arms {shlex.quote(file)}"])
