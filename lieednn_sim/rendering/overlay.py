@@ -58,7 +58,7 @@ class Overlay:
 def _polyline(scene: mujoco.MjvScene, points: Floats, radius: float, colour: tuple[float, ...]) -> None:
     if len(points) < 2:
         return
-    max_segments = 50  # a software renderer takes long for more, which look the same
+    max_segments = 40  # a software renderer takes long for more, which look the same
     way = np.concatenate([[0.0], np.linalg.norm(np.diff(points, axis=0), axis=1).cumsum()])
     chosen = points[np.searchsorted(way, np.linspace(0.0, way[-1], max_segments + 1))]
     rgba = np.array(colour, dtype=np.float32)
