@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Make .venv with the package in it, or leave it alone when it is up to date; then nothing is asked of the network.
-#   scripts/ensure_env.sh        what the demo and the README's examples need
-#   scripts/ensure_env.sh dev    and what the tests need
+#   scripts/ensure_env.sh        what the demo and the first examples need; messages name the extras of the others
+#   scripts/ensure_env.sh dev    all extras, and what the tests need
 # PYTHON=... chooses the interpreter. A .venv that this script did not make is used when it can be, and never removed.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -9,10 +9,10 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 wanted=${1:-demo}
 venv=.venv
 made_in=$venv/.made-in
-extras=gymnasium,rivals,timing,view
+extras=view
 group=
 if [ "$wanted" = dev ]; then
-    extras=$extras,cbirrt,onnx,ros2,lerobot,rerun
+    extras=$extras,gymnasium,rivals,timing,cbirrt,onnx,ros2,lerobot,rerun
     group="--group dev"
 fi
 if [ -n "${PYTHON:-}" ]; then pythons=("$PYTHON"); else pythons=(python3.11 python3.12 python3.13 python3 python); fi
@@ -95,7 +95,8 @@ fresh() {
     return 1
 }
 
-pip_install() { $venv/bin/python -m pip install --quiet --disable-pip-version-check "$@"; }
+# Python compiles what is imported.
+pip_install() { $venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile "$@"; }
 
 wrong=
 if [ -e $venv ] || [ -L $venv ]; then
@@ -111,8 +112,9 @@ now=$(digest)
 if ! fresh; then
     was=$(ls $venv/.lieednn-sim-* 2>/dev/null || true)
     say "Installing lieednn_sim with the extras $extras into $venv; the first time this takes some minutes"
-    # Dependency groups came with pip 25.1.
-    if ! { { [ -z "$group" ] || pip_install 'pip>=25.1'; } && pip_install --editable ".[$extras]" $group; }; then
+    # Dependency groups came with pip 25.1. Later releases of the film's encoder have twice its size.
+    if ! { { [ -z "$group" ] || pip_install 'pip>=25.1'; } &&
+        pip_install --editable ".[$extras]" $group 'imageio-ffmpeg<0.8'; }; then
         if [ -n "$was" ]; then
             die "pip could not bring $venv up to date with pyproject.toml (its reason is above); without a network," \
                 "try again later, or run what is there, as it is: $venv/bin/lieednn-sim"

@@ -82,6 +82,6 @@ def test_every_result_has_a_short_repr():
     results += [trained, trained.history, ls.synthesize(xi, bias="sign-matched"), ls.simulate_many(arm, [planned])]
     for result in results:
         assert len(repr(result)) < 700, type(result)
-    assert repr(evaluation).startswith("<Evaluation of telescopic_pr, free, by position-servo: ends 0")
+    assert repr(evaluation).startswith("<Evaluation of telescopic_pr, free, by position-servo: arrives after ")
     assert repr(network.assess()) == f"<Verdict: {str(network.assess()).splitlines()[0]}>"
     assert np.isfinite(evaluation.final_worst_mm)

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.arm import Arm
-from lieednn_sim.arm.checks import BALL, SLIDE
+from lieednn_sim.arm.checks import BALL, SLIDE, ancestry
 from lieednn_sim.arm.collision import AT_ONCE, Collisions, Pairs
+from lieednn_sim.arm.contacts import moving_geoms
 from lieednn_sim.arm.deviations import Group
 from lieednn_sim.arm.equalities import dof_addresses
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -37,13 +38,14 @@ class ClearanceBounds:
         arm: in its scene.
         groups: all coordinates in groups with weights, as of `Retractor.groups`.
         margin: distance to keep [m].
+        own: whether the arm's own parts, its base included, count against each other.
 
     Raises:
         InputError: a geom that could touch another is moved by a closed loop or a curve (`Arm.dependents`), of which
             nothing is proved; or it is of the type sdf.
     """
 
-    def __init__(self, arm: Arm, groups: Sequence[Group], margin: float = 0.0) -> None:
+    def __init__(self, arm: Arm, groups: Sequence[Group], margin: float = 0.0, own: bool = True) -> None:
         model, n = arm.model, arm.n_joints
         self._arm, self._collisions, self._margin = arm, Collisions(arm), margin
         _check_provable(arm, self._collisions.pairs)
@@ -68,6 +70,8 @@ class ClearanceBounds:
         self._hulls, self._counts, self._round = _hulls(model)
         self._radius = np.linalg.norm(self._hulls, axis=-1).max(axis=1) + self._round
         self._first, self._second = self._collisions.pairs.T
+        parts = moving_geoms(model) | np.isin(model.geom_bodyid, ancestry(model, int(arm.frames.bodies[-1]))[1:])
+        self._parts, self._counted = parts, np.asarray(~parts[self._collisions.pairs].all(axis=1) | own)
 
     def __call__(
         self, q: Floats, path: Floats, rest: Floats, spread: Floats, most: float
@@ -132,6 +136,8 @@ class ClearanceBounds:
         at, index, gaps, points = self._collisions.separations(
             place.geoms, place.turns, moved + (cutoff + self._margin)
         )
+        counted = self._counted[index]
+        at, index, gaps, points = at[counted], index[counted], gaps[counted], points[counted]
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
         margin = self._margin + self._collisions.offsets(pairs)
         fixed, moving = pairs.T
@@ -162,6 +168,10 @@ class ClearanceBounds:
     def names(self, pair: tuple[int, int]) -> tuple[str, str]:
         """Names of two geoms."""
         return self._collisions.names(pair)
+
+    def owns(self, pair: tuple[int, int]) -> bool:
+        """Whether two geoms are both parts of the arm, its base included."""
+        return bool(self._parts[[*pair]].all())
 
     def _displacements(self, q: Floats) -> Floats:
         """Largest displacements of the joints ``(..., J)`` for changes of the coordinates up to ``(..., n)``."""

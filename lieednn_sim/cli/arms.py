@@ -40,7 +40,7 @@ def arms(arm: str | None = None, *, imported: Annotated[ImportOptions, "*"]) -> 
     loaded = Arm.load(arm, **imported)
     _print_summaries([loaded])
     console.print(_coordinates(loaded))
-    print_import_report(loaded)
+    print_import_report(loaded, whole=True)
 
 
 def view(
@@ -71,7 +71,6 @@ def view(
         imported: how a model file is imported.
     """
     shown = Arm.load(arm, scene, scene_seed, **imported)
-    print_import_report(shown)
     page = show(
         shown,
         target=None if target is None else joint_position(shown, target, "target"),
@@ -82,6 +81,7 @@ def view(
     )
     with page:
         console.print(f"view: {page.url} (Ctrl-C ends it)")
+        print_import_report(shown)
         sys.stdout.flush()
         # Without a window `webbrowser` may start a browser in this terminal.
         windows = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
@@ -107,19 +107,17 @@ def farthest(arm: Arm) -> float:
 
 
 def _print_summaries(loaded: list[Arm]) -> None:
-    rows = table("arms", "arm", "links", "n", "joints", "reach m", "unit m", "keyframes")
+    rows = table("arms", "arm", "links", "joints", "reach m", "keyframes")
     for arm in loaded:
         kinds = Counter(factor.kind for joint in arm.joints.joints for factor in joint.factors)
         rows.add_row(
             arm.name,
             str(arm.n_links),
-            str(arm.n_joints),
             ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in sorted(kinds.items())),
             f"{farthest(arm):.2f}",
-            f"{arm.length_scale:g}",
             ", ".join(arm.keyframes),
         )
-    rows.caption = "n: joint coordinates; reach: of the end effector from the base; unit: of network lengths [m]"
+    rows.caption = "reach: of the end effector from the base"
     console.print(rows)
 
 
@@ -130,4 +128,5 @@ def _coordinates(arm: Arm) -> object:
         texts = ("-" if np.isinf(limit[j]) else f"{limit[j]:g}" for limit in limits)
         rows.add_row(name, arm.unit(j), *(f"{bound:.4g}" for bound in arm.position_limits[j]), *texts)
     rows.caption = "limits; -: none" + ("; of a ball joint the angle is limited" if len(arm.space.balls) else "")
+    rows.caption += f"; unit of length in networks: {arm.length_scale:g} m"
     return rows

@@ -10,9 +10,10 @@ from lieednn_sim import io
 from lieednn_sim.cli.arguments import Look, Planning, Simulating, still_look
 from lieednn_sim.cli.console import console, progress, wrote
 from lieednn_sim.cli.kinds import Directory, File
-from lieednn_sim.cli.planning import plan_run
+from lieednn_sim.cli.planning import plan_run, print_plan
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, LieEDNNError, RenderingUnavailableError, SimulationError
+from lieednn_sim.evaluation import Evaluation
 from lieednn_sim.evaluation.metrics import evaluate as evaluate_rollout
 from lieednn_sim.exports import export as export_sources
 from lieednn_sim.exports.formats import record
@@ -20,6 +21,7 @@ from lieednn_sim.planning.motion import check_motion
 from lieednn_sim.registry import FORMATS
 from lieednn_sim.rendering import opengl
 from lieednn_sim.rendering.video import check_rate, check_view, render_video
+from lieednn_sim.simulation import Rollout
 from lieednn_sim.simulation import simulate as simulate_motion
 from lieednn_sim.validation import as_path
 
@@ -33,6 +35,7 @@ def demo(
     plots: str = "png",
     page: bool = True,
     video: bool = True,
+    verbose: bool = False,
 ) -> None:
     """Run everything: plan a motion to a target, simulate it, evaluate it, make a page and a video.
 
@@ -47,6 +50,7 @@ def demo(
         plots: format of the plots: png, pdf or svg.
         page: make motion.html, a page that plays the motion in 3D.
         video: make video.mp4.
+        verbose: print every stability condition, all bounds, all metrics, and the whole report of an imported arm.
     """
     start = time.perf_counter()
     # Check options before any work.
@@ -54,13 +58,22 @@ def demo(
     simulating.all_disturbances(arm)
     if video:
         check_view(arm, **still_look(look))
-        check_rate(look.get("fps", 30), "video.mp4")
+        check_rate(look.get("fps", 25), "video.mp4")
     run = RunDirectory(output, plots)
     with run.at_work():
         # The paper's bias leaves more to the weights.
-        plan_run(run, planning, ["bias_magnitudes=0.125", "n_first=24"])
-        _simulate(run, simulating)
-        _evaluate(run)
+        plan, head, written = plan_run(run, planning, ["bias_magnitudes=0.125", "n_first=24"])
+        arrival, clearance, told = "not evaluated", plan.clearance, list[Any]()
+        try:
+            written += _simulate(run, simulating)
+            rollout, evaluation, files = _evaluate(run)
+            arrival, clearance, written = evaluation.arrival, rollout.clearance or clearance, written + files
+            told = [evaluation] if verbose else evaluation.notes
+        finally:
+            print_plan(plan, head, clearance, arrival, verbose=verbose)
+            for each in told:
+                console.print(each)
+            wrote(*written)
         if page:
             try:
                 _render(run, run.page, look)
@@ -71,7 +84,7 @@ def demo(
                 _render(run, run.video, look)
             except RenderingUnavailableError as error:
                 console.print(f"no video: {error}")
-    console.print(f"done in {time.perf_counter() - start:.1f} s")
+    console.print(f"done in {time.perf_counter() - start:.1f} s; metrics: lieednn-sim evaluate {output}")
 
 
 def simulate(run: Directory, *, simulating: Simulating) -> None:
@@ -85,7 +98,7 @@ def simulate(run: Directory, *, simulating: Simulating) -> None:
     """
     directory = RunDirectory(run).existing()
     with directory.at_work():
-        _simulate(directory, simulating)
+        wrote(*_simulate(directory, simulating))
 
 
 def evaluate(run: Directory, *, plots: str = "png") -> None:
@@ -99,7 +112,9 @@ def evaluate(run: Directory, *, plots: str = "png") -> None:
     """
     directory = RunDirectory(run, plots).existing()
     with directory.at_work(shared=True):
-        _evaluate(directory)
+        _, evaluation, files = _evaluate(directory)
+        console.print(evaluation)
+        wrote(*files)
 
 
 def render(run: Directory, *, output: File | None = None, look: Look) -> None:
@@ -173,7 +188,7 @@ def export(
     wrote(*written)
 
 
-def _simulate(run: RunDirectory, simulating: Simulating) -> None:
+def _simulate(run: RunDirectory, simulating: Simulating) -> list[Path]:
     task, arm = run.load_task()
     changes = simulating.all_disturbances(arm)
     with progress("check"):
@@ -202,15 +217,14 @@ def _simulate(run: RunDirectory, simulating: Simulating) -> None:
         error.rollout.save(run.divergence)
         raise SimulationError(f"{error}; the run up to there is in {run.divergence} (Rollout.load reads it)") from None
     run.save_rollout(rollout)
-    wrote(run.rollout)
+    return [run.rollout]
 
 
-def _evaluate(run: RunDirectory) -> None:
+def _evaluate(run: RunDirectory) -> tuple[Rollout, Evaluation, list[Path]]:
     from lieednn_sim.evaluation import plots
 
     rollout = run.load_rollout(*run.load_task())
     evaluation = evaluate_rollout(rollout)
-    console.print(evaluation)
     drawn = {run.plot(name): draw for name, draw in plots.plots_of(rollout).items()}
     outputs = [run.metrics_json, run.metrics_csv, *drawn]
     with io.atomic_paths(outputs) as (metrics_json, metrics_csv, *pictures):
@@ -218,7 +232,7 @@ def _evaluate(run: RunDirectory) -> None:
         evaluation.save_csv(metrics_csv)
         for plot, picture in zip(drawn.values(), pictures, strict=True):
             plot(rollout, picture)
-    wrote(*outputs)
+    return rollout, evaluation, outputs
 
 
 def _render(run: RunDirectory, path: Path, look: Look) -> None:

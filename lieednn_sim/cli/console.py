@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
 
-import numpy as np
 from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -13,7 +15,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import reporting
 from lieednn_sim.errors import NotCertifiedError
-from lieednn_sim.evaluation.display import table
 from lieednn_sim.network import ComponentwiseNetwork
 
 
@@ -22,8 +23,9 @@ class _Console(Console):
         raise BrokenPipeError  # handled by `main`; rich would exit with 1
 
 
-# Output contains the user's texts, paths and messages: [brackets] and :colons: in it are not markup.
-console = _Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
+# Output contains the user's texts, paths and messages: [brackets] and :colons: in it are not markup. In a terminal long
+# lines are broken between words.
+console = _Console(markup=False, emoji=False, highlight=False, soft_wrap=not sys.stdout.isatty())
 
 
 def to_stderr() -> Console:
@@ -46,33 +48,25 @@ def progress(what: str) -> Iterator[None]:
             yield
 
 
-def print_import_report(arm: Arm) -> None:
-    """Print the report of an imported arm; nothing for another arm."""
-    if arm.import_report is None:
-        return
-    rows = table(f"{arm.name}: imported from {arm.source.name}", "what", "how")
-    rows.columns[1].justify = "left"
-    rows.columns[1].overflow = "fold"
-    for line in str(arm.import_report).splitlines():
-        what, _, how = line.partition(": ")
-        rows.add_row(what, how)
-    console.print(rows)
+def print_import_report(arm: Arm, *, whole: bool = False) -> None:
+    """Print the report of an imported arm, in a few lines or as a whole; nothing for another arm."""
+    if arm.import_report is not None:
+        console.print(f"{arm.name}, imported from {arm.source.name}:")
+        console.print(str(arm.import_report) if whole else arm.import_report.summary(str(arm.source)))
 
 
-def print_stability(network: ComponentwiseNetwork, xi: ArrayLike) -> None:
-    """Print the stability conditions at the equilibrium found from ``xi``, and bounds on pushes, targets and steps."""
-    console.print(f"stability: {network.assess(xi)}")
-    with contextlib.suppress(NotCertifiedError):
-        console.print(str(network.robustness()))
+def print_stability(network: ComponentwiseNetwork, xi: ArrayLike, *, whole: bool = True) -> None:
+    """Print how stable the equilibrium found from ``xi`` is, or every condition, and bounds on pushes and targets."""
+    verdict = str(network.assess(xi))
+    console.print(f"stability: {verdict if whole else verdict.splitlines()[0]}")
+    if whole:
+        with contextlib.suppress(NotCertifiedError):
+            console.print(str(network.robustness()))
 
 
-def one_norm(network: ComponentwiseNetwork, xi: ArrayLike) -> str:
-    """The 1-norm of the weights, and its least value for any network with the equilibrium ``xi``."""
-    result, least = np.linalg.norm(network.weight, 1), network.smallest_one_norm(xi)
-    return f"{result:.2f} (no network with this equilibrium below {least:.2f})"
-
-
-def wrote(*paths: object) -> None:
-    """Print the files written."""
-    for path in paths:
-        console.print(f"wrote {path}")
+def wrote(*paths: str | Path) -> None:
+    """Print the files written, those of a directory in one line."""
+    for folder, files in groupby(map(Path, paths), key=lambda path: path.parent):
+        first, *more = files
+        names = ", ".join(file.name for file in (first, *more))
+        console.print(f"wrote in {folder}: {names}" if more else f"wrote {first}", soft_wrap=True)

@@ -165,15 +165,15 @@ def _learn_poses(files: Sequence[str], reading: Reading, fitting: Fitting, run: 
             drawn = {shaped.name: shaped} if demonstrations.goals_kept else models
             plot_paths(drawn, demonstrations, paths)
             plot_field(shaped, demonstrations, field, fitting.seed)
+    _print_verdict(shaped)
     console.print(
         f"{len(shown)} demonstrations, {shown[0].shown}, {demonstrations.extent:.3g} m across, "
-        f"{demonstrations.duration:.3g} s; {shaped.shaping.message}; {describe(shaped.response)}"
+        f"{demonstrations.duration:.3g} s; {describe(shaped.response)}"
     )
     if apart > 0.01 * demonstrations.extent:
         seen = "kept" if demonstrations.goals_kept else "aligned: each path is seen from its own (see --goals)"
         console.print(f"goals are up to {apart:.3g} m from their mean, and {seen}")
     console.print(models_table(rows, turns=demonstrations.dof == 6))
-    console.print(f"stability: {shaped.network.certificate}")
     wrote(*outputs)
 
 
@@ -215,15 +215,21 @@ def _learn_joints(files: Sequence[str], chosen: ChosenArm, fitting: Fitting, run
             io.save_json(report, result)
             plot_joint_paths(shown, reproduced, demonstrations_plot, fan=fan)
             plot_joint_paths(shown, reproduced, starts_plot, paths)
-    print_import_report(arm)
+    _print_verdict(learned)
+    console.print(f"limits: not kept, {refusal}" if refusal else f"limits and clearance: kept, in {duration:.3g} s")
     console.print(
         f"{len(shown)} demonstrations of {arm.n_joints} joints of {arm.name}, {learned.duration:.3g} s; "
-        f"{learned.shaping.message}; {describe(learned.response)}"
+        f"{describe(learned.response)}"
     )
+    print_import_report(arm)
     console.print(joints_table(study, arm))
-    console.print(f"limits: not kept, {refusal}" if refusal else f"limits and clearance: kept, in {duration:.3g} s")
-    console.print(f"stability: {learned.network.certificate}")
     wrote(*written, *results)
+
+
+def _print_verdict(learned: ShapedMotion | JointMotion) -> None:
+    network = learned.network
+    console.print(f"{'certified' if network.certified else 'no certificate'}; {learned.shaping.message}")
+    console.print(f"certificate: {network.certificate}")
 
 
 def _learned(learned: ShapedMotion | JointMotion) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import sys
 from json import dumps
+from textwrap import shorten
 
 from rich.table import Table
 from rich.text import Text
@@ -67,7 +68,8 @@ def doctor(*, json: bool = False) -> int:
     for name, version in versions.items():
         table.add_row(name, version or Text("missing", "red"))
     for name, extra in extras.items():
-        absent = f"not installed (optional, for {extra['for']}): {extra['install']}"
+        wanted = shorten(f"optional, for {extra['for']}", 59, placeholder=" ...")
+        absent = f"not installed: {extra['install']}\n{wanted}"
         table.add_row(name, extra["version"] or absent)
     table.add_row("platform", f"{platform.system()} {platform.machine()}, {sys.executable}")
     table.add_row("arms", models)

@@ -11,22 +11,23 @@ import numpy as np
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion
 from lieednn_sim.budget import time_limit
-from lieednn_sim.cli.arguments import RANDOM, Planning, joint_position, read_options
-from lieednn_sim.cli.console import console, one_norm, print_import_report, print_stability, progress, wrote
+from lieednn_sim.cli.arguments import Planning, joint_position, read_options
+from lieednn_sim.cli.console import console, print_import_report, print_stability, progress, wrote
 from lieednn_sim.cli.kinds import Directory
-from lieednn_sim.cli.run_directory import RunDirectory, Task
+from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.display import rounded, table
+from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.learning.demonstrations import LearnedMotion
 from lieednn_sim.lie import transforms
 from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner, plan_learned
 from lieednn_sim.planning import plan as plan_motion
 from lieednn_sim.planning.certified import CertifiedDetails
+from lieednn_sim.planning.clearance import Clearance
 from lieednn_sim.planning.shaped import ShapedDetails
 from lieednn_sim.registry import PLANNERS
 
 
-def plan(*, planning: Planning, payload: float = 0.0, output: Directory = "results/run") -> None:
+def plan(*, planning: Planning, payload: float = 0.0, output: Directory = "results/run", verbose: bool = False) -> None:
     """Plan a motion to a target with any planner, in a run directory, with a certified network if it makes one.
 
     Continue with 'simulate', 'evaluate' and 'render'.
@@ -35,18 +36,25 @@ def plan(*, planning: Planning, payload: float = 0.0, output: Directory = "resul
         planning: the motion.
         payload: mass at the end effector that the plan and its simulations know [kg].
         output: directory for the files of the run.
+        verbose: print every stability condition, all bounds, and the whole report of an imported arm.
     """
     run = RunDirectory(output)
     with run.at_work():
-        plan_run(run, planning, payload=payload)
+        result, head, written = plan_run(run, planning, payload=payload)
+        print_plan(result, head, result.clearance, f"arrives in {result.motion.t[-1]:.3g} s", verbose=verbose)
+        wrote(*written)
 
 
-def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = (), payload: float = 0.0) -> None:
-    """Plan, and write what is made; ``usual`` are options of ``lieednn-certified`` if no others are given."""
+def plan_run(
+    run: RunDirectory, planning: Planning, usual: Sequence[str] = (), payload: float = 0.0
+) -> tuple[Plan, str, list[Path]]:
+    """Plan, and write what is made; ``usual`` are options of ``lieednn-certified`` if no others are given.
+
+    Returns the plan, a line on planner and target, and the files written.
+    """
     arm = planning.load().with_payload(payload)
     if planning.learned is not None:
-        _plan_learned(run, arm, planning)
-        return
+        return _plan_learned(run, arm, planning)
     # The default does not depend on what is installed: if it cannot run, that is an error.
     if planning.planner is not None:
         planner, reason = planning.planner, "asked for"
@@ -59,10 +67,6 @@ def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = (), p
     if kind is None and texts:
         raise InputError(f"the planner {planner} has no options, got {texts[0]!r}")
     options = None if kind is None else read_options(kind(), texts)
-    console.print(f"planner: {planner} ({reason}), at most {planning.time_budget:g} s of CPU time")
-    target = planning.usual_target(arm)
-    if target is not None and target.startswith(RANDOM):
-        console.print(f"target: {target}")
     start, goal = planning.start_and_goal(arm, place=planning.path_constraint is not None)
     path_constraint = planning.constraint_region(arm, start, goal)
     shown = {
@@ -90,10 +94,12 @@ def plan_run(run: RunDirectory, planning: Planning, usual: Sequence[str] = (), p
             path_constraint=path_constraint,
             settle=planning.settle,
         )
-    _save(run, arm, replace(task, target=tuple(result.target.tolist())), result)
+    task = replace(task, target=tuple(result.target.tolist()))
+    head = f"planner: {planner}, {reason}; target: {planning.usual_target(arm) or planning.target or 'a pose'}"
+    return result, head, run.save_network(task, result.network, result.motion)
 
 
-def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> None:
+def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> tuple[Plan, str, list[Path]]:
     """Plan a motion of the end effector that was learned, and write what is made."""
     if planning.planner or planning.option or planning.path_constraint or planning.settle:
         raise InputError("--learned takes no --planner, --option, --path-constraint or --settle: the motion is known")
@@ -123,42 +129,40 @@ def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> None:
     made = {"learned": str(Path(planning.learned or "").resolve()), "turning": planning.turning, "payload": arm.payload}
     about = {"planner": result.planner, "reason": "learned", "options": {**made, "fastest": planning.fastest}}
     q, lasts = result.motion.q, float(result.motion.t[-1])
-    _save(run, arm, planning.task(arm, q[0], result.target, lasts, planning.seed, **about), result)
+    task = planning.task(arm, q[0], result.target, lasts, planning.seed, **about)
+    return result, f"planner: {result.planner}, as shown", run.save_network(task, result.network, result.motion)
 
 
-def _save(run: RunDirectory, arm: Arm, task: Task, result: Plan) -> None:
-    """Write a plan, and print what was read and found."""
-    written = run.save_network(task, result.network, result.motion)
-    print_import_report(arm)
-    print_plan(result)
-    wrote(*written)
+def print_plan(result: Plan, head: str, clearance: Clearance, arrival: str, *, verbose: bool = False) -> None:
+    """Print a verdict in one line, and what to look at of a plan; if verbose, all that is known and proved of it.
 
-
-def print_plan(result: Plan) -> None:
-    """Print a plan's duration, mechanism gap and network, how it was found, and what is proved of it."""
-    network, motion, details = result.network, result.motion, result.details
-    millimetres, degrees = 1e3 * motion.gap_translation.max(), np.rad2deg(motion.gap_rotation.max())
-    rows = table("plan", "quantity", "value")
-    rows.add_row("planner", result.planner)
-    rows.add_row("duration", f"{motion.t[-1]:.2f} s")
-    if result.leaves:
-        rows.add_row("leaves at the start", result.leaves)
-    if result.arm is not None and result.arm.payload > 0.0:
-        rows.add_row("payload", f"{result.arm.payload:g} kg")
-    rows.add_row("mechanism gap", f"{rounded(millimetres)} mm and {rounded(degrees)} degrees at most, 0 at the target")
-    if isinstance(details, CertifiedDetails):
-        rows.add_row("networks", f"{details.n_networks} networks drawn, {details.within_limits} keep the joint limits")
-    if isinstance(details, ShapedDetails) and result.guide is not None:
-        rows.add_row("guide", result.guide.planner)
-        rows.add_row("off its path", f"{1e3 * details.deviation:.2g} mm at the end effector")
-    if network is None:
-        rows.add_row("proof", "none, as this planner makes no network")
-    else:
-        rows.add_row("largest bias", f"{np.abs(network.bias).max():.3g}")
-        rows.add_row("1-norm of W", one_norm(network, goal := network.goal(motion.xi_target)))
-    console.print(rows)
-    console.print(f"clearance: {result.clearance}")
+    ``head`` is that of `plan_run`; clearance and arrival are those of the plan, or of a run that followed it.
+    """
+    network, motion = result.network, result.motion
+    proof = "certified" if network is not None and network.certified else "no certificate"
+    console.print(f"{proof}; {clearance.at()}; {arrival}")
+    if network is not None:
+        console.print(f"certificate: {network.certificate}")
+    console.print(f"clearance: {clearance}")
     if result.load_clearance is not None:
         console.print(f"what hangs, as it swings by its linear model: {result.load_clearance}")
+    console.print(head)
+    if result.leaves:
+        console.print(f"leaves at the start: {result.leaves}")
+    if result.arm is not None and result.arm.payload > 0.0:
+        console.print(f"payload: {result.arm.payload:g} kg")
+    millimetres, degrees = 1e3 * motion.gap_translation.max(), np.rad2deg(motion.gap_rotation.max())
+    gaps = rounded(millimetres), rounded(degrees)
+    gap = "none" if gaps == ("0", "0") else "{} mm and {} degrees at most on the way, 0 at the target".format(*gaps)
+    console.print(f"mechanism gap: {gap}")
+    if result.arm is not None:
+        print_import_report(result.arm, whole=verbose)
+    if not verbose:
+        return
+    if isinstance(result.details, CertifiedDetails):
+        console.print(f"networks: {result.details.n_networks} drawn, {result.details.within_limits} keep the limits")
+    if isinstance(result.details, ShapedDetails) and result.guide is not None:
+        off = f"the plan is {1e3 * result.details.deviation:.2g} mm off its path at the end effector"
+        console.print(f"guide: {result.guide.planner}; {off}")
     if network is not None:
-        print_stability(network, goal)
+        print_stability(network, network.goal(motion.xi_target))

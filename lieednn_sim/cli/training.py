@@ -6,16 +6,13 @@ import functools
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
-import numpy as np
-
 from lieednn_sim import io
 from lieednn_sim.cli.arguments import Goal
-from lieednn_sim.cli.console import console, one_norm, print_import_report, print_stability, progress, wrote
+from lieednn_sim.cli.console import console, print_import_report, print_stability, progress, wrote
 from lieednn_sim.cli.kinds import Directory
 from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.evaluation import plots as figures
-from lieednn_sim.evaluation.display import table
 from lieednn_sim.learning import TrainingOptions, TrainingResult
 from lieednn_sim.learning import train as learn
 from lieednn_sim.network import ACTIVATIONS, DEFAULT_ACTIVATION, LieEDNN
@@ -51,7 +48,9 @@ class Learning:
     bias_magnitude: float = 0.125
 
 
-def train(*, goal: Goal, learning: Learning, output: Directory = "results/run", plots: str = "png") -> int:
+def train(
+    *, goal: Goal, learning: Learning, output: Directory = "results/run", plots: str = "png", verbose: bool = False
+) -> int:
     """Learn a network for a target with the algorithm of the paper, or an improved one, in a run directory.
 
     Continue with 'simulate', 'evaluate' and 'render'. The exit code is 1 if no network was learned.
@@ -61,13 +60,14 @@ def train(*, goal: Goal, learning: Learning, output: Directory = "results/run", 
         learning: how it is learned.
         output: directory for the files of the run.
         plots: format of the plot: png, pdf or svg.
+        verbose: print every stability condition, all bounds, and the whole report of an imported arm.
     """
     run = RunDirectory(output, plots)
     with run.at_work():
-        return _train(run, goal, learning)
+        return _train(run, goal, learning, verbose)
 
 
-def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
+def _train(run: RunDirectory, goal: Goal, learning: Learning, verbose: bool) -> int:
     """Learn from one seed after the other; save the first network, and the first whose motion keeps the limits."""
     arm = goal.load()
     start, aim = goal.start_and_goal(arm)
@@ -78,7 +78,6 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
     task = goal.task(arm, start, target, goal.asked_duration, goal.seed, **about)
     xi = arm.encode(target)
     learner = _learner(learning, xi)
-    print_import_report(arm)
     saved: LieEDNN | None = None
     for seed in range(task.seed, task.seed + count):
         with progress("train"):
@@ -101,7 +100,8 @@ def _train(run: RunDirectory, goal: Goal, learning: Learning) -> int:
                     figures.plot_training(result.history, xi, result.tolerance, temporary)
         if accepted:
             break
-    _report(outcome, saved, xi)
+    _report(outcome, saved, xi, verbose)
+    print_import_report(arm, whole=verbose)
     if saved is None:
         # A run's previous files stay as they are.
         console.print("no network was written; try another --seed, more --epochs, or --algorithm stability-aware")
@@ -127,15 +127,9 @@ def _learner(asked: Learning, xi: Floats) -> Callable[..., TrainingResult]:
     return functools.partial(learn, xi, make(**given), bias=bias)
 
 
-def _report(result: TrainingResult, network: LieEDNN | None, xi: Floats) -> None:
-    rows = table("training", "quantity", "value")
-    rows.add_row("outcome", result.message)
+def _report(result: TrainingResult, network: LieEDNN | None, xi: Floats, verbose: bool) -> None:
+    proof = "" if network is None else "; certified" if network.certified else "; not certified"
     each = 1e6 * result.cpu_time / max(result.epochs, 1)
-    rows.add_row("CPU time", f"{result.cpu_time:.2f} s, {each:.0f} us an epoch")
-    if network is None:
-        console.print(rows)
-        return
-    rows.add_row("1-norm of W", one_norm(network, xi))
-    rows.add_row("largest |t|", f"{np.linalg.norm(network.translation, axis=-1).max():.2f}")
-    console.print(rows)
-    print_stability(network, xi)
+    console.print(f"{result.message}{proof}; {result.cpu_time:.2f} s of CPU time, {each:.0f} us an epoch")
+    if network is not None:
+        print_stability(network, xi, whole=verbose)

@@ -188,14 +188,11 @@ class Evaluation:
         set_fields(self, **results)
 
     def __repr__(self) -> str:
-        return (
-            f"<Evaluation of {self.arm}, {self.scene}, by {self.controller}: ends {self.final_worst_mm:.3g} mm and "
-            f"{self.final_worst_deg:.3g} degrees off, tracking {self.tracking_rms_mm:.3g} mm RMS, "
-            f"{self.contacts} contacts>"
-        )
+        return f"<Evaluation of {self.arm}, {self.scene}, by {self.controller}: {self.arrival}>"
 
     def __rich__(self) -> Group:
-        return Group(_frames(self), _joints(self), *([_recoveries(self)] if self.recoveries else []), *_notes(self))
+        tables = [_frames(self), _joints(self), *([_recoveries(self)] if self.recoveries else [])]
+        return Group(self.arrival + (f"; clearance {self.proof}" if self.proof else ""), *tables, *self.notes)
 
     def __str__(self) -> str:
         return as_text(self)
@@ -214,6 +211,37 @@ class Evaluation:
             if not frame.arrived:
                 return f"arrival: {frame.name} ends {frame.final_mm:.3g} mm and {frame.final_deg:.3g} deg off"
         return ""
+
+    @property
+    def arrival(self) -> str:
+        """Whether the arm ended at its target, and touched nothing, in a few words."""
+        off = f"{rounded(self.final_worst_mm, 1e-3)} mm and {rounded(self.final_worst_deg, 1e-3)} degrees off"
+        if self.shortfall:
+            return f"fails: {f'{self.contacts} contacts at a time, ' if self.contacts else ''}a link ends {off}"
+        return f"arrives after {_seconds(self.settling_s)} s, ends {off}"
+
+    @property
+    def notes(self) -> list[str]:
+        """Lines on conditions unknown to the controller, forces and measured clearance, and causes of a final error."""
+        rate, force, torque = self.reference_rate, self.peak_weld_force_n, self.peak_weld_torque_n_m
+        conditions = [*([f"reference held at {rate:g} Hz"] if rate else []), *self.disturbances.conditions]
+        lines = [f"conditions: {', '.join(conditions)}"] if conditions else []
+        extremes = []
+        if self.contacts:
+            extremes.append(f"contact force up to {rounded(self.peak_contact_force_n)} N")
+        if force or torque:
+            extremes.append(f"welds up to {rounded(force)} N and {rounded(torque)} N m")
+        if self.scene != "free" and self.clearance_mm is not None:
+            extremes.append(f"least clearance {rounded(self.clearance_mm)} mm at samples")
+        if (planned := self.planned_force_fraction or 0.0) > 0.5:  # what is far from its limit need not be told
+            extremes.append(f"forces up to {planned:.0%} of a limit as planned, {self.force_fraction:.0%} exerted")
+        if extremes:
+            lines.append("; ".join(extremes))
+        if self.load:
+            lines.append(f"after the motion: {self.load}")
+        if self.causes:
+            lines.append(f"final error {self.final_worst_mm:.3g} mm and {self.final_worst_deg:.3g} degrees:")
+        return lines + [f"- {cause}" for cause in self.causes]
 
     def save_json(self, path: str | os.PathLike[str]) -> None:
         """Write all metrics and conditions as JSON; unlimited joints have limit null."""
@@ -277,28 +305,3 @@ def _recoveries(evaluation: Evaluation) -> Table:
 
 def _seconds(time: float | None) -> str:
     return "never" if time is None else f"{time:.2f}"
-
-
-def _notes(evaluation: Evaluation) -> list[str]:
-    """Lines below the tables: conditions unknown to the controller, forces and clearance, causes of a final error."""
-    rate, force, torque = evaluation.reference_rate, evaluation.peak_weld_force_n, evaluation.peak_weld_torque_n_m
-    conditions = [*([f"reference held at {rate:g} Hz"] if rate else []), *evaluation.disturbances.conditions]
-    notes = [f"conditions: {', '.join(conditions)}"] if conditions else []
-    extremes = []
-    if evaluation.contacts:
-        extremes.append(f"contact force up to {rounded(evaluation.peak_contact_force_n)} N")
-    if force or torque:
-        extremes.append(f"welds up to {rounded(force)} N and {rounded(torque)} N m")
-    if evaluation.scene != "free" and evaluation.clearance_mm is not None:
-        extremes.append(f"least clearance {rounded(evaluation.clearance_mm)} mm")
-    if (planned := evaluation.planned_force_fraction or 0.0) > 0.5:  # what is far from its limit need not be told
-        extremes.append(f"forces up to {planned:.0%} of a limit as planned, {evaluation.force_fraction:.0%} exerted")
-    if extremes:
-        notes.append("; ".join(extremes))
-    if evaluation.proof:
-        notes.append(f"distances from contact: {evaluation.proof}")
-    if evaluation.load:
-        notes.append(f"after the motion: {evaluation.load}")
-    if evaluation.causes:
-        notes.append(f"final error {evaluation.final_worst_mm:.3g} mm and {evaluation.final_worst_deg:.3g} degrees:")
-    return notes + [f"- {cause}" for cause in evaluation.causes]

@@ -14,6 +14,7 @@ from lieednn_sim._mujoco import kinematics_at
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.contacts import moving_geoms
+from lieednn_sim.evaluation.evaluation import SETTLED_ROTATION, SETTLED_TRANSLATION
 from lieednn_sim.evaluation.metrics import pose_errors
 from lieednn_sim.live.engine import Tick, certificate_of, network_policy
 from lieednn_sim.live.session import Aim, Session
@@ -51,8 +52,16 @@ class Snapshot(NamedTuple):
 
     @property
     def arrived(self) -> bool:
-        """Whether the end effector is within a millimetre and 5 mrad of the target."""
-        return self.distance < 1e-3 and self.angle < 5e-3
+        """Whether the end effector is within 1 mm and 0.1 degrees of the target."""
+        return self.distance <= SETTLED_TRANSLATION and self.angle <= SETTLED_ROTATION
+
+    @property
+    def state(self) -> str:
+        """What the arm does, in words; the policy knows nothing of an arm that does not follow."""
+        there = np.allclose(self.tick.q_ref, self.tick.target, rtol=0.0, atol=1e-4)
+        if there and self.tick.message == "moves" and not self.arrived:
+            return f"its reference has arrived, the arm is still {_millimetres(self.tracking)} off"
+        return "has arrived" if self.arrived else self.tick.message
 
 
 class Observer:
@@ -191,7 +200,7 @@ def status(snapshot: Snapshot) -> str:
     elif session.busy:
         said, colour = "plans", _IDLE
     else:
-        said, colour = "has arrived" if snapshot.arrived else tick.message, "inherit"
+        said, colour = snapshot.state, "inherit"
     rows = [
         ("policy", escape(tick.policy or "waits for a policy")),
         ("proof", _proof(snapshot)),

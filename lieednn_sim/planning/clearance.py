@@ -48,6 +48,7 @@ class Clearance:
         doubtful: names of geoms that may touch in one of them; empty if there are none.
         proved_fraction: the fraction of the motion's time that is left.
         reason: why nothing can be proved of the arm, if nothing can.
+        others: where the arm's own parts are nearest to each other, the same of all other pairs.
     """
 
     bound: float
@@ -57,6 +58,7 @@ class Clearance:
     proved_fraction: float = 1.0
     reason: str = ""
     doubtful: tuple[str, ...] = ()
+    others: Clearance | None = None
 
     @property
     def proved(self) -> bool:
@@ -70,8 +72,9 @@ class Clearance:
         return f"at least {1e3 * self.bound:.3g} mm clear, proved"
 
     def __str__(self) -> str:
-        by = f", {self.pair[0]!r} from {self.pair[1]!r} at {self.t:.2f} s" if self.pair else ""
-        least = f"at least {1e3 * self.bound:.3g} mm{by}"
+        least = f"at least {self._least()}"
+        if self.others is not None:
+            least = f"at least {self._least(' between parts of the arm')}; {self.others._least(' from all else')}"
         if self.proved:
             return f"{least}, proved at every instant"
         if self.bound == -np.inf:
@@ -79,6 +82,10 @@ class Clearance:
         some = ", ".join(f"{begin:.3f} to {end:.3f} s" for begin, end in self.unproved[:3])
         more = f" and {len(self.unproved) - 3} more stretches" if len(self.unproved) > 3 else ""
         return f"not proved from {some}{more}; elsewhere {least}"
+
+    def _least(self, between: str = "") -> str:
+        by = f", {self.pair[0]!r} from {self.pair[1]!r} at {self.t:.2f} s" if self.pair else ""
+        return f"{1e3 * self.bound:.3g} mm{between}{by}"
 
 
 class Cubics:
@@ -192,7 +199,14 @@ def check_contact(arm: Arm, t: Floats, q: Floats) -> None:
 
 
 def proved_clearance(
-    arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats | None = None, far: float = FAR
+    arm: Arm,
+    t: Floats,
+    q: Floats,
+    qd: Floats,
+    off: Floats | None = None,
+    *,
+    far: float = FAR,
+    own: bool = True,
 ) -> Clearance:
     """Bound the distances from contact along a motion, at every instant.
 
@@ -200,8 +214,9 @@ def proved_clearance(
         arm, t, q, qd: as of `check_clearance`.
         off: ``(K, n)`` how far joints may be from the motion at its samples, such as a run's tracking errors [rad, m].
         far: distance beyond which nothing is measured [m].
+        own: whether the arm's own parts, its base included, count against each other.
     """
-    bounds, step = bounds_of(arm), float(t[1] - t[0])
+    bounds, step = bounds_of(arm, own), float(t[1] - t[0])
     if isinstance(bounds, str):
         return Clearance(-np.inf, 0.0, (), t[None, [0, -1]], 0.0, bounds)
     cubics = Cubics(step, q, qd, off)
@@ -234,7 +249,8 @@ def proved_clearance(
     # An instant of contact is no stretch.
     bound = bound if proved > 1e-9 else -np.inf
     near, touching = (bounds.names(two) if two[0] >= 0 else () for two in (pair, doubtful))
-    return Clearance(bound, time, near, stretches, proved, doubtful=touching)
+    others = proved_clearance(arm, t, q, qd, off, far=far, own=False) if near and bounds.owns(pair) else None
+    return Clearance(bound, time, near, stretches, proved, doubtful=touching, others=others)
 
 
 class ProofAhead:
@@ -306,15 +322,15 @@ def _joined(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return result
 
 
-def bounds_of(arm: Arm) -> ClearanceBounds | str:
+def bounds_of(arm: Arm, own: bool = True) -> ClearanceBounds | str:
     """What bounds an arm's distances, or why nothing does; one for each thread, since it holds data of MuJoCo's."""
-    return _bounds_in(arm, threading.get_ident())
+    return _bounds_in(arm, own, threading.get_ident())
 
 
 @weakly_cached
-def _bounds_in(arm: Arm, _: int) -> ClearanceBounds | str:
+def _bounds_in(arm: Arm, own: bool, _: int) -> ClearanceBounds | str:
     n = arm.n_joints
     try:
-        return ClearanceBounds(replace(arm.without_visuals), [(np.arange(n), np.ones(n))])
+        return ClearanceBounds(replace(arm.without_visuals), [(np.arange(n), np.ones(n))], own=own)
     except InputError as error:
         return str(error)

@@ -95,5 +95,5 @@ def _bounds(passive: PassiveJoints, t: Floats, rows: Floats, off: Floats) -> lis
         # Rotation vectors of less than half a turn change by at most so much more than what is turned.
         error[:, balls] = 0.5 * np.pi * np.linalg.norm(error[:, balls], axis=-1, keepdims=True)
         rates = np.gradient(q, t[1], axis=0)
-        found.append(proved_clearance(view, t, q, rates, error, max(FAR, 1.1 * arm.clearance)))
+        found.append(proved_clearance(view, t, q, rates, error, far=max(FAR, 1.1 * arm.clearance)))
     return found

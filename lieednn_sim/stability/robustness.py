@@ -197,19 +197,17 @@ class Robustness:
         return largest if self.others is None else min(largest, self.others.largest_step(method))
 
     def __repr__(self) -> str:
-        return f"<Robustness: {len(self.pushed)} coordinates pushed, {len(self.reached)} reached, steps up to " + (
-            f"{self.largest_step('RK4'):.3g} (RK4)>"
-        )
+        return f"<Robustness: {str(self).splitlines()[0]}>"
 
     def __str__(self) -> str:
-        scope = "between any two motions" if self.contracting else "about the equilibrium"
+        scope = "any motion" if self.contracting else "the equilibrium"
         best = self.contracting or self
         return (
-            f"after a push of size 1 the state is at most {best.push_gain():.3g} away, and less than 0.1 away after "
-            f"{best.settling_time(0.1):.3g} of the network's time ({scope})\n"
-            f"a target that moves by 1 per unit of that time is followed within {self.lag():.3g}\n"
-            f"time steps up to {self.largest_step('Euler'):.3g} (Euler) or {self.largest_step('RK4'):.3g} (RK4) keep "
-            "the proof; the adaptive RK45 has none"
+            f"a push of size 1 leads the state at most {best.push_gain():.3g} away from {scope}, and less than 0.1 "
+            f"after {best.settling_time(0.1):.3g} of the network's time\n"
+            f"a target that moves by 1 per unit of that time is followed at a distance of at most {self.lag():.3g}\n"
+            f"the proof holds for time steps up to {self.largest_step('Euler'):.3g} (Euler) or "
+            f"{self.largest_step('RK4'):.3g} (RK4), not for the adaptive RK45"
         )
 
     def _gains(self, pushed: ArrayLike | None, watched: ArrayLike | None) -> list[tuple[Guarantee, float]]:

@@ -52,10 +52,16 @@ def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     assert (directory / "motion.html").stat().st_size < 1.5e6
     assert {path.name for path in directory.iterdir()} == {*expected, "lieednn_sim.json"}
     printed = capsys.readouterr().out
-    assert "end effector" in printed
-    assert all(f"wrote {directory / name}" in printed for name in expected)
+    # The verdict comes first, and conditions that fail beside the one that holds are not shown unasked.
+    verdict = r"certified; at least [\d.]+ mm clear, proved; arrives after [\d.]+ s, ends \S+ mm and \S+ degrees off\n"
+    assert re.match(verdict, printed)
+    assert "fails" not in printed
+    assert len(printed.splitlines()) < 12
+    files = re.search(f"^wrote in {directory}: (.*)$", printed, re.MULTILINE)[1].split(", ")
+    assert {*files, "motion.html"} == expected
+    assert f"wrote {directory / 'motion.html'}" in printed
     # To a tenth of a second.
-    assert 0.0 < float(re.search(r"^done in (\d+\.\d) s$", printed, re.MULTILINE)[1]) <= taken + 0.05
+    assert 0.0 < float(re.search(r"^done in (\d+\.\d) s; ", printed, re.MULTILINE)[1]) <= taken + 0.05
 
 
 @pytest.mark.usefixtures("no_plots")
@@ -145,7 +151,8 @@ def test_interrupting_leaves_complete_files_only(tmp_path, capsys, monkeypatch, 
     assert message == "lieednn-sim: interrupted; files already reported are complete\n"
     left = {"task.json", "network.npz", "motion.npz", "rollout.npz"}
     assert {path.name for path in directory.iterdir()} == {"lieednn_sim.json", *left}
-    assert set(re.findall(r"wrote .*/(\S+)", printed)) == left
+    assert re.match("certified; .*; not evaluated\n", printed)
+    assert set(re.search(f"wrote in {directory}: (.*)", printed)[1].split(", ")) == left
 
 
 @pytest.mark.rendering
@@ -247,7 +254,7 @@ def test_a_path_that_the_output_cannot_spell_and_a_backend_for_windows_that_does
     output = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", output)
     assert main(["evaluate", str(copy)]) == 0
-    assert f"wrote {tmp_path}/d\\xe9mo/metrics.json" in output.buffer.getvalue().decode("ascii")
+    assert f"wrote in {tmp_path}/d\\xe9mo: metrics.json" in output.buffer.getvalue().decode("ascii")
     assert os.environ["MPLBACKEND"] == "agg"
 
 

@@ -43,9 +43,10 @@ def test_an_arm_of_ones_own_goes_the_whole_road_from_another_directory(own, tmp_
     assert main([*arguments, "--option", "n_networks=4", "--controller", "inverse-dynamics"]) == 0
     printed = capsys.readouterr().out
     assert "target: random:0" in printed
-    assert re.search(r"link 2 +tool, moved by c", printed)
-    assert re.search(r"configuration +keyframe 'bent', with c as given", printed)
-    assert "[b]" in printed
+    report = printed[printed.index("own, imported from own.xml:\n") :].splitlines()
+    assert report[1] == "  links two, tool on world; actuators: 0 kept, 3 made"
+    assert report[-1].startswith("done in")
+    assert "  the whole report: lieednn-sim arms own.xml" in report[2:5]
     task = Task.load("run/task.json")
     assert task.arm == str(own)
     imported = {"links": ["two", "tool"], "base": "world", "keyframe": "bent", "home": {"c": 0.5}, "servos": "design"}
@@ -56,6 +57,12 @@ def test_an_arm_of_ones_own_goes_the_whole_road_from_another_directory(own, tmp_
     assert main(["evaluate", "../run"]) == 0
     assert re.search(r"welds up to [\d.]+ N and", capsys.readouterr().out)
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["frames"][-1]["final_mm"] < 0.1
+    monkeypatch.chdir(tmp_path)
+    assert main(["plan", *arguments[3:], "--planner", "minimum-jerk", "--verbose"]) == 0
+    printed = capsys.readouterr().out
+    assert "configuration: keyframe 'bent', with c as given\n" in printed
+    assert "link 1: two, moved by a, [b]\n" in printed
+    assert "the whole report" not in printed
     own.unlink()
     assert "no such file" in fails("simulate", tmp_path / "run")
 
@@ -63,10 +70,10 @@ def test_an_arm_of_ones_own_goes_the_whole_road_from_another_directory(own, tmp_
 def test_arms_are_listed_and_described(own, capsys, fails):
     assert main(["arms"]) == 0
     printed = capsys.readouterr().out
-    assert re.search(r"telescopic_pr +4 +8 +4 hinges, 4", printed)
+    assert re.search(r"telescopic_pr +4 +4 hinges, 4 slides", printed)
     assert main(["arms", str(own), "--links", "two,tool", "--base", "one"]) == 0
     printed = capsys.readouterr().out
-    assert re.search(r"link 1 +two, moved by \[b\]", printed)
+    assert re.search(r"link 1: two, moved by \[b\]", printed)
     assert re.search(r"c +rad +-1.571 +1.571 +- +- +-", printed)
     assert "no keyframe 'stow'; keyframes of the model: 'bent'" in fails("arms", str(own), "--keyframe", "stow")
     # The arm is straight at its reference, where nothing is further out.

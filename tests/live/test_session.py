@@ -72,8 +72,15 @@ def test_a_dragged_target_is_reached_within_a_millimetre_under_a_bound_that_hold
     shown = observer.look()
     assert shown.arrived
     assert shown.distance == pytest.approx(np.linalg.norm(tip(arm, session.tick.q) - goal), abs=1e-6)
-    for far in ({"distance": 1.1e-3}, {"angle": 6e-3}):
+    assert shown.state == "has arrived"
+    for far in ({"distance": 1.1e-3}, {"angle": np.deg2rad(0.11)}):
         assert not shown._replace(**far).arrived
+    # What the policy says counts for an arm that has not arrived, unless its reference has.
+    held = {"angle": np.deg2rad(0.11), "tracking": 0.0021}
+    said = shown.tick._replace(message="is held back by the position limit of joint 'wrist_pitch'")
+    assert shown._replace(tick=said, **held).state == said.message
+    at_rest = shown.tick._replace(message="moves", q_ref=shown.tick.target)
+    assert shown._replace(tick=at_rest, **held).state == "its reference has arrived, the arm is still 2.1 mm off"
     certificate = session.policy.network.certificate
     assert certificate.lambda_max < certificate.bound == 1.0
     # The bound is no triviality: it falls as the distance does.

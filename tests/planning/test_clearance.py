@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 import lieednn_sim as ls
+from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning import clearance
 from lieednn_sim.planning.clearance import Cubics, check_clearance, proved_clearance
@@ -159,3 +160,21 @@ def test_where_nothing_is_proved_there_is_no_bound():
     arm, t, q, qd, _ = swing(0)
     result = proved_clearance(arm, t, q, qd, np.full_like(q, 3.0))
     assert (result.bound, result.proved_fraction, str(result)) == (-np.inf, 0.0, "not proved at any instant")
+
+
+def test_what_is_near_is_told_beside_parts_of_the_arm_that_are_nearer_to_each_other():
+    arm = ls.Arm.load("telescopic_rrp", scene="poles", seed=1)
+    planned = ls.plan(arm, ls.draw_target(arm, seed=1), seed=1)
+    own, others = planned.clearance, planned.clearance.others
+    collisions, measured = Collisions(arm), []
+    for q in planned.motion.q[::10]:
+        near = collisions.distances(q, 0.1)
+        names = [collisions.names(pair) for pair in near.pairs]
+        foreign = [any(not name.startswith(("link", "base")) for name in pair) for pair in names]
+        measured.append(near.distance[foreign].min(initial=0.1))
+    assert 0.0 < own.bound < others.bound <= min(measured) < 1.1 * others.bound
+    assert all(name.startswith("link") for name in own.pair)
+    assert others.pair[0].startswith("obstacle")
+    assert others.others is None
+    told = (f"{1e3 * own.bound:.3g} mm between parts of the arm, ", f"; {1e3 * others.bound:.3g} mm from all else, ")
+    assert all(words in str(own) for words in told)

@@ -180,7 +180,7 @@ def test_without_contraction_the_certificate_itself_bounds_pushes():
     weight = np.array([[0.5, 30.0], [-3.0, 0.5]])
     bounds = robustness(weight, gamma=1.0, mu=1.0)
     assert bounds.contracting is None
-    assert "(about the equilibrium)" in str(bounds)
+    assert "away from the equilibrium" in str(bounds)
     assert bounds.push_gain() > 1.0
     assert 0.0 < bounds.largest_step("RK4") < bounds.largest_step("Euler") < 0.1
     # eps = 4 k (gamma - c/2) / (mu s)^2 with c = k = 0.25 and s = |M|: the middle of the three rates.
@@ -226,10 +226,10 @@ def test_words_are_of_contraction_where_there_is_one_and_of_the_best_proof():
         proof(False, 1.0, 9.0, 6.0, 0.1, 0.2),
     )
     told = str(Robustness(both, both, proofs))
-    assert "at most 2 away, and less than 0.1 away after 6.8 of the network's time (between any two motions)" in told
-    assert "followed within 6\n" in told
+    assert "at most 2 away from any motion, and less than 0.1 after 6.8 of the network's time" in told
+    assert "followed at a distance of at most 6\n" in told
     assert "up to 0.5 (Euler) or 1.5 (RK4)" in told
-    assert "at most 1 away, and less than 0.1 away after 0.256 of the network's time (about the" in str(
+    assert "at most 1 away from the equilibrium, and less than 0.1 after 0.256 of the network's" in str(
         Robustness(both, both, proofs[2:])
     )
 

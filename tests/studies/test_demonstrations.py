@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
-from pathlib import Path
-
 import numpy as np
 import pytest
-from evaluate_demonstrations import DemonstrationSets, models
+from evaluate_demonstrations import scores
 
-from lieednn_sim.errors import FileError
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.registry import Entry, Registry
 from lieednn_sim.studies.demonstrations import models as compared
 from lieednn_sim.studies.demonstrations import models as paths
 from lieednn_sim.studies.demonstrations.models import compare_models
-from lieednn_sim.studies.study import compute
 from lieednn_sim.synthesis import ShapingOptions
 
 
@@ -54,13 +49,6 @@ def test_what_is_left_out_was_not_seen(monkeypatch):
     assert recaller.left_out.frechet_mm == pytest.approx(1e3 * np.mean(wanted), rel=1e-2)
 
 
-def test_a_set_that_fails_is_not_tried_again_and_other_settings_are_refused(tmp_path):
-    files = [("drawn", Path("a.csv"), "m"), ("drawn", Path("b.csv"), "m")]
-    study = DemonstrationSets(files, starts=3)
-    table = compute(dataclasses.replace(study, files=files[:1]), tmp_path)
-    assert {row.model for row in table.rows.values()} == set(models())
-    assert all(row.reason.startswith("error: FileError: ") for row in table.rows.values())
-    assert [case[1] for case in study.todo(table)] == ["b.csv"]
-    with pytest.raises(FileError, match="was made with"):
-        dataclasses.replace(study, starts=4).open(tmp_path)
-    assert len(study.open(tmp_path).rows) == len(models())
+def test_a_set_that_fails_is_named_and_has_no_rows(tmp_path, capsys):
+    assert scores(str(tmp_path / "a.csv"), "m", 3) == []
+    assert "a.csv: " in capsys.readouterr().out

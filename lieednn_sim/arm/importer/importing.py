@@ -17,7 +17,7 @@ from lieednn_sim.arm.importer.floor import AUTO, add_floor, as_floor
 from lieednn_sim.arm.importer.home import choose_home, give_controls, move_inside, take_controls
 from lieednn_sim.arm.importer.loading import compile_spec, load_spec
 from lieednn_sim.arm.importer.overlaps import ignore_overlaps
-from lieednn_sim.arm.importer.remarks import draw, remarks
+from lieednn_sim.arm.importer.remarks import draw, facts, remarks
 from lieednn_sim.arm.importer.report import Coupling, ImportOptions, ImportReport, Servo
 from lieednn_sim.arm.importer.serial_chain import choose_chain
 from lieednn_sim.arm.importer.servos import SERVOS, add_servos, describe_servos
@@ -86,8 +86,8 @@ def import_model(
     except NoSolutionError as error:
         modes = ()
         notes.append(str(error))
-    notes += [*arm.notes, *remarks(arm, report.groups, servos, samples)]
-    return arm, replace(report, notes=tuple(notes), modes=modes)
+    found = tuple(remarks(arm, report.groups, servos, samples))
+    return arm, replace(report, notes=(*notes, *arm.notes, *facts(arm), *found), modes=modes, remarks=found)
 
 
 def _closed(arm: ModelArm, home: Floats, samples: Floats) -> Floats:

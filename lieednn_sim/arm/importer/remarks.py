@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _OFF = 3e-4  # worth a remark [rad, m]: over a few joints, a millimetre at an arm's length
 _PATHS, _LOOKS = 256, 20  # straight paths, and configurations on each
-_SHOWN = 24  # pairs of bodies in a remark
+_SHOWN = 4  # pairs of bodies in a remark
 _MANY_TURNS = 4.0  # of a hinge with limits
 # Least singular value of a link's screws, of unit size, at which its pose still determines its joints; at the larger
 # `singularities.NEARLY_SINGULAR` paths begin to be straightened.
@@ -30,16 +30,20 @@ _SLOW = 5.0  # worth a remark [Hz]
 _DESIGN = "servos='design' designs a new one"
 
 
-def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Servo], samples: Floats) -> Iterator[str]:
-    """Remarks on an arm: what moves each link, what drives each coordinate, and random configurations ``(S, n)``."""
-    home = arm.keyframe("home")
-    if len(groups) == 1:
-        yield "the arm is one link; networks of a single neuron are hard to certify: name more links"
+def facts(arm: ModelArm) -> Iterator[str]:
+    """What an arm is measured and limited by."""
     if arm.length_scale != 1.0:
         yield f"unit of length in the network's coordinates: {arm.length_scale:g} m, the furthest that a link moves"
     limits = zip(arm.joint_names, arm.acceleration_limits, strict=True)
     if shown := ", ".join(f"{name} {limit:.3g}" for name, limit in limits if np.isfinite(limit)):
         yield f"acceleration limits [rad/s^2, m/s^2]: {shown}"
+
+
+def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Servo], samples: Floats) -> Iterator[str]:
+    """Remarks on an arm: what moves each link, what drives each coordinate, and random configurations ``(S, n)``."""
+    home = arm.keyframe("home")
+    if len(groups) == 1:
+        yield "the arm is one link; networks of a single neuron are hard to certify: name more links"
     turns = zip(arm.joint_names, arm.ranges, arm.continuous, strict=True)
     for joint, (name, span, endless) in enumerate(turns):
         if arm.unit(joint) == "rad" and span > _MANY_TURNS * 2.0 * np.pi and not endless:
@@ -125,8 +129,9 @@ def _straight_paths(arm: ModelArm, home: Floats) -> Iterator[str]:
         ((True, True), f"{others} straight paths from home to the others pass {apart}", search),
     ):
         # Sets have no order: ties are broken by name.
-        most = sorted(found[between].items(), key=lambda item: (-item[1], item[0]))[:_SHOWN]
-        shown = ", ".join(f"{pair} ({times})" for pair, times in most)
+        most = sorted(found[between].items(), key=lambda item: (-item[1], item[0]))
+        shown = ", ".join(f"{pair} ({times})" for pair, times in most[:_SHOWN])
+        shown += f" and {len(most) - _SHOWN} more" if len(most) > _SHOWN else ""
         if count := counts[between, torn]:
             yield f"{count} of {what}{'' if torn else f', between {shown}'}: {then}"
 

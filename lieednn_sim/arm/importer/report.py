@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypedDict
@@ -107,6 +109,7 @@ class ImportReport:
         others: joints that are not the arm's: their own actuators or added ones hold them, or they swing and bend.
         servos: what drives each independent coordinate.
         notes: everything else that was decided, and what to look at.
+        remarks: those of the notes that may ask for something to be done.
         modes: free oscillations at home of what nothing drives (`oscillation.PassiveJoints`), slowest first.
     """
 
@@ -119,6 +122,7 @@ class ImportReport:
     servos: tuple[Servo, ...]
     notes: tuple[str, ...]
     modes: tuple[Mode, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         lines = [f"configuration: {self.configuration}", f"base: {self.base}"]
@@ -129,3 +133,13 @@ class ImportReport:
             lines += [f"{title}: {entry}" for entry in entries]
         lines.append(f"other joints: {', '.join(self.others) or 'none'}")
         return "\n".join(lines)
+
+    def summary(self, file: str) -> str:
+        """The report of a file in four lines at most, of which the last says how to read the whole."""
+        kept = sum(servo.kept for servo in self.servos)
+        driven = f"{kept} kept, {len(self.servos) - kept} made"
+        lines = [f"  links {', '.join(self.links)} on {self.base}; actuators: {driven}"]
+        # Without the long list of which bodies come near each other.
+        seen = [textwrap.shorten(text.partition(", between ")[0], 120, placeholder=" ...") for text in self.remarks]
+        lines += [f"  look at: {text}" for text in seen[:2]]
+        return "\n".join([*lines, f"  the whole report: lieednn-sim arms {shlex.quote(file)}"])

@@ -145,8 +145,10 @@ def describe(response: Response | None) -> str:
     """What a network makes of its start, in words."""
     if response is None:
         return "deviations of the start fade as e^-t"
-    low, high = (f"{ridge:.3g}" if np.isfinite(ridge) else "infinity" for ridge in response.ridges)
-    return f"response to the start by ridge regression, ridge {low}" + (f" to {high}" if high != low else "")
+    low, high = (f"{ridge:.3g}" for ridge in response.ridges)
+    if np.isinf(response.ridges).all():
+        return "the path does not change with the start, which would not predict the other demonstrations better"
+    return f"the path changes with the start, by a regression of ridge {low}" + (f" to {high}" if high != low else "")
 
 
 @frozen
