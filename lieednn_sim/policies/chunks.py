@@ -361,7 +361,8 @@ class ChunkPolicy(ReplanningPolicy):
             self._begin_parts(self._later)
         elif self._curve is not None and isinstance(motion, ChunkMotion):
             base, at = motion.base, np.array([self.time])
-            ends = base.end < base.curve.duration and self.time >= max(base.ramps_at, motion.fade)
+            # Before it begins to slow down.
+            ends = base.end < base.curve.duration and self.time + self.period > max(base.ramps_at, motion.fade)
             looks = self._periods % options.look_every == 0 and self.time < motion.duration
             # Once it slows down, another code would let it hurry again.
             most = (0.5 if self.time < base.ramps_at else 1.0) * options.tolerance
