@@ -262,12 +262,7 @@ class ChunkPolicy(ReplanningPolicy):
         options, error = self._options, ""
 
         def onto(now: Floats) -> ChunkMotion:
-            # Where the reference is so far behind that the curve would be over first, from an earlier time of it on.
-            for late in (0.0, 0.25, 0.5, 0.75, 1.0):
-                u = begin - late * (begin - curve.nearest(now[0], begin)) if late else begin
-                motion = go_over(self.arm, now, curve, u, min(u + horizon, curve.duration), options.fade)
-                if motion.fade <= motion.base.x[-1]:
-                    break
+            motion = go_over(self.arm, now, curve, begin, horizon, options.fade)
             # Every third of its 97 samples.
             q, qd, _ = motion.even
             samples.append((np.linspace(0.0, motion.duration, _LOOKS), q[::3], qd[::3]))
