@@ -331,6 +331,11 @@ class ChunkPolicy(ReplanningPolicy):
         rate = np.clip(qd + _RETURN * ahead, np.maximum(self.qd - most, -v), np.minimum(self.qd + most, v))
         return self._within_limits(self.q + 0.5 * self.period * (self.qd + rate)), rate
 
+    def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:
+        waiting, pulled = super()._listen(measured, drawn)
+        # Servos that lag a little could not follow a wait that begins as suddenly as limits allow, and lag more.
+        return max(waiting, self.pace - self.period * self._braking), pulled
+
     def _decide(self, target: Floats) -> None:
         """Follow the newest command; see `ReplanningPolicy`."""
         if target is not self._asked:
