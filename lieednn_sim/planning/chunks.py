@@ -36,9 +36,9 @@ _CUBIC = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0,
 _POWERS = np.diag([1.0, 2.0, 3.0], 1)
 _SEGMENT = np.concatenate([np.linalg.matrix_power(_POWERS, k) @ _CUBIC for k in range(3)], axis=1)
 _FOUR = np.arange(4)
-# Way, speed and its derivative of a ramp from speed 1 to rest, at nine x from 0 to 1.
+# A ramp from speed 1 to rest at nine x from 0 to 1: its way, its speed and the derivative of that.
 _X = np.linspace(0.0, 1.0, 9)
-_RAMP = _X - _X**4 * (2.5 - _X * (3.0 - _X)), 1.0 - _X**3 * (10.0 - _X * (15.0 - 6.0 * _X)), -30.0 * (_X * (1.0 - _X)) ** 2
+_RAMP = _X - _X**4 * (2.5 - _X * (3.0 - _X)), 1.0 - _X**3 * (10.0 - _X * (15.0 - 6.0 * _X)), -30.0 * (_X - _X**2) ** 2
 # Weights s that are tried; the greatest one whose score is at most this multiple of the best is taken.
 _WEIGHTS, _NEARLY = np.logspace(-3.0, 7.0, 21), 1.3
 # Factors on the least duration of a chunk and on that of the fade onto it, those tried first that delay it least.
@@ -90,7 +90,7 @@ class ChunkCurve:
     def __init__(self, control: Floats, step: float) -> None:
         self._control, self.step, self._last = control, step, len(control) - 4
         self.duration = step * (self._last + 1)
-        self.end = (control[-3] + 4.0 * control[-2] + control[-1]) / 6.0
+        self.end = self.values[-1]
 
     @classmethod
     def through(cls, arm: Arm, targets: Floats, step: float) -> ChunkCurve:
@@ -117,7 +117,12 @@ class ChunkCurve:
         powers = np.ones((len(u), 4))
         powers[:, 1:] = (parts - segment)[:, None]
         weights = (np.multiply.accumulate(powers, axis=1) @ _SEGMENT).reshape(-1, 3, 4)
-        return (weights @ self._control[segment[:, None] + _FOUR] / self.step**_FOUR[:3, None]).swapaxes(0, 1)
+        return (weights @ self._control[segment[:, None] + _FOUR] / self.step ** _FOUR[:3, None]).swapaxes(0, 1)
+
+    @property
+    def values(self) -> Floats:
+        """Configurations ``(H, n)`` at the times of the targets."""
+        return np.asarray(self._control[:-2] + 4.0 * self._control[1:-1] + self._control[2:]) / 6.0
 
     def nearest(self, q: Floats, latest: float) -> float:
         """The time of the curve, of 65 up to a latest one, at which it is nearest to a configuration ``(n,)``."""
@@ -166,7 +171,8 @@ class Ramped:
         parts = [(rise, full - rate, rate, begin), (even or 1.0, 0.0, full, begin + risen)]
         parts.append((ramp, -full, full, begin + risen + even * full))
         powers = np.zeros((7, 3, 3))
-        powers[:, :, 0] = np.array([(d / t**5, -3.0 * d / t**4, 2.5 * d / t**3, 0.0, 0.0, r, u) for t, d, r, u in parts]).T
+        for k, (t, change, first, u) in enumerate(parts):
+            powers[:, k, 0] = change / t**5, -3.0 * change / t**4, 2.5 * change / t**3, 0.0, 0.0, first, u
         for order in (1, 2):
             powers[1:, :, order] = np.arange(6.0, 0.0, -1.0)[:, None] * powers[:-1, :, order - 1]
         self._clock = PPoly.construct_fast(powers, self.x)
@@ -230,9 +236,9 @@ def judge(
         findings.setdefault((kind, joint), Finding(kind, said, kind in repaired, row, name, value, limit))
 
     low, high = arm.position_limits.T
-    mended = np.clip(arm.within_angles(targets), low, high)
+    mended = np.minimum(np.maximum(arm.within_angles(targets), low), high)
     for row, joint in np.argwhere(np.abs(mended - targets) > LIMIT_TOLERANCE).tolist():
-        note("limits", "is at", row, joint, float(targets[row, joint]), float(mended[row, joint]))
+        note("limits", "is at", row, joint, targets[row, joint], mended[row, joint])
     speed = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
     most = np.minimum(2.0 * step * arm.acceleration_limits, speed) * step
     bends, jumps = np.abs(np.diff(mended, n=2, axis=0)), np.zeros((len(mended) - 1, arm.n_joints), dtype=bool)
@@ -261,7 +267,7 @@ def judge(
         for joint in np.flatnonzero(away > step * speed).tolist():
             note("jump", "begins away by", round((begin + u) / step), joint, away[joint], step * speed[joint])
     for (begin, curve), (a, b) in zip(parts, pairwise(edges), strict=False):
-        off = np.abs(curve(step * np.arange(float(b - a)))[0] - mended[a:b])
+        off = np.abs(curve.values[: b - a] - mended[a:b])
         for row, joint in np.argwhere(off > step * speed).tolist():
             note("outlier", "is off the smooth curve by", a + row, joint, off[row, joint], step * speed[joint])
         for kind, limits, unit, (part, joint, row) in zip(
@@ -322,7 +328,7 @@ def _joined(
     v, a = limits = np.stack([arm.velocity_limits, arm.acceleration_limits])
     (fast, *_), (bent, *_) = curve.excess(arm, begin)
     least, ramps = max(1.0, fast, math.sqrt(bent)), dict[float, float | None]()
-    _, slope, _ = curve(np.array([begin]))[:, 0]
+    there, slope, turn = curve(np.array([begin]))[:, 0]
     for more, longer in _TRIED:
         slower = least * more
         if more not in ramps:
@@ -338,13 +344,17 @@ def _joined(
             if 0.5 * (rise * (rate * slower + 1.0) + ramp) > slower * (end - begin):
                 continue
         base = Ramped(curve, begin, end, slower, ramp, rate, rise)
-        away = np.abs(differences := now - base.states(np.zeros(1))[:, 0])
+        away = np.abs(differences := now - [there, rate * slope, rate * rate * turn])
         soonest = _soonest(away, 0.5 * limits)
         if soonest > fade:
             most = np.abs(base.states(np.linspace(0.0, float(base.x[-1]), 33))[1:]).max(axis=1)
             soonest = _soonest(away, np.maximum(limits - most, 0.5 * limits))
         result = ChunkMotion(base, 1.0, differences, longer * max(fade, soonest))
-        q, qd, qdd = result(np.linspace(0.0, max(result.fade, rise), 33))
+        faded = max(result.fade, rise) / result.duration
+        if faded > 0.2:
+            q, qd, qdd = (part[: math.ceil(96.0 * faded) + 1] for part in result.even)
+        else:
+            q, qd, qdd = result(np.linspace(0.0, faded * result.duration, 33))
         if (
             (np.abs(qd) <= 1.001 * v).all()
             and (np.abs(qdd) <= 1.001 * a).all()

@@ -33,7 +33,6 @@ from lieednn_sim.planning.chunks import MOST_TARGETS, ChunkCurve, ChunkMotion, F
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
 from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.policies.coded_policy import GENTLY
-from lieednn_sim.policies.feedback import FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
 from lieednn_sim.validation import as_choice, as_floats, as_positive
@@ -305,11 +304,17 @@ class ChunkPolicy(ReplanningPolicy):
         for k in range(8):
             if proof.pair or (k and proof.time > enough):
                 break
-            proof.advance(1)
+            proof.advance()
             if proof.pair:
-                self.counts["unproved"] += 1
+                self._note_unproved(proof.pair, proof.time - self.time)
         # Before that it brakes as hard as it can.
         self.rest_at = min(self.rest_at, self.time + (proof.time - self.time) / GENTLY)
+
+    def _note_unproved(self, pair: tuple[str, ...], after: float) -> None:
+        self.counts["unproved"] += 1
+        if all(finding.kind != "unproved" for finding in self.verdict.findings):
+            text = f"{pair[0]!r} may touch {pair[1]!r} in {max(after, 0.0):.2f} s, it rests before that"
+            self.verdict = replace(self.verdict, findings=(*self.verdict.findings, Finding("unproved", text)))
 
     def _follow(self, course: TimedPath) -> None:
         super()._follow(course)
@@ -328,7 +333,8 @@ class ChunkPolicy(ReplanningPolicy):
         qd = np.where(np.abs(inside - self.drawn) < self._options.tolerance, self._rate, 0.0)
         ahead = inside - (self.q + 0.5 * self.period * (self.qd + qd))
         v, most = self.arm.velocity_limits, self._max_gain
-        rate = np.clip(qd + _RETURN * ahead, np.maximum(self.qd - most, -v), np.minimum(self.qd + most, v))
+        rate = np.minimum(np.maximum(qd + _RETURN * ahead, self.qd - most), self.qd + most)
+        rate = np.minimum(np.maximum(rate, -v), v)
         return self._within_limits(self.q + 0.5 * self.period * (self.qd + rate)), rate
 
     def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:
@@ -373,12 +379,9 @@ class ChunkPolicy(ReplanningPolicy):
     @property
     def message(self) -> str:
         """See `Policy`."""
-        if self._proof is None:
-            return super().message
-        if self._proof.pair:
+        if self._proof is not None and self._proof.pair:
             return "rests before {!r} may touch {!r}, which is not proved".format(*self._proof.pair)
-        # That it would rest where the proof is now is nothing to say.
-        return FeedbackPolicy.message.__get__(self)
+        return super().message
 
     def channels(self) -> Floats:
         """See `Policy`."""

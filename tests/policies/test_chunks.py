@@ -327,7 +327,7 @@ def test_the_proof_ahead_is_that_of_the_whole_motion(gantry):
         ahead, times = ProofAhead(gantry, t, q, qd, 0.0 * q), []
         while np.isfinite(ahead.time) and not ahead.pair:
             times.append(ahead.time)
-            ahead.advance(2)
+            ahead.advance()
         whole = proved_clearance(gantry, t, q, qd)
         assert whole.proved == (not ahead.pair) == (depth == 0.8)
         assert (np.diff(times) >= 0.0).all()
