@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 # Kinds of findings that are repaired by default; and samples of a motion at which contact is looked for.
 _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
 _LOOKS = 33
+# The part of the limits of acceleration with which it brakes before what is not proved.
+_HARD = 0.8
 # Rate at which the reference comes back to the network after limits held it back [1/s].
 _RETURN = 20.0
 
@@ -300,15 +302,19 @@ class ChunkPolicy(ReplanningPolicy):
         """
         if (proof := self._proof) is None:
             return
-        enough = self.time + GENTLY / (2.0 * self._braking)
+        # The deceleration of the pace with which it brakes.
+        most, half = _HARD / GENTLY * self._braking, 0.5 * self.period
+        enough = self.time + 4.0 * half * self.pace + self.pace**2 / (2.0 * most)
         for k in range(8):
             if proof.pair or (k and proof.time > enough):
                 break
             proof.advance()
             if proof.pair:
                 self._note_unproved(proof.pair, proof.time - self.time)
-        # Before that it brakes as hard as it can.
-        self.rest_at = min(self.rest_at, self.time + (proof.time - self.time) / GENTLY)
+        # The pace p at the end of the period from which it can rest in time, also as p falls in steps.
+        left = max(proof.time - self.time - half * (self.pace + 0.5 * half * most), 0.0)
+        p = most * (math.sqrt(half**2 + 2.0 * left / most) - half)
+        self.rest_at = min(self.rest_at, self.time + p**2 / (2.0 * self._braking))
 
     def _note_unproved(self, pair: tuple[str, ...], after: float) -> None:
         self.counts["unproved"] += 1

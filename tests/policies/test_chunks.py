@@ -313,8 +313,18 @@ def test_no_contact_where_samples_see_none(gantry):
     t = np.linspace(0.0, 1.0, 21)
     q = np.outer(3.0 * t**2 - 2.0 * t**3, [0.0, 1.7, 0.0, 0.0])
     assert policy.accept(q, 0.0, 0.1).accepted
-    rows = run(policy, 400)[:, 0]
+    states, beyond = [], []
+    for _ in range(400):
+        states.append(policy.step(None, HOME))
+        beyond.append(policy.time - policy._proof.time)
+    rows, rates = np.moveaxis(np.array(states), 1, 0)
     assert not any(thin.contacts(row) for row in rows)
+    # It brakes neither too late nor gently: here with 0.8 of the limit, at less than the motion's greatest speed.
+    assert -1e-3 < max(beyond) <= 0.0
+    braking = -100.0 * np.diff(rates, axis=0).min(axis=0) / thin.acceleration_limits
+    assert 0.5 < braking[1] < 0.7
+    (finding,) = policy.verdict.findings
+    assert finding.text.startswith("'a geom of obstacle_ball' may touch 'ball' in 0.1")
     assert policy.message == "rests before 'a geom of obstacle_ball' may touch 'ball', which is not proved"
     assert np.abs(policy.qd).max() < 1e-3 < 0.5 < policy.q[1]
 
