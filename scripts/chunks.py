@@ -202,7 +202,7 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
     for job, rows in found.items():
         of = {key: np.array([row[key] for row in rows], dtype=float) for key in rows[0]}
         if len(job) == 1:
-            off = of["off"][of["off"] >= 0.0] if job[0] in FOLLOWED else []
+            off = of["off"][(of["off"] >= 0.0) & (job[0] in FOLLOWED)]
             single.append([job[0], len(rows), *(f"{(of[key] > 0.0).sum()}" for key in ("found", "refused", "safe"))])
             single[-1] += [f"{np.median(off):.2g}", f"{max(off):.2g}"] if len(off) else ["", ""]
             continue

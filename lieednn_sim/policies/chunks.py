@@ -41,7 +41,7 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-# Kinds of findings that are repaired by default; and samples of a motion at which contact is looked for.
+# Kinds of findings that are repaired by default; and samples at which contact is looked for, a third of a motion's.
 _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
 _LOOKS = 33
 # The part of the limits of acceleration with which it brakes before what is not proved.
@@ -98,6 +98,10 @@ class ChunkVerdict:
         return "; ".join(["accepted" if self.accepted else "refused", *map(str, self.findings)])
 
 
+# The time of the first target of a chunk, or of its part after a jump, and its curve.
+_Part = tuple[float, ChunkCurve]
+
+
 class _RefusedError(Exception):
     def __init__(self, finding: Finding) -> None:
         self.finding = finding
@@ -133,8 +137,8 @@ class ChunkPolicy(ReplanningPolicy):
         self.verdict, self.counts = ChunkVerdict(accepted=True), Counter[str]()
         self._asked: Floats | None = None
         # The curve of the newest chunk, in the policy's time, and later parts of it.
-        self._curve: tuple[float, ChunkCurve] | None = None
-        self._later: list[tuple[float, ChunkCurve]] = []
+        self._curve: _Part | None = None
+        self._later: list[_Part] = []
         self._newest = -math.inf
         super().begin(q)
         # This takes long the first time.
@@ -222,7 +226,7 @@ class ChunkPolicy(ReplanningPolicy):
         weight = (1.0 - self._options.newest) * (left * left * (3.0 - 2.0 * left))[:, None]
         return (1.0 - weight) * targets + weight * curve(np.clip(u, 0.0, curve.duration))[0]
 
-    def _turn_onto(self, parts: list[tuple[float, ChunkCurve]]) -> list[Finding]:
+    def _turn_onto(self, parts: list[_Part]) -> list[Finding]:
         """Follow parts, or go to their end on another way if they touch something and that is allowed."""
         try:
             self._begin_parts(parts)
@@ -231,32 +235,29 @@ class ChunkPolicy(ReplanningPolicy):
             asked = refused.finding.kind == "contact" and "contact" in self._options.repaired
             if not asked or self._surroundings.blocked(end[None]):
                 raise
-            self._command(end, parts[-1], [])
+            self._command(end, parts[-1])
             self._turn(end)
             return [replace(refused.finding, repaired=True)]
         return []
 
-    def _command(
-        self, end: Floats, curve: tuple[float, ChunkCurve] | None, later: list[tuple[float, ChunkCurve]]
-    ) -> None:
+    def _command(self, end: Floats, curve: _Part | None, later: list[_Part] | None = None) -> None:
         """Take note of what is followed and where it ends."""
         self._wanted = self._goal = end
-        self._curve, self._later = curve, later
+        self._curve, self._later = curve, later or []
         self._search = self._path = None
 
-    def _begin_parts(self, parts: list[tuple[float, ChunkCurve]]) -> None:
+    def _begin_parts(self, parts: list[_Part]) -> None:
         """Follow the last part whose time has come, and the later ones then; raises `_RefusedError`."""
-        due = [part for part in parts if part[0] <= self.now + 1e-9]
-        later = parts[len(due) :]
-        for begin, curve in parts[max(len(due) - 1, 0) :]:
+        due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
+        for begin, curve in parts[max(due - 1, 0) :]:
             u = min(max(self.now - begin, 0.0), curve.duration)
             if begin > self.now or curve.duration > u + self._options.horizon:
                 self._require_clear(curve(np.linspace(u, curve.duration, _LOOKS))[0], curve.duration - u)
         if due:
-            begin, curve = due[-1]
+            begin, curve = parts[due - 1]
             self._join(curve, min(self.now - begin, curve.duration))
-            self._command(curve.end, due[-1], later)
-        self._later = later
+            self._command(curve.end, parts[due - 1])
+        self._later = parts[due:]
 
     def _join(self, curve: ChunkCurve, begin: float, share: float = 1.0) -> None:
         """Go over to a curve at one of its times, for a share of the horizon; raises `_RefusedError`."""
@@ -264,15 +265,12 @@ class ChunkPolicy(ReplanningPolicy):
 
         def onto(now: Floats) -> ChunkMotion:
             motion = go_over(self.arm, now, curve, begin, horizon, options.fade)
-            # Every third of its 97 samples.
-            q, qd, _ = motion.even
-            samples.append((np.linspace(0.0, motion.duration, _LOOKS), q[::3], qd[::3]))
-            self._require_clear(q[::3], motion.duration)
+            self._require_clear(motion.even[0][::3], motion.duration)
             return motion
 
         # A shorter part has a smaller code, which is nearer to it. The rest comes back to it by further codes.
         for part, most in ((1.0, 0.5 * options.tolerance), (0.5, options.tolerance), (0.25, np.inf)):
-            horizon, samples = part * share * options.horizon, list[tuple[Floats, Floats, Floats]]()
+            horizon = part * share * options.horizon
             try:
                 self._go_along(onto, most)
                 break
@@ -282,7 +280,9 @@ class ChunkPolicy(ReplanningPolicy):
             raise _RefusedError(Finding("motion", error))
         self._clear_way()
         if not self._surroundings.places and not isinstance(bounds_of(self.arm), str):
-            t, q, qd = samples[0]
+            motion = self.course.transition
+            q, qd = (part[::3] for part in motion.even[:2])
+            t = np.linspace(0.0, motion.duration, _LOOKS)
             # It begins where the state is.
             off = options.tolerance * np.minimum(t / options.fade, 1.0)[:, None] + np.zeros_like(q)
             self._proof = ProofAhead(self.arm, t, q, qd, off)
@@ -310,17 +310,16 @@ class ChunkPolicy(ReplanningPolicy):
                 break
             proof.advance()
             if proof.pair:
-                self._note_unproved(proof.pair, proof.time - self.time)
+                self.counts["unproved"] += 1
+                known = self.verdict.findings
+                if self.verdict.accepted and all(finding.kind != "unproved" for finding in known):
+                    first, second = proof.pair
+                    text = f"rests in {proof.time - self.time:.2f} s, before {first!r} may touch {second!r}"
+                    self.verdict = replace(self.verdict, findings=(*known, Finding("unproved", text)))
         # The pace p at the end of the period from which it can rest in time, also as p falls in steps.
         left = max(proof.time - self.time - half * (self.pace + 0.5 * half * most), 0.0)
         p = most * (math.sqrt(half**2 + 2.0 * left / most) - half)
         self.rest_at = min(self.rest_at, self.time + p**2 / (2.0 * self._braking))
-
-    def _note_unproved(self, pair: tuple[str, ...], after: float) -> None:
-        self.counts["unproved"] += 1
-        if all(finding.kind != "unproved" for finding in self.verdict.findings):
-            text = f"{pair[0]!r} may touch {pair[1]!r} in {max(after, 0.0):.2f} s, it rests before that"
-            self.verdict = replace(self.verdict, findings=(*self.verdict.findings, Finding("unproved", text)))
 
     def _follow(self, course: TimedPath) -> None:
         super()._follow(course)
@@ -361,7 +360,7 @@ class ChunkPolicy(ReplanningPolicy):
             self._go_on()
         except _RefusedError as refused:
             # It rests at the end of what it follows.
-            self._command(self.course.transition.end, None, [])
+            self._command(self.course.transition.end, None)
             self.counts[refused.finding.kind] += 1
         super()._decide(self._wanted)
         self._prove()
