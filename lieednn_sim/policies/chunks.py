@@ -29,7 +29,8 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import solve_ik
 from lieednn_sim.errors import InputError, NoSolutionError, PlanError
-from lieednn_sim.planning.chunks import MOST_TARGETS, ChunkCurve, ChunkMotion, Finding, go_over, judge
+from lieednn_sim.planning.chunk_motion import ChunkCurve, ChunkMotion, go_over
+from lieednn_sim.planning.chunks import MOST_TARGETS, Finding, judge
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
 from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.policies.coded_policy import GENTLY

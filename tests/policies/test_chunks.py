@@ -9,7 +9,8 @@ from scipy.spatial.transform import RigidTransform
 import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning.chunks import ChunkCurve, go_over, judge
+from lieednn_sim.planning.chunk_motion import ChunkCurve, go_over
+from lieednn_sim.planning.chunks import judge
 from lieednn_sim.planning.clearance import ProofAhead, proved_clearance
 from lieednn_sim.policies import ChunkOptions, ChunkPolicy, make_policy
 from lieednn_sim.simulation import follow
