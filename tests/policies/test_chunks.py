@@ -79,7 +79,7 @@ def test_a_long_chunk_is_coded_piece_by_piece(gantry):
     q = run(policy, 700)[:, 0]
     assert policy.changes >= 4
     # At the end it slows down.
-    np.testing.assert_allclose(q[:580], swing(0.01 * np.arange(1, 581)), atol=1e-3)
+    np.testing.assert_allclose(q[:580], swing(0.01 * np.arange(1, 581)), atol=4e-4)
     np.testing.assert_allclose(q[-1], swing(t[-1]), atol=1e-6)
 
 
@@ -381,9 +381,43 @@ def test_a_motion_along_a_curve_has_the_derivatives_of_its_positions_and_its_sta
     curve, v, a = ChunkCurve.through(gantry, swing(0.05 * np.arange(30)), 0.05), *map(np.array, ([0.1] * 4, [0.5] * 4))
     now = np.stack([curve(np.array([0.3]))[0, 0] + 0.01, v, a])
     motion = go_over(gantry, now, curve, 0.3, 0.9, 0.2)
-    t, h = np.linspace(0.05, motion.duration - 0.05, 60), 1e-4
+    require_derivatives(motion, now)
+    np.testing.assert_allclose(motion(np.array([motion.duration, 9.0]))[0], curve(np.array([1.2] * 2))[0], atol=1e-9)
+
+
+def require_derivatives(motion, now):
+    t, h = np.linspace(0.01, motion.duration - 0.01, 99), 1e-5
     before, at, after = motion(t - h), motion(t), motion(t + h)
     for order in (0, 1):
         np.testing.assert_allclose((after[order] - before[order]) / (2.0 * h), at[order + 1], atol=2e-3)
     np.testing.assert_allclose(np.stack(motion(np.zeros(1)))[:, 0], now, atol=1e-9)
-    np.testing.assert_allclose(motion(np.array([motion.duration, 9.0]))[0], curve(np.array([1.2] * 2))[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3])
+def test_the_clock_of_a_short_fast_chunk_rises_from_the_speed_of_the_arm(speed, gantry):
+    """At 3.6 of 4 m/s for 0.4 s: what the velocity lacks could not be made up for at 40 m/s^2 before that is over."""
+    t, now = 0.05 * np.arange(9), np.zeros((3, 4))
+    curve = ChunkCurve.through(gantry, np.outer(3.6 * t - 0.72, [0.0, 0.0, 1.0, 0.0]), 0.05)
+    now[0], now[1, 2] = curve(np.zeros(1))[0], speed
+    motion = go_over(gantry, now, curve, 0.0, 1.5, 0.2)
+    require_derivatives(motion, now)
+    assert motion.base.clock(np.zeros(1))[1] == pytest.approx(speed / 3.6)
+    assert motion.fade < motion.base.x[-1] < 0.6
+    _, rates, accelerations = motion(np.linspace(0.0, motion.duration, 500))
+    assert (rates > -1e-9).all()
+    assert (np.abs(rates) <= 1.01 * gantry.velocity_limits).all()
+    assert (np.abs(accelerations) <= 1.01 * gantry.acceleration_limits).all()
+
+
+def test_a_wait_for_a_joint_that_lags_begins_gently(gantry):
+    policy = ChunkPolicy(gantry, 100.0)
+    policy.reset(HOME)
+    policy.accept(swing(0.02 * np.arange(60)), 0.0, 0.02)
+    paces = []
+    for k in range(120):
+        policy.step(policy.q - (k >= 60) * np.array([0.0, 0.05, 0.0, 0.0]), HOME)
+        paces.append(policy.pace)
+    falls = -np.diff(paces) / (0.01 * policy._braking)
+    assert paces[59] > 0.999
+    assert paces[-1] < 0.1
+    assert 0.9 < falls.max() < 1.0 + 1e-9
