@@ -47,6 +47,10 @@ _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
 _LOOKS = 33
 # The part of the limits of acceleration with which it brakes before what is not proved.
 _HARD = 0.8
+# Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once [s].
+_FADE, _HORIZON = 0.2, 1.5
+# How far the network may be from the motion whose clearance is proved [rad, m].
+_TOLERANCE = 1e-3
 # Rate at which the reference comes back to the network after limits held it back [1/s].
 _RETURN = 20.0
 
@@ -58,18 +62,12 @@ class ChunkOptions(ReplanningOptions):
     Attributes:
         repaired: kinds of a `Finding` that are repaired; chunks with others are refused. With ``contact`` the arm goes
             to the end of a chunk that touches something on another way, straight or searched for.
-        fade: least time in which the reference goes over to a chunk [s].
         newest: weight of the newest chunk where an earlier one has targets too; the earlier one has the rest, as it
             was blended itself (temporal ensembling with weights that fall exponentially with age).
-        horizon: longest part of a chunk that is coded at once [s].
-        tolerance: how far the network may be from the motion whose clearance is proved [rad, m].
     """
 
     repaired: tuple[str, ...] = _REPAIRED
-    fade: float = 0.2
     newest: float = field(default=1.0, metadata={"range": (0.0, 1.0)})
-    horizon: float = 1.5
-    tolerance: float = 1e-3
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -189,24 +187,23 @@ class ChunkPolicy(ReplanningPolicy):
         """The targets, the time of the first one, and that between two; raises `_RefusedError`."""
         kind, n = "reach", self.arm.n_joints
         try:
-            if hasattr(chunk, "as_matrix"):
-                chunk = self._at_poses(chunk)
+            chunk = self._at_poses(chunk) if hasattr(chunk, "as_matrix") else chunk
             kind = "shape"
-            kind = "nan" if np.shape(chunk)[1:] == (n,) and np.size(chunk) else kind
+            kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else kind
             targets = as_floats("chunk", chunk, ("H", n))
-            if not 1 <= len(targets) <= MOST_TARGETS:
-                kind = "shape"
+            if kind == "shape":
                 raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")
             kind = "times"
             begin, step = float(as_floats("t0", t0, ())), as_positive("dt", dt)
         except (InputError, NoSolutionError, TypeError, ValueError) as error:
             raise _RefusedError(Finding(kind, str(error))) from None
-        last = begin + (len(targets) - 1) * step
+        last, old = begin + (len(targets) - 1) * step, ""
         if last < self.now - 1e-9:
-            raise _RefusedError(Finding("stale", f"its last target was for {last:.3f} s, it is {self.now:.3f} s"))
-        if begin < self._newest:
-            text = f"it begins at {begin:.3f} s, one that begins at {self._newest:.3f} s came before"
-            raise _RefusedError(Finding("stale", text))
+            old = f"its last target was for {last:.3f} s, it is {self.now:.3f} s"
+        elif begin < self._newest:
+            old = f"it begins at {begin:.3f} s, one that begins at {self._newest:.3f} s came before"
+        if old:
+            raise _RefusedError(Finding("stale", old))
         return targets, begin, step
 
     def _at_poses(self, poses: RigidTransform) -> Floats:
@@ -223,7 +220,7 @@ class ChunkPolicy(ReplanningPolicy):
         then, curve = self._curve
         u = begin - then + step * np.arange(len(targets))
         # The weight of earlier ones falls to zero where they end.
-        left = np.clip((curve.duration - u) / max(curve.duration - (self.now - then), self._options.fade), 0.0, 1.0)
+        left = np.clip((curve.duration - u) / max(curve.duration - (self.now - then), _FADE), 0.0, 1.0)
         weight = (1.0 - self._options.newest) * (left * left * (3.0 - 2.0 * left))[:, None]
         return (1.0 - weight) * targets + weight * curve(np.clip(u, 0.0, curve.duration))[0]
 
@@ -252,7 +249,7 @@ class ChunkPolicy(ReplanningPolicy):
         due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
         for begin, curve in parts[max(due - 1, 0) :]:
             u = min(max(self.now - begin, 0.0), curve.duration)
-            if begin > self.now or curve.duration > u + self._options.horizon:
+            if begin > self.now or curve.duration > u + _HORIZON:
                 self._require_clear(curve(np.linspace(u, curve.duration, _LOOKS))[0], curve.duration - u)
         if due:
             begin, curve = parts[due - 1]
@@ -262,16 +259,16 @@ class ChunkPolicy(ReplanningPolicy):
 
     def _join(self, curve: ChunkCurve, begin: float, share: float = 1.0) -> None:
         """Go over to a curve at one of its times, for a share of the horizon; raises `_RefusedError`."""
-        options, error = self._options, ""
+        error = ""
 
         def onto(now: Floats) -> ChunkMotion:
-            motion = go_over(self.arm, now, curve, begin, horizon, options.fade)
+            motion = go_over(self.arm, now, curve, begin, horizon, _FADE)
             self._require_clear(motion.even[0][::3], motion.duration)
             return motion
 
         # A shorter part has a smaller code, which is nearer to it. The rest comes back to it by further codes.
-        for part, most in ((1.0, 0.5 * options.tolerance), (0.5, options.tolerance), (0.25, np.inf)):
-            horizon = part * share * options.horizon
+        for part, most in ((1.0, 0.5 * _TOLERANCE), (0.5, _TOLERANCE), (0.25, np.inf)):
+            horizon = part * share * _HORIZON
             try:
                 self._go_along(onto, most)
                 break
@@ -285,7 +282,7 @@ class ChunkPolicy(ReplanningPolicy):
             q, qd = (part[::3] for part in motion.even[:2])
             t = np.linspace(0.0, motion.duration, _LOOKS)
             # It begins where the state is.
-            off = options.tolerance * np.minimum(t / options.fade, 1.0)[:, None] + np.zeros_like(q)
+            off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + np.zeros_like(q)
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
     def _require_clear(self, q: Floats, duration: float) -> None:
@@ -336,7 +333,7 @@ class ChunkPolicy(ReplanningPolicy):
             self.accept(*given)
         inside, _ = super().act(measured, target)
         # At a limit the network may be beyond it by what its code lacks.
-        qd = np.where(np.abs(inside - self.drawn) < self._options.tolerance, self._rate, 0.0)
+        qd = np.where(np.abs(inside - self.drawn) < _TOLERANCE, self._rate, 0.0)
         ahead = inside - (self.q + 0.5 * self.period * (self.qd + qd))
         v, most = self.arm.velocity_limits, self._max_gain
         rate = np.minimum(np.maximum(qd + _RETURN * ahead, self.qd - most), self.qd + most)
@@ -368,16 +365,16 @@ class ChunkPolicy(ReplanningPolicy):
 
     def _go_on(self) -> None:
         """Begin a part whose time has come, code the rest of a long one, or code anew; raises `_RefusedError`."""
-        motion, options = self.course.transition, self._options
+        motion = self.course.transition
         if self._later and self._later[0][0] <= self.now + 1e-9:
             self._begin_parts(self._later)
         elif self._curve is not None and isinstance(motion, ChunkMotion):
             base, at = motion.base, np.array([self.time])
             # Before it begins to slow down.
             ends = base.end < base.curve.duration and self.time + self.period > max(base.ramps_at, motion.fade)
-            looks = self._periods % options.look_every == 0 and self.time < motion.duration
+            looks = self._periods % self._options.look_every == 0 and self.time < motion.duration
             # Once it slows down, another code would let it hurry again.
-            most = (0.5 if self.time < base.ramps_at else 1.0) * options.tolerance
+            most = (0.5 if self.time < base.ramps_at else 1.0) * _TOLERANCE
             # The code may not be near enough, or joints pull.
             if ends or (looks and np.abs(motion(at)[0] - self.drawn).max() > most):
                 self._join(base.curve, float(base.clock(at)[0][0]), 1.0 if ends else 0.5)
