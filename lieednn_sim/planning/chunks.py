@@ -24,7 +24,7 @@ class Finding:
 
     Attributes:
         kind: ``shape``, ``nan``, ``times``, ``stale``, ``limits``, ``outlier``, ``jump``, ``speed``, ``acceleration``,
-            ``contact``, ``reach``; ``motion`` where nothing is known that could be done.
+            ``contact``, ``reach``, ``unproved``; ``motion`` where nothing is known that could be done.
         text: what is wrong, in words.
         repaired: whether it was repaired; otherwise the chunk was refused.
         row: the target, counted from 0; -1 if it is the chunk as a whole.

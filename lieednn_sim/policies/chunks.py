@@ -119,7 +119,7 @@ class ChunkPolicy(ReplanningPolicy):
     Attributes:
         source: called in each period with `now` and the measured joints ``(n,)``, or the reference where nothing is
             measured; returns None, or the arguments of `accept`. None at first; to be set.
-        verdict: that of the last chunk.
+        verdict: that of the last chunk; if it is followed, with a finding ``unproved`` once that is known.
         counts: number of findings of each kind since the reset, of motions ``unproved``, and of chunks ``accepted`` and
             ``refused``.
     """
