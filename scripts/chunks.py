@@ -128,11 +128,9 @@ def judged(kind: str, seed: int) -> dict[str, float]:
     change = np.abs(np.diff(qd, axis=0, prepend=0.0 * qd[:1])) / PERIOD
     kept = (np.abs(qd) <= arm.velocity_limits + 1e-6).all() and (change <= arm.acceleration_limits + 1e-6).all()
     safe = bool(kept) and bool((arm.limit_excess(q) < 1e-6).all()) and not any(map(arm.contacts, q[::2]))
-    # It may name what is not proved only later.
-    findings = policy.verdict.findings if verdict.accepted else verdict.findings
-    left_out = not verdict.accepted or any(finding.kind == "unproved" for finding in findings)
-    off = -1.0 if left_out else 1e3 * off
-    return {"found": len(findings), "refused": not verdict.accepted, "safe": safe, "off": off}
+    refused, found = not verdict.accepted, policy.verdict.findings
+    off = -1.0 if refused or any(finding.kind == "unproved" for finding in found) else 1e3 * off
+    return {"found": len(found), "refused": refused, "safe": safe, "off": off}
 
 
 def episode(name: str, policy: str, delay: float, way: str, seed: int, folder: Path) -> dict[str, float]:
@@ -165,8 +163,7 @@ def episode(name: str, policy: str, delay: float, way: str, seed: int, folder: P
         spent[new].append(time.process_time() - begin)
         ok.append(task.step(task.commands.towards(task.command, q[-1]))[4]["success"])
         touched = touched or (k % 5 == 0 and bool(arm.contacts(task.simulation.q)))
-    # Two rows of rest come first.
-    parts = np.array(q) / arm.ranges
+    parts = np.array(q) / arm.ranges  # two rows of rest come first
     left = np.linalg.norm(parts - goal / arm.ranges, axis=1)
     behind = [np.square(parts[202:] - ideal[201 - s : steps + 1 - s] / arm.ranges).mean() for s in range(150)]
     return {
