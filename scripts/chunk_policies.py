@@ -18,7 +18,7 @@ from lieednn_sim.values import Floats
 PERIOD, H, DT = 0.01, 16, 0.1  # control period [s]; targets of a chunk, and time between two [s]
 REFERENCES = ("raw", "low-pass", "linear blending", "Ruckig", "lieednn-chunks")
 TIME_CONSTANT, BLEND, JERK = 0.1, 0.4, 20.0  # of filter and blending [s]; of Ruckig, over the acceleration [1/s]
-EPISODES, EPOCHS, BATCH = 800, 30, 256  # that the clone sees
+EPISODES, BATCH, EPOCHS = 800, 256, {"reach": 120, "track": 30}  # that the clone sees
 
 
 class Reference:
@@ -121,8 +121,8 @@ def fit(task: str, path: Path) -> None:
     layers = [part for size in pairwise(sizes) for part in (torch.nn.Linear(*size), torch.nn.ReLU())]
     network = torch.nn.Sequential(*layers, torch.nn.Linear(sizes[-1], y.shape[1]))
     optimiser, batches = torch.optim.Adam(network.parameters()), len(x) // BATCH
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 2e-3, EPOCHS * batches)
-    for _ in range(EPOCHS):
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 2e-3, EPOCHS[task] * batches)
+    for _ in range(EPOCHS[task]):
         for rows in torch.randperm(len(x))[: batches * BATCH].view(-1, BATCH):
             optimiser.zero_grad()
             torch.nn.functional.mse_loss(network(x[rows]), y[rows]).backward()

@@ -124,7 +124,9 @@ def judged(kind: str, seed: int) -> dict[str, float]:
     change = np.abs(np.diff(qd, axis=0, prepend=0.0 * qd[:1])) / PERIOD
     kept = (np.abs(qd) <= arm.velocity_limits + 1e-6).all() and (change <= arm.acceleration_limits + 1e-6).all()
     safe = bool(kept) and bool((arm.limit_excess(q) < 1e-6).all()) and not any(map(arm.contacts, q[::2]))
-    return {"found": len(verdict.findings), "refused": not verdict.accepted, "safe": safe, "off": 1e3 * off}
+    refused, found = not verdict.accepted, policy.verdict.findings
+    off = -1.0 if refused or any(finding.kind == "unproved" for finding in found) else 1e3 * off
+    return {"found": len(found), "refused": refused, "safe": safe, "off": off}
 
 
 def episode(name: str, policy: str, delay: float, way: str, seed: int, folder: Path) -> dict[str, float]:
@@ -157,8 +159,7 @@ def episode(name: str, policy: str, delay: float, way: str, seed: int, folder: P
         spent[new].append(time.process_time() - begin)
         ok.append(task.step(task.commands.towards(task.command, q[-1]))[4]["success"])
         touched = touched or (k % 5 == 0 and bool(arm.contacts(task.simulation.q)))
-    # Two rows of rest come first.
-    parts = np.array(q) / arm.ranges
+    parts = np.array(q) / arm.ranges  # two rows of rest come first
     left = np.linalg.norm(parts - goal / arm.ranges, axis=1)
     behind = [np.square(parts[202:] - ideal[201 - s : steps + 1 - s] / arm.ranges).mean() for s in range(150)]
     return {
@@ -187,7 +188,7 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
     for job, rows in found.items():
         of = {key: np.array([row[key] for row in rows], dtype=float) for key in rows[0]}
         if len(job) == 1:
-            off = of["off"][of["refused"] == 0.0] if job[0] in FOLLOWED else []
+            off = of["off"][(of["off"] >= 0.0) & (job[0] in FOLLOWED)]
             single.append([job[0], len(rows), *(f"{(of[key] > 0.0).sum()}" for key in ("found", "refused", "safe"))])
             single[-1] += [f"{np.median(off):.2g}", f"{max(off):.2g}"] if len(off) else ["", ""]
             continue
@@ -204,8 +205,8 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
         f"one, on {', '.join(DEFAULT_ARMS)} in turn, among {SCENE}. Found: the verdict names something. Safe: "
         "until a second after its end the reference keeps the limits of position, velocity and acceleration, "
         "and MuJoCo finds no contact there, every 20 ms. Off: how far at most the reference is from the clean "
-        "chunk, once it has gone over, or lacks if it rests before what is not proved to be clear; of outliers and "
-        "noise, from the chunk without them.",
+        "chunk, once it has gone over, unless the verdict says that it rests before what is not proved to be clear; of "
+        "outliers and noise, from the chunk without them.",
         *markdown_table(("chunks", "all", "found", "refused", "safe", "off, median [mm, mrad]", "off, worst"), single),
         "",
         f"In closed loop at {1.0 / PERIOD:.0f} Hz, on the same episodes of `TelescopicReach` and "

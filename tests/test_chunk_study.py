@@ -71,7 +71,7 @@ def test_references_by_hand():
 
 def test_tables_by_hand():
     one = {"found": 1.0, "refused": 0.0, "safe": 1.0, "off": 2.0}
-    found = {("clean",): [one, {**one, "found": 0.0, "off": 4.0}, {**one, "refused": 1.0, "off": 900.0}]}
+    found = {("clean",): [one, {**one, "found": 0.0, "off": 4.0}, {**one, "refused": 1.0, "off": -1.0}]}
     found[("stale",)] = [one]
     run = {"success": 1.0, "touched": False, "jump": 2.0, "jerk": 4.0, "lag": 30.0, "back": 5.0, "refused": 1}
     run |= {"True": 2.0, "False": 0.1}

@@ -254,7 +254,7 @@ def proved_clearance(
 
 
 class ProofAhead:
-    """How far from its beginning a motion is proved to be clear of contact, found a few intervals at a time.
+    """How far from its beginning a motion is proved to be clear of contact, found interval by interval.
 
     Args:
         arm, t, q, qd, off: as of `proved_clearance`.
@@ -274,31 +274,27 @@ class ProofAhead:
         """Time up to which no contact is proved [s]; infinite if that is all."""
         return self._step * self._left[-1][0] if self._left else math.inf
 
-    def advance(self, count: int) -> None:
-        """Evaluate the bounds of some intervals."""
+    def advance(self) -> None:
+        """Evaluate the bound of one more interval, or divide it."""
         bounds = bounds_of(self._arm)
         if self.pair or not self._left or isinstance(bounds, str):
             return
-        chosen = self._left[-count:]
-        begin, end = np.array(chosen).T
-        least, pairs = bounds.least(*self._cubics.around(begin, end)[:3], NEAR)
-        del self._left[-count:]
-        for (a, b), bound, pair in zip(chosen, least, pairs, strict=True):
-            if bound > 0.0:
-                continue
-            if b - a < 1.0 / 64.0:
-                self._left.append((a, b))
-                self.pair = bounds.names(pair)
-                continue
-            self.pair = ()
-            edges = np.linspace(a, b, 5)[::-1]
+        begin, end = self._left[-1]
+        (least,), (pair,) = bounds.least(*self._cubics.around([begin], [end])[:3], NEAR)
+        if least <= 0.0 and end - begin < 1.0 / 64.0:
+            self.pair = bounds.names(pair)
+            return
+        self._left.pop()
+        if least <= 0.0:
+            edges = np.linspace(begin, end, 5)[::-1]
             self._left += zip(edges[1:].tolist(), edges[:-1].tolist(), strict=True)
 
 
 def _edges(q: Floats, least: int = _FIRST) -> tuple[Floats, Floats]:
     """Begin and end of the first intervals of a motion ``(K, n)``, at least so many, in steps."""
     way = float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
-    edges = np.unique(np.linspace(0, len(q) - 1, max(least, math.ceil(way / _WAY)) + 1).round())
+    count = min(max(least, math.ceil(way / _WAY)), len(q) - 1)
+    edges = np.linspace(0, len(q) - 1, count + 1).round()
     return edges[:-1], edges[1:]
 
 

@@ -29,11 +29,11 @@ from numpy.typing import ArrayLike
 
 from lieednn_sim.arm import solve_ik
 from lieednn_sim.errors import InputError, NoSolutionError, PlanError
-from lieednn_sim.planning.chunks import MOST_TARGETS, ChunkCurve, ChunkMotion, Finding, go_over, judge
+from lieednn_sim.planning.chunk_motion import ChunkCurve, ChunkMotion, go_over
+from lieednn_sim.planning.chunks import MOST_TARGETS, Finding, judge
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
 from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.policies.coded_policy import GENTLY
-from lieednn_sim.policies.feedback import FeedbackPolicy
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
 from lieednn_sim.validation import as_choice, as_floats, as_positive
@@ -42,9 +42,15 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-# Kinds of findings that are repaired by default; and samples of a motion at which contact is looked for.
+# Kinds of findings that are repaired by default; and samples at which contact is looked for, a third of a motion's.
 _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
 _LOOKS = 33
+# The part of the limits of acceleration with which it brakes before what is not proved.
+_HARD = 0.8
+# Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once [s].
+_FADE, _HORIZON = 0.2, 1.5
+# How far the network may be from the motion whose clearance is proved [rad, m].
+_TOLERANCE = 1e-3
 # Rate at which the reference comes back to the network after limits held it back [1/s].
 _RETURN = 20.0
 
@@ -56,18 +62,12 @@ class ChunkOptions(ReplanningOptions):
     Attributes:
         repaired: kinds of a `Finding` that are repaired; chunks with others are refused. With ``contact`` the arm goes
             to the end of a chunk that touches something on another way, straight or searched for.
-        fade: least time in which the reference goes over to a chunk [s].
         newest: weight of the newest chunk where an earlier one has targets too; the earlier one has the rest, as it
             was blended itself (temporal ensembling with weights that fall exponentially with age).
-        horizon: longest part of a chunk that is coded at once [s].
-        tolerance: how far the network may be from the motion whose clearance is proved [rad, m].
     """
 
     repaired: tuple[str, ...] = _REPAIRED
-    fade: float = 0.2
     newest: float = field(default=1.0, metadata={"range": (0.0, 1.0)})
-    horizon: float = 1.5
-    tolerance: float = 1e-3
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -97,6 +97,10 @@ class ChunkVerdict:
         return "; ".join(["accepted" if self.accepted else "refused", *map(str, self.findings)])
 
 
+# The time of the first target of a chunk, or of its part after a jump, and its curve.
+_Part = tuple[float, ChunkCurve]
+
+
 class _RefusedError(Exception):
     def __init__(self, finding: Finding) -> None:
         self.finding = finding
@@ -115,7 +119,7 @@ class ChunkPolicy(ReplanningPolicy):
     Attributes:
         source: called in each period with `now` and the measured joints ``(n,)``, or the reference where nothing is
             measured; returns None, or the arguments of `accept`. None at first; to be set.
-        verdict: that of the last chunk.
+        verdict: that of the last chunk; if it is followed, with a finding ``unproved`` once that is known.
         counts: number of findings of each kind since the reset, of motions ``unproved``, and of chunks ``accepted`` and
             ``refused``.
     """
@@ -132,8 +136,8 @@ class ChunkPolicy(ReplanningPolicy):
         self.verdict, self.counts = ChunkVerdict(accepted=True), Counter[str]()
         self._asked: Floats | None = None
         # The curve of the newest chunk, in the policy's time, and later parts of it.
-        self._curve: tuple[float, ChunkCurve] | None = None
-        self._later: list[tuple[float, ChunkCurve]] = []
+        self._curve: _Part | None = None
+        self._later: list[_Part] = []
         self._newest = -math.inf
         super().begin(q)
         # This takes long the first time.
@@ -183,24 +187,23 @@ class ChunkPolicy(ReplanningPolicy):
         """The targets, the time of the first one, and that between two; raises `_RefusedError`."""
         kind, n = "reach", self.arm.n_joints
         try:
-            if hasattr(chunk, "as_matrix"):
-                chunk = self._at_poses(chunk)
+            chunk = self._at_poses(chunk) if hasattr(chunk, "as_matrix") else chunk
             kind = "shape"
-            kind = "nan" if np.shape(chunk)[1:] == (n,) and np.size(chunk) else kind
+            kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else kind
             targets = as_floats("chunk", chunk, ("H", n))
-            if not 1 <= len(targets) <= MOST_TARGETS:
-                kind = "shape"
+            if kind == "shape":
                 raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")
             kind = "times"
             begin, step = float(as_floats("t0", t0, ())), as_positive("dt", dt)
         except (InputError, NoSolutionError, TypeError, ValueError) as error:
             raise _RefusedError(Finding(kind, str(error))) from None
-        last = begin + (len(targets) - 1) * step
+        last, old = begin + (len(targets) - 1) * step, ""
         if last < self.now - 1e-9:
-            raise _RefusedError(Finding("stale", f"its last target was for {last:.3f} s, it is {self.now:.3f} s"))
-        if begin < self._newest:
-            text = f"it begins at {begin:.3f} s, one that begins at {self._newest:.3f} s came before"
-            raise _RefusedError(Finding("stale", text))
+            old = f"its last target was for {last:.3f} s, it is {self.now:.3f} s"
+        elif begin < self._newest:
+            old = f"it begins at {begin:.3f} s, one that begins at {self._newest:.3f} s came before"
+        if old:
+            raise _RefusedError(Finding("stale", old))
         return targets, begin, step
 
     def _at_poses(self, poses: RigidTransform) -> Floats:
@@ -217,11 +220,11 @@ class ChunkPolicy(ReplanningPolicy):
         then, curve = self._curve
         u = begin - then + step * np.arange(len(targets))
         # The weight of earlier ones falls to zero where they end.
-        left = np.clip((curve.duration - u) / max(curve.duration - (self.now - then), self._options.fade), 0.0, 1.0)
+        left = np.clip((curve.duration - u) / max(curve.duration - (self.now - then), _FADE), 0.0, 1.0)
         weight = (1.0 - self._options.newest) * (left * left * (3.0 - 2.0 * left))[:, None]
         return (1.0 - weight) * targets + weight * curve(np.clip(u, 0.0, curve.duration))[0]
 
-    def _turn_onto(self, parts: list[tuple[float, ChunkCurve]]) -> list[Finding]:
+    def _turn_onto(self, parts: list[_Part]) -> list[Finding]:
         """Follow parts, or go to their end on another way if they touch something and that is allowed."""
         try:
             self._begin_parts(parts)
@@ -230,53 +233,42 @@ class ChunkPolicy(ReplanningPolicy):
             asked = refused.finding.kind == "contact" and "contact" in self._options.repaired
             if not asked or self._surroundings.blocked(end[None]):
                 raise
-            self._command(end, parts[-1], [])
+            self._command(end, parts[-1])
             self._turn(end)
             return [replace(refused.finding, repaired=True)]
         return []
 
-    def _command(
-        self, end: Floats, curve: tuple[float, ChunkCurve] | None, later: list[tuple[float, ChunkCurve]]
-    ) -> None:
+    def _command(self, end: Floats, curve: _Part | None, later: list[_Part] | None = None) -> None:
         """Take note of what is followed and where it ends."""
         self._wanted = self._goal = end
-        self._curve, self._later = curve, later
+        self._curve, self._later = curve, later or []
         self._search = self._path = None
 
-    def _begin_parts(self, parts: list[tuple[float, ChunkCurve]]) -> None:
+    def _begin_parts(self, parts: list[_Part]) -> None:
         """Follow the last part whose time has come, and the later ones then; raises `_RefusedError`."""
-        due = [part for part in parts if part[0] <= self.now + 1e-9]
-        later = parts[len(due) :]
-        for begin, curve in parts[max(len(due) - 1, 0) :]:
+        due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
+        for begin, curve in parts[max(due - 1, 0) :]:
             u = min(max(self.now - begin, 0.0), curve.duration)
-            if begin > self.now or curve.duration > u + self._options.horizon:
+            if begin > self.now or curve.duration > u + _HORIZON:
                 self._require_clear(curve(np.linspace(u, curve.duration, _LOOKS))[0], curve.duration - u)
         if due:
-            begin, curve = due[-1]
+            begin, curve = parts[due - 1]
             self._join(curve, min(self.now - begin, curve.duration))
-            self._command(curve.end, due[-1], later)
-        self._later = later
+            self._command(curve.end, parts[due - 1])
+        self._later = parts[due:]
 
     def _join(self, curve: ChunkCurve, begin: float, share: float = 1.0) -> None:
         """Go over to a curve at one of its times, for a share of the horizon; raises `_RefusedError`."""
-        options, error = self._options, ""
+        error = ""
 
         def onto(now: Floats) -> ChunkMotion:
-            # Where the reference is so far behind that the curve would be over first, from an earlier time of it on.
-            for late in (0.0, 0.25, 0.5, 0.75, 1.0):
-                u = begin - late * (begin - curve.nearest(now[0], begin)) if late else begin
-                motion = go_over(self.arm, now, curve, u, min(u + horizon, curve.duration), options.fade)
-                if motion.fade <= motion.base.x[-1]:
-                    break
-            # Every third of its 97 samples.
-            q, qd, _ = motion.even
-            samples.append((np.linspace(0.0, motion.duration, _LOOKS), q[::3], qd[::3]))
-            self._require_clear(q[::3], motion.duration)
+            motion = go_over(self.arm, now, curve, begin, horizon, _FADE)
+            self._require_clear(motion.even[0][::3], motion.duration)
             return motion
 
         # A shorter part has a smaller code, which is nearer to it. The rest comes back to it by further codes.
-        for part, most in ((1.0, 0.5 * options.tolerance), (0.5, options.tolerance), (0.25, np.inf)):
-            horizon, samples = part * share * options.horizon, list[tuple[Floats, Floats, Floats]]()
+        for part, most in ((1.0, 0.5 * _TOLERANCE), (0.5, _TOLERANCE), (0.25, np.inf)):
+            horizon = part * share * _HORIZON
             try:
                 self._go_along(onto, most)
                 break
@@ -286,9 +278,11 @@ class ChunkPolicy(ReplanningPolicy):
             raise _RefusedError(Finding("motion", error))
         self._clear_way()
         if not self._surroundings.places and not isinstance(bounds_of(self.arm), str):
-            t, q, qd = samples[0]
+            motion = self.course.transition
+            q, qd = (part[::3] for part in motion.even[:2])
+            t = np.linspace(0.0, motion.duration, _LOOKS)
             # It begins where the state is.
-            off = options.tolerance * np.minimum(t / options.fade, 1.0)[:, None] + np.zeros_like(q)
+            off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + np.zeros_like(q)
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
     def _require_clear(self, q: Floats, duration: float) -> None:
@@ -306,15 +300,24 @@ class ChunkPolicy(ReplanningPolicy):
         """
         if (proof := self._proof) is None:
             return
-        enough = self.time + GENTLY / (2.0 * self._braking)
+        # The deceleration of the pace with which it brakes.
+        most, half = _HARD / GENTLY * self._braking, 0.5 * self.period
+        enough = self.time + 4.0 * half * self.pace + self.pace**2 / (2.0 * most)
         for k in range(8):
             if proof.pair or (k and proof.time > enough):
                 break
-            proof.advance(1)
+            proof.advance()
             if proof.pair:
                 self.counts["unproved"] += 1
-        # Before that it brakes as hard as it can.
-        self.rest_at = min(self.rest_at, self.time + (proof.time - self.time) / GENTLY)
+                known = self.verdict.findings
+                if self.verdict.accepted and all(finding.kind != "unproved" for finding in known):
+                    first, second = proof.pair
+                    text = f"rests in {proof.time - self.time:.2f} s, before {first!r} may touch {second!r}"
+                    self.verdict = replace(self.verdict, findings=(*known, Finding("unproved", text)))
+        # The pace p at the end of the period from which it can rest in time, also as p falls in steps.
+        left = max(proof.time - self.time - half * (self.pace + 0.5 * half * most), 0.0)
+        p = most * (math.sqrt(half**2 + 2.0 * left / most) - half)
+        self.rest_at = min(self.rest_at, self.time + p**2 / (2.0 * self._braking))
 
     def _follow(self, course: TimedPath) -> None:
         super()._follow(course)
@@ -330,11 +333,17 @@ class ChunkPolicy(ReplanningPolicy):
             self.accept(*given)
         inside, _ = super().act(measured, target)
         # At a limit the network may be beyond it by what its code lacks.
-        qd = np.where(np.abs(inside - self.drawn) < self._options.tolerance, self._rate, 0.0)
+        qd = np.where(np.abs(inside - self.drawn) < _TOLERANCE, self._rate, 0.0)
         ahead = inside - (self.q + 0.5 * self.period * (self.qd + qd))
         v, most = self.arm.velocity_limits, self._max_gain
-        rate = np.clip(qd + _RETURN * ahead, np.maximum(self.qd - most, -v), np.minimum(self.qd + most, v))
+        rate = np.minimum(np.maximum(qd + _RETURN * ahead, self.qd - most), self.qd + most)
+        rate = np.minimum(np.maximum(rate, -v), v)
         return self._within_limits(self.q + 0.5 * self.period * (self.qd + rate)), rate
+
+    def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:
+        waiting, pulled = super()._listen(measured, drawn)
+        # Servos that lag a little could not follow a wait that begins as suddenly as limits allow, and lag more.
+        return max(waiting, self.pace - self.period * self._braking), pulled
 
     def _decide(self, target: Floats) -> None:
         """Follow the newest command; see `ReplanningPolicy`."""
@@ -349,22 +358,23 @@ class ChunkPolicy(ReplanningPolicy):
             self._go_on()
         except _RefusedError as refused:
             # It rests at the end of what it follows.
-            self._command(self.course.transition.end, None, [])
+            self._command(self.course.transition.end, None)
             self.counts[refused.finding.kind] += 1
         super()._decide(self._wanted)
         self._prove()
 
     def _go_on(self) -> None:
         """Begin a part whose time has come, code the rest of a long one, or code anew; raises `_RefusedError`."""
-        motion, options = self.course.transition, self._options
+        motion = self.course.transition
         if self._later and self._later[0][0] <= self.now + 1e-9:
             self._begin_parts(self._later)
         elif self._curve is not None and isinstance(motion, ChunkMotion):
             base, at = motion.base, np.array([self.time])
-            ends = base.end < base.curve.duration and self.time >= max(base.ramps_at, motion.fade)
-            looks = self._periods % options.look_every == 0 and self.time < motion.duration
+            # Before it begins to slow down.
+            ends = base.end < base.curve.duration and self.time + self.period > max(base.ramps_at, motion.fade)
+            looks = self._periods % self._options.look_every == 0 and self.time < motion.duration
             # Once it slows down, another code would let it hurry again.
-            most = (0.5 if self.time < base.ramps_at else 1.0) * options.tolerance
+            most = (0.5 if self.time < base.ramps_at else 1.0) * _TOLERANCE
             # The code may not be near enough, or joints pull.
             if ends or (looks and np.abs(motion(at)[0] - self.drawn).max() > most):
                 self._join(base.curve, float(base.clock(at)[0][0]), 1.0 if ends else 0.5)
@@ -372,12 +382,9 @@ class ChunkPolicy(ReplanningPolicy):
     @property
     def message(self) -> str:
         """See `Policy`."""
-        if self._proof is None:
-            return super().message
-        if self._proof.pair:
+        if self._proof is not None and self._proof.pair:
             return "rests before {!r} may touch {!r}, which is not proved".format(*self._proof.pair)
-        # That it would rest where the proof is now is nothing to say.
-        return FeedbackPolicy.message.__get__(self)
+        return super().message
 
     def channels(self) -> Floats:
         """See `Policy`."""

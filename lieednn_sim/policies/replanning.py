@@ -133,7 +133,7 @@ class ReplanningPolicy(CodedPolicy):
         if self._evaded:
             does = "cannot evade" if self._caught else "evades"
             return f"{does} {self._evaded!r}{f': {self._reason}' if self._reason else ''}"
-        if math.isinf(self.rest_at):
+        if math.isinf(min(self._blocked_at, self._ends_at)):
             return super().message
         does = "waits" if self.pace < RESTS else "slows down"
         why = f" for {self._blocker!r}" if self._blocker else " to turn"

@@ -9,7 +9,8 @@ from scipy.spatial.transform import RigidTransform
 import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.errors import InputError
-from lieednn_sim.planning.chunks import ChunkCurve, go_over, judge
+from lieednn_sim.planning.chunk_motion import ChunkCurve, go_over
+from lieednn_sim.planning.chunks import judge
 from lieednn_sim.planning.clearance import ProofAhead, proved_clearance
 from lieednn_sim.policies import ChunkOptions, ChunkPolicy, make_policy
 from lieednn_sim.simulation import follow
@@ -78,7 +79,7 @@ def test_a_long_chunk_is_coded_piece_by_piece(gantry):
     q = run(policy, 700)[:, 0]
     assert policy.changes >= 4
     # At the end it slows down.
-    np.testing.assert_allclose(q[:580], swing(0.01 * np.arange(1, 581)), atol=1e-3)
+    np.testing.assert_allclose(q[:580], swing(0.01 * np.arange(1, 581)), atol=4e-4)
     np.testing.assert_allclose(q[-1], swing(t[-1]), atol=1e-6)
 
 
@@ -302,10 +303,14 @@ def test_a_chunk_for_later_begins_then_and_a_new_target_is_newer(gantry):
     np.testing.assert_allclose(policy.q, 0.2, atol=1e-4)
 
 
-def test_no_contact_where_samples_see_none(gantry):
-    """A ball beside the way, which the arm's ball of 0.1 m touches for 3 mm between two samples; it rests before it."""
+@pytest.mark.parametrize("gap", [-1e-5, 5e-4])
+def test_no_contact_where_samples_see_none(gap, gantry):
+    """A ball beside the way, which the arm's ball of 0.1 m touches for 3 mm between two samples; it rests before it.
+
+    It may be 1 mm off the way, so that nothing is proved where it is to pass by half as much.
+    """
     spec = mujoco.MjSpec()
-    body = spec.worldbody.add_body(name="ball", pos=[1.0, 0.9, 0.101 - 1e-5])
+    body = spec.worldbody.add_body(name="ball", pos=[1.0, 0.9, 0.101 + gap])
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.001, 0.0, 0.0])
     arm = dataclasses.replace(gantry.with_obstacles(spec, "ball"), scene="free")
     thin = dataclasses.replace(arm, clearance=0.0)
@@ -313,8 +318,18 @@ def test_no_contact_where_samples_see_none(gantry):
     t = np.linspace(0.0, 1.0, 21)
     q = np.outer(3.0 * t**2 - 2.0 * t**3, [0.0, 1.7, 0.0, 0.0])
     assert policy.accept(q, 0.0, 0.1).accepted
-    rows = run(policy, 400)[:, 0]
+    states, beyond = [], []
+    for _ in range(400):
+        states.append(policy.step(None, HOME))
+        beyond.append(policy.time - policy._proof.time)
+    rows, rates = np.moveaxis(np.array(states), 1, 0)
     assert not any(thin.contacts(row) for row in rows)
+    # It brakes neither too late nor gently: here with 0.8 of the limit, at less than the motion's greatest speed.
+    assert -1e-3 < max(beyond) <= 0.0
+    braking = -100.0 * np.diff(rates, axis=0).min(axis=0) / thin.acceleration_limits
+    assert 0.5 < braking[1] < 0.7
+    (finding,) = policy.verdict.findings
+    assert finding.text.endswith(" s, before 'a geom of obstacle_ball' may touch 'ball'")
     assert policy.message == "rests before 'a geom of obstacle_ball' may touch 'ball', which is not proved"
     assert np.abs(policy.qd).max() < 1e-3 < 0.5 < policy.q[1]
 
@@ -327,12 +342,12 @@ def test_the_proof_ahead_is_that_of_the_whole_motion(gantry):
         ahead, times = ProofAhead(gantry, t, q, qd, 0.0 * q), []
         while np.isfinite(ahead.time) and not ahead.pair:
             times.append(ahead.time)
-            ahead.advance(2)
+            ahead.advance()
         whole = proved_clearance(gantry, t, q, qd)
         assert whole.proved == (not ahead.pair) == (depth == 0.8)
         assert (np.diff(times) >= 0.0).all()
         if depth == 1.2:
-            assert ahead.time == pytest.approx(whole.unproved[0, 0], abs=2e-3)
+            assert ahead.time == pytest.approx(whole.unproved[0, 0], abs=6e-4)
             assert "floor" in ahead.pair
 
 
@@ -369,10 +384,55 @@ def test_around_a_pole_if_asked(gantry):
 def test_a_motion_along_a_curve_has_the_derivatives_of_its_positions_and_its_state_at_the_beginning(gantry):
     curve, v, a = ChunkCurve.through(gantry, swing(0.05 * np.arange(30)), 0.05), *map(np.array, ([0.1] * 4, [0.5] * 4))
     now = np.stack([curve(np.array([0.3]))[0, 0] + 0.01, v, a])
-    motion = go_over(gantry, now, curve, 0.3, 1.2, 0.2)
-    t, h = np.linspace(0.05, motion.duration - 0.05, 60), 1e-4
+    motion = go_over(gantry, now, curve, 0.3, 0.9, 0.2)
+    require_derivatives(motion, now)
+    np.testing.assert_allclose(motion(np.array([motion.duration, 9.0]))[0], curve(np.array([1.2] * 2))[0], atol=1e-9)
+
+
+def test_a_curve_that_cannot_be_caught_up_with_is_joined_as_late_as_needed(gantry):
+    """From rest where it begins, 0.8 s behind on a curve of 1 s at half the largest speed."""
+    curve = ChunkCurve.through(gantry, np.outer(0.025 * np.arange(21), [1.0, 0.0, 0.0, 0.0]), 0.05)
+    motion = go_over(gantry, np.zeros((3, 4)), curve, 0.8, 1.5, 0.2)
+    assert motion.base.begin == pytest.approx(0.4)
+    assert 0.5 < motion.fade < motion.base.x[-1]
+
+
+def require_derivatives(motion, now):
+    t, h = np.linspace(0.01, motion.duration - 0.01, 99), 1e-5
     before, at, after = motion(t - h), motion(t), motion(t + h)
     for order in (0, 1):
         np.testing.assert_allclose((after[order] - before[order]) / (2.0 * h), at[order + 1], atol=2e-3)
+        # Between these instants, too.
+        means = 0.5 * (at[order + 1][1:] + at[order + 1][:-1])
+        np.testing.assert_allclose(np.diff(at[order], axis=0), np.diff(t)[:, None] * means, atol=2e-2)
     np.testing.assert_allclose(np.stack(motion(np.zeros(1)))[:, 0], now, atol=1e-9)
-    np.testing.assert_allclose(motion(np.array([motion.duration, 9.0]))[0], curve(np.array([1.2] * 2))[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3])
+def test_the_clock_of_a_short_fast_chunk_rises_from_the_speed_of_the_arm(speed, gantry):
+    """At 3.6 of 4 m/s for 0.4 s: what the velocity lacks could not be made up for at 40 m/s^2 before that is over."""
+    t, now = 0.05 * np.arange(9), np.zeros((3, 4))
+    curve = ChunkCurve.through(gantry, np.outer(3.6 * t - 0.72, [0.0, 0.0, 1.0, 0.0]), 0.05)
+    now[0], now[1, 2] = curve(np.zeros(1))[0], speed
+    motion = go_over(gantry, now, curve, 0.0, 1.5, 0.2)
+    require_derivatives(motion, now)
+    assert motion.base.clock(np.zeros(1))[1] == pytest.approx(speed / 3.6)
+    assert motion.fade < motion.base.x[-1] < 0.6
+    _, rates, accelerations = motion(np.linspace(0.0, motion.duration, 500))
+    assert (rates > -1e-9).all()
+    assert (np.abs(rates) <= 1.01 * gantry.velocity_limits).all()
+    assert (np.abs(accelerations) <= 1.01 * gantry.acceleration_limits).all()
+
+
+def test_a_wait_for_a_joint_that_lags_begins_gently(gantry):
+    policy = ChunkPolicy(gantry, 100.0)
+    policy.reset(HOME)
+    policy.accept(swing(0.02 * np.arange(60)), 0.0, 0.02)
+    paces = []
+    for k in range(120):
+        policy.step(policy.q - (k >= 60) * np.array([0.0, 0.05, 0.0, 0.0]), HOME)
+        paces.append(policy.pace)
+    falls = -np.diff(paces) / (0.01 * policy._braking)
+    assert paces[59] > 0.999
+    assert paces[-1] < 0.1
+    assert 0.9 < falls.max() < 1.0 + 1e-9

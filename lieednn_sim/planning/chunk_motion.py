@@ -1,0 +1,300 @@
+"""The smooth curve that a chunk of joint targets means, and the motion of an arm onto it.
+
+The targets y_k at times k h become a uniform cubic B-spline with control points c, the minimum of
+
+    |B c - y|^2 + s |D c|^2,
+
+where B c are its values at these times and D takes third differences (P-splines: Eilers and Marx, Statistical Science
+11(2), 1996), with s for each joint by generalised cross-validation: next to nothing for smooth targets. Such a curve
+stays within the convex hull of its control points: where these keep the position limits, it does so at every instant.
+
+A chunk that is too fast is slowed down as a whole, by a factor f: its own time u goes on at the rate u' = 1 / f. It
+ends at rest: over a time D this rate falls as 1 - 10 x^3 + 15 x^4 - 6 x^5 with x from 0 to 1, up to the last target.
+Likewise it may rise at first, from what the arm's velocity is along the curve.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from functools import lru_cache
+from itertools import product
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from lieednn_sim.arm import Arm
+from lieednn_sim.errors import PlanError
+from lieednn_sim.planning.motion import LIMIT_TOLERANCE
+from lieednn_sim.planning.transition import Transition
+from lieednn_sim.values import Floats
+
+# Weights of a segment's four control points from the powers of its time, and those of its first two derivatives.
+_CUBIC = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6.0
+_POWERS = np.diag([1.0, 2.0, 3.0], 1)
+_SEGMENT = np.concatenate([np.linalg.matrix_power(_POWERS, k) @ _CUBIC for k in range(3)], axis=1)
+_FOUR = np.arange(4)
+# A ramp from speed 1 to rest at nine x from 0 to 1: its way, its speed and the derivative of that.
+_X = np.linspace(0.0, 1.0, 9)
+_RAMP = _X - _X**4 * (2.5 - _X * (3.0 - _X)), 1.0 - _X**3 * (10.0 - _X * (15.0 - 6.0 * _X)), -30.0 * (_X - _X**2) ** 2
+# Weights s that are tried; the greatest one whose score is at most this multiple of the best is taken.
+_WEIGHTS, _NEARLY = np.logspace(-3.0, 7.0, 21), 1.3
+# Factors on the least duration of a chunk and on that of the fade onto it, those tried first that delay it least.
+_TRIED = sorted(product((1.0, 1.15, 1.4, 2.0, 3.0, 5.0, 8.0), (1.0, 1.4, 2.0, 3.0, 5.0)), key=math.prod)
+
+
+class ChunkCurve:
+    """The curve of a chunk over its own time u, from 0 to its duration.
+
+    Args:
+        control: ``(H + 2, n)`` control points of H targets [rad, m].
+        step: h, time between two targets [s].
+
+    Attributes:
+        step: h.
+        duration: [s].
+        end: ``(n,)`` the last configuration.
+    """
+
+    def __init__(self, control: Floats, step: float) -> None:
+        self._control, self.step, self._last = control, step, len(control) - 4
+        self.duration = step * (self._last + 1)
+        self.end = self.values[-1]
+
+    @classmethod
+    def through(cls, arm: Arm, targets: Floats, step: float) -> ChunkCurve:
+        """The curve of targets ``(H, n)``, smoothed if they are noisy, within the position limits."""
+        targets = targets if len(targets) > 1 else targets.repeat(2, axis=0)
+        control, modes, lost, scores = _fitting(len(targets))
+        parts = modes.T @ targets
+        score = scores @ (parts * parts)
+        # The greatest weight with nearly the best score.
+        best = len(score) - 1 - (score <= _NEARLY * score.min(axis=0))[::-1].argmax(axis=0)
+        kept = modes @ (parts * (1.0 - lost[best].T))
+        low, high = arm.position_limits.T
+        points = arm.within_angles(np.concatenate([control @ kept, kept[[0, -1]]]))
+        points = np.minimum(np.maximum(points, low), high)
+        # The first segment is a convex combination of its begin and its last three control points; the last, likewise.
+        points[0] = 6.0 * points[-2] - 4.0 * points[1] - points[2]
+        points[-3] = 6.0 * points[-1] - 4.0 * points[-4] - points[-5]
+        return cls(points[:-2], step)
+
+    def __call__(self, u: Floats) -> Floats:
+        """Configurations and their first two derivatives in u ``(3, K, n)``, at times ``(K,)``."""
+        parts = u / self.step
+        segment = np.minimum(np.maximum(parts.astype(int), 0), self._last)
+        powers = np.ones((len(u), 4))
+        powers[:, 1:] = (parts - segment)[:, None]
+        weights = (np.multiply.accumulate(powers, axis=1) @ _SEGMENT).reshape(-1, 3, 4)
+        return (weights @ self._control[segment[:, None] + _FOUR] / self.step ** _FOUR[:3, None]).swapaxes(0, 1)
+
+    @property
+    def values(self) -> Floats:
+        """Configurations ``(H, n)`` at the times of the targets."""
+        return np.asarray(self._control[:-2] + 4.0 * self._control[1:-1] + self._control[2:]) / 6.0
+
+    def nearest(self, q: Floats, latest: float) -> float:
+        """The time of the curve, of 65 up to a latest one, at which it is nearest to a configuration ``(n,)``."""
+        u = np.linspace(0.0, latest, 65)
+        return float(u[np.square(self(u)[0] - q).sum(axis=1).argmin()])
+
+    def excess(self, arm: Arm, begin: float) -> list[tuple[float, int, int]]:
+        """Largest parts of the limits of velocity and acceleration from its time ``begin`` on, joints and rows."""
+        first = min(int(begin / self.step), self._last)
+        rates = np.diff(self._control[first:], axis=0) / self.step
+        # In the middle between two knots, and at the knots.
+        middle, at = (rates[:-2] + 6.0 * rates[1:-1] + rates[2:]) / 8.0, 0.5 * (rates[1:] + rates[:-1])
+        parts = np.abs(np.concatenate([at, middle])) / arm.velocity_limits
+        bends = np.abs(np.diff(rates, axis=0)) / self.step / arm.acceleration_limits
+        found = ((part, *divmod(int(part.argmax()), part.shape[1])) for part in (parts, bends))
+        return [(float(part[k, joint]), joint, first + k % len(at)) for part, k, joint in found]
+
+
+class Ramped:
+    """A curve from one of its times to another, slowed down, at rest at its end.
+
+    Args:
+        curve: the curve.
+        begin, end: its own times u there [s].
+        slower: f.
+        ramp: D [s].
+        rate: u' at first; by default 1 / f at once.
+        rise: time in which it becomes 1 / f [s].
+
+    Attributes:
+        x: ``(4,)`` its time at the begin and the ends of the rise, of the constant rate, and of the ramp [s], as of a
+            `PPoly`; it rests if it is asked for later ones.
+        ramps_at: time at which it begins to slow down [s]; negative where rise and ramp take longer than the way.
+    """
+
+    def __init__(
+        self, curve: ChunkCurve, begin: float, end: float, slower: float, ramp: float, rate: float, rise: float
+    ) -> None:
+        self.curve, self.begin, self.end, self.slower = curve, begin, end, slower
+        full, ramp, rise = 1.0 / slower, max(ramp, 1e-9), max(rise, 1e-9)
+        risen = 0.5 * rise * (rate + full)
+        even = max((end - begin - risen) * slower - 0.5 * ramp, 0.0)
+        self.ramps_at = rise + even
+        self.x = np.cumsum([0.0, rise, even, ramp])
+        # Of the three parts: duration, change of the rate, rate and u at the beginning.
+        parts = [(rise, full - rate, rate, begin), (even or 1.0, 0.0, full, begin + risen)]
+        parts.append((ramp, -full, full, begin + risen + even * full))
+        powers = np.zeros((7, 3, 3))
+        for k, (t, change, first, u) in enumerate(parts):
+            powers[:, k, 0] = change / t**5, -3.0 * change / t**4, 2.5 * change / t**3, 0.0, 0.0, first, u
+        for order in (1, 2):
+            powers[1:, :, order] = np.arange(6.0, 0.0, -1.0)[:, None] * powers[:-1, :, order - 1]
+        self._clock = PPoly.construct_fast(powers, self.x)
+
+    def clock(self, t: Floats) -> tuple[Floats, Floats, Floats]:
+        """The curve's own time u ``(K,)`` at times ``(K,)``, and its first two derivatives."""
+        u, rate, bend = self._clock(np.minimum(np.maximum(t, 0.0), self.x[-1])).T
+        return np.minimum(u, self.end), rate, bend
+
+    def states(self, t: Floats) -> Floats:
+        """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)``."""
+        u, rate, bend = self.clock(t)
+        q, slope, turn = self.curve(u)
+        return np.stack([q, slope * rate[:, None], turn * (rate * rate)[:, None] + slope * bend[:, None]])
+
+    def __call__(self, t: float) -> Floats:
+        """Joint coordinates ``(n,)`` at a time."""
+        return self.states(np.array([t]))[0, 0]
+
+
+class ChunkMotion(Transition):
+    """A transition onto a chunk's curve; ``base`` is a `Ramped`."""
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]; the fade may outlast the base."""
+        return max(super().duration, self.fade)
+
+    @property
+    def _one(self) -> bool:
+        return False
+
+    def _along(self, own: Floats) -> Floats:
+        return self.base.states(own)
+
+
+def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float, fade: float) -> ChunkMotion:
+    """The transition from a state onto a curve, as fast as the arm's limits allow.
+
+    If the state is so far behind that the curve would be over first, it is joined at an earlier time, the nearest one
+    at the earliest; at last what the velocity lacks is not made up for, but rises along the curve. Velocities and
+    accelerations are checked at samples, against the limits, and positions too.
+
+    Args:
+        arm: the arm.
+        now: ``(3, n)`` joint coordinates, rates and accelerations at the beginning.
+        curve: the curve.
+        begin: its own time u at which it is to be joined [s].
+        most: longest part of it that is followed, to rest [s].
+        fade: least time in which what the state differs from the curve is made up for [s].
+
+    Raises:
+        PlanError: none of those tried keeps the limits.
+    """
+
+    def joined(u: float, rises: bool = False) -> tuple[ChunkMotion, bool]:
+        motion = _joined(arm, now, curve, u, min(u + most, curve.duration), fade, rises)
+        return motion, motion.fade <= motion.base.x[-1]
+
+    motion, in_time = joined(begin)
+    if in_time:
+        return motion
+    back = begin - curve.nearest(now[0], begin)
+    for late in (0.25, 0.5, 0.75, 1.0) if back else ():
+        motion, in_time = joined(begin - late * back)
+        if in_time:
+            return motion
+    # A state that is ahead would go back first.
+    if curve.nearest(now[0], curve.duration) < begin + 0.25 * fade:
+        with suppress(PlanError):
+            motion, _ = joined(begin - back, rises=True)
+    return motion
+
+
+def _joined(
+    arm: Arm, now: Floats, curve: ChunkCurve, begin: float, end: float, fade: float, rises: bool
+) -> ChunkMotion:
+    """The transition that joins a curve at a time, and rests at another one; see `go_over`."""
+    v, a = limits = np.stack([arm.velocity_limits, arm.acceleration_limits])
+    (fast, *_), (bent, *_) = curve.excess(arm, begin)
+    least, ramps = max(1.0, fast, math.sqrt(bent)), dict[float, float | None]()
+    there, slope, turn = curve(np.array([begin]))[:, 0]
+    for more, longer in _TRIED:
+        slower = least * more
+        if more not in ramps:
+            ramps[more] = _shortest_ramp(arm, curve, begin, end, slower)
+        if (ramp := ramps[more]) is None:
+            continue
+        rate, rise = 1.0 / slower, 0.0
+        if rises:
+            # As fast along the curve as the state is.
+            along = float(slope / v**2 @ now[1]) / max(float(slope / v**2 @ slope), 1e-12)
+            rate = min(max(along, 0.0), rate)
+            rise = longer * 2.0 * (1.0 / slower - rate) * float((np.abs(slope) / a).max())
+            if 0.5 * (rise * (rate * slower + 1.0) + ramp) > slower * (end - begin):
+                continue
+        base = Ramped(curve, begin, end, slower, ramp, rate, rise)
+        away = np.abs(differences := now - [there, rate * slope, rate * rate * turn])
+        soonest = _soonest(away, 0.5 * limits)
+        if soonest > fade:
+            most = np.abs(base.states(np.linspace(0.0, float(base.x[-1]), 33))[1:]).max(axis=1)
+            soonest = _soonest(away, np.maximum(limits - most, 0.5 * limits))
+        result = ChunkMotion(base, 1.0, differences, longer * max(fade, soonest))
+        faded = max(result.fade, rise) / result.duration
+        if faded > 0.2:
+            q, qd, qdd = (part[: math.ceil(96.0 * faded) + 1] for part in result.even)
+        else:
+            q, qd, qdd = result(np.linspace(0.0, faded * result.duration, 33))
+        if (
+            (np.abs(qd) <= 1.001 * v).all()
+            and (np.abs(qdd) <= 1.001 * a).all()
+            and (arm.limit_excess(q) <= LIMIT_TOLERANCE).all()
+        ):
+            return result
+    raise PlanError("no transition onto the chunk keeps the limits of the joints")
+
+
+def _soonest(away: Floats, left: Floats) -> float:
+    """About the least time [s] in which differences ``(3, n)`` fade, with ``(2, n)`` velocities and accelerations."""
+    v, a = left
+    # Largest derivatives of the corrections of `transition`, of differences in position and in velocity.
+    return float(max((1.875 * away[0] / v).max(), math.sqrt((5.78 * away[0] / a).max()), (4.0 * away[1] / a).max()))
+
+
+def _shortest_ramp(arm: Arm, curve: ChunkCurve, begin: float, end: float, slower: float) -> float | None:
+    """The shortest of the tried D [s] in which a curve comes to rest at its time ``end`` within the limits, if any."""
+    most = 2.0 * slower * (end - begin)
+    if most < 1e-6:
+        return 0.0
+    # From the shortest on, at least 0.04 s.
+    tried = most * 0.75 ** np.arange(max(math.log(most / 0.04) / math.log(4.0 / 3.0), 0.0) // 1.0 + 1.0)[::-1]
+    gone, rate, bend = _RAMP
+    times = tried[:, None] / slower
+    _, slope, turn = curve(np.maximum(end - times * (0.5 - gone), begin).ravel()).reshape(3, len(tried), 9, -1)
+    qdd = (turn * (rate**2)[:, None] + slope * (bend / times)[..., None]) / slower**2
+    fits = (np.abs(qdd) <= arm.acceleration_limits).all(axis=(1, 2))
+    return float(tried[fits.argmax()]) if fits.any() else None
+
+
+@lru_cache(maxsize=64)
+def _fitting(count: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Of ``count`` targets: control points of the smoothest curve through values, and its modes.
+
+    These are ``(count + 2, count)`` and orthonormal ``(count, count)``. For each of `_WEIGHTS`, the part of each mode
+    that is lost, and the factor on its square in the score of generalised cross-validation.
+    """
+    values = (np.eye(count, count + 2) + 4.0 * np.eye(count, count + 2, 1) + np.eye(count, count + 2, 2)) / 6.0
+    firsts, thirds = (np.diff(np.eye(count + 2), n=order, axis=0) for order in (1, 3))
+    # Lagrange's conditions of the least |D c|^2 with B c = y; two targets do not determine it.
+    system = np.block([[thirds.T @ thirds + 1e-9 * firsts.T @ firsts, values.T], [values, np.zeros((count, count))]])
+    control = np.linalg.solve(system, np.eye(2 * count + 2)[:, count + 2 :])[: count + 2]
+    bent = thirds @ control
+    bending, modes = np.linalg.eigh(bent.T @ bent)
+    weighted = _WEIGHTS[:, None] * np.maximum(bending, 0.0)
+    lost = weighted / (1.0 + weighted)
+    return control, modes, lost, (lost / np.maximum(lost.sum(axis=1, keepdims=True), 1e-300)) ** 2
