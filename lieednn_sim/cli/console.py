@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 import sys
+import textwrap
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
@@ -13,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.importer.report import ImportReport
 from lieednn_sim.budget import reporting
 from lieednn_sim.errors import NotCertifiedError
 from lieednn_sim.network import ComponentwiseNetwork
@@ -52,7 +55,18 @@ def print_import_report(arm: Arm, *, whole: bool = False) -> None:
     """Print the report of an imported arm, in a few lines or as a whole; nothing for another arm."""
     if arm.import_report is not None:
         console.print(f"{arm.name}, imported from {arm.source.name}:")
-        console.print(str(arm.import_report) if whole else arm.import_report.summary(str(arm.source)))
+        console.print(str(arm.import_report) if whole else _summary(arm.import_report, str(arm.source)))
+
+
+def _summary(report: ImportReport, file: str) -> str:
+    """A report in four lines at most, of which the last says how to read the whole."""
+    kept = sum(servo.kept for servo in report.servos)
+    driven = f"{kept} kept, {len(report.servos) - kept} made"
+    lines = [f"  links {', '.join(report.links)} on {report.base}; actuators: {driven}"]
+    # Without the long list of which bodies come near each other.
+    seen = [textwrap.shorten(text.partition(", between ")[0], 120, placeholder=" ...") for text in report.remarks]
+    lines += [f"  look at: {text}" for text in seen[:2]]
+    return "\n".join([*lines, f"  the whole report: lieednn-sim arms {shlex.quote(file)}"])
 
 
 def print_stability(network: ComponentwiseNetwork, xi: ArrayLike, *, whole: bool = True) -> None:

@@ -71,7 +71,7 @@ def read_by_rerun(folder):
 def test_episodes_of_the_expert_become_a_data_set_that_can_be_replayed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["export", "--format", "lerobot", "--episodes", "2", "--seed", "5", "--output", "out"]) == 0
-    assert "wrote out/meta/info.json" in capsys.readouterr().out
+    assert "wrote in out/meta: info.json" in capsys.readouterr().out
     frames, episodes, info = check_format(tmp_path / "out")
     assert info["fps"] == 50
     assert [episode["seed"] for episode in episodes] == [5, 6]

@@ -35,7 +35,9 @@ def test_the_tool_of_ompl_makes_its_database_of_the_logs(comparison, tmp_path, m
     monkeypatch.chdir(tmp_path)
     assert main(["export", "table", "--format", "plannerarena", "--output", "out"]) == 0
     logs = ["out/table-telescopic_pr-free-mocap.log", "out/table-telescopic_pr-window-mocap.log"]
-    assert capsys.readouterr().out.splitlines() == [f"wrote {log}" for log in logs]
+    assert capsys.readouterr().out.splitlines() == [
+        "wrote in out: " + ", ".join(log.removeprefix("out/") for log in logs)
+    ]
     tool = [sys.executable, "-m", "ompl.ompl_benchmark_statistics", "-d", "benchmark.db", *logs]
     subprocess.run(tool, check=True, capture_output=True)
     with sqlite3.connect("benchmark.db") as base:

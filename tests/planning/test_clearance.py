@@ -119,7 +119,7 @@ def test_pieces_hold_the_cubic():
 
 def test_where_nothing_can_be_proved_samples_are_tested(monkeypatch):
     arm, t, q, qd, _ = swing(0)
-    monkeypatch.setattr(clearance, "bounds_of", lambda _: "no proof of clearance: here")
+    monkeypatch.setattr(clearance, "bounds_of", lambda *_: "no proof of clearance: here")
     touching = [k for k, near in enumerate(arm.near_contacts_along(q)) if near]
     assert not touching
     check_clearance(arm, t, q, qd)

@@ -110,7 +110,7 @@ def test_the_commands_take_it_to_a_run(learned, tmp_path, capsys):
     assert main(["simulate", out]) == 2
     assert f"put a learned motion on an arm by 'lieednn-sim plan --learned {out}" in capsys.readouterr().err
     assert main(["plan", "--learned", out, "--output", run]) == 0
-    assert "learned motion" in capsys.readouterr().out
+    assert "planner: lieednn-shaped, as shown" in capsys.readouterr().out
     assert main(["simulate", run, "--controller", "feedback-linearisation"]) == 0
     rollout = ls.Rollout.load(f"{run}/rollout.npz", ARM, ls.planning.Motion.load(f"{run}/motion.npz"))
     np.testing.assert_allclose(ARM.tip(rollout.q[-1]), learned.goal.translation, atol=1e-3)

@@ -55,7 +55,7 @@ def test_shards_merge_to_the_table_of_one_machine(shards, tmp_path, capsys, undr
     one, out = tmp_path / "one", tmp_path / "out"
     assert main(["compare", *WORDS, str(one)]) == 0
     assert main(["compare", "--merge", *map(str, shards), "--output", str(out)]) == 0
-    assert f"wrote {out / 'comparison.sqlite'}" in capsys.readouterr().out
+    assert f"wrote in {out}: comparison.sqlite" in capsys.readouterr().out
     assert untimed(one) == untimed(out)
     assert len(untimed(out)) == 14
     # Fewer seeds are told; and what is merged again, or was made in another order, is the same.

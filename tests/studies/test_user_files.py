@@ -42,7 +42,7 @@ def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, caps
     assert main([*words.split(), *WORDS.split()]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert f"arm {LINKED}: 2 links, 2 joints, from {folder}/two.xml:one,tool" in printed
-    assert f"{LINKED}: imported from two.xml" in printed
+    assert f"{LINKED}, imported from two.xml" in printed
     assert f"scene post: 1 box; targets anywhere, from {folder}/post.json" in printed
     table = Comparison.read("out")
     reasons = {group.key: group.rows[0].reason for group in grouped(table.rows.values(), ("arm", "scene"))}

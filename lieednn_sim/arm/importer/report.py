@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypedDict
@@ -133,13 +131,3 @@ class ImportReport:
             lines += [f"{title}: {entry}" for entry in entries]
         lines.append(f"other joints: {', '.join(self.others) or 'none'}")
         return "\n".join(lines)
-
-    def summary(self, file: str) -> str:
-        """The report of a file in four lines at most, of which the last says how to read the whole."""
-        kept = sum(servo.kept for servo in self.servos)
-        driven = f"{kept} kept, {len(self.servos) - kept} made"
-        lines = [f"  links {', '.join(self.links)} on {self.base}; actuators: {driven}"]
-        # Without the long list of which bodies come near each other.
-        seen = [textwrap.shorten(text.partition(", between ")[0], 120, placeholder=" ...") for text in self.remarks]
-        lines += [f"  look at: {text}" for text in seen[:2]]
-        return "\n".join([*lines, f"  the whole report: lieednn-sim arms {shlex.quote(file)}"])
