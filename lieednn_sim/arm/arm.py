@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 import pickle
 import warnings
 from collections.abc import Mapping, Sequence
@@ -32,6 +31,7 @@ from lieednn_sim.arm.surroundings import check_data, home_data, state_of
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import Seed, as_choice, as_floats, as_nonnegative, as_path, as_seed, quoted
+from lieednn_sim.values import StrPath
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +54,8 @@ class Arm(ModelArm):
     @classmethod
     def load(
         cls,
-        name: str | os.PathLike[str],
-        scene: str | os.PathLike[str] = "free",
+        name: StrPath,
+        scene: StrPath = "free",
         seed: Seed = 0,
         **options: Unpack[ImportOptions],
     ) -> Arm:
@@ -76,7 +76,7 @@ class Arm(ModelArm):
         return cls.from_xml(model.path, model.name, **model.options).with_scene(scene, seed)
 
     @classmethod
-    def from_xml(cls, path: str | os.PathLike[str], name: str | None = None, **options: Unpack[ImportOptions]) -> Arm:
+    def from_xml(cls, path: StrPath, name: str | None = None, **options: Unpack[ImportOptions]) -> Arm:
         """Load an MJCF or URDF file that holds one arm.
 
         A file with the sites ``base_frame`` and ``link1_frame``, ``link2_frame``, ... is taken as it is. Any other is
@@ -197,7 +197,7 @@ class Arm(ModelArm):
         limits = {name: np.where(changed[name], getattr(self, name), getattr(moved, name)) for name in LIMITS}
         return replace(moved, name=self.name, payload=self.payload, **limits)
 
-    def with_scene(self, scene: str | os.PathLike[str], seed: Seed = 0) -> Arm:
+    def with_scene(self, scene: StrPath, seed: Seed = 0) -> Arm:
         """This arm with the obstacles of a scene; itself for the scene ``"free"``.
 
         Args:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +12,7 @@ from lieednn_sim.arm.importer.report import ImportOptions
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.registry import ARMS
 from lieednn_sim.validation import as_path
+from lieednn_sim.values import StrPath
 
 # Suffixes of model files, and of files that describe an import; both tell a file from the name of an arm.
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
@@ -54,7 +54,7 @@ def is_arm_file(text: str) -> bool:
     return bool(_MODEL_WITH_LINKS.fullmatch(text)) or Path(text).suffix.lower() in MODEL_SUFFIXES + DESCRIPTION_SUFFIXES
 
 
-def find_model(arm: str | os.PathLike[str], options: ImportOptions) -> ModelFile:
+def find_model(arm: StrPath, options: ImportOptions) -> ModelFile:
     """Find what an arm is loaded from: an arm of the package, a model file, or a file that describes an import.
 
     The name of a model file may be followed by links, as in ``robot.urdf:wrist,tool``, which become part of the arm's

@@ -21,7 +21,7 @@ from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import is_file
 from lieednn_sim.registry import SCENES
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, quoted
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")  # suffixes that tell a file from the name of a scene
 # Obstacles in a list, and goals.
@@ -44,7 +44,7 @@ def is_scene_file(scene: object) -> bool:
     return isinstance(scene, str | os.PathLike) and Path(scene).suffix.lower() in SCENE_SUFFIXES
 
 
-def scene_label(path: str | os.PathLike[str]) -> str:
+def scene_label(path: StrPath) -> str:
     """The name of a file's scene, its stem; `InputError` if the package has a scene of that name."""
     label = as_path("the name of a scene", path).stem
     if label in SCENES:
@@ -52,7 +52,7 @@ def scene_label(path: str | os.PathLike[str]) -> str:
     return label
 
 
-def load_obstacles(path: str | os.PathLike[str]) -> mujoco.MjSpec:
+def load_obstacles(path: StrPath) -> mujoco.MjSpec:
     """Read a file of obstacles; lengths are in metres, angles in radians, poses in the world's frame.
 
     An MJCF file holds bodies without joints; its sites ``goal...`` are boxes in which targets are drawn. A YAML or JSON

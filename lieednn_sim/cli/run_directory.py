@@ -7,7 +7,6 @@ the motion that it followed, so that files of different runs are never mixed.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -24,7 +23,7 @@ from lieednn_sim.planning.motion import Motion
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_floats, as_path, as_positive, as_seed
-from lieednn_sim.values import check_fields, set_fields
+from lieednn_sim.values import StrPath, check_fields, set_fields
 from lieednn_sim.versions import versions
 
 __all__ = ["RunDirectory", "Task"]
@@ -72,12 +71,12 @@ class Task:
         arm = Arm.load(self.arm, self.scene, self.scene_seed, **self.imported)
         return arm.with_payload(self.options.get("payload", 0.0))
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write as JSON, atomically."""
         io.save_json(path, asdict(self))
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Task:
+    def load(cls, path: StrPath) -> Task:
         """Read a file of `save`; `FileError` says what is wrong with it."""
         value = io.load_json(path, "task")
         try:
@@ -91,7 +90,7 @@ class Task:
 class RunDirectory:
     """The files of one run, with plots in one of `PLOT_KINDS`; writes and reads them, and checks that they match."""
 
-    def __init__(self, path: str | os.PathLike[str], plots: str = PLOT_KINDS[0]) -> None:
+    def __init__(self, path: StrPath, plots: str = PLOT_KINDS[0]) -> None:
         self._plots = as_choice("plots", plots, PLOT_KINDS)
         self.path = as_path("the name of a run directory", path)
         self.task = self.path / "task.json"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 from dataclasses import asdict, astuple, dataclass, field
 
 import numpy as np
@@ -14,7 +13,7 @@ from lieednn_sim import io
 from lieednn_sim.evaluation.display import as_text, rounded, table
 from lieednn_sim.evaluation.load import LoadMetrics
 from lieednn_sim.simulation import Disturbances
-from lieednn_sim.values import set_fields
+from lieednn_sim.values import StrPath, set_fields
 from lieednn_sim.versions import versions
 
 # A frame has settled when it stays this close to its target.
@@ -243,7 +242,7 @@ class Evaluation:
             lines.append(f"final error {self.final_worst_mm:.3g} mm and {self.final_worst_deg:.3g} degrees:")
         return lines + [f"- {cause}" for cause in self.causes]
 
-    def save_json(self, path: str | os.PathLike[str]) -> None:
+    def save_json(self, path: StrPath) -> None:
         """Write all metrics and conditions as JSON; unlimited joints have limit null."""
         value = {**asdict(self), "versions": versions()}
         for joint in value["joints"]:
@@ -251,7 +250,7 @@ class Evaluation:
                 joint[name] = joint[name] if np.isfinite(joint[name]) else None
         io.save_json(path, value)
 
-    def save_csv(self, path: str | os.PathLike[str]) -> None:
+    def save_csv(self, path: StrPath) -> None:
         """Write the errors of the frames as CSV, a row for each frame."""
         with io.atomic_text(path) as stream:
             rows = [asdict(frame) for frame in self.frames]

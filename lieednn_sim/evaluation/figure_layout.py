@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -12,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
 from lieednn_sim import io
+from lieednn_sim.values import StrPath
 
 # Okabe and Ito's palette, distinguishable for colour-blind readers, without the yellow that is invisible on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -43,7 +43,7 @@ def fix_layout(figure: Figure, dpi: float) -> None:
 
 
 @contextlib.contextmanager
-def drawn(path: str | os.PathLike[str], width: float, height: float) -> Iterator[Figure]:
+def drawn(path: StrPath, width: float, height: float) -> Iterator[Figure]:
     """A figure of the package's style, its sides in inches, which is drawn in the block and saved after it."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
@@ -68,7 +68,7 @@ def entries_of(axis: Any) -> dict[str, Any]:
     return dict(zip(labels, handles, strict=True))
 
 
-def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+def save_figure(figure: Figure, path: StrPath) -> None:
     """Lay out a figure and write it atomically."""
     fix_layout(figure, _DPI)
     with io.atomic_path(path) as temporary:

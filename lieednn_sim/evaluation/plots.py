@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -27,7 +26,7 @@ from lieednn_sim.learning import History
 from lieednn_sim.planning.clearance import FAR, Cubics, bounds_of
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 __all__ = ["plot"]
 
@@ -40,7 +39,7 @@ _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
 _MOST_ROWS, _LONGEST_NAME = 12, 14
 
 
-def plot(rollout: Rollout, directory: str | os.PathLike[str]) -> tuple[Path, ...]:
+def plot(rollout: Rollout, directory: StrPath) -> tuple[Path, ...]:
     """Plot a run in PNG files: tracking error, joints, and network, clearance, modes and channels if it has them.
 
     The files are ``tracking.png``, ``joints.png``, ``network.png``, ``clearance.png``, ``modes.png`` and
@@ -77,7 +76,7 @@ def plots_of(rollout: Rollout) -> dict[str, Callable[[Rollout, Path], None]]:
     return drawn
 
 
-def plot_modes(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+def plot_modes(rollout: Rollout, path: StrPath) -> None:
     """Plot the natural frequencies of what nothing drives along the reference, with the driven joints held there."""
     passive, some = PassiveJoints(rollout.arm), np.linspace(0, len(rollout.t) - 1, 41).astype(int)
     modes = [passive.modes(q) for q in rollout.q_ref[some]]
@@ -95,7 +94,7 @@ def plot_modes(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         _legend(figure, entries_of(axis) | _events(rollout))
 
 
-def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+def plot_clearance(rollout: Rollout, path: StrPath) -> None:
     """Plot the distance from contact, as MuJoCo measures it at samples, and what is proved of it in intervals.
 
     Distances are shown up to 0.1 m. Bounds are widened by the errors of the joints, as in `Rollout.clearance`.
@@ -123,7 +122,7 @@ def plot_clearance(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         _legend(figure, entries_of(axis) | _events(rollout))
 
 
-def plot_network(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+def plot_network(rollout: Rollout, path: StrPath) -> None:
     """Plot the states xi(t) of the neuron of each link, rotations and translations apart, with their targets dashed.
 
     Below are the clock, the network's own time, and what all other neurons, there may be hundreds, do together: how far
@@ -181,7 +180,7 @@ def bends(xi: Floats, target: Floats) -> Floats:
     return np.asarray(np.linalg.norm(left - along[..., None] * way, axis=-1))
 
 
-def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+def plot_tracking(rollout: Rollout, path: StrPath) -> None:
     """Plot the tracking error of every link frame, and the end effector's distance to its target.
 
     The distance has a logarithmic scale, without distances below a hundredth of the settled error, which are rounding.
@@ -214,7 +213,7 @@ def plot_tracking(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         _legend(figure, entries_of(axes[0, 0]) | _events(rollout))
 
 
-def plot_channels(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+def plot_channels(rollout: Rollout, path: StrPath) -> None:
     """Plot the channels, one at least: a subplot for each unit, a line for each component."""
     lines: dict[str, dict[str, Floats]] = {}
     for name, values in rollout.channels.items():
@@ -266,7 +265,7 @@ def _events(rollout: Rollout) -> dict[str, Any]:
     return end | ({"push": Patch(color=_PUSH)} if rollout.disturbances.pushes else {})
 
 
-def plot_joints(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+def plot_joints(rollout: Rollout, path: StrPath) -> None:
     """Plot reference and simulated position with its limits, error, velocity and actuator force of each joint.
 
     Velocity and force are in percent of their limits, or absolute without limits. Joints of one unit share the scale of
@@ -341,7 +340,7 @@ def _from_zero(axis: Any, values: Floats, least: float) -> None:
     axis.set_ylim(low - margin, high + margin)
 
 
-def plot_training(history: History, target: ArrayLike, tolerance: float, path: str | os.PathLike[str]) -> None:
+def plot_training(history: History, target: ArrayLike, tolerance: float, path: StrPath) -> None:
     """Error, accuracy and learning rate by epoch, and the equilibrium's distance to the target by coordinate."""
     goal = np.asarray(target)
     error = np.abs(history.equilibrium - goal)

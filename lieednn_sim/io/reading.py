@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import os
 import re
 import stat
 import textwrap
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from lieednn_sim.errors import FileError
 from lieednn_sim.validation import as_path
+from lieednn_sim.values import StrPath
 
 LARGEST_FILE = LARGEST_ARRAYS = 2**30  # bytes of a file, and of the arrays of one once they are unpacked
 LARGEST_TEXT = 1_000_000  # bytes of a JSON or YAML file, and of the text beside arrays
@@ -51,7 +51,7 @@ def is_file(path: Path) -> bool:
 
 
 @contextlib.contextmanager
-def opened(path: str | os.PathLike[str], largest: int = LARGEST_FILE) -> Iterator[IO[bytes]]:
+def opened(path: StrPath, largest: int = LARGEST_FILE) -> Iterator[IO[bytes]]:
     """Open a regular file of at most ``largest`` bytes for reading; `FileError` says what is wrong with it."""
     with raising_file_error(f"cannot read {path}"):
         try:
@@ -111,17 +111,17 @@ def _count(value: Any, known: dict[int, float]) -> float:
     return known[id(value)]
 
 
-def load_json(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+def load_json(path: StrPath, what: str) -> dict[str, Any]:
     """Read a JSON object; `FileError` says what is wrong with the file."""
     return _load_object(path, what, json.loads)
 
 
-def load_description(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+def load_description(path: StrPath, what: str) -> dict[str, Any]:
     """Read a hand-written object, JSON by its suffix or else YAML; raises as `load_json`."""
     return load_json(path, what) if Path(path).suffix.lower() == ".json" else _load_object(path, what, parse_yaml)
 
 
-def _load_object(path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Any]) -> dict[str, Any]:
+def _load_object(path: StrPath, what: str, parse: Callable[[bytes], Any]) -> dict[str, Any]:
     with opened(as_path("path", path), LARGEST_TEXT) as stream:
         content = stream.read()
     try:
@@ -176,7 +176,7 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
     return array
 
 
-def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+def load_arrays(path: StrPath, *kinds: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Read arrays by name and metadata, with the ``kind``, of a file of `save_arrays`; `FileError` for any other."""
     source = as_path("path", path)
     with opened(source) as stream:
@@ -201,7 +201,7 @@ def load_arrays(path: str | os.PathLike[str], *kinds: str) -> tuple[dict[str, ND
             raise FileError(f"{source} is not a readable {kinds[0]} file ({type(error).__name__}: {error})") from None
 
 
-def take(arrays: Mapping[str, NDArray[Any]], source: str | os.PathLike[str], *names: str) -> list[NDArray[Any]]:
+def take(arrays: Mapping[str, NDArray[Any]], source: StrPath, *names: str) -> list[NDArray[Any]]:
     """Return the named arrays of a loaded file, or raise `FileError` naming the first that is missing."""
     for name in names:
         if name not in arrays:

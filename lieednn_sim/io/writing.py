@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lieednn_sim.errors import FileError
 from lieednn_sim.io.reading import FORMAT, META_KEY, load_json, raising_file_error
 from lieednn_sim.validation import as_path
+from lieednn_sim.values import StrPath
 
 try:
     import fcntl
@@ -30,7 +31,7 @@ MARK = "lieednn_sim.json"  # the file that says that a folder is ours, and what 
 _UNFINISHED = ".unfinished-"
 
 
-def make_directory(path: str | os.PathLike[str]) -> Path:
+def make_directory(path: StrPath) -> Path:
     """Create ``path`` with its parents, or raise `FileError` that says why not."""
     directory = as_path("the name of a directory", path)
     with raising_file_error(f"cannot create directory {directory}"):
@@ -55,7 +56,7 @@ def check_outputs(paths: Iterable[Path]) -> None:
 
 
 @contextlib.contextmanager
-def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterator[None]:
+def locked(directory: StrPath, *, shared: bool = False) -> Iterator[None]:
     """Lock an existing directory against other processes of the package, or only others that do not share the lock.
 
     The lock is on the directory itself (flock); no file is created, and it ends with the process, however that ends.
@@ -81,7 +82,7 @@ def locked(directory: str | os.PathLike[str], *, shared: bool = False) -> Iterat
 
 
 @contextlib.contextmanager
-def output_folder(directory: str | os.PathLike[str], holds: str, *, shared: bool = False) -> Iterator[Path]:
+def output_folder(directory: StrPath, holds: str, *, shared: bool = False) -> Iterator[Path]:
     """A folder for results, locked while the block runs.
 
     It must be new, empty, or ours for the same purpose, which its file `MARK` says; in such a folder the block may
@@ -130,7 +131,7 @@ def _claim(folder: Path, holds: str, *, remove_unfinished: bool) -> bool:
 
 
 @contextlib.contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_path(path: StrPath) -> Iterator[Path]:
     """Yield a temporary path beside ``path``, of the same suffix, which replaces it only when the block succeeds.
 
     `FileError` if the directory is missing, read-only or full.
@@ -195,22 +196,20 @@ def _sync(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def atomic_text(path: str | os.PathLike[str]) -> Iterator[IO[str]]:
+def atomic_text(path: StrPath) -> Iterator[IO[str]]:
     """Open ``path`` for text; the file appears only when the block succeeds."""
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
         yield stream
 
 
-def save_json(path: str | os.PathLike[str], value: Any) -> None:
+def save_json(path: StrPath, value: Any) -> None:
     """Write ``value`` as indented JSON, atomically."""
     text = json.dumps(value, indent=2, allow_nan=False)
     with atomic_text(path) as stream:
         stream.write(text + "\n")
 
 
-def save_arrays(
-    path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]
-) -> None:
+def save_arrays(path: StrPath, kind: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> None:
     """Write named arrays, also of strings but not of objects, and JSON metadata into one ``.npz``.
 
     Its ``kind`` says what it holds (``"network"``, ``"motion"`` ...), and is checked by `load_arrays`.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import os
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -18,7 +17,7 @@ from lieednn_sim import io, stability
 from lieednn_sim.errors import FileError, InputError, LieEDNNError, NotCertifiedError
 from lieednn_sim.network.dynamics import INTEGRATORS, Equilibrium, Trajectory, find_equilibrium, integrate
 from lieednn_sim.validation import as_choice, as_floats, as_positive, as_ratio
-from lieednn_sim.values import Floats, read_only
+from lieednn_sim.values import Floats, StrPath, read_only
 
 
 class BlockNetwork(ABC):
@@ -362,14 +361,14 @@ class BlockNetwork(ABC):
         """Names of the fields, and of cached values independent of the bias."""
         return (*(field.name for field in fields(cls)), *cls._bias_free)  # type: ignore[arg-type]
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the network to an ``.npz`` file, atomically."""
         arrays = {field.name: getattr(self, field.name) for field in self._stored("Floats", "NDArray")}
         given = {name: values for name, values in arrays.items() if values is not None}
         io.save_arrays(path, self._kind, given, self._meta())
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
+    def load(cls, path: StrPath) -> Self:
         """Read a network; `FileError` if there is none, or its certificate, verified from the weights, fails."""
         if inspect.isabstract(cls):
             raise InputError(f"a {cls.__name__} is read by its own class, such as LieEDNN.load")

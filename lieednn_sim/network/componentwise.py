@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +15,7 @@ from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network.base import BlockNetwork, checked_fields
 from lieednn_sim.network.exporting import write_c, write_onnx
 from lieednn_sim.validation import as_choice, as_floats, as_positive
-from lieednn_sim.values import Floats, frozen, read_only, set_fields
+from lieednn_sim.values import Floats, StrPath, frozen, read_only, set_fields
 
 # Where an activation is looked at, and how far its slope may be from that of its values there.
 _SAMPLES, _DIFFERENCE, _TOLERANCE = np.linspace(-8.0, 8.0, 161), 1e-5, 1e-6
@@ -143,7 +142,7 @@ class ComponentwiseNetwork(BlockNetwork):
         moved = np.arange(self.n_visible * self.bias.shape[1]) if pushed is None else pushed
         return stability.robustness(self.weight, pushed=moved, **self._proved_on)
 
-    def to_c(self, folder: str | os.PathLike[str]) -> Path:
+    def to_c(self, folder: StrPath) -> Path:
         """Write the network as C99, for a controller: ``lieednn.h`` and ``lieednn.c``, without allocation.
 
         The header says what each function does; the numbers, ``lieednn_numbers.h``, begin with the certificate. A step
@@ -161,7 +160,7 @@ class ComponentwiseNetwork(BlockNetwork):
         """
         return write_c(self, self.activation, folder)
 
-    def to_onnx(self, path: str | os.PathLike[str], *, bias_input: bool = False) -> None:
+    def to_onnx(self, path: StrPath, *, bias_input: bool = False) -> None:
         """Write one Runge-Kutta step as a graph of ONNX, in double precision; needs the extra ``onnx``.
 
         Inputs are the flat state ``x`` and the step ``h`` in the network's time. The output is ``x_next``. The metadata

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from lieednn_sim.errors import InputError, LieEDNNError
 from lieednn_sim.io import atomic_path, atomic_paths, make_directory
 from lieednn_sim.network.base import BlockNetwork
+from lieednn_sim.values import StrPath
 
 _PHI = {"tanh": "tanh(x)", "arctan": "(0.63661977236758134308 * atan(1.57079632679489661923 * (x)))"}
 
@@ -49,7 +49,7 @@ lieednn_step (double[{{size}}] x, double h{{bias}}) => (double[{{size}}] x_next)
 }}}}"""
 
 
-def write_c(network: BlockNetwork, activation: str, folder: str | os.PathLike[str]) -> Path:
+def write_c(network: BlockNetwork, activation: str, folder: StrPath) -> Path:
     """Write ``lieednn.h``, ``lieednn.c`` and their numbers into a folder; see `ComponentwiseNetwork.to_c`."""
     if activation not in _PHI:
         raise InputError(f"C code is known for {' and '.join(_PHI)}, not for the activation {activation!r}")
@@ -89,7 +89,7 @@ def write_c(network: BlockNetwork, activation: str, folder: str | os.PathLike[st
     return write_sources(folder, Path(__file__).parent / "c", {"lieednn_numbers.h": header})
 
 
-def write_sources(folder: str | os.PathLike[str], sources: Path, made: Mapping[str, str]) -> Path:
+def write_sources(folder: StrPath, sources: Path, made: Mapping[str, str]) -> Path:
     """Write the C files of a folder of this package, and texts by their names, into a folder, which is returned."""
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(sources.glob("*.[ch]"))} | dict(made)
     directory = make_directory(folder)
@@ -140,7 +140,7 @@ def _array(values: NDArray[Any]) -> str:
     return "{\n" + ",\n".join(map(_array, values)) + "}"
 
 
-def write_onnx(network: BlockNetwork, activation: str, path: str | os.PathLike[str], bias_input: bool) -> None:
+def write_onnx(network: BlockNetwork, activation: str, path: StrPath, bias_input: bool) -> None:
     """Write the graph to a file; see `ComponentwiseNetwork.to_onnx`."""
     try:
         import onnx

@@ -6,7 +6,6 @@ network that follows this mean; the motion has the demonstrations' time law.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -27,7 +26,7 @@ from lieednn_sim.planning.shaped import lever_units
 from lieednn_sim.planning.time_laws import Law, recorded_law
 from lieednn_sim.synthesis import Shaping, ShapingOptions, shape
 from lieednn_sim.validation import as_choice, as_positive
-from lieednn_sim.values import Floats, frozen
+from lieednn_sim.values import Floats, StrPath, frozen
 
 _STEPS = 200  # of the phase
 _LEAST_LENGTH = 1e-6  # below which nothing moves [m]
@@ -56,7 +55,7 @@ class JointDemonstrations:
     def load(
         cls,
         arm: Arm,
-        files: Iterable[str | os.PathLike[str]],
+        files: Iterable[StrPath],
         *,
         rate: float = 100.0,
         phase: str = "length",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 
 from lieednn_sim import io
@@ -12,7 +10,7 @@ from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.planning.clearance import Cubics, check_clearance, check_contact
 from lieednn_sim.planning.statics import check_forces, some_samples
 from lieednn_sim.validation import as_floats, as_positive, as_times
-from lieednn_sim.values import Floats, check_fields, frozen
+from lieednn_sim.values import Floats, StrPath, check_fields, frozen
 
 LIMIT_TOLERANCE = 1e-6  # by which positions may exceed a limit [rad, m]: a target on one is reached up to the residual
 JUMP = 0.02  # by which a step between samples exceeds at most what the velocities explain [rad, m]
@@ -69,12 +67,12 @@ class Motion:
         """Sampling period [s]."""
         return float(self.t[1] - self.t[0])
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write to an ``.npz`` file, atomically."""
         io.save_arrays(path, "motion", vars(self), {})
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Motion:
+    def load(cls, path: StrPath) -> Motion:
         """Read a file of `save`; raise `FileError` if it is not one."""
         arrays, _ = io.load_arrays(path, "motion")
         names = tuple(cls.__dataclass_fields__)

@@ -6,7 +6,6 @@ A page has viser's player and a recording, of one arm or of several side by side
 from __future__ import annotations
 
 import base64
-import os
 from collections.abc import Sequence
 from html import escape
 from itertools import product
@@ -29,7 +28,7 @@ from lieednn_sim.rendering.viser_server import quiet_server
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 __all__ = ["render_page"]
 
@@ -65,7 +64,7 @@ def player(recording: str, *, title: str = "Motion", style: str = "", header: st
     return page.replace('<div id="root">', f'{header}<div id="root">', 1)
 
 
-def render_page(rollout: Rollout, path: str | os.PathLike[str], *, camera: str | None = None, title: str = "") -> None:
+def render_page(rollout: Rollout, path: StrPath, *, camera: str | None = None, title: str = "") -> None:
     """Write a page that plays a rollout in 3D, with a timeline and a camera that the mouse moves.
 
     It shows the arm in its scene, the target, the planned path, the paths travelled so far by the end effector and by

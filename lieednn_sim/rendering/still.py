@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from lieednn_sim.rendering.video import Camera, Image
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_path
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 __all__ = ["render_still"]
 
@@ -26,7 +25,7 @@ OPACITIES = (0.3, 0.36, 0.44, 0.55, 1.0)
 
 def render_still(
     rollout: Rollout,
-    path: str | os.PathLike[str],
+    path: StrPath,
     *,
     camera: str | None = None,
     size: tuple[int, int] = (1280, 720),

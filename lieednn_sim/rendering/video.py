@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
-import os
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
@@ -30,7 +29,7 @@ from lieednn_sim.rendering.viewpoint import unhidden
 from lieednn_sim.simulation import Rollout
 from lieednn_sim.typecheck import typecheck_public
 from lieednn_sim.validation import as_choice, as_count, as_floats, as_path, as_positive, quoted
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 __all__ = ["PRESETS", "Camera", "render_video"]
 
@@ -70,7 +69,7 @@ def check_camera(arm: Arm, camera: str | None) -> None:
         as_choice("camera", camera, scene_setup.cameras(arm))
 
 
-def check_rate(fps: float, path: str | os.PathLike[str]) -> float:
+def check_rate(fps: float, path: StrPath) -> float:
     """Return the frame rate, or raise `InputError` when it is out of range or a GIF cannot hold it."""
     rate = as_positive("fps", fps)
     if rate > _MAX_RATE:
@@ -178,7 +177,7 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
 
 def render_video(
     rollout: Rollout,
-    path: str | os.PathLike[str],
+    path: StrPath,
     *,
     camera: str | None = None,
     size: tuple[int, int] = (1280, 720),

@@ -18,7 +18,7 @@ from lieednn_sim.arm.checks import check_numbers
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import is_file, opened
 from lieednn_sim.validation import as_path
-from lieednn_sim.values import Floats
+from lieednn_sim.values import Floats, StrPath
 
 _PACKAGE = "package://"
 _POINTER = b"version https://git-lfs.github.com/"  # the first bytes of a Git LFS pointer file
@@ -30,7 +30,7 @@ _ById = dict[str | None, ElementTree.Element]
 _SIZED = {"hfield": ("nrow", "ncol"), "texture": ("width", "height")}
 
 
-def load_spec(model: str | os.PathLike[str] | mujoco.MjSpec, notes: list[str] | None = None) -> mujoco.MjSpec:
+def load_spec(model: StrPath | mujoco.MjSpec, notes: list[str] | None = None) -> mujoco.MjSpec:
     """A new spec from a file or another spec, ready for edits: no bodies are fused, and all have names.
 
     Conversions of its files are added to ``notes``. `FileError` if there is no such file, or MuJoCo cannot read it.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -23,6 +22,7 @@ from lieednn_sim.studies.report.figures import FAMILIES, family, plots
 from lieednn_sim.studies.rows import Column, Group, grouped
 from lieednn_sim.studies.table import Table
 from lieednn_sim.validation import as_count
+from lieednn_sim.values import StrPath
 
 
 class View(NamedTuple):
@@ -84,7 +84,7 @@ def view(table: Table[Row], cases: Sequence[Case], controller: str) -> View:
 
 
 def write_page(
-    path: str | os.PathLike[str],
+    path: StrPath,
     table: Table[Row],
     *,
     missing: Mapping[str, str] | None = None,
