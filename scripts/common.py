@@ -63,7 +63,8 @@ def write(path: Path, text: str) -> None:
 def saved_runs(folder: Path, runs: Mapping[str, tuple[Any, ...]], work: Callable[..., Any], jobs: int) -> list[Any]:
     """What ``work`` makes of the arguments of each run, by its name, kept in JSON files with which a study goes on.
 
-    With several jobs, runs are in processes of one thread, whose sums are always in the same order.
+    With several jobs, runs are in processes of one thread, whose sums are always in the same order. `FileError` if a
+    kept run had other arguments; paths, which may be elsewhere now, are not compared.
     """
     missing = {name: given for name, given in runs.items() if not (folder / f"{name}.json").is_file()}
     io.make_directory(folder)
@@ -75,12 +76,23 @@ def saved_runs(folder: Path, runs: Mapping[str, tuple[Any, ...]], work: Callable
         with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
             for done in [pool.submit(_kept, folder / f"{name}.json", work, given) for name, given in missing.items()]:
                 done.result()
-    return [io.load_json(folder / f"{name}.json", "a run")["made"] for name in runs]
+    return [_made(folder / f"{name}.json", _compared(given)) for name, given in runs.items()]
 
 
 def _kept(path: Path, work: Callable[..., Any], given: tuple[Any, ...]) -> None:
     with one_blas_thread():
-        io.save_json(path, {"made": work(*given)})
+        io.save_json(path, {"asked": _compared(given), "made": work(*given)})
+
+
+def _compared(given: tuple[Any, ...]) -> str:
+    return ", ".join(str(value) for value in given if not isinstance(value, Path))
+
+
+def _made(path: Path, asked: str) -> Any:
+    run = io.load_json(path, "a run")
+    if run.get("asked") != asked:
+        raise FileError(f"{path} was made with {run.get('asked')}, and {asked} is asked for; choose another --output")
+    return run["made"]
 
 
 def saved_rows(

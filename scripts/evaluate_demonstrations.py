@@ -45,15 +45,15 @@ NOTES = (
 KINDS = {"robottasks": ("*.npy", "cm"), "lasa": ("*.mat", "mm")}
 
 
-def scores(path: str, unit: str, starts: int) -> list[dict[str, Any]]:
+def scores(path: Path, unit: str, starts: int) -> list[dict[str, Any]]:
     """A row for each model of the demonstrations in a file, the network first; none where they cannot be fitted."""
     try:
-        demonstrations = align(load_demonstrations([Path(path)], unit=unit))
+        demonstrations = align(load_demonstrations([path], unit=unit))
         rows, _ = compare_models(demonstrations, ShapedMotion.fit(demonstrations), starts=starts)
     except LieEDNNError as error:
         print(f"{path}: {error}")
         return []
-    return [scored(Path(path).stem, row) for row in rows]
+    return [scored(path.stem, row) for row in rows]
 
 
 def scored(name: str, row: ModelRow) -> dict[str, Any]:
@@ -128,8 +128,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines = ["# Models of demonstrations", "", "`python scripts/evaluate_demonstrations.py FOLDER`", "", *NOTES, ""]
     for kind, (pattern, unit) in KINDS.items():
         paths = [path for path in (given.folder / kind).glob(pattern) if not wanted or {kind, path.stem} & wanted]
-        runs = {f"{kind}-{path.stem}": (str(path), unit, given.starts) for path in sorted(paths)}
-        sets = [row for rows in saved_runs(given.output / "runs", runs, scores, given.jobs) for row in rows]
+        runs = {f"{kind}-{path.stem}": (path, unit, given.starts) for path in sorted(paths)}
+        made = saved_runs(given.output / "runs", runs, scores, given.jobs)
+        sets = [row for rows in made for row in rows]
+        lines += [f"Not fitted: {path}." for (path, *_), rows in zip(runs.values(), made, strict=True) if not rows]
         lines += [f"## {kind}", "", *verdicts(sets, kind), *table(sets, kind), ""] if sets else []
     write(given.output / "demonstrations.md", "\n".join(lines))
 

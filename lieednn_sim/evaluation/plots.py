@@ -56,9 +56,10 @@ def plot(rollout: Rollout, directory: StrPath) -> tuple[Path, ...]:
         FileError: the directory cannot be written.
     """
     folder = io.make_directory(directory)
-    for name, draw in plots_of(rollout).items():
-        draw(rollout, folder / f"{name}.png")
-    return tuple(folder / f"{name}.png" for name in plots_of(rollout))
+    files = {folder / f"{name}.png": draw for name, draw in plots_of(rollout).items()}
+    for file, draw in files.items():
+        draw(rollout, file)
+    return tuple(files)
 
 
 def plots_of(rollout: Rollout) -> dict[str, Callable[[Rollout, Path], None]]:

@@ -207,6 +207,7 @@ def proved_clearance(
     *,
     far: float = FAR,
     own: bool = True,
+    others: bool = False,
 ) -> Clearance:
     """Bound the distances from contact along a motion, at every instant.
 
@@ -215,6 +216,7 @@ def proved_clearance(
         off: ``(K, n)`` how far joints may be from the motion at its samples, such as a run's tracking errors [rad, m].
         far: distance beyond which nothing is measured [m].
         own: whether the arm's own parts, its base included, count against each other.
+        others: whether `Clearance.others` is found, for those who read it.
     """
     bounds, step = bounds_of(arm, own), float(t[1] - t[0])
     if isinstance(bounds, str):
@@ -249,8 +251,8 @@ def proved_clearance(
     # An instant of contact is no stretch.
     bound = bound if proved > 1e-9 else -np.inf
     near, touching = (bounds.names(two) if two[0] >= 0 else () for two in (pair, doubtful))
-    others = proved_clearance(arm, t, q, qd, off, far=far, own=False) if near and bounds.owns(pair) else None
-    return Clearance(bound, time, near, stretches, proved, doubtful=touching, others=others)
+    apart = proved_clearance(arm, t, q, qd, off, far=far, own=False) if others and near and bounds.owns(pair) else None
+    return Clearance(bound, time, near, stretches, proved, doubtful=touching, others=apart)
 
 
 class ProofAhead:

@@ -135,7 +135,7 @@ class Plan:
     @cached_property
     def clearance(self) -> Clearance:
         """A proved lower bound of its distances from contact at every instant, found when it is first asked for."""
-        return proved_clearance(self._of_arm(), self.t, self.motion.q, self.motion.qd)
+        return proved_clearance(self._of_arm(), self.t, self.motion.q, self.motion.qd, others=True)
 
     @cached_property
     def load_clearance(self) -> Clearance | None:

@@ -82,14 +82,12 @@ def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float =
     if np.ptp(motion.q, axis=0).max() <= 1e-8:  # but for rounding, it stays where it is
         return motion
     curve, duration = TimedCurve(arm, motion), float(motion.t[-1]) + more / modes[0].frequency
-    others: list[Arm] = []
-    if options.method == METHODS[0] and passive.bodies.any():
+    others, least = list[Arm](), options.method == METHODS[0]
+    if least and passive.bodies.any():
         loads = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
         others = [with_load(arm, *load) for load in loads]
     model = SwingModel([arm, *others], *along(arm, curve.q))
-    law = _LeastEnergy(arm, curve, model, modes).law
-    if options.method != METHODS[0]:
-        law = partial(shaped, curve.own, *shaper(options, modes))
+    law = _LeastEnergy(arm, curve, model, modes).law if least else partial(shaped, curve.own, *shaper(options, modes))
     return curve.kept(law, duration, longest, _GROWTH, lambda found: check_load(arm, found, model))
 
 

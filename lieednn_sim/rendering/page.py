@@ -16,6 +16,7 @@ import numpy as np
 
 from lieednn_sim import io
 from lieednn_sim._mujoco import kinematics_at
+from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.budget import report
 from lieednn_sim.errors import InputError
 from lieednn_sim.registry import optional_module
@@ -89,7 +90,7 @@ def render_page(rollout: Rollout, path: StrPath, *, camera: str | None = None, t
     texts = [f"<b>{escape(place)}</b>"]
     proof = "" if rollout.clearance is None else rollout.clearance.at()
     texts += [escape(word) for word in (title, rollout.controller, f"{rollout.motion_end:.2f} s{rest}", proof) if word]
-    shown = KEY[: 2 + bool(len(scene_setup.load_path(rollout)))]
+    shown = KEY[: 2 + bool(PassiveJoints(rollout.arm).bodies.any())]
     texts += [f'<i style="background:rgb{colour}"></i>{word} path' for colour, word in shown]
     page = player(
         recording.base64,

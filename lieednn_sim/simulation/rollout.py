@@ -151,7 +151,7 @@ class Rollout:
     @cached_property
     def clearance(self) -> Clearance | None:
         """What is proved of its distances from contact at every instant: its plan's proof, less tracking errors."""
-        return None if self.tracked is None else proved_clearance(self.arm, *self.tracked)
+        return None if self.tracked is None else proved_clearance(self.arm, *self.tracked, others=True)
 
     @cached_property
     def outside(self) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from evaluate_demonstrations import scores
+from evaluate_demonstrations import main
 
+from lieednn_sim.errors import FileError
 from lieednn_sim.learning.demonstrations import Demonstration, align
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.registry import Entry, Registry
@@ -49,6 +50,16 @@ def test_what_is_left_out_was_not_seen(monkeypatch):
     assert recaller.left_out.frechet_mm == pytest.approx(1e3 * np.mean(wanted), rel=1e-2)
 
 
-def test_a_set_that_fails_is_named_and_has_no_rows(tmp_path, capsys):
-    assert scores(str(tmp_path / "a.csv"), "m", 3) == []
-    assert "a.csv: " in capsys.readouterr().out
+def test_a_set_that_fails_is_named_and_not_tried_again_and_other_settings_are_refused(tmp_path, capsys):
+    (tmp_path / "lasa").mkdir()
+    (tmp_path / "lasa/Broken.mat").write_text("none")
+    words = [str(tmp_path), "--output", str(tmp_path / "out"), "--starts"]
+    main([*words, "3"])
+    said = capsys.readouterr().out
+    assert "Broken.mat: " in said
+    main([*words, "3"])
+    again = capsys.readouterr().out
+    assert again in said
+    assert f"Not fitted: {tmp_path}/lasa/Broken.mat." in again
+    with pytest.raises(FileError, match="was made with mm, 3, and mm, 4 is asked for"):
+        main([*words, "4"])
