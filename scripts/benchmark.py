@@ -148,8 +148,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         *markdown_table(HEADINGS, (row.cells() for row in ratios)),
     ]
     path = directory / "benchmark.md"
-    with io.atomic_text(path) as stream:
-        stream.write("\n".join(lines) + "\n")
+    io.save_text(path, "\n".join(lines) + "\n")
     print(path.read_text(encoding="utf-8"))
     return path
 

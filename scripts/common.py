@@ -55,8 +55,7 @@ def options(
 def write(path: Path, text: str) -> None:
     """Write a text, with its folder if it is not there, and show it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with io.atomic_text(path) as stream:
-        stream.write(text)
+    io.save_text(path, text)
     print(text)
 
 
@@ -119,7 +118,7 @@ def saved_rows(
             except LieEDNNError as error:
                 rows.append(case | {"reason": str(error)})
         print(*rows[-1].values(), sep=", ", flush=True)
-        with io.atomic_text(path) as file:
+        with io.atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
             names = dict.fromkeys(name for row in rows for name in row)
             writer = csv.DictWriter(file, names, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n")
             writer.writeheader()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-from dataclasses import asdict, astuple, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field, fields
 
 import numpy as np
 from rich.console import Group
@@ -252,11 +251,7 @@ class Evaluation:
 
     def save_csv(self, path: StrPath) -> None:
         """Write the errors of the frames as CSV, a row for each frame."""
-        with io.atomic_text(path) as stream:
-            rows = [asdict(frame) for frame in self.frames]
-            writer = csv.DictWriter(stream, fieldnames=list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        io.save_csv(path, [[item.name for item in fields(FrameErrors)], *map(astuple, self.frames)])
 
 
 def _frames(evaluation: Evaluation) -> Table:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import importlib
 import os
 import shutil
@@ -106,11 +105,7 @@ def write_csv(rollouts: Mapping[str, Rollout], folder: Path, rate: float | None 
                 columns.append(values[:, j])
         header += [f"end effector {axis} [m]" for axis in "xyz"] + [f"end effector q{part} [1]" for part in "wxyz"]
         pose = np.hstack([rollout.link_position[:, -1], rollout.link_quaternion[:, -1]])
-        with (folder / f"{name}.csv").open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(header)
-            # Python writes the shortest decimals that are read as the same numbers.
-            writer.writerows(np.column_stack([*columns, pose])[rows].tolist())
+        io.save_csv(folder / f"{name}.csv", [header, *np.column_stack([*columns, pose])[rows].tolist()])
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import parquet
 
+from lieednn_sim import io
 from lieednn_sim.errors import InputError
 from lieednn_sim.exports.formats import Episode, samples
 from lieednn_sim.simulation import Rollout
@@ -114,7 +115,7 @@ def write_dataset(
     }
     statistics = {name: _statistics(values) for name, values in whole.items()}
     for path, content in zip(described, (info, statistics), strict=True):
-        path.write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")
+        io.save_json(path, content)
 
 
 def _with_indices(frames: Mapping[str, NDArray[Any]], number: int, begin: int, fps: float) -> dict[str, NDArray[Any]]:

@@ -11,12 +11,13 @@ from lieednn_sim.io.reading import take as take
 from lieednn_sim.io.writing import MARK as MARK
 from lieednn_sim.io.writing import atomic_path as atomic_path
 from lieednn_sim.io.writing import atomic_paths as atomic_paths
-from lieednn_sim.io.writing import atomic_text as atomic_text
 from lieednn_sim.io.writing import check_outputs as check_outputs
 from lieednn_sim.io.writing import fingerprint as fingerprint
 from lieednn_sim.io.writing import locked as locked
 from lieednn_sim.io.writing import make_directory as make_directory
 from lieednn_sim.io.writing import output_folder as output_folder
 from lieednn_sim.io.writing import save_arrays as save_arrays
+from lieednn_sim.io.writing import save_csv as save_csv
 from lieednn_sim.io.writing import save_json as save_json
+from lieednn_sim.io.writing import save_text as save_text
 from lieednn_sim.io.writing import short as short

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import hashlib
 import json
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -195,18 +196,21 @@ def _sync(path: Path) -> None:
             raise
 
 
-@contextlib.contextmanager
-def atomic_text(path: StrPath) -> Iterator[IO[str]]:
-    """Open ``path`` for text; the file appears only when the block succeeds."""
+def save_text(path: StrPath, text: str) -> None:
+    """Write a text, atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="")
+
+
+def save_csv(path: StrPath, rows: Iterable[Iterable[Any]]) -> None:
+    """Write rows, of which the first has the names of the columns, as CSV, atomically; numbers are exact."""
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
-        yield stream
+        csv.writer(stream, lineterminator="\n").writerows(rows)
 
 
 def save_json(path: StrPath, value: Any) -> None:
     """Write ``value`` as indented JSON, atomically."""
-    text = json.dumps(value, indent=2, allow_nan=False)
-    with atomic_text(path) as stream:
-        stream.write(text + "\n")
+    save_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
 def save_arrays(path: StrPath, kind: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> None:

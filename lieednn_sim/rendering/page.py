@@ -98,8 +98,7 @@ def render_page(rollout: Rollout, path: StrPath, *, camera: str | None = None, t
         style=_STYLE.replace("RATIO", f"{recording.ratio:.3f}"),
         header="<header>" + "".join(f"<span>{text}</span>" for text in texts) + "</header>",
     )
-    with io.atomic_text(path) as stream:
-        stream.write(page)
+    io.save_text(path, page)
 
 
 class Recording(NamedTuple):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
+from itertools import chain
 from pathlib import Path
 from typing import Any, Generic, Self
 
@@ -145,10 +145,7 @@ class Table(Generic[R]):
     def write_csv(self, path: StrPath) -> None:
         """Write all rows as a CSV file, in the order of their keys, below the names of the columns."""
         names = [entry.name for entry in fields(self._kind)]
-        with io.atomic_text(path) as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(names)
-            writer.writerows([getattr(row, name) for name in names] for row in self.rows.values())
+        io.save_csv(path, chain([names], ([getattr(row, name) for name in names] for row in self.rows.values())))
 
     def _require_same(self, settings: Mapping[str, Any], packages: Mapping[str, str], where: str) -> None:
         """Raise `FileError` if the rows were made with other settings or versions."""

@@ -73,8 +73,7 @@ def write(results: Results, figures: dict[str, str], command: str, failures: lis
     for name, caption in figures.items():
         parts.append(f"![{Path(name).stem}]({name})\n\n{caption} ([PDF]({Path(name).stem}.pdf))\n")
     path = directory / "report.md"
-    with io.atomic_text(path) as stream:
-        stream.write("\n".join(parts))
+    io.save_text(path, "\n".join(parts))
     return path
 
 

@@ -13,7 +13,6 @@ from lieednn_sim.io import (
     MARK,
     atomic_path,
     atomic_paths,
-    atomic_text,
     check_outputs,
     fingerprint,
     load_arrays,
@@ -65,7 +64,7 @@ def test_failing_write_keeps_the_old_file_and_leaves_no_other(tmp_path, failure)
     path.write_text("old")
 
     def write():
-        with atomic_text(path) as stream:
+        with atomic_path(path) as temporary, temporary.open("w") as stream:
             stream.write("half of the new")
             stream.flush()
             raise failure("disk on fire")

@@ -54,8 +54,7 @@ def write_summary(path: StrPath, table: Table[Row], missing: Mapping[str, str] |
         lines.append(f"- {failure.total} x {failure.step}, as: {escaped(failure.example)} ({escaped(counts)})")
     if lines[-1] == "":
         lines.append("- none")
-    with io.atomic_text(path) as stream:
-        stream.write("\n".join(lines) + "\n")
+    io.save_text(path, "\n".join(lines) + "\n")
 
 
 def method(table: Table[Row]) -> str:

@@ -346,5 +346,4 @@ def write_reactions(path: StrPath, table: Table[Reaction]) -> None:
         if row.reason.startswith(("plan", "simulation", "error"))
     ]
     lines += ["", "## Could not be run", "", *map(escaped, failures)] if failures else []
-    with io.atomic_text(path) as stream:
-        stream.write("\n".join(lines) + "\n")
+    io.save_text(path, "\n".join(lines) + "\n")

@@ -171,8 +171,7 @@ def write_page(
         ],
         reaction_method=METHOD,
     )
-    with io.atomic_text(path) as stream:
-        stream.write(page)
+    io.save_text(path, page)
 
 
 def _violations(group: Group[Row]) -> int:
