@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +31,7 @@ from lieednn_sim.values import Floats, StrPath
 __all__ = ["plot"]
 
 _PUSH = "0.85"
-# Most names in a row of a legend, and in one of channels.
-_MOST_IN_ROW, _LABELS_IN_ROW = 7, 5
+_LABELS_IN_ROW = 5  # of a legend of channels, at most
 # Least half range of axes for errors [mm, deg] and percentages of a limit [%], so that small values look small.
 _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
 # Most rows of a plot of joints, and the length beyond which names are written smaller.
@@ -81,18 +80,13 @@ def plot_modes(rollout: Rollout, path: StrPath) -> None:
     """Plot the natural frequencies of what nothing drives along the reference, with the driven joints held there."""
     passive, some = PassiveJoints(rollout.arm), np.linspace(0, len(rollout.t) - 1, 41).astype(int)
     modes = [passive.modes(q) for q in rollout.q_ref[some]]
-    with drawn(path, 10.0, 3.4) as figure:
-        axis = _subplots(figure, rollout.t, 1, 1)[0, 0]
+    with _over_time(rollout, path, "[Hz]", "natural frequencies, and largest damping, of what nothing drives") as axis:
         # As many as there are everywhere; those that are overdamped in some places come last.
         for k, of_one in enumerate(zip(*modes, strict=False)):
             label = f"{k + 1} {of_one[0].joint} ({max(mode.damping for mode in of_one):.1%})"
             axis.semilogy(rollout.t[some], [mode.frequency for mode in of_one], label=label)
         for each in (axis.yaxis.set_major_formatter, axis.yaxis.set_minor_formatter):
             each("{x:g}")
-        _label(axis, "[Hz]", "natural frequencies, and largest damping, of what nothing drives")
-        axis.set_xlabel("time [s]")
-        _mark_events(axis, rollout)
-        _legend(figure, entries_of(axis) | _events(rollout))
 
 
 def plot_clearance(rollout: Rollout, path: StrPath) -> None:
@@ -109,18 +103,13 @@ def plot_clearance(rollout: Rollout, path: StrPath) -> None:
         t, *tracked = rollout.tracked
         least = bounds.least(*Cubics(t[1] - t[0], *tracked).around(some[:-1], some[1:])[:3], FAR)[0]
     low, high = min(1.05 * min(distance), 0.0), 1e3 * FAR
-    with drawn(path, 10.0, 3.4) as figure:
-        axis = _subplots(figure, rollout.t, 1, 1)[0, 0]
+    with _over_time(rollout, path, "[mm]", f"distance from contact, up to {high:g} mm") as axis:
         proved = {"fill": True, "color": COLOURS[2], "alpha": 0.4, "label": "proved"}
         axis.stairs(1e3 * np.maximum(least, 0.0), rollout.t[some], **proved)
         for stretch in rollout.clearance.unproved:
             axis.axvspan(*stretch, color=COLOURS[1], alpha=0.4, lw=0.0, label="not proved")
         axis.plot(rollout.t[some], distance, color=COLOURS[0], label="measured at samples")
         axis.set_ylim(low, high)
-        _label(axis, "[mm]", f"distance from contact, up to {high:g} mm")
-        axis.set_xlabel("time [s]")
-        _mark_events(axis, rollout)
-        _legend(figure, entries_of(axis) | _events(rollout))
 
 
 def plot_network(rollout: Rollout, path: StrPath) -> None:
@@ -170,7 +159,7 @@ def plot_network(rollout: Rollout, path: StrPath) -> None:
             axis.set_xlabel("time [s]")
         for axis in others:
             axis.set_visible(False)
-        _legend(figure, entries_of(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)})
+        fitted_legend(figure, entries_of(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)})
 
 
 def bends(xi: Floats, target: Floats) -> Floats:
@@ -211,7 +200,7 @@ def plot_tracking(rollout: Rollout, path: StrPath) -> None:
             lower.set_xlabel("time [s]")
         for axis in axes.ravel():
             _mark_events(axis, rollout)
-        _legend(figure, entries_of(axes[0, 0]) | _events(rollout))
+        fitted_legend(figure, entries_of(axes[0, 0]) | _events(rollout))
 
 
 def plot_channels(rollout: Rollout, path: StrPath) -> None:
@@ -233,6 +222,18 @@ def plot_channels(rollout: Rollout, path: StrPath) -> None:
         axes[-1].set_xlabel("time [s]")
 
 
+@contextmanager
+def _over_time(rollout: Rollout, path: StrPath, unit: str, title: str) -> Iterator[Any]:
+    """One axis over the times of a run, which is drawn on in the block, with the run's events."""
+    with drawn(path, 10.0, 3.4) as figure:
+        axis = _subplots(figure, rollout.t, 1, 1)[0, 0]
+        yield axis
+        _label(axis, unit, title)
+        axis.set_xlabel("time [s]")
+        _mark_events(axis, rollout)
+        fitted_legend(figure, entries_of(axis) | _events(rollout))
+
+
 def _subplots(figure: Figure, t: Floats, rows: int, columns: int) -> Any:
     """Axes ``(rows, columns)`` over the times t."""
     axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
@@ -246,11 +247,6 @@ def _label(axis: Any, unit: str, title: str = "", **font: Any) -> None:
     """Set the label of the ordinate, and the title."""
     axis.set_ylabel(unit, **font)
     axis.set_title(title, loc="left", **font)
-
-
-def _legend(figure: Figure, entries: Mapping[str, Any]) -> None:
-    """Explain lines and patches by their names above all axes."""
-    fitted_legend(figure, entries, _MOST_IN_ROW)
 
 
 def _mark_events(axis: Any, rollout: Rollout) -> None:
@@ -285,7 +281,7 @@ def plot_joints(rollout: Rollout, path: StrPath) -> None:
             "reference": Line2D([], [], color=COLOURS[4], ls="--"),
             "limits": Line2D([], [], color=COLOURS[1], lw=0.8),
         }
-        _legend(figure, entries | _events(rollout))
+        fitted_legend(figure, entries | _events(rollout))
 
 
 def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:

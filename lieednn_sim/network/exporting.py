@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lieednn_sim.errors import InputError, LieEDNNError
+from lieednn_sim.errors import InputError
 from lieednn_sim.io import atomic_path, atomic_paths, make_directory
 from lieednn_sim.network.base import BlockNetwork
+from lieednn_sim.registry import optional_module
 from lieednn_sim.values import StrPath
 
 _PHI = {"tanh": "tanh(x)", "arctan": "(0.63661977236758134308 * atan(1.57079632679489661923 * (x)))"}
@@ -142,11 +143,8 @@ def _array(values: NDArray[Any]) -> str:
 
 def write_onnx(network: BlockNetwork, activation: str, path: StrPath, bias_input: bool) -> None:
     """Write the graph to a file; see `ComponentwiseNetwork.to_onnx`."""
-    try:
-        import onnx
-        import onnx.parser
-    except ImportError:
-        raise LieEDNNError("to_onnx needs the library onnx: pip install 'lieednn_sim[onnx]'") from None
+    onnx = optional_module("onnx")
+    optional_module("onnx.parser")
     if activation != "tanh":
         raise InputError(f"an ONNX graph is made of tanh, not of the activation {activation!r}")
     size, driven = network.bias.size, len(network.driven_weight)
