@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim.budget import cpu_time
+from lieednn_sim.budget import cpu_time, one_blas_thread
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.alignment import Demonstrations, displacement, shown_part, warp
 from lieednn_sim.learning.demonstrations.family import CodeSpread, Response, with_response
@@ -118,7 +118,8 @@ class ShapedMotion(LearnedMotion):
         """
         (spread, *_), rng = self._family(), as_generator("seed", seed)
         root = np.sqrt(spread.scale(self._inputs(as_floats("start", start, (6,))))) * spread.root
-        drawn = rng.normal(size=(as_count("count", count), root.shape[1])) @ root.T
+        with one_blas_thread():  # and each by itself: sums of BLAS depend on its threads, and on how many rows there are
+            drawn = np.matvec(root, rng.normal(size=(as_count("count", count), root.shape[1])))
         return tuple(self._coded(code) for code in drawn)
 
     def condition(self, via: ArrayLike, *, fraction: float, noise: float = 0.0) -> ShapedMotion:

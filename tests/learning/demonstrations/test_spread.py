@@ -117,7 +117,8 @@ def test_doubt_grows_with_the_distance_from_the_demonstrations(noisy, learned):
 def test_samples_are_motions_drawn_from_the_distribution(noisy, learned):
     start = noisy.mean[0] + [0.0, 0.0, 0.0, 0.03, 0.0, 0.0]
     drawn = learned.sample(start, 600, seed=5)
-    assert drawn[7] == learned.sample(start, 8, seed=5)[7]
+    for count in (8, 9, 61):  # of which the sums in a product of matrices would depend
+        assert drawn[7] == learned.sample(start, count, seed=5)[7]
     assert drawn[7] != drawn[8]
     t = np.append(0.0, noisy.t[[40, 100, 160]])
     basis = np.stack([bump_row(tau) for tau in np.interp(t[1:], learned.t, learned.tau)])
