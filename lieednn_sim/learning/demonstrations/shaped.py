@@ -118,7 +118,7 @@ class ShapedMotion(LearnedMotion):
         """
         (spread, *_), rng = self._family(), as_generator("seed", seed)
         root = np.sqrt(spread.scale(self._inputs(as_floats("start", start, (6,))))) * spread.root
-        with one_blas_thread():  # and each by itself: sums of BLAS depend on its threads, and on how many rows there are
+        with one_blas_thread():  # and one by one: sums of BLAS depend on its threads, and on the number of rows
             drawn = np.matvec(root, rng.normal(size=(as_count("count", count), root.shape[1])))
         return tuple(self._coded(code) for code in drawn)
 
