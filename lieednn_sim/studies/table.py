@@ -132,14 +132,17 @@ class Table(Generic[R]):
         timed = [column.name for column in columns_of(self._kind) if column.timed]
         names = [_quoted(entry.name) for entry in fields(self._kind) if entry.name not in timed]
         differ = " OR ".join(f"mine.{name} IS NOT its.{name}" for name in names)
-        self._record(other.user_files, other.commits)
-        self._rows = None
+        attach = "ATTACH ? AS part", (_address(other.path, "rw"),)
         with _connected(self.path) as base:
-            base.execute("ATTACH ? AS part", (_address(other.path, "rw"),))
+            base.execute(*attach)
             both = f"SELECT {key} FROM rows AS mine JOIN part.rows AS its USING ({key}) WHERE {differ} LIMIT 1"
             if result := base.execute(both).fetchone():
                 what = ", ".join(map(str, result))
                 raise FileError(f"{self.path} and {other.path} disagree on {what}; remove one of them")
+        self._record(other.user_files, other.commits)
+        self._rows = None
+        with _connected(self.path) as base:
+            base.execute(*attach)
             base.execute("INSERT OR IGNORE INTO rows SELECT * FROM part.rows")
 
     def write_csv(self, path: StrPath) -> None:

@@ -182,10 +182,12 @@ def test_tables_are_merged_unless_they_disagree(table, tmp_path):
     assert table.rows == {row.key: row for row in [*ROWS, Measured("c", 1, count=7)]}
     assert Table(table.path, Measured).user_files == (file,)
     before = dict(table.rows)
+    part = begin(tmp_path / "part", files=[UserFile("arm", "other", "other.xml", "1" * 64)])
     part.add([Measured("d", 1), replace(ROWS[0], group=None)])
     with pytest.raises(FileError, match=r"table.sqlite and .*part.*table.sqlite disagree on b, 2; remove one"):
         table.merge(part)
     assert table.rows == before
+    assert Table(table.path, Measured).user_files == (file,), "nor is the other arm a name of this table's"
     (tmp_path / "other").mkdir()
     with pytest.raises(FileError, match=r"other.* was made with duration 9, in .*table.sqlite 1.5"):
         table.merge(begin(tmp_path / "other", {**SETTINGS, "duration": 9}))
