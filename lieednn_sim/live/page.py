@@ -160,7 +160,7 @@ def view(
 
     Raises:
         InputError: a value is malformed or unknown, or the controller cannot drive the arm.
-        LieEDNNError: viser, of the extra ``view``, is not installed.
+        LieEDNNError: viser, of the extra ``view``, or the planner's library is not installed.
     """
     optional_module("mjviser.conversions")  # before the work
     shown = arm if isinstance(arm, Arm) else Arm.load(arm)

@@ -74,16 +74,21 @@ class Panel:
 
     def _menus(self) -> None:
         gui, settings = self._server.gui, self._session.wanted
+
+        def slider(label: str, field: str, low: float, high: float, step: float, hint: str | None = None) -> Any:
+            value = getattr(settings, field)  # which may be beyond what is usual
+            return gui.add_slider(label, min(low, value), max(high, value), step=step, initial_value=value, hint=hint)
+
         planners = tuple(name for name, entry in PLANNERS.items() if not entry.install)
         hint = f"for the policies {' and '.join(PLANNED)}"
         menus = {
             "policy": gui.add_dropdown("policy", tuple(POLICIES), initial_value=settings.policy),
             "planner": gui.add_dropdown("planner", planners, initial_value=settings.planner, hint=hint),
-            "rho": gui.add_slider("rho", 0.05, 1.0, step=0.05, initial_value=settings.rho, hint="of lieednn-shaped"),
+            "rho": slider("rho", "rho", 0.05, 1.0, 0.05, "of lieednn-shaped"),
             "filtered": gui.add_checkbox("safety filter", settings.filtered),
             "controller": gui.add_dropdown("controller", tuple(CONTROLLERS), initial_value=settings.controller),
-            "payload": gui.add_slider("payload kg", 0.0, 5.0, step=0.25, initial_value=settings.payload),
-            "mass_scale": gui.add_slider("mass scale", 0.5, 2.0, step=0.05, initial_value=settings.mass_scale),
+            "payload": slider("payload kg", "payload", 0.0, 5.0, 0.25),
+            "mass_scale": slider("mass scale", "mass_scale", 0.5, 2.0, 0.05),
         }
         for name, menu in menus.items():
             menu.on_update(lambda event, name=name: self._session.choose(**{name: event.target.value}))

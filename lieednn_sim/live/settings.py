@@ -32,6 +32,7 @@ class Settings:
 
     Raises:
         InputError: a name is unknown, or a number is out of range.
+        LieEDNNError: the planner's library is not installed.
     """
 
     policy: str = "lieednn-shaped"
@@ -45,7 +46,7 @@ class Settings:
     def __post_init__(self) -> None:
         POLICIES.find(self.policy)
         if self.planner is not None:
-            PLANNERS.find(self.planner)
+            PLANNERS.require(self.planner)
         CONTROLLERS.find(self.controller)
         check_fields(self, as_positive, "rho")
         self.disturbances  # noqa: B018 (checks the numbers)

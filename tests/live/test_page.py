@@ -12,6 +12,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import lieednn_sim as ls
+from lieednn_sim import registry
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.live import Page, Session, Settings
@@ -224,6 +225,16 @@ def test_other_machines_are_let_in_with_a_warning_and_only_when_asked_for():
     assert "at 0.0.0.0 can see the page" in warning("0.0.0.0")
     with pytest.warns(UserWarning, match="anybody who can reach this machine"), ls.view(host="0.0.0.0", browser=False):
         pass
+
+
+def test_a_load_beyond_the_usual_ones_is_shown_and_a_planner_that_is_not_installed_is_refused(monkeypatch):
+    given = {"payload": 800.0, "mass_scale": 3.0, "rho": 0.02}
+    with ls.view(browser=False, **given) as page:
+        shown = [handle.value for handle in page._server.gui._gui_input_handle_from_uuid.values()]
+        assert set(given.values()) <= {value for value in shown if isinstance(value, float)}
+    monkeypatch.setattr(registry.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(LieEDNNError, match=r"'rrt-connect' is not installed: pip install 'lieednn_sim\[rivals\]'"):
+        ls.view(browser=False, planner="rrt-connect")
 
 
 def test_without_viser_one_line_says_what_to_install(monkeypatch):
