@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import daqp
@@ -13,6 +13,7 @@ from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.arm import Arm
 from lieednn_sim.arm.forces import tangent_basis
 from lieednn_sim.arm.regions import TaskSpaceRegion
+from lieednn_sim.budget import report
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.lie import transforms
 from lieednn_sim.validation import Seed, as_floats, as_generator
@@ -32,9 +33,10 @@ def solve_ik(
     *,
     start: ArrayLike | str = "home",
     seed: Seed = 0,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Floats:
     """Find a joint position, within the limits and free of contact, that puts the end effector at a pose.
+
+    Who `reporting` names is told, before each attempt, how many are done, and of their largest number.
 
     Args:
         arm: the arm.
@@ -42,15 +44,13 @@ def solve_ik(
         rotation: orientation of the end effector; free when omitted.
         start: joint coordinates ``(n,)`` to stay near, or a keyframe's name.
         seed: seed of the random starts that are tried when the first one fails.
-        progress: called before each attempt with the number of those done and the largest one; an exception of it ends
-            the search.
 
     Raises:
         InputError: a value is malformed.
         NoSolutionError: no such joint position was found; the message says how close the search came.
     """
     search = _Search(arm, _Point(position, rotation), None, arm.check_start(start))
-    return next(search.solutions(seed, several=False, progress=progress))
+    return next(search.solutions(seed, several=False))
 
 
 def ik_candidates(
@@ -133,9 +133,7 @@ class _Search:
         self._zero = np.zeros(arm.model.nq)
         self._zero[arm.space.ball_addresses[:, 0]] = 1.0
 
-    def solutions(
-        self, seed: Seed, *, several: bool, progress: Callable[[int, int], None] | None = None
-    ) -> Iterator[Floats]:
+    def solutions(self, seed: Seed, *, several: bool) -> Iterator[Floats]:
         """Solutions near the start or, where several are wanted, near a random position each after the first one.
 
         Raises as `solve_ik` if there is none.
@@ -143,8 +141,8 @@ class _Search:
         rng, (low, high) = as_generator("seed", seed), self._arm.position_limits.T
         best, closest, refused, solved = np.inf, self._start, "", False
         for attempt in range(_MOST):
-            if progress is not None:
-                progress(attempt, _MOST)
+            if not several:
+                report(attempt, _MOST)
             q = self._start if attempt == 0 else rng.uniform(low, high)
             # If what is near the start is refused, the next ones are near random positions, too.
             q, distance = self._descend(q, q if several or refused else self._start)

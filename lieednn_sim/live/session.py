@@ -125,7 +125,7 @@ class Session:
 
         def search() -> None:
             try:
-                q = solve_ik(self._aimer_arm, goal, rotation, start=near, progress=self._aimer.check)
+                q = solve_ik(self._aimer_arm, goal, rotation, start=near)
             except NoSolutionError as error:
                 problem = str(error)
                 self._requests.put(lambda: self._refuse(goal, rotation, problem))

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm, solve_ik
+from lieednn_sim.budget import reporting
 from lieednn_sim.errors import FileError, InputError, NoSolutionError
 from lieednn_sim.registry import DEFAULT_ARMS
 
@@ -176,8 +177,8 @@ def test_reach_names_the_joints_that_end_at_their_limits_and_can_be_ended(gantry
         if done == 2:
             raise TimeoutError
 
-    with pytest.raises(TimeoutError):
-        solve_ik(gantry, [5.0, 0.0, 0.0], progress=end)
+    with pytest.raises(TimeoutError), reporting(end):
+        solve_ik(gantry, [5.0, 0.0, 0.0])
     assert asked == [(0, 32), (1, 32), (2, 32)]
 
 
