@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
+from threadpoolctl import threadpool_limits
 
 from lieednn_sim import budget, registry
 from lieednn_sim.rendering import opengl
@@ -35,9 +36,11 @@ if TYPE_CHECKING:
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-# NumPy's BLAS reads this when it loads. One thread: the test workers share the cores, and results don't depend on them.
+# One thread: the test workers share the cores, and results don't depend on them. BLAS reads these when it loads, which
+# NumPy's has done by now.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
+threadpool_limits(1, "blas")
 
 # To wait for the disk makes nothing safer here; `test_platform.py` walks the road with the system's own.
 os.fsync = os.fstat

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
 from lieednn_sim.budget import check_time, cpu_time, default_limit, one_blas_thread
-from lieednn_sim.errors import LieEDNNError, NoSolutionError, PlanError
+from lieednn_sim.errors import LieEDNNError, NoSolutionError, OutOfTimeError, PlanError
 from lieednn_sim.learning.demonstrations import LearnedMotion
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion, joint_scale, travelled
@@ -87,6 +87,8 @@ def plan_learned(
                 guide = Plan(_timed(problem, path, learned.t), target=path[-1], planner=LEARNED)
                 result = followed_guide(problem, ShapedOptions(), guide)
                 motion = retime(free, result.motion) if fastest else result.motion
+            except OutOfTimeError:
+                raise
             except LieEDNNError as error:
                 refusal = refusal or str(error)
                 continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import mujoco
@@ -10,8 +11,9 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 import lieednn_sim as ls
+from lieednn_sim import budget
 from lieednn_sim.cli import main
-from lieednn_sim.errors import FileError, NoSolutionError, PlanError
+from lieednn_sim.errors import FileError, NoSolutionError, OutOfTimeError, PlanError
 from lieednn_sim.learning.demonstrations import Demonstration, LearnedMotion, ShapedMotion, align
 from lieednn_sim.lie import transforms
 from lieednn_sim.planning.time_laws import recorded_law
@@ -97,6 +99,16 @@ def test_what_cannot_be_done_says_why(learned):
         PlanError, match=r"at \d+ % of the way the end effector cannot come nearer .* give another goal or start"
     ):
         ls.plan_learned(ARM, learned, start="home", goal=far)
+
+
+def test_a_budget_that_is_spent_at_the_end_is_what_is_told(learned, monkeypatch):
+    clock = itertools.count()
+    monkeypatch.setattr(budget, "cpu_time", clock.__next__)
+    with ls.time_limit(1e9):
+        ls.plan_learned(ARM, learned)
+    budget_s = float(next(clock) - 3)
+    with pytest.raises(OutOfTimeError, match=f"the budget of {budget_s:g} s of CPU time"), ls.time_limit(budget_s):
+        ls.plan_learned(ARM, learned)
 
 
 def test_the_commands_take_it_to_a_run(learned, tmp_path, capsys):
