@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -40,7 +41,8 @@ def write(comparisons: Mapping[str, StrPath], folder: Path) -> None:
             "limit": f"{settings_of(table).time_budget:g}",
         }
         for part in grouped(table.rows.values(), ("arm", "scene", "controller")):
-            experiment = "-".join("_".join(str(word).split()) for word in part.key)
+            # A controller of one's own is called by the path of its file.
+            experiment = re.sub(r"[\s/\\:]+", "_", "-".join(map(str, part.key)))
             lines = _log(experiment, part.rows, **head)
             (folder / f"{name}-{experiment}.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
 

@@ -16,8 +16,8 @@ from lieednn_sim.studies.comparison.rows import Row
 from lieednn_sim.studies.comparison.study import Comparison
 
 
-def row(planner, scene, seed, reason="", **measured):
-    return Row("telescopic_pr", scene, planner, "mocap", seed, 1.0, reason, **measured)
+def row(planner, scene, seed, reason="", controller="mocap", **measured):
+    return Row("telescopic_pr", scene, planner, controller, seed, 1.0, reason, **measured)
 
 
 @pytest.fixture
@@ -58,6 +58,13 @@ def test_the_tool_of_ompl_makes_its_database_of_the_logs(comparison, tmp_path, m
         (f"lieednn_sim {ls.__version__}", 60.0, 3, 4.25),
         (f"lieednn_sim {ls.__version__}", 60.0, 1, 0.125),
     ]
+
+
+def test_a_controller_from_a_file_has_a_log(tmp_path):
+    table = Comparison().open(tmp_path / "table")
+    table.add([row("dmp", "free", 0, controller="my code/servo.py:make")])
+    (log,) = export(table.path.parent, tmp_path / "out", format="plannerarena")
+    assert log == tmp_path / "out/comparison-telescopic_pr-free-my_code_servo.py_make.log"
 
 
 def test_what_is_no_comparison_or_has_no_rows_is_refused(tmp_path, monkeypatch, capsys):
