@@ -83,6 +83,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         planned_force_fraction=None if motion is None else force_use(arm, motion.t, motion.q, motion.qd),
         causes=() if all(frame.arrived for frame in frames) else error_causes(rollout),
         load=load_metrics(rollout, clearance=clearance),
+        sequence=bool(rollout.steps),
         **violations(rollout),
     )
 

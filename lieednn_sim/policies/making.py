@@ -93,8 +93,8 @@ def make_policy(
         name: a name of `POLICIES`, or ``file.py:function`` of one's own.
         arm: the arm, in its scene.
         target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; a step may have another.
-            Or a plan or a motion, which ends there: the one that ``tracker`` tracks, and ``dmp`` and
-            ``lieednn-replanning`` begin with. By default these plan one.
+            Or a plan or a motion, which ends there: the one that ``tracker`` tracks, and ``dmp``,
+            ``lieednn-replanning`` and ``lieednn-chunks`` begin with. By default these plan one; others refuse it.
         rate: control rate [Hz]; by default 100, or the nearest that divides that of the model's steps.
         start: joint coordinates ``(n,)`` at the beginning, or a keyframe's name.
         feedback: settings of the feedback from the measured joints; None for no feedback.
@@ -119,5 +119,10 @@ def make_policy(
     policy = entry.load()(task, *given)
     if not isinstance(policy, Policy):
         raise InputError(f"policy {name!r} must be a Policy, its function returned {type(policy).__name__}")
+    if planned and "motion" not in vars(task):
+        raise InputError(
+            f"policy {name!r} would go to the end of this motion on a way of its own: give it joint positions; "
+            "tracker, dmp, lieednn-replanning and lieednn-chunks follow a motion, NetworkPolicy a plan's network"
+        )
     policy.reset(task.start)
     return policy

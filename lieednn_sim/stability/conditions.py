@@ -147,8 +147,8 @@ class Verdict:
 def assess(
     weight: ArrayLike,
     *,
-    gamma: float,
-    mu: float,
+    gamma: float = 1.0,
+    mu: float = 1.0,
     rotational_weight: ArrayLike | None = None,
     lyapunov_diagonal: ArrayLike | None = None,
 ) -> Verdict:
