@@ -120,9 +120,7 @@ def make_policy(
     if not isinstance(policy, Policy):
         raise InputError(f"policy {name!r} must be a Policy, its function returned {type(policy).__name__}")
     if planned and "motion" not in vars(task):
-        raise InputError(
-            f"policy {name!r} would go to the end of this motion on a way of its own: give it joint positions; "
-            "tracker, dmp, lieednn-replanning and lieednn-chunks follow a motion, NetworkPolicy a plan's network"
-        )
+        others = "tracker, dmp, lieednn-replanning, lieednn-chunks, or a NetworkPolicy of the plan's network"
+        raise InputError(f"policy {name!r} would go to the end of this motion on a way of its own; take {others}")
     policy.reset(task.start)
     return policy
