@@ -281,13 +281,10 @@ def _frames(evaluation: Evaluation) -> Table:
 def _joints(evaluation: Evaluation) -> Table:
     rows = table("joints", "joint", "peak velocity", "of limit", "peak force", "of limit", "constraints")
     for name, velocity, fastest, force, strongest, held in map(astuple, evaluation.joints):
-        parts = _percent(velocity, fastest), _percent(force, strongest)
+        uses = (velocity, fastest), (force, strongest)
+        parts = ["-" if limit == float("inf") else f"{value / limit:.0%}" for value, limit in uses]
         rows.add_row(name, rounded(velocity), parts[0], rounded(force), parts[1], rounded(held))
     return rows
-
-
-def _percent(value: float, limit: float) -> str:
-    return "-" if limit == float("inf") else f"{value / limit:.0%}"
 
 
 def _recoveries(evaluation: Evaluation) -> Table:

@@ -47,12 +47,11 @@ _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
 _LOOKS = 33
 # The part of the limits of acceleration with which it brakes before what is not proved.
 _HARD = 0.8
-# Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once [s].
-_FADE, _HORIZON = 0.2, 1.5
+# Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once; and how far
+# ahead its last target may be: beyond that its times are of another clock, or in another unit [s].
+_FADE, _HORIZON, _FARTHEST = 0.2, 1.5, 120.0
 # How far the network may be from the motion whose clearance is proved [rad, m].
 _TOLERANCE = 1e-3
-# How far ahead the last target of a chunk may be [s]: beyond that its times are of another clock, or in another unit.
-_FARTHEST = 120.0
 # Rate at which the reference comes back to the network after limits held it back [1/s].
 _RETURN = 20.0
 

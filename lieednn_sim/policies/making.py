@@ -20,6 +20,9 @@ from lieednn_sim.registry import POLICIES
 from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields
 
+#: Policies of the package that follow a motion, where they are given one.
+FOLLOWERS = "dmp", "lieednn-chunks", "lieednn-replanning", "tracker"
+
 _Make = TypeVar("_Make", bound=Callable[..., Policy])
 
 
@@ -120,7 +123,7 @@ def make_policy(
     if not isinstance(policy, Policy):
         raise InputError(f"policy {name!r} must be a Policy, its function returned {type(policy).__name__}")
     if planned and "motion" not in vars(task):
-        others = "tracker, dmp, lieednn-replanning, lieednn-chunks, or a NetworkPolicy of the plan's network"
+        others = f"{', '.join(FOLLOWERS)}, or a NetworkPolicy of the plan's network"
         raise InputError(f"policy {name!r} would go to the end of this motion on a way of its own; take {others}")
     policy.reset(task.start)
     return policy
