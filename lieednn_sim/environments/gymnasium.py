@@ -122,8 +122,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         if self.render_mode is None:
             return None
         if self._camera is None:
-            self._camera = Camera(self.task.arm, size=self._size, preset=self._preset)
-            self._resources.push(self._camera)
+            self._camera = self._resources.enter_context(Camera(self.task.arm, size=self._size, preset=self._preset))
         self._camera.mark(self.task.target(self.task.time))
         return self._camera.picture(self.task.simulation.q)
 
