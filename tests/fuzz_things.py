@@ -75,7 +75,8 @@ CHANGING |= {*POLICY_CLASSES}
 
 def _policy(kind: str, **how: Any) -> Any:
     arm, motion = thing("Arm"), thing("Motion")
-    return policies.make_policy(kind, arm, motion, start=motion.q[0], **how)
+    alone = kind in ("fabric", "linear-attractor", "mppi")
+    return policies.make_policy(kind, arm, motion.q[-1] if alone else motion, start=motion.q[0], **how)
 
 
 def _table() -> Any:

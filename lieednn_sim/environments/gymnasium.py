@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -46,13 +47,18 @@ __all__ = ["ENVIRONMENTS", "Environment", "VectorEnvironment"]
 #: Name of the task of each registered Gymnasium environment, by the environment's id.
 ENVIRONMENTS = {"LieEDNN/TelescopicReach-v0": "reach", "LieEDNN/TelescopicTrack-v0": "track"}
 
-Stepped = tuple[dict[str, Floats], Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
+Stepped = tuple[Any, Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
-def observation_space(bounds: Bounds) -> spaces.Dict:
-    """Space of a task's observations."""
-    return spaces.Dict({name: spaces.Box(low, high, dtype=np.float64) for name, (low, high) in bounds.items()})
+def observations(bounds: Bounds, flat: bool) -> tuple[spaces.Space[Any], Callable[[Observation], Any]]:
+    """Space of a task's observations, and what shows one or many of them: as they are, or each as a vector."""
+    space = spaces.Dict({name: spaces.Box(low, high, dtype=np.float64) for name, (low, high) in bounds.items()})
+    if not flat:
+        return space, lambda seen: seen
+    return spaces.flatten_space(space), lambda seen: np.concatenate(
+        [seen[name].reshape(*seen["position"].shape[:-1], -1) for name in space], axis=-1
+    )
 
 
 class Environment(gymnasium.Env[Any, Floats]):
@@ -97,10 +103,8 @@ class Environment(gymnasium.Env[Any, Floats]):
         self._size, self._preset = size, preset
         self._camera: Camera | None = None
         self._resources = contextlib.ExitStack()
-        self._space = observation_space(self.task.bounds)
-        self.observation_space = spaces.flatten_space(self._space) if flat else self._space
+        self.observation_space, self._shown = observations(self.task.bounds, flat)
         self.action_space = spaces.Box(-1.0, 1.0, (self.task.arm.n_joints,), np.float64)
-        self._flat = flat
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; see Gymnasium, and `Reach` for the option ``target``."""
@@ -118,8 +122,7 @@ class Environment(gymnasium.Env[Any, Floats]):
         if self.render_mode is None:
             return None
         if self._camera is None:
-            self._camera = Camera(self.task.arm, size=self._size, preset=self._preset)
-            self._resources.push(self._camera)
+            self._camera = self._resources.enter_context(Camera(self.task.arm, size=self._size, preset=self._preset))
         self._camera.mark(self.task.target(self.task.time))
         return self._camera.picture(self.task.simulation.q)
 
@@ -128,18 +131,15 @@ class Environment(gymnasium.Env[Any, Floats]):
         self._resources.close()
         self._camera = None
 
-    def _shown(self, observation: Observation) -> Any:
-        return spaces.flatten(self._space, observation) if self._flat else observation
 
-
-class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, Any]):
+class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
     """Many environments that are stepped together, as a Gymnasium vector environment.
 
     Each is equal to an `Environment` with its seed, up to rounding.
 
     Args:
         num_envs: number of environments, B.
-        task, arm, scene, options: as of `Environment`.
+        task, arm, scene, flat, options: as of `Environment`.
         autoreset_mode: when the next episode begins, see Gymnasium.
         threads: number of threads; by default, the number of processors.
 
@@ -156,6 +156,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         scene: StrPath = "free",
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
+        flat: bool = False,
         **options: Any,
     ) -> None:
         self.task = make_task(task, arm, scene=scene, **options)
@@ -165,7 +166,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
             autoreset_mode = AutoresetMode(as_choice("autoreset_mode", autoreset_mode, modes))
         self.autoreset_mode = autoreset_mode
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_fps": round(1.0 / self.task.control_timestep)}
-        self.single_observation_space = observation_space(self.task.bounds)
+        self.single_observation_space, self._shown = observations(self.task.bounds, flat)
         self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.arm.n_joints,), np.float64)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -188,7 +189,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Floats], dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin episodes, with seed + i in environment i; ``options`` may hold Gymnasium's ``reset_mask``."""
         if seed is None or isinstance(seed, int | np.integer):
             seed = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
@@ -228,8 +229,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
             over = terminated | truncated
             for i in np.flatnonzero(over).tolist():
                 last = State._make(values[i] for values in seen)
-                ended = {"final_obs": task.observations.split(last.row.copy()), "final_info": last.info()}
-                infos = self._add_info(infos, ended, i)
+                shown = self._shown(task.observations.split(last.row.copy()))
+                infos = self._add_info(infos, {"final_obs": shown, "final_info": last.info()}, i)
             waiting |= over
         self._begin(np.flatnonzero(waiting), {})
         return self._observed(), rewards, terminated, truncated, infos | self._infos(np.ones_like(waiting))
@@ -238,9 +239,9 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[dict[str, Floats], Floats, An
         """Stop the threads."""
         self._rollouts.close()
 
-    def _observed(self) -> dict[str, Floats]:
+    def _observed(self) -> Any:
         # Contiguous copies.
-        return {name: values.copy() for name, values in self.task.observations.split(self._seen.row).items()}
+        return self._shown({name: seen.copy() for name, seen in self.task.observations.split(self._seen.row).items()})
 
     def _infos(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
         infos = dict[str, Any]()

@@ -120,6 +120,7 @@ class Evaluation:
         proof: what is proved of the run's distances from contact (`Rollout.clearance`), and `Rollout.outside`.
         proved: whether it is proved that nothing touched at any instant: the run stayed inside its plan's proof.
         contacts: largest number of simultaneous contacts.
+        sequence: whether it is a run of a sequence, in which contacts are no failure, since grasps are some.
         peak_contact_force_n: largest normal force of a contact.
         peak_weld_force_n: largest force between a link and its mocap body; zero without mocap bodies.
         peak_weld_torque_n_m: largest torque between them.
@@ -160,6 +161,7 @@ class Evaluation:
     proof: str = ""
     proved: bool = False
     load: LoadMetrics | None = None
+    sequence: bool = False
     settling_s: float | None = field(init=False)
     final_effector_mm: float = field(init=False)
     final_effector_deg: float = field(init=False)
@@ -203,7 +205,7 @@ class Evaluation:
     @property
     def shortfall(self) -> str:
         """Why the rollout is no success, or an empty string: a contact, or a link that does not end at its target."""
-        if self.contacts:
+        if self.contacts and not self.sequence:
             return f"contact: up to {self.contacts} at a time"
         for frame in self.frames:
             if not frame.arrived:
@@ -214,9 +216,10 @@ class Evaluation:
     def arrival(self) -> str:
         """Whether the arm ended at its target, and touched nothing, in a few words."""
         off = f"{rounded(self.final_worst_mm, 1e-3)} mm and {rounded(self.final_worst_deg, 1e-3)} degrees off"
+        touched = f"{self.contacts} contacts at a time, " if self.contacts else ""
         if self.shortfall:
-            return f"fails: {f'{self.contacts} contacts at a time, ' if self.contacts else ''}a link ends {off}"
-        return f"arrives after {_seconds(self.settling_s)} s, ends {off}"
+            return f"fails: {touched}a link ends {off}"
+        return f"arrives after {_seconds(self.settling_s)} s, {touched}ends {off}"
 
     @property
     def notes(self) -> list[str]:
@@ -263,29 +266,20 @@ def _frames(evaluation: Evaluation) -> Table:
         rows.add_row(name, *(rounded(error, 1e-3) for error in errors), _seconds(settling))
     rows.caption = (
         f"the end effector moves {evaluation.displacement_m:.2f} m (path {evaluation.path_m:.2f} m) in "
-        f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}; "
+        f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}"
     )
     if plan := evaluation.plan:
-        rows.caption += f"mechanism gap of the plan: {rounded(plan.gap_mm)} mm, {rounded(plan.gap_deg)} degrees"
+        rows.caption += f"; mechanism gap of the plan: {rounded(plan.gap_mm)} mm, {rounded(plan.gap_deg)} degrees"
     return rows
 
 
 def _joints(evaluation: Evaluation) -> Table:
     rows = table("joints", "joint", "peak velocity", "of limit", "peak force", "of limit", "constraints")
-    for joint in evaluation.joints:
-        rows.add_row(
-            joint.name,
-            rounded(joint.peak_velocity),
-            _percent(joint.peak_velocity, joint.velocity_limit),
-            rounded(joint.peak_force),
-            _percent(joint.peak_force, joint.force_limit),
-            rounded(joint.peak_constraint_force),
-        )
+    for name, velocity, fastest, force, strongest, held in map(astuple, evaluation.joints):
+        uses = (velocity, fastest), (force, strongest)
+        parts = ["-" if limit == float("inf") else f"{value / limit:.0%}" for value, limit in uses]
+        rows.add_row(name, rounded(velocity), parts[0], rounded(force), parts[1], rounded(held))
     return rows
-
-
-def _percent(value: float, limit: float) -> str:
-    return "-" if limit == float("inf") else f"{value / limit:.0%}"
 
 
 def _recoveries(evaluation: Evaluation) -> Table:

@@ -52,6 +52,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
     proof = rollout.clearance if clearance else None
     weld_force, weld_torque = (rollout.channels.get(f"weld_{load}", np.zeros(1)) for load in ("force", "torque"))
     speeds, forces, held = (np.abs(x).max(axis=0) for x in (rollout.qd, rollout.force, rollout.constraint_force))
+    joints = arm.joint_names, speeds, arm.velocity_limits, forces, arm.force_limits, held
     frames = tuple(frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names))
     return Evaluation(
         arm=arm.name,
@@ -64,12 +65,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         motion_s=rollout.motion_end,
         plan=None if motion is None else motion_metrics(arm, motion),
         frames=frames,
-        joints=tuple(
-            JointUse(name, *map(float, numbers))
-            for name, *numbers in zip(
-                arm.joint_names, speeds, arm.velocity_limits, forces, arm.force_limits, held, strict=True
-            )
-        ),
+        joints=tuple(JointUse(name, *map(float, numbers)) for name, *numbers in zip(*joints, strict=True)),
         path_m=float(np.linalg.norm(np.diff(tip, axis=0), axis=1).sum()),
         displacement_m=float(np.linalg.norm(tip[-1] - tip[0])),
         clearance_mm=1e3 * least if np.isfinite(least) else None,
@@ -83,6 +79,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         planned_force_fraction=None if motion is None else force_use(arm, motion.t, motion.q, motion.qd),
         causes=() if all(frame.arrived for frame in frames) else error_causes(rollout),
         load=load_metrics(rollout, clearance=clearance),
+        sequence=bool(rollout.steps),
         **violations(rollout),
     )
 

@@ -50,8 +50,9 @@ def judge(
 ) -> tuple[list[tuple[float, ChunkCurve]], list[Finding]]:
     """What is wrong with a chunk, and the curves of its parts between jumps, mended.
 
-    Joints beyond their limits are moved to them, and single targets far off their neighbours between these. Far is
-    what neither the limits of acceleration nor the noise of the others explain.
+    Joints beyond their limits are moved to them, unless one is beyond by more than its range, as in a wrong unit, and
+    single targets far off their neighbours between these. Far is what neither the limits of acceleration nor the noise
+    of the others explain.
 
     Args:
         arm: the arm.
@@ -73,7 +74,10 @@ def judge(
 
     low, high = arm.position_limits.T
     mended = np.minimum(np.maximum(arm.within_angles(targets), low), high)
-    for row, joint in np.argwhere(np.abs(mended - targets) > LIMIT_TOLERANCE).tolist():
+    beyond = np.abs(mended - targets)
+    if (beyond > arm.ranges).any():
+        repaired = [kind for kind in repaired if kind != "limits"]
+    for row, joint in np.argwhere(beyond > LIMIT_TOLERANCE).tolist():
         note("limits", "is at", row, joint, targets[row, joint], mended[row, joint])
     speed = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
     most = np.minimum(2.0 * step * arm.acceleration_limits, speed) * step

@@ -68,7 +68,7 @@ class ChunkStep:
         chunk = transition.get("action")
         if chunk is not None:
             self._like, targets = getattr(chunk, "new_tensor", np.asarray), np.asarray(chunk, dtype=float)
-            targets = targets[0] if targets.ndim == 3 else targets
+            targets = targets[0] if targets.ndim == 3 and len(targets) == 1 else targets
             delay = (transition.get("complementary_data") or {}).get("delay", self._delay)
             begin = policy.now - float(delay)
             verdict = policy.accept(targets[..., :n] * self._scale, begin, self._dt)

@@ -47,8 +47,9 @@ _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
 _LOOKS = 33
 # The part of the limits of acceleration with which it brakes before what is not proved.
 _HARD = 0.8
-# Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once [s].
-_FADE, _HORIZON = 0.2, 1.5
+# Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once; and how far
+# ahead its last target may be: beyond that its times are of another clock, or in another unit [s].
+_FADE, _HORIZON, _FARTHEST = 0.2, 1.5, 120.0
 # How far the network may be from the motion whose clearance is proved [rad, m].
 _TOLERANCE = 1e-3
 # Rate at which the reference comes back to the network after limits held it back [1/s].
@@ -155,7 +156,7 @@ class ChunkPolicy(ReplanningPolicy):
             chunk: ``(H, n)`` joint targets [rad, m], at most 256; or H poses of the end effector in the world, of which
                 each becomes the joint target next to the one before (`solve_ik`), in about a millisecond.
             t0: the time of `now` for which the first one is [s]. If that is yet to come, what goes on before goes on
-                until then.
+                until then. The last target may be up to two minutes ahead.
             dt: time between two targets [s].
 
         Returns:
@@ -197,13 +198,15 @@ class ChunkPolicy(ReplanningPolicy):
             begin, step = float(as_floats("t0", t0, ())), as_positive("dt", dt)
         except (InputError, NoSolutionError, TypeError, ValueError) as error:
             raise _RefusedError(Finding(kind, str(error))) from None
-        last, old = begin + (len(targets) - 1) * step, ""
+        last, kind, old = begin + (len(targets) - 1) * step, "stale", ""
         if last < self.now - 1e-9:
             old = f"its last target was for {last:.3f} s, it is {self.now:.3f} s"
         elif begin < self._newest:
             old = f"it begins at {begin:.3f} s, one that begins at {self._newest:.3f} s came before"
+        elif last > self.now + _FARTHEST:
+            kind, old = "times", f"its last target is for {last:.1f} s, it is {self.now:.1f} s; t0 counts as policy.now"
         if old:
-            raise _RefusedError(Finding("stale", old))
+            raise _RefusedError(Finding(kind, old))
         return targets, begin, step
 
     def _at_poses(self, poses: RigidTransform) -> Floats:

@@ -20,6 +20,9 @@ from lieednn_sim.registry import POLICIES
 from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields
 
+#: Policies of the package that follow a motion, where they are given one.
+FOLLOWERS = "dmp", "lieednn-chunks", "lieednn-replanning", "tracker"
+
 _Make = TypeVar("_Make", bound=Callable[..., Policy])
 
 
@@ -93,8 +96,8 @@ def make_policy(
         name: a name of `POLICIES`, or ``file.py:function`` of one's own.
         arm: the arm, in its scene.
         target: joint coordinates ``(n,)``, or a keyframe's name, for which networks are made; a step may have another.
-            Or a plan or a motion, which ends there: the one that ``tracker`` tracks, and ``dmp`` and
-            ``lieednn-replanning`` begin with. By default these plan one.
+            Or a plan or a motion, which ends there: the one that ``tracker`` tracks, and ``dmp``,
+            ``lieednn-replanning`` and ``lieednn-chunks`` begin with. By default these plan one; others refuse it.
         rate: control rate [Hz]; by default 100, or the nearest that divides that of the model's steps.
         start: joint coordinates ``(n,)`` at the beginning, or a keyframe's name.
         feedback: settings of the feedback from the measured joints; None for no feedback.
@@ -119,5 +122,8 @@ def make_policy(
     policy = entry.load()(task, *given)
     if not isinstance(policy, Policy):
         raise InputError(f"policy {name!r} must be a Policy, its function returned {type(policy).__name__}")
+    if planned and "motion" not in vars(task):
+        others = f"{', '.join(FOLLOWERS)}, or a NetworkPolicy of the plan's network"
+        raise InputError(f"policy {name!r} would go to the end of this motion on a way of its own; take {others}")
     policy.reset(task.start)
     return policy

@@ -76,7 +76,8 @@ class Certificate:
 
     def __str__(self) -> str:
         verdict = "globally stable for every bias" if self.valid else "not certified"
-        return f"{verdict}: lambda_max {self.lambda_max:.6g} against gamma/mu {self.bound:.6g}"
+        near = f", below by {self.bound - self.lambda_max:.2g}" if self.valid and self.margin < 1e-5 else ""
+        return f"{verdict}: lambda_max {self.lambda_max:.6g} against gamma/mu {self.bound:.6g}{near}"
 
 
 def verify(lyapunov_diagonal: ArrayLike, weight: ArrayLike, *, gamma: float = 1.0, mu: float = 1.0) -> Certificate:

@@ -21,16 +21,8 @@ from lieednn_sim.values import Floats
 
 #: Names of the stability conditions in hierarchical order; a verdict's level is one of these, or "none".
 CONDITIONS = (
-    "1-norm",
-    "infinity norm",
-    "norm sum",
-    "log norm 1",
-    "log norm infinity",
-    "weighted log norm",
-    "log norm 2",
-    "contraction",
-    "diagonal Lyapunov",
-    "local",
+    *("1-norm", "infinity norm", "norm sum", "log norm 1", "log norm infinity", "weighted log norm", "log norm 2"),
+    *("contraction", "diagonal Lyapunov", "local"),
 )
 
 # Couplings stronger than this, relative to the decay, make a network stiff: explicit integrators need very many steps.
@@ -147,8 +139,8 @@ class Verdict:
 def assess(
     weight: ArrayLike,
     *,
-    gamma: float,
-    mu: float,
+    gamma: float = 1.0,
+    mu: float = 1.0,
     rotational_weight: ArrayLike | None = None,
     lyapunov_diagonal: ArrayLike | None = None,
 ) -> Verdict:

@@ -226,8 +226,8 @@ class Robustness:
 def robustness(
     weight: ArrayLike,
     *,
-    gamma: float,
-    mu: float,
+    gamma: float = 1.0,
+    mu: float = 1.0,
     pushed: ArrayLike | None = None,
     rotational_weight: ArrayLike | None = None,
     lyapunov_diagonal: ArrayLike | None = None,

@@ -31,10 +31,11 @@ def assert_same(one: Any, other: Any) -> None:
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 @pytest.mark.parametrize(
-    ("task", "arm", "goal"), [("reach", "telescopic_pr", "end-effector"), ("track", "telescopic_compound", "links")]
+    ("task", "arm", "goal", "flat"),
+    [("reach", "telescopic_pr", "end-effector", True), ("track", "telescopic_compound", "links", False)],
 )
-def test_each_is_as_gymnasium_has_it_one_after_the_other(task, arm, goal, mode):
-    given = {"task": task, "arm": arm, "goal": goal, "time_limit": 0.1}
+def test_each_is_as_gymnasium_has_it_one_after_the_other(task, arm, goal, flat, mode):
+    given = {"task": task, "arm": arm, "goal": goal, "flat": flat, "time_limit": 0.1}
     many = VectorEnvironment(4, threads=3, autoreset_mode=mode, **given)
     single = SyncVectorEnv([lambda: Environment(**given)] * 4, autoreset_mode=mode)
     assert many.observation_space == single.observation_space

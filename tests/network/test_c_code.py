@@ -97,6 +97,7 @@ def test_the_header_has_the_certificate_and_says_when_there_is_none(tmp_path):
     header = (bare.to_c(tmp_path) / "lieednn_numbers.h").read_text()
     assert "#define LIEEDNN_LAMBDA_MAX NAN " in header
     assert "not certified: nothing is proved" in header
+    assert "certified" not in (tmp_path / "lieednn.h").read_text()
 
 
 def test_what_has_no_c_code_is_refused(tmp_path, monkeypatch):

@@ -66,6 +66,8 @@ def test_a_transition_has_its_own_delay_and_a_refused_chunk_says_why():
     assert (result["info"], step.policy.verdict.dropped) == ({"chunk": "accepted"}, 10)
     assert step({"action": CHUNK * np.nan})["info"]["chunk"].startswith("refused; nan: chunk")
     assert step.policy.counts["nan"] == 1
+    # Of two robots.
+    assert step({"action": np.stack([CHUNK, CHUNK])})["info"]["chunk"].startswith("refused; shape: chunk")
     step.reset()
     np.testing.assert_allclose(step({"observation": {"observation.state": TO}})["action"], TO, atol=1e-9)
 

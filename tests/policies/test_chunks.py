@@ -93,6 +93,9 @@ def test_a_long_chunk_is_coded_piece_by_piece(gantry):
         (np.array([[0.0, 0.0, np.nan, 0.0]] * 2), 0.0, 0.1, "nan"),
         (np.zeros((5, 4)), np.nan, 0.1, "times"),
         (np.zeros((5, 4)), 0.0, 0.0, "times"),
+        (np.zeros((5, 4)), 1.8e9, 0.1, "times"),  # of the clock on the wall
+        (np.zeros((5, 4)), 0.6, 40.0, "times"),  # milliseconds
+        (np.array([[0.0, 60.0, 0.0, 0.0]] * 5), 0.6, 0.1, "limits"),  # degrees
         (np.zeros((5, 4)), 0.1, 0.1, "stale"),  # it is 0.6 s, and the last one is for 0.5 s
         (np.zeros((5, 4)), 0.25, 0.1, "stale"),  # before the one that came before
         (np.linspace(HOME, [0.0, 0.0, -1.5, 0.0], 30), 0.5, 0.1, "contact"),

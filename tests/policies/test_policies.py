@@ -243,3 +243,5 @@ def test_bad_input(gantry):
     ):
         with pytest.raises(InputError, match=words):
             make_policy(*arguments, gantry, GOAL, **named)
+    with pytest.raises(InputError, match="'fabric' would go to the end of this motion on a way of its own"):
+        make_policy("fabric", gantry, plan(gantry, GOAL, planner="minimum-jerk"))

@@ -90,6 +90,7 @@ def test_the_boundary_itself_is_not_certified(size):
         assert certificate.margin <= 0.0
         assert "not certified" in str(certificate)
     assert verify(np.ones(3), 0.999 * rotation).valid
+    assert str(verify(np.ones(3), (1.0 - 1e-9) * np.eye(3))).endswith("lambda_max 1 against gamma/mu 1, below by 1e-09")
 
 
 def lyapunov_function(diagonal, x, equilibrium):

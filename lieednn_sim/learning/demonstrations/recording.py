@@ -6,6 +6,7 @@ an array with three axes holds several demonstrations of the same length.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
 from functools import cached_property, partial
 from pathlib import Path
@@ -179,10 +180,11 @@ def load_demonstrations(
     layout = Layout(_COUNTS, _WORDS, partial(_pose_columns, quaternion), as_positive("rate", rate), time_unit)
     how = length, quaternion, rate
     shown = tuple(Demonstration.from_samples(q, t, *how, source) for source, q, t in read_tables(files, layout))
-    for other in shown[1:]:
-        if other.dof != shown[0].dof:
-            each = f"{shown[0].source} has {shown[0].shown}, {other.source} {other.shown}"
-            raise InputError(f"demonstrations must all show the same: {each}")
+    if other := next((each for each in shown if each.dof != shown[0].dof), None):
+        each = f"{shown[0].source} has {shown[0].shown}, {other.source} {other.shown}"
+        raise InputError(f"demonstrations must all show the same: {each}")
+    if (across := max(float(np.ptp(each.position, axis=0).max()) for each in shown)) > 10.0:
+        warnings.warn(f"positions span {across:.3g} m, read in {unit}; units: {', '.join(UNITS)}", stacklevel=2)
     return shown
 
 

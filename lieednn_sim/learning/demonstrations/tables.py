@@ -114,11 +114,8 @@ def _several(path: Path, samples: NDArray[Any], t: NDArray[Any] | None = None) -
         raise InputError(f"{path}: demonstrations must have shape (K, D) or (n, K, D), got {samples.shape}")
     if t is not None and t.shape not in (samples.shape[-2:-1], samples.shape[:-1]):
         raise InputError(f"{path}: times must have shape {samples.shape[-2:-1]}, one for each sample, got {t.shape}")
-    if samples.ndim == 2:
-        yield samples, t
-    else:
-        for number, item in enumerate(samples):
-            yield item, t if t is None or t.ndim == 1 else t[number]
+    for number, item in enumerate(samples if samples.ndim == 3 else samples[None]):
+        yield item, t if t is None or t.ndim == 1 else t[number]
 
 
 def _npy(path: Path, _: Layout) -> Iterator[Table]:
@@ -134,7 +131,7 @@ def _npz(path: Path, layout: Layout) -> Iterator[Table]:
     named: list[str] = [name for name in ("poses", "positions") if name in arrays]
     named = named or [name for name in arrays if not TIME.fullmatch(name.lower())]
     if len(named) != 1:
-        raise InputError(f"{path} must hold one array named 'poses' or 'positions'; it holds: {', '.join(arrays)}")
+        raise InputError(f"{path} must hold 'poses', or 'positions' and 'quaternions'; it holds: {', '.join(arrays)}")
     samples = arrays.pop(named[0])
     if quaternions is not None:
         samples = np.concatenate([samples, quaternions], axis=-1)

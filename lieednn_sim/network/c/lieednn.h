@@ -1,4 +1,4 @@
-/* A certified neural ODE, x' = -gamma x + mu (W phi(x) + b), as C99; lieednn_numbers.h has its proof and its numbers.
+/* A neural ODE, x' = -gamma x + mu (W phi(x) + b), as C99; lieednn_numbers.h has its numbers, and says what is proved.
 
    A neuron's state is a twist (omega [rad], v in the network's unit of length); visible neurons come first. */
 #ifndef LIEEDNN_H

@@ -26,6 +26,7 @@ from lieednn_sim.planning import Plan, ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.policies import FilteredPolicy, Policy, make_policy
+from lieednn_sim.policies.making import FOLLOWERS
 from lieednn_sim.simulation import Disturbances, Following, Push, follow
 from lieednn_sim.studies.comparison.study import FREE, arm_and_target
 from lieednn_sim.studies.reactions.disturbing import PUSH_TIME, UndisturbedPath, pushing_force, walking_pole
@@ -121,7 +122,7 @@ class Task:
     def policy(self, name: str, *, obstructed: bool = False) -> Policy:
         """A policy of `COMPARED` for this task, or for one with a moving obstacle."""
         kind, options, filtered = COMPARED[name]
-        goal = Plan(self.motion, target=self.target)
+        goal = Plan(self.motion, target=self.target) if kind in FOLLOWERS else self.target
         policy = make_policy(kind, self.arm, goal, rate=100.0, convergence_rate=2.0, options=options, seed=self.seed)
         if filtered and (obstructed or self.scene != FREE):
             policy = FilteredPolicy(policy)

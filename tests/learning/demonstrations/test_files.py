@@ -89,7 +89,9 @@ def test_what_may_be_the_time_is_not_passed_over(tmp_path, header, message):
     rows = np.column_stack(columns[: max(3, len(header.split(",")))])
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=header, comments="")
     if not message:  # numbers of rows are no times
-        assert load_demonstrations([tmp_path / "a.csv"])[0].t[1] == 0.01
+        with pytest.warns(UserWarning, match="positions span 16 m, read in m; units: m, cm, mm"):
+            assert load_demonstrations([tmp_path / "a.csv"])[0].t[1] == 0.01
+        assert load_demonstrations([tmp_path / "a.csv"], unit="cm")[0].position[-1, 0] == 0.16
         return
     with pytest.raises(InputError, match=message):
         load_demonstrations([tmp_path / "a.csv"])
