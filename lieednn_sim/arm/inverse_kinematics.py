@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import daqp
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import minimize
 
 from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.arm import Arm
@@ -94,30 +95,30 @@ class _Point:
     """A position of the end effector, with an orientation or without."""
 
     def __init__(self, position: ArrayLike, rotation: Rotation | None) -> None:
-        self._place = as_floats("position", position, (3,))
+        self.place = as_floats("position", position, (3,))
         # No arm reaches further, and squares stay far from overflow.
-        if np.abs(self._place).max() > 1e6:
-            raise InputError(f"position must be within 1e+06 m of the origin, got {np.abs(self._place).max():g} m")
+        if np.abs(self.place).max() > 1e6:
+            raise InputError(f"position must be within 1e+06 m of the origin, got {np.abs(self.place).max():g} m")
         self._rotation = rotation
         self._quaternion = None if rotation is None else as_floats("rotation", rotation.as_quat(), (4,))[[3, 0, 1, 2]]
 
     def error(self, place: Floats, turn: Floats) -> Floats:
         """Offset of a position ``(3,)`` [m], then rotation vector from the orientation, if any, to ``(3, 3)`` [rad]."""
         if self._quaternion is None:
-            return place - self._place
+            return place - self.place
         quaternion, turned = np.empty(4), np.empty(3)
         mujoco.mju_mat2Quat(quaternion, turn.ravel())
         mujoco.mju_subQuat(turned, self._quaternion, quaternion)
-        return np.concatenate([place - self._place, -turn @ turned])
+        return np.concatenate([place - self.place, -turn @ turned])
 
     def __str__(self) -> str:
-        place = ", ".join(f"{x:g}" for x in self._place)
+        place = ", ".join(f"{x:g}" for x in self.place)
         return f"({place}) m" + ("" if self._rotation is None else " with this orientation")
 
     def distance(self, pose: RigidTransform) -> tuple[Floats, Floats | None]:
         """Distance of a pose from the position [m], and the angle from the rotation, if there is one [rad]."""
         angle = None if self._rotation is None else (self._rotation.inv() * pose.rotation).magnitude()
-        return np.asarray(np.linalg.norm(pose.translation - self._place)), angle
+        return np.asarray(np.linalg.norm(pose.translation - self.place)), angle
 
 
 class _Search:
@@ -242,9 +243,20 @@ class _Search:
         contacts = self._arm.near_contacts(q)
         return f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}" if contacts else ""
 
+    def _nearest(self, goal: _Point, closest: Floats) -> Floats | None:
+        """The joint coordinates ``(n,)`` found with the end effector nearest to a position; None if it can be there."""
+        arm = self._arm
+        square = lambda q: np.sum((arm.tip(arm.within_angles(q)) - goal.place) ** 2)  # noqa: E731
+        # `_descend` gives up where no solution lies ahead, and orientations draw it elsewhere.
+        starts = closest, self._start, arm.position_limits.mean(axis=1)
+        best = min((minimize(square, q, bounds=arm.position_limits) for q in starts), key=lambda end: float(end.fun))
+        return None if best.fun < 1e-6 else arm.within_angles(best.x)
+
     def _failure(self, closest: Floats, refused: str) -> str:
         """The message that nothing was found, with the closest configuration ``(n,)``, or why solutions are refused."""
         arm, goal = self._arm, self._goal
+        if isinstance(goal, _Point) and not refused and (nearest := self._nearest(goal, closest)) is not None:
+            closest, goal = nearest, _Point(goal.place, None)
         where = str(goal) if isinstance(goal, _Point) else "the region"
         within = "" if self._path_constraint is None else " within the region of the path constraint"
         reach = f"the end effector cannot reach {where}{within}"

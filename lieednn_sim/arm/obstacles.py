@@ -68,7 +68,7 @@ def load_obstacles(path: StrPath) -> mujoco.MjSpec:
     if source.suffix.lower() == ".xml":
         spec = load_spec(source)
     else:
-        spec = shapes(io.load_description(source, "list of obstacles"), source)
+        spec = shapes(io.load_description(source, "scene"), source)
     for key in spec.keys:
         spec.delete(key)
     for site in spec.sites:
@@ -207,10 +207,10 @@ def _add_goal(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: P
 
 def _check_entries(entry: dict[str, Any], made_of: set[str]) -> None:
     allowed = made_of | {"position", "rpy", "quaternion"}
-    if missing := allowed - {"name", "rpy", "quaternion", "scale"} - entry.keys():
-        raise InputError(f"it has no {_listed(missing)}")
     if unknown := entry.keys() - allowed:
         raise InputError(f"unknown entries {_listed(unknown)}; allowed: {_listed(allowed)}")
+    if missing := allowed - {"name", "rpy", "quaternion", "scale"} - entry.keys():
+        raise InputError(f"it has no {_listed(missing)}")
 
 
 def _half_sizes(entry: dict[str, Any], shape: str) -> Floats:

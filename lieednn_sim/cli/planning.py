@@ -95,7 +95,8 @@ def plan_run(
             settle=planning.settle,
         )
     task = replace(task, target=tuple(result.target.tolist()))
-    head = f"planner: {planner}, {reason}; target: {planning.usual_target(arm) or planning.target or 'a pose'}"
+    place = "a pose" if planning.position is None else "({:g}, {:g}, {:g}) m".format(*planning.position)
+    head = f"planner: {planner}, {reason}; target: {planning.usual_target(arm) or planning.target or place}"
     return result, head, run.save_network(task, result.network, result.motion)
 
 

@@ -127,6 +127,7 @@ class Evaluation:
         recoveries: the effect of each push.
         planned_force_fraction: largest force that the plan needs of an actuator, in units of its limit, by inverse
             dynamics; None without a plan. That of the run is ``force_fraction``.
+        sequence: whether the run is of a sequence, in which a grasp is contact, and no contact is a failure.
         load: what the motion left swinging and bending; None for an arm on which nothing does.
         causes: if the arm does not end at its target, the reasons that its model gives, see `diagnosis.error_causes`.
     """
@@ -160,6 +161,7 @@ class Evaluation:
     causes: tuple[str, ...] = ()
     proof: str = ""
     proved: bool = False
+    sequence: bool = False
     load: LoadMetrics | None = None
     settling_s: float | None = field(init=False)
     final_effector_mm: float = field(init=False)
@@ -204,7 +206,7 @@ class Evaluation:
     @property
     def shortfall(self) -> str:
         """Why the rollout is no success, or an empty string: a contact, or a link that does not end at its target."""
-        if self.contacts:
+        if self.contacts and not self.sequence:
             return f"contact: up to {self.contacts} at a time"
         for frame in self.frames:
             if not frame.arrived:
@@ -216,7 +218,8 @@ class Evaluation:
         """Whether the arm ended at its target, and touched nothing, in a few words."""
         off = f"{rounded(self.final_worst_mm, 1e-3)} mm and {rounded(self.final_worst_deg, 1e-3)} degrees off"
         if self.shortfall:
-            return f"fails: {f'{self.contacts} contacts at a time, ' if self.contacts else ''}a link ends {off}"
+            touches = f"{self.contacts} contacts at a time, " if self.contacts and not self.sequence else ""
+            return f"fails: {touches}a link ends {off}"
         return f"arrives after {_seconds(self.settling_s)} s, ends {off}"
 
     @property
@@ -268,10 +271,11 @@ def _frames(evaluation: Evaluation) -> Table:
         rows.add_row(name, *(rounded(error, 1e-3) for error in errors), _seconds(settling))
     rows.caption = (
         f"the end effector moves {evaluation.displacement_m:.2f} m (path {evaluation.path_m:.2f} m) in "
-        f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}; "
+        f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}"
+        + (", of grasps too" if evaluation.sequence and evaluation.contacts else "")
     )
     if plan := evaluation.plan:
-        rows.caption += f"mechanism gap of the plan: {rounded(plan.gap_mm)} mm, {rounded(plan.gap_deg)} degrees"
+        rows.caption += f"; mechanism gap of the plan: {rounded(plan.gap_mm)} mm, {rounded(plan.gap_deg)} degrees"
     return rows
 
 

@@ -76,6 +76,7 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         proof="" if proof is None else "; ".join(filter(None, (str(proof), rollout.outside))),
         proved=proof is not None and proof.proved and not rollout.contacts.any(),
         contacts=int(rollout.contacts.max()),
+        sequence=bool(rollout.steps),
         peak_contact_force_n=float(rollout.contact_force.max()),
         peak_weld_force_n=float(weld_force.max()),
         peak_weld_torque_n_m=float(weld_torque.max()),

@@ -123,7 +123,7 @@ def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
     if massless:
         notes.append(f"links without <inertial> got a mass of 10 g: {', '.join(massless)}")
     if guessed:
-        notes.append(f"links without <inertial> have masses by their shapes, and no weight: {', '.join(guessed)}")
+        notes.append(f"links without <inertial> got the inertia of their shapes, but no weight: {', '.join(guessed)}")
     if mended:
         notes.append(f"physically impossible inertias made larger: {', '.join(mended)}")
 
