@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import daqp
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize
 
 from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.arm import Arm
@@ -249,7 +249,8 @@ class _Search:
         square = lambda q: np.sum((arm.tip(arm.within_angles(q)) - goal.place) ** 2)  # noqa: E731
         # `_descend` gives up where no solution lies ahead, and orientations draw it elsewhere.
         starts = closest, self._start, arm.position_limits.mean(axis=1)
-        best = min((minimize(square, q, bounds=arm.position_limits) for q in starts), key=lambda end: float(end.fun))
+        ends = [scipy.optimize.minimize(square, q, bounds=arm.position_limits) for q in starts]
+        best = min(ends, key=lambda end: float(end.fun))
         return None if best.fun < 1e-6 else arm.within_angles(best.x)
 
     def _failure(self, closest: Floats, refused: str) -> str:
