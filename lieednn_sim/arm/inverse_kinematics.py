@@ -243,21 +243,31 @@ class _Search:
         contacts = self._arm.near_contacts(q)
         return f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}" if contacts else ""
 
-    def _nearest(self, goal: _Point, closest: Floats) -> Floats | None:
-        """The joint coordinates ``(n,)`` found with the end effector nearest to a position; None if it can be there."""
-        arm = self._arm
-        square = lambda q: np.sum((arm.tip(arm.within_angles(q)) - goal.place) ** 2)  # noqa: E731
-        # `_descend` gives up where no solution lies ahead, and orientations draw it elsewhere.
-        starts = closest, self._start, arm.position_limits.mean(axis=1)
-        ends = [scipy.optimize.minimize(square, q, bounds=arm.position_limits) for q in starts]
-        best = min(ends, key=lambda end: float(end.fun))
-        return None if best.fun < 1e-6 else arm.within_angles(best.x)
+    def _nearest(self, closest: Floats) -> Floats:
+        """The joint coordinates ``(n,)`` found with the least error, of arms without ball joints.
+
+        `_descend` gives up where no solution lies ahead.
+        """
+
+        def square(q: Floats) -> tuple[float, Floats]:
+            self._data.qpos[:] = self._arm.space.to_qpos(q)
+            error, slopes = self._evaluate()
+            return float(error @ error), 2.0 * error @ slopes
+
+        limits = self._arm.position_limits
+        starts = closest, self._start, *np.random.default_rng(0).uniform(*limits.T, (2, len(limits)))
+        ends = [scipy.optimize.minimize(square, q, jac=True, bounds=limits, tol=1e-5) for q in starts]
+        return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
 
     def _failure(self, closest: Floats, refused: str) -> str:
         """The message that nothing was found, with the closest configuration ``(n,)``, or why solutions are refused."""
         arm, goal = self._arm, self._goal
-        if isinstance(goal, _Point) and not refused and (nearest := self._nearest(goal, closest)) is not None:
-            closest, goal = nearest, _Point(goal.place, None)
+        if isinstance(goal, _Point) and not refused and not len(arm.space.balls):
+            # If the position is out of reach however the end effector is turned, that is said.
+            point = _Point(goal.place, None)
+            nearest = _Search(arm, point, None, self._start)._nearest(closest)
+            if point.distance(arm.link_poses(nearest)[-1])[0] > 1e-3:
+                closest, goal = nearest, point
         where = str(goal) if isinstance(goal, _Point) else "the region"
         within = "" if self._path_constraint is None else " within the region of the path constraint"
         reach = f"the end effector cannot reach {where}{within}"
