@@ -254,9 +254,10 @@ class _Search:
             error, slopes = self._evaluate()
             return float(error @ error), 2.0 * error @ slopes
 
-        limits = self._arm.position_limits
-        starts = closest, self._start, *np.random.default_rng(0).uniform(*limits.T, (2, len(limits)))
-        ends = [scipy.optimize.minimize(square, q, jac=True, bounds=limits, tol=1e-5) for q in starts]
+        (low, high), rng = self._arm.position_limits.T, np.random.default_rng(0)
+        starts = closest, self._start, rng.uniform(low, high), rng.uniform(low, high)
+        bounds = scipy.optimize.Bounds(low, high)
+        ends = [scipy.optimize.minimize(square, q, jac=True, bounds=bounds, tol=1e-5) for q in starts]
         return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
 
     def _failure(self, closest: Floats, refused: str) -> str:

@@ -51,7 +51,7 @@ def drawn(path: StrPath, width: float, height: float) -> Iterator[Figure]:
         save_figure(figure, path)
 
 
-def fitted_legend(figure: Figure, entries: Mapping[str, Any], most: int) -> None:
+def fitted_legend(figure: Figure, entries: Mapping[str, Any], most: int = 7) -> None:
     """Explain handles by their names above all axes, ``most`` of them in a row, or as many as the figure is wide."""
     figure.dpi = _DPI
     for columns in range(min(len(entries), most), 0, -1):

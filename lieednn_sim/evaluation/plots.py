@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -31,8 +31,7 @@ from lieednn_sim.values import Floats, StrPath
 __all__ = ["plot"]
 
 _PUSH = "0.85"
-# Most names in a row of a legend, and in one of channels.
-_MOST_IN_ROW, _LABELS_IN_ROW = 7, 5
+_LABELS_IN_ROW = 5  # of channels
 # Least half range of axes for errors [mm, deg] and percentages of a limit [%], so that small values look small.
 _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
 # Most rows of a plot of joints, and the length beyond which names are written smaller.
@@ -92,7 +91,7 @@ def plot_modes(rollout: Rollout, path: StrPath) -> None:
         _label(axis, "[Hz]", "natural frequencies, and largest damping, of what nothing drives")
         axis.set_xlabel("time [s]")
         _mark_events(axis, rollout)
-        _legend(figure, entries_of(axis) | _events(rollout))
+        fitted_legend(figure, entries_of(axis) | _events(rollout))
 
 
 def plot_clearance(rollout: Rollout, path: StrPath) -> None:
@@ -120,7 +119,7 @@ def plot_clearance(rollout: Rollout, path: StrPath) -> None:
         _label(axis, "[mm]", f"distance from contact, up to {high:g} mm")
         axis.set_xlabel("time [s]")
         _mark_events(axis, rollout)
-        _legend(figure, entries_of(axis) | _events(rollout))
+        fitted_legend(figure, entries_of(axis) | _events(rollout))
 
 
 def plot_network(rollout: Rollout, path: StrPath) -> None:
@@ -170,7 +169,7 @@ def plot_network(rollout: Rollout, path: StrPath) -> None:
             axis.set_xlabel("time [s]")
         for axis in others:
             axis.set_visible(False)
-        _legend(figure, entries_of(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)})
+        fitted_legend(figure, entries_of(axes[0, 0]) | {"target": Line2D([], [], color="0.3", ls="--", lw=0.9)})
 
 
 def bends(xi: Floats, target: Floats) -> Floats:
@@ -213,7 +212,7 @@ def plot_tracking(rollout: Rollout, path: StrPath) -> None:
             lower.set_xlabel("time [s]")
         for axis in axes.ravel():
             _mark_events(axis, rollout)
-        _legend(figure, entries_of(axes[0, 0]) | _events(rollout))
+        fitted_legend(figure, entries_of(axes[0, 0]) | _events(rollout))
 
 
 def plot_channels(rollout: Rollout, path: StrPath) -> None:
@@ -250,11 +249,6 @@ def _label(axis: Any, unit: str, title: str = "", **font: Any) -> None:
     axis.set_title(title, loc="left", **font)
 
 
-def _legend(figure: Figure, entries: Mapping[str, Any]) -> None:
-    """Explain lines and patches by their names above all axes."""
-    fitted_legend(figure, entries, _MOST_IN_ROW)
-
-
 def _mark_events(axis: Any, rollout: Rollout) -> None:
     """Mark the end of the motion by a line, and each push by a band."""
     axis.axvline(rollout.motion_end, color="0.35", lw=0.9, ls="-.")
@@ -287,7 +281,7 @@ def plot_joints(rollout: Rollout, path: StrPath) -> None:
             "reference": Line2D([], [], color=COLOURS[4], ls="--"),
             "limits": Line2D([], [], color=COLOURS[1], lw=0.8),
         }
-        _legend(figure, entries | _events(rollout))
+        fitted_legend(figure, entries | _events(rollout))
 
 
 def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
