@@ -165,10 +165,8 @@ def shapes(value: Mapping[str, Any], source: Path) -> mujoco.MjSpec:
                 raise InputError(f"{where} must be a mapping, got {type(entry).__name__}")
             try:
                 add(spec, entry, number, source.parent, names)
-            except InputError as error:
-                raise InputError(f"{where}: {error}") from None
-            except FileError as error:
-                raise FileError(f"{where}: {error}") from None
+            except (InputError, FileError) as error:
+                raise type(error)(f"{where}: {error}") from None
     return spec
 
 

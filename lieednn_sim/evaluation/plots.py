@@ -144,17 +144,14 @@ def plot_network(rollout: Rollout, path: StrPath) -> None:
                 if i >= n:
                     axis.set_visible(False)
                     continue
-                for c, colour, name, width in zip(
-                    range(first, first + 3), COLOURS, "xyz", (2.8, 1.8, 1.0), strict=False
-                ):
+                looks = zip(COLOURS, "xyz", (2.8, 1.8, 1.0), strict=False)
+                for c, (colour, name, width) in enumerate(looks, first):
                     label = f"$\\omega_{name}$ / $v_{name}$"
                     # Those below are wider, so that equal ones are all seen.
                     axis.plot(motion.t, scale * motion.xi[:, i, c], color=colour, lw=width, label=label)
                     axis.axhline(scale * motion.xi_target[i, c], color=colour, ls="--", lw=0.9)
                 _label(axis, unit, f"{arm.link_names[i]} (neuron {i + 1}): {title}", fontsize=9)
-                shown = scale * np.vstack(
-                    [motion.xi[..., first : first + 3], motion.xi_target[None, :, first : first + 3]]
-                )
+                shown = scale * np.vstack([motion.xi, motion.xi_target[None]])[..., first : first + 3]
                 # Of all links alike; what is smaller is rounding.
                 margin = max(0.05 * float(np.ptp(shown)), 1e-3)
                 axis.set_ylim(shown.min() - margin, shown.max() + margin)
