@@ -244,20 +244,15 @@ class _Search:
         return f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}" if contacts else ""
 
     def _nearest(self, closest: Floats) -> Floats:
-        """The joint coordinates ``(n,)`` found with the least error, of arms without ball joints.
-
-        `_descend` gives up where no solution lies ahead.
-        """
+        """The coordinates ``(n,)`` of least error found, without ball joints; `_descend` ends where none reaches."""
 
         def square(q: Floats) -> tuple[float, Floats]:
             self._data.qpos[:] = self._arm.space.to_qpos(q)
             error, slopes = self._evaluate()
             return float(error @ error), 2.0 * error @ slopes
 
-        (low, high), rng = self._arm.position_limits.T, np.random.default_rng(0)
-        starts = closest, self._start, rng.uniform(low, high), rng.uniform(low, high)
-        bounds = scipy.optimize.Bounds(low, high)
-        ends = [scipy.optimize.minimize(square, q, jac=True, bounds=bounds, tol=1e-5) for q in starts]
+        how = {"jac": True, "bounds": self._arm.position_limits, "tol": 1e-5}
+        ends = [scipy.optimize.minimize(square, q, **how) for q in (closest, self._start)]
         return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
 
     def _failure(self, closest: Floats, refused: str) -> str:

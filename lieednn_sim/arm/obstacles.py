@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -91,8 +92,7 @@ def describe(obstacles: mujoco.MjSpec) -> tuple[str, str]:
     """A summary of a file's obstacles, and their fingerprint."""
     model = compile_spec(obstacles)
     kinds = map(mujoco.mjtGeom, model.geom_type[colliding_geoms(model)].tolist())
-    results = [kind.name.removeprefix("mjGEOM_").lower() for kind in kinds]
-    counts = [f"{results.count(kind)} {kind}" for kind in dict.fromkeys(results)]
+    counts = [f"{n} {kind.name.removeprefix('mjGEOM_').lower()}" for kind, n in Counter(kinds).items()]
     goals = len(_goals(model))
     where = f"targets in {goals} goal{'s' if goals > 1 else ''}" if goals else "targets anywhere"
     return f"{', '.join(counts)}; {where}", model_fingerprint(model)
@@ -133,11 +133,9 @@ def check_home(arm: SerialArm, scene: str) -> None:
         if moving[pair].sum() == 1 and any(model.body(root).name.startswith(PREFIX) for root in roots[pair]):
             names = [model.geom(g).name or model.body(model.geom_bodyid[g]).name for g in pair]
             part, obstacle = names if moving[pair[0]] else names[::-1]
-            raise InputError(
-                f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {scene!r} is within "
-                f"{1e3 * PLANNED_CLEARANCE:g} mm of {part!r} of arm {arm.name!r} at home; move it, or give the arm "
-                "another home"
-            )
+            what = f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {scene!r}"
+            near_what = f"{1e3 * PLANNED_CLEARANCE:g} mm of {part!r} of arm {arm.name!r} at home"
+            raise InputError(f"{what} is within {near_what}; move it, or give the arm another home")
 
 
 def _goals(model: mujoco.MjModel) -> list[int]:
@@ -197,10 +195,8 @@ def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folde
 
 def _add_goal(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: Path, _: set[str]) -> None:
     _check_entries(entry, {"size"})
-    kind, look = mujoco.mjtGeom.mjGEOM_BOX, {"group": _HIDDEN, "rgba": (0.1, 0.8, 0.3, 0.15)}
-    spec.worldbody.add_site(
-        name=f"{_GOAL}{number}", type=kind, size=_half_sizes(entry, "box"), **read_pose(entry), **look
-    )
+    look = {"type": mujoco.mjtGeom.mjGEOM_BOX, "group": _HIDDEN, "rgba": (0.1, 0.8, 0.3, 0.15)}
+    spec.worldbody.add_site(name=f"{_GOAL}{number}", size=_half_sizes(entry, "box"), **read_pose(entry), **look)
 
 
 def _check_entries(entry: dict[str, Any], made_of: set[str]) -> None:

@@ -198,9 +198,8 @@ def plot_tracking(rollout: Rollout, path: StrPath) -> None:
             # The axis extends to at least a tenth of the settled error, so that small errors look small.
             upper.set_ylim(0.0, max(1.08 * float(errors.max()), 0.1 * settled))
             _label(upper, unit, f"tracking error, {what}: planned to simulated frame")
-            # As the end effector's own line above, the last one.
-            look = {"color": upper.lines[-1].get_color(), "ls": upper.lines[-1].get_linestyle()}
-            lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), **look)
+            own = upper.lines[-1]  # the end effector's
+            lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), c=own.get_color(), ls=own.get_linestyle())
             lower.axhline(settled, color="0.4", ls="--", lw=0.9)
             place = {"xytext": (4, 3), "xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
             lower.annotate(f"settled: below {settled:g} {unit[1:-1]}", (0.0, settled), color="0.3", fontsize=8, **place)

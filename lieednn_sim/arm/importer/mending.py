@@ -49,8 +49,7 @@ def mend_joints(spec: mujoco.MjSpec, joints: Joints, notes: list[str]) -> None:
         low, high = joint.range
         if low > high:
             raise InputError(f"joint {name!r} of the URDF has the lower limit {low:g} above the upper one, {high:g}")
-        leader = element.find("mimic")
-        if leader is not None and leader.get("joint") not in joints:
+        if (leader := element.find("mimic")) is not None and leader.get("joint") not in joints:
             notes.append(f"{name}: moves by itself: the URDF has no joint {leader.get('joint')!r} to mimic")
         if limit is None or not {"lower", "upper"}.intersection(limit.keys()):
             notes.append(f"{name}: {kind}, but without limits in the URDF")
