@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import daqp
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from lieednn_sim._mujoco import mujoco, scratch_data
@@ -94,30 +95,30 @@ class _Point:
     """A position of the end effector, with an orientation or without."""
 
     def __init__(self, position: ArrayLike, rotation: Rotation | None) -> None:
-        self._place = as_floats("position", position, (3,))
+        self.place = as_floats("position", position, (3,))
         # No arm reaches further, and squares stay far from overflow.
-        if np.abs(self._place).max() > 1e6:
-            raise InputError(f"position must be within 1e+06 m of the origin, got {np.abs(self._place).max():g} m")
+        if np.abs(self.place).max() > 1e6:
+            raise InputError(f"position must be within 1e+06 m of the origin, got {np.abs(self.place).max():g} m")
         self._rotation = rotation
         self._quaternion = None if rotation is None else as_floats("rotation", rotation.as_quat(), (4,))[[3, 0, 1, 2]]
 
     def error(self, place: Floats, turn: Floats) -> Floats:
         """Offset of a position ``(3,)`` [m], then rotation vector from the orientation, if any, to ``(3, 3)`` [rad]."""
         if self._quaternion is None:
-            return place - self._place
+            return place - self.place
         quaternion, turned = np.empty(4), np.empty(3)
         mujoco.mju_mat2Quat(quaternion, turn.ravel())
         mujoco.mju_subQuat(turned, self._quaternion, quaternion)
-        return np.concatenate([place - self._place, -turn @ turned])
+        return np.concatenate([place - self.place, -turn @ turned])
 
     def __str__(self) -> str:
-        place = ", ".join(f"{x:g}" for x in self._place)
+        place = ", ".join(f"{x:g}" for x in self.place)
         return f"({place}) m" + ("" if self._rotation is None else " with this orientation")
 
     def distance(self, pose: RigidTransform) -> tuple[Floats, Floats | None]:
         """Distance of a pose from the position [m], and the angle from the rotation, if there is one [rad]."""
         angle = None if self._rotation is None else (self._rotation.inv() * pose.rotation).magnitude()
-        return np.asarray(np.linalg.norm(pose.translation - self._place)), angle
+        return np.asarray(np.linalg.norm(pose.translation - self.place)), angle
 
 
 class _Search:
@@ -240,9 +241,27 @@ class _Search:
         contacts = self._arm.near_contacts(q)
         return f"; at the solutions found {contacts[0][0]!r} touches {contacts[0][1]!r}" if contacts else ""
 
+    def _nearest(self, closest: Floats) -> Floats:
+        """The coordinates ``(n,)`` of least error found, without ball joints; `_descend` ends where none reaches."""
+
+        def square(q: Floats) -> tuple[float, Floats]:
+            self._data.qpos[:] = self._arm.space.to_qpos(q)
+            error, slopes = self._evaluate()
+            return float(error @ error), 2.0 * error @ slopes
+
+        how = {"jac": True, "bounds": self._arm.position_limits, "tol": 1e-5}
+        ends = [scipy.optimize.minimize(square, q, **how) for q in (closest, self._start)]
+        return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
+
     def _failure(self, closest: Floats, refused: str) -> str:
         """The message that nothing was found, with the closest configuration ``(n,)``, or why solutions are refused."""
         arm, goal = self._arm, self._goal
+        if isinstance(goal, _Point) and not refused and not len(arm.space.balls):
+            # If the position is out of reach however the end effector is turned, that is said.
+            point = _Point(goal.place, None)
+            nearest = _Search(arm, point, None, self._start)._nearest(closest)
+            if point.distance(arm.link_poses(nearest)[-1])[0] > 1e-3:
+                closest, goal = nearest, point
         where = str(goal) if isinstance(goal, _Point) else "the region"
         within = "" if self._path_constraint is None else " within the region of the path constraint"
         reach = f"the end effector cannot reach {where}{within}"

@@ -45,6 +45,8 @@ def arm_names() -> list[str]:
 
 def scene_path(arm: str) -> Path:
     """The scene file of an arm, or `InputError` listing the known arms."""
+    if Path(arm).suffix:
+        raise FileError(f"no arm {arm!r}: the files of arms end in {', '.join(MODEL_SUFFIXES + DESCRIPTION_SUFFIXES)}")
     ARMS.find(arm)
     return models_directory() / arm / "scene.xml"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,7 @@ def load_obstacles(path: StrPath) -> mujoco.MjSpec:
     if source.suffix.lower() == ".xml":
         spec = load_spec(source)
     else:
-        spec = shapes(io.load_description(source, "list of obstacles"), source)
+        spec = shapes(io.load_description(source, "scene"), source)
     for key in spec.keys:
         spec.delete(key)
     for site in spec.sites:
@@ -91,8 +92,7 @@ def describe(obstacles: mujoco.MjSpec) -> tuple[str, str]:
     """A summary of a file's obstacles, and their fingerprint."""
     model = compile_spec(obstacles)
     kinds = map(mujoco.mjtGeom, model.geom_type[colliding_geoms(model)].tolist())
-    results = [kind.name.removeprefix("mjGEOM_").lower() for kind in kinds]
-    counts = [f"{results.count(kind)} {kind}" for kind in dict.fromkeys(results)]
+    counts = [f"{n} {kind.name.removeprefix('mjGEOM_').lower()}" for kind, n in Counter(kinds).items()]
     goals = len(_goals(model))
     where = f"targets in {goals} goal{'s' if goals > 1 else ''}" if goals else "targets anywhere"
     return f"{', '.join(counts)}; {where}", model_fingerprint(model)
@@ -133,11 +133,9 @@ def check_home(arm: SerialArm, scene: str) -> None:
         if moving[pair].sum() == 1 and any(model.body(root).name.startswith(PREFIX) for root in roots[pair]):
             names = [model.geom(g).name or model.body(model.geom_bodyid[g]).name for g in pair]
             part, obstacle = names if moving[pair[0]] else names[::-1]
-            raise InputError(
-                f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {scene!r} is within "
-                f"{1e3 * PLANNED_CLEARANCE:g} mm of {part!r} of arm {arm.name!r} at home; move it, or give the arm "
-                "another home"
-            )
+            what = f"obstacle {obstacle.removeprefix(PREFIX)!r} of scene {scene!r}"
+            near_what = f"{1e3 * PLANNED_CLEARANCE:g} mm of {part!r} of arm {arm.name!r} at home"
+            raise InputError(f"{what} is within {near_what}; move it, or give the arm another home")
 
 
 def _goals(model: mujoco.MjModel) -> list[int]:
@@ -165,10 +163,8 @@ def shapes(value: Mapping[str, Any], source: Path) -> mujoco.MjSpec:
                 raise InputError(f"{where} must be a mapping, got {type(entry).__name__}")
             try:
                 add(spec, entry, number, source.parent, names)
-            except InputError as error:
-                raise InputError(f"{where}: {error}") from None
-            except FileError as error:
-                raise FileError(f"{where}: {error}") from None
+            except (InputError, FileError) as error:
+                raise type(error)(f"{where}: {error}") from None
     return spec
 
 
@@ -199,18 +195,16 @@ def _add_obstacle(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folde
 
 def _add_goal(spec: mujoco.MjSpec, entry: dict[str, Any], number: int, folder: Path, _: set[str]) -> None:
     _check_entries(entry, {"size"})
-    kind, look = mujoco.mjtGeom.mjGEOM_BOX, {"group": _HIDDEN, "rgba": (0.1, 0.8, 0.3, 0.15)}
-    spec.worldbody.add_site(
-        name=f"{_GOAL}{number}", type=kind, size=_half_sizes(entry, "box"), **read_pose(entry), **look
-    )
+    look = {"type": mujoco.mjtGeom.mjGEOM_BOX, "group": _HIDDEN, "rgba": (0.1, 0.8, 0.3, 0.15)}
+    spec.worldbody.add_site(name=f"{_GOAL}{number}", size=_half_sizes(entry, "box"), **read_pose(entry), **look)
 
 
 def _check_entries(entry: dict[str, Any], made_of: set[str]) -> None:
     allowed = made_of | {"position", "rpy", "quaternion"}
-    if missing := allowed - {"name", "rpy", "quaternion", "scale"} - entry.keys():
-        raise InputError(f"it has no {_listed(missing)}")
     if unknown := entry.keys() - allowed:
         raise InputError(f"unknown entries {_listed(unknown)}; allowed: {_listed(allowed)}")
+    if missing := allowed - {"name", "rpy", "quaternion", "scale"} - entry.keys():
+        raise InputError(f"it has no {_listed(missing)}")
 
 
 def _half_sizes(entry: dict[str, Any], shape: str) -> Floats:

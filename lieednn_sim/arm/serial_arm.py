@@ -152,7 +152,8 @@ class SerialArm:
         value, name = q[joint], self.joint_names[joint]
         if joint in self.space.balls:
             value, low, name = high + SerialArm.limit_excess(self, q)[joint], 0.0, name[:-2]
-        return f"joint {name!r} would be at {value:.4g} {self.unit(joint)}, its range is [{low:.4g}, {high:.4g}]"
+        turns = f" ({np.rad2deg(value):.0f} degrees)" if self.unit(joint) == "rad" and abs(value) > 4.0 * np.pi else ""
+        return f"joint {name!r} would be at {value:.4g} {self.unit(joint)}{turns}, its range is [{low:.4g}, {high:.4g}]"
 
     def unit(self, joint: int) -> str:
         """``"rad"`` or ``"m"``."""

@@ -21,7 +21,7 @@ import lieednn_sim
 from lieednn_sim.cli import parser
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
 
-_DESCRIPTION = """Plan the motion of a telescopic manipulator with LieEDNN networks that carry a proof of global
+_DESCRIPTION = """Plan the motion of a robot arm with LieEDNN networks that carry a proof of global
 stability, simulate it in MuJoCo, render and evaluate it."""
 #: The commands by groups, and the modules with their functions; a function's signature and docstring are its options.
 COMMANDS = {
@@ -85,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def bind(words: Sequence[str]) -> Callable[[], Any]:
     """A call of what the words ask for: a command, the help or the version; raises as `parser.bind`."""
     command = words[0] if words else ""
-    if command in ("-h", "--help"):
+    if command in ("", "-h", "--help"):
         return lambda: print(parser.overview(_DESCRIPTION, COMMANDS))
     if command == "--version":
         return lambda: print(f"lieednn-sim {lieednn_sim.__version__}")

@@ -95,14 +95,12 @@ def farthest(arm: Arm) -> float:
 
     Contacts are ignored.
     """
-    low, high = arm.position_limits.T
-    origin = np.asarray(arm.base.translation)
 
     def negative(q: Floats) -> float:
-        return -float(np.linalg.norm(arm.tip(arm.within_angles(q)) - origin))
+        return -float(np.linalg.norm(arm.tip(arm.within_angles(q)) - arm.base.translation))
 
-    rng = np.random.default_rng(0)
-    starts = [*map(arm.keyframe, arm.keyframes), *rng.uniform(low, high, (4, arm.n_joints))]
+    low, high = arm.position_limits.T
+    starts = [*map(arm.keyframe, arm.keyframes), *np.random.default_rng(0).uniform(low, high, (4, arm.n_joints))]
     return max(-float(minimize(negative, q, bounds=arm.position_limits, method="L-BFGS-B").fun) for q in starts)
 
 

@@ -95,7 +95,8 @@ def plan_run(
             settle=planning.settle,
         )
     task = replace(task, target=tuple(result.target.tolist()))
-    head = f"planner: {planner}, {reason}; target: {planning.usual_target(arm) or planning.target or 'a pose'}"
+    place = "a pose" if planning.position is None else "({:g}, {:g}, {:g}) m".format(*planning.position)
+    head = f"planner: {planner}, {reason}; target: {planning.usual_target(arm) or planning.target or place}"
     return result, head, run.save_network(task, result.network, result.motion)
 
 
@@ -151,8 +152,7 @@ def print_plan(result: Plan, head: str, clearance: Clearance, arrival: str, *, v
         console.print(f"leaves at the start: {result.leaves}")
     if result.arm is not None and result.arm.payload > 0.0:
         console.print(f"payload: {result.arm.payload:g} kg")
-    millimetres, degrees = 1e3 * motion.gap_translation.max(), np.rad2deg(motion.gap_rotation.max())
-    gaps = rounded(millimetres), rounded(degrees)
+    gaps = rounded(1e3 * motion.gap_translation.max()), rounded(np.rad2deg(motion.gap_rotation.max()))
     gap = "none" if gaps == ("0", "0") else "{} mm and {} degrees at most on the way, 0 at the target".format(*gaps)
     console.print(f"mechanism gap: {gap}")
     if result.arm is not None:

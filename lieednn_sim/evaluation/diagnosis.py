@@ -94,10 +94,9 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
             reasons[j].append(f"its load is {load[j]:.3g} {unit}, its force limit {limits[j]:.3g}")
             helpful[j].append("another target")
         elif full[:, j].any():
-            reasons[j].append(
-                f"its force limit of {limits[j]:.3g} {unit} is reached in {100 * full[:, j].mean():.2g} % of the time, "
-                f"first at t = {rollout.t[full[:, j].argmax()]:.2f} s"
-            )
+            share, first = f"{100 * full[:, j].mean():.2g} %", rollout.t[full[:, j].argmax()]
+            reached = f"is reached in {share} of the time, first at t = {first:.2f} s"
+            reasons[j].append(f"its force limit of {limits[j]:.3g} {unit} {reached}")
             helpful[j].append("a longer duration")
         for a in np.flatnonzero(ended[:, j] & (rollout.controller != "computed-torque")):
             reasons[j].append(f"its servo's control is at the end of its control range [{low[a]:.4g}, {high[a]:.4g}]")

@@ -120,13 +120,13 @@ class Evaluation:
         proof: what is proved of the run's distances from contact (`Rollout.clearance`), and `Rollout.outside`.
         proved: whether it is proved that nothing touched at any instant: the run stayed inside its plan's proof.
         contacts: largest number of simultaneous contacts.
-        sequence: whether it is a run of a sequence, in which contacts are no failure, since grasps are some.
         peak_contact_force_n: largest normal force of a contact.
         peak_weld_force_n: largest force between a link and its mocap body; zero without mocap bodies.
         peak_weld_torque_n_m: largest torque between them.
         recoveries: the effect of each push.
         planned_force_fraction: largest force that the plan needs of an actuator, in units of its limit, by inverse
             dynamics; None without a plan. That of the run is ``force_fraction``.
+        sequence: whether the run is of a sequence, in which a grasp is contact, and no contact is a failure.
         load: what the motion left swinging and bending; None for an arm on which nothing does.
         causes: if the arm does not end at its target, the reasons that its model gives, see `diagnosis.error_causes`.
     """
@@ -267,6 +267,7 @@ def _frames(evaluation: Evaluation) -> Table:
     rows.caption = (
         f"the end effector moves {evaluation.displacement_m:.2f} m (path {evaluation.path_m:.2f} m) in "
         f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}"
+        + (", of grasps too" if evaluation.sequence and evaluation.contacts else "")
     )
     if plan := evaluation.plan:
         rows.caption += f"; mechanism gap of the plan: {rounded(plan.gap_mm)} mm, {rounded(plan.gap_deg)} degrees"

@@ -52,8 +52,8 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
     proof = rollout.clearance if clearance else None
     weld_force, weld_torque = (rollout.channels.get(f"weld_{load}", np.zeros(1)) for load in ("force", "torque"))
     speeds, forces, held = (np.abs(x).max(axis=0) for x in (rollout.qd, rollout.force, rollout.constraint_force))
-    joints = arm.joint_names, speeds, arm.velocity_limits, forces, arm.force_limits, held
     frames = tuple(frame_errors(i, name, rollout.t, tracking, arrival) for i, name in enumerate(arm.link_names))
+    uses = zip(arm.joint_names, speeds, arm.velocity_limits, forces, arm.force_limits, held, strict=True)
     return Evaluation(
         arm=arm.name,
         scene=arm.scene,
@@ -65,13 +65,14 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         motion_s=rollout.motion_end,
         plan=None if motion is None else motion_metrics(arm, motion),
         frames=frames,
-        joints=tuple(JointUse(name, *map(float, numbers)) for name, *numbers in zip(*joints, strict=True)),
+        joints=tuple(JointUse(name, *map(float, numbers)) for name, *numbers in uses),
         path_m=float(np.linalg.norm(np.diff(tip, axis=0), axis=1).sum()),
         displacement_m=float(np.linalg.norm(tip[-1] - tip[0])),
         clearance_mm=1e3 * least if np.isfinite(least) else None,
         proof="" if proof is None else "; ".join(filter(None, (str(proof), rollout.outside))),
         proved=proof is not None and proof.proved and not rollout.contacts.any(),
         contacts=int(rollout.contacts.max()),
+        sequence=bool(rollout.steps),
         peak_contact_force_n=float(rollout.contact_force.max()),
         peak_weld_force_n=float(weld_force.max()),
         peak_weld_torque_n_m=float(weld_torque.max()),
@@ -79,7 +80,6 @@ def evaluate(rollout: Rollout, *, clearance: bool = True) -> Evaluation:
         planned_force_fraction=None if motion is None else force_use(arm, motion.t, motion.q, motion.qd),
         causes=() if all(frame.arrived for frame in frames) else error_causes(rollout),
         load=load_metrics(rollout, clearance=clearance),
-        sequence=bool(rollout.steps),
         **violations(rollout),
     )
 
@@ -137,15 +137,14 @@ def evaluate_following(following: Following) -> FollowingErrors:
         recent = slice(max(begin - following.period, 0), begin)
         steady[recent.start + int(np.linalg.norm(velocity[recent], axis=1).argmax())] = False
     moved = float((velocity[steady] ** 2).sum())
-    spans = pairwise([*starts, len(t)])
-    spans_settled = [(begin, settled(t[begin:end], distance[begin:end], angle[begin:end])) for begin, end in spans]
+    spans = [(a, settled(t[a:b], distance[a:b], angle[a:b])) for a, b in pairwise([*starts, len(t)])]
     return FollowingErrors(
         rms_mm=float(1e3 * np.sqrt(np.mean(distance[:, -1] ** 2))),
         rms_deg=float(np.rad2deg(np.sqrt(np.mean(angle[:, -1] ** 2)))),
         worst_mm=float(1e3 * distance.max()),
         worst_deg=float(np.rad2deg(angle.max())),
         lag_s=float((behind * velocity)[steady].sum()) / moved if moved > 0.0 else None,
-        settling_s=tuple(None if time is None else time - float(t[begin]) for begin, time in spans_settled),
+        settling_s=tuple(None if time is None else time - float(t[begin]) for begin, time in spans),
     )
 
 

@@ -31,7 +31,7 @@ from lieednn_sim.values import Floats, StrPath
 __all__ = ["plot"]
 
 _PUSH = "0.85"
-_LABELS_IN_ROW = 5  # of a legend of channels, at most
+_LABELS_IN_ROW = 5  # of channels
 # Least half range of axes for errors [mm, deg] and percentages of a limit [%], so that small values look small.
 _LEAST_ERROR, _LEAST_PERCENT = 0.01, 10.0
 # Most rows of a plot of joints, and the length beyond which names are written smaller.
@@ -134,17 +134,14 @@ def plot_network(rollout: Rollout, path: StrPath) -> None:
                 if i >= n:
                     axis.set_visible(False)
                     continue
-                for c, colour, name, width in zip(
-                    range(first, first + 3), COLOURS, "xyz", (2.8, 1.8, 1.0), strict=False
-                ):
+                looks = zip(COLOURS, "xyz", (2.8, 1.8, 1.0), strict=False)
+                for c, (colour, name, width) in enumerate(looks, first):
                     label = f"$\\omega_{name}$ / $v_{name}$"
                     # Those below are wider, so that equal ones are all seen.
                     axis.plot(motion.t, scale * motion.xi[:, i, c], color=colour, lw=width, label=label)
                     axis.axhline(scale * motion.xi_target[i, c], color=colour, ls="--", lw=0.9)
                 _label(axis, unit, f"{arm.link_names[i]} (neuron {i + 1}): {title}", fontsize=9)
-                shown = scale * np.vstack(
-                    [motion.xi[..., first : first + 3], motion.xi_target[None, :, first : first + 3]]
-                )
+                shown = scale * np.vstack([motion.xi, motion.xi_target[None]])[..., first : first + 3]
                 # Of all links alike; what is smaller is rounding.
                 margin = max(0.05 * float(np.ptp(shown)), 1e-3)
                 axis.set_ylim(shown.min() - margin, shown.max() + margin)
@@ -191,7 +188,8 @@ def plot_tracking(rollout: Rollout, path: StrPath) -> None:
             # The axis extends to at least a tenth of the settled error, so that small errors look small.
             upper.set_ylim(0.0, max(1.08 * float(errors.max()), 0.1 * settled))
             _label(upper, unit, f"tracking error, {what}: planned to simulated frame")
-            lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), color=COLOURS[3])
+            own = upper.lines[-1]  # the end effector's
+            lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), c=own.get_color(), ls=own.get_linestyle())
             lower.axhline(settled, color="0.4", ls="--", lw=0.9)
             place = {"xytext": (4, 3), "xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
             lower.annotate(f"settled: below {settled:g} {unit[1:-1]}", (0.0, settled), color="0.3", fontsize=8, **place)

@@ -127,7 +127,7 @@ def _load_object(path: StrPath, what: str, parse: Callable[[bytes], Any]) -> dic
     try:
         value = parse(content)
         if not isinstance(value, dict):
-            raise TypeError(f"it holds a {type(value).__name__}, not values by name")
+            raise TypeError(f"it is a {type(value).__name__} at the top, and not entries as `name: value`")
         return value
     except (TypeError, ValueError, RecursionError) as error:
         raise FileError(f"{path} is not a valid {what} ({type(error).__name__}: {error})") from None

@@ -48,12 +48,15 @@ def _single(arm: Arm, target: Goal, what: str, *, outermost: bool = True) -> Ite
     elif outermost and isinstance(target, list | tuple) and not all(isinstance(item, Number) for item in target):
         for number, entry in enumerate(target):
             yield from _single(arm, entry, f"{what} {number}", outermost=False)
-    elif outermost and isinstance(target, np.ndarray) and target.ndim == 2:
-        yield from as_floats(what, target, ("m", arm.n_joints))
     elif not (isinstance(target, list | tuple) and len(target) == 0):
         # Who names the joints of a view may have another order in mind.
         named = what if arm.state is None else f"{what} of {', '.join(arm.joint_names)}"
-        yield as_floats(named, target, (arm.n_joints,))
+        several = outermost and isinstance(target, np.ndarray) and target.ndim == 2
+        try:
+            positions = as_floats(named, target, ("m", arm.n_joints) if several else (arm.n_joints,))
+        except InputError as error:
+            raise InputError(f"{error}; a pose is a scipy RigidTransform, a position a TaskSpaceRegion.box") from None
+        yield from positions if several else [positions]
 
 
 def candidates(

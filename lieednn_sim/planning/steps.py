@@ -139,7 +139,7 @@ class Gripping:
                 return True
             missing = "{!r} and {!r} have not touched".format(*self.step.until)
         if late:
-            raise LookupError(f"after {self.step.seconds:g} s {missing}")
+            raise LookupError(f"after {self.step.seconds:g} s {missing}; give it more seconds, or no event")
         return False
 
     def _carried(self, name: str) -> NDArray[np.bool_]:

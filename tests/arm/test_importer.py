@@ -480,7 +480,7 @@ def test_no_motor_has_to_hold_a_mass_that_mujoco_guesses_from_a_shape(tmp_path):
 <limit lower="0" upper="1" effort="450" velocity="1"/></joint></robot>""")
     arm = Arm.load(path)
     assert arm.model.body("cage").mass > 100.0
-    assert "links without <inertial> have masses by their shapes, and no weight: cage" in arm.import_report.notes
+    assert "links without <inertial> got the inertia of their shapes, but no weight: cage" in arm.import_report.notes
     assert evaluate(simulate(arm, plan(arm, [0.5]))).final_worst_mm < 0.1
 
 

@@ -332,6 +332,8 @@ def test_what_follows_a_locked_joint_is_locked_and_limits_the_wrong_way_round_ar
     path.write_text(URDF.replace(LIMITS, 'lower=".1" upper=".1"', 1))
     arm = Arm.load(path, tip="tube2")
     assert "locked by equal limits in the URDF: out1 at 0.1, out2 at 0.06" in arm.import_report.notes
+    path.write_text(URDF.replace('mimic joint="out1"', 'mimic joint="out"'))
+    assert "out2: moves by itself: the URDF has no joint 'out' to mimic" in Arm.load(path).import_report.notes
     np.testing.assert_allclose(arm.link_poses([0.0]).translation[-1], [0.3 + 0.1 + 0.06, 0.0, 0.4], atol=1e-12)
     for limits, message in (
         ('lower="0" upper="0"', r"lock all of its joints: out1 at 0, out2 at 0\.01; correct them"),

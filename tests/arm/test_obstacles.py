@@ -82,7 +82,7 @@ def test_yaml_says_the_same(gantry, tmp_path):
         gantry.with_scene(write(tmp_path, "o.json", {"obstacles": [BOX]})),
     ]
     assert arms[0].fingerprint == arms[1].fingerprint
-    with pytest.raises(FileError, match=r"bad.yml is not a valid list of obstacles \(ValueError: while parsing"):
+    with pytest.raises(FileError, match=r"bad.yml is not a valid scene \(ValueError: while parsing"):
         gantry.with_scene(write(tmp_path, "bad.yml", "obstacles: [1, 2"))
 
 

@@ -170,7 +170,7 @@ def test_the_help_lists_what_there_is(capsys):
     assert "--duration X duration of the motion [s] (default: 4)" in help_of("plan")
     assert "--size WxH (width, height) in pixels (default: 1280x720)" in help_of("render")
     assert "--time-budget X largest CPU time for planning [s]; inf for no limit (default: 60)" in help_of("plan")
-    assert main(["--help"]) == 0
+    assert main(["--help"]) == main([]) == 0
     printed = capsys.readouterr().out
     assert len(ALL) == 12
     for command, module in ALL.items():

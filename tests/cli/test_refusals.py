@@ -13,7 +13,6 @@ from lieednn_sim.cli import main
 WRITING = ("demo", "plan", "train", "compare")
 # The words of a command, and what its line of error says.
 REFUSED = {
-    "": "no command ''; commands: demo, plan,",
     "simulte a": "no command 'simulte', did you mean simulate?; commands: demo, plan, train, learn, simulate,",
     "simulate": "the following arguments are required: RUN (lieednn-sim simulate --help)",
     "simulate a b": "b is not understood (lieednn-sim simulate --help)",

@@ -148,6 +148,8 @@ def test_success_needs_every_link_within_both_bounds_and_no_contact():
     assert shortfall(good, far, good) == "arrival: link 2 ends 1 mm and 0 deg off"
     assert shortfall(good, skew) == "arrival: link 2 ends 0 mm and 0.1 deg off"
     assert shortfall(far, contacts=3) == "contact: up to 3 at a time"
+    # In a sequence a grasp is contact.
     grasped = dataclasses.replace(EVALUATION, frames=(good,), contacts=3, sequence=True)
-    assert (grasped.shortfall, grasped.arrival[:7]) == ("", "arrives")
+    assert (grasped.shortfall, grasped.arrival[:14]) == ("", "arrives after ")
     assert "3 contacts at a time, ends 1 mm" in grasped.arrival
+    assert "contacts: 3, of grasps too" in str(grasped)

@@ -161,6 +161,7 @@ def test_the_tracking_plot_shows_how_far_from_the_reference_and_from_the_target(
     for line in others:
         np.testing.assert_allclose(line.get_ydata(), last.get_ydata() if joint == 0 else 0.0, atol=1e-9)
     assert lower.lines[0].get_ydata() == pytest.approx([2.0, 1.5, 1.8])
+    assert lower.lines[0].get_color() == last.get_color()
 
 
 def test_the_tracking_plot_ends_where_nothing_matters(arm, drawn):

@@ -133,7 +133,7 @@ def test_missing_file_and_directory_and_array_are_named(tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"[1]", "it holds a list, not values by name"),
+        (b"[1]", "it is a list at the top, and not entries as `name: value`"),
         (b"[" * 100_000, "RecursionError"),
         (b'{"a": ' + b"9" * 5000 + b"}", "ValueError"),
         (b'{"a": "' + b"x" * 1_000_000 + b'"}', "at most 1000000 are read"),

@@ -151,17 +151,16 @@ def unused(name: str, names: set[str], suffix: str = "_") -> str:
 
 def _files(spec: mujoco.MjSpec) -> Iterator[tuple[str, Path | None]]:
     """The files of meshes and textures that a model names, and where they are; None for a missing one."""
-    known = set(spec.assets)
+    known, own = set(spec.assets), Path(spec.modelfiledir)
     meshes = [("meshdir", element) for element in (*spec.meshes, *spec.hfields, *spec.skins)]
     for folder, element in (*meshes, *(("texturedir", texture) for texture in spec.textures)):
         if element.file:
             if element.file.startswith(_PACKAGE):
                 package = element.file.removeprefix(_PACKAGE).lstrip("/").partition("/")[0]
-                where = f"no folder {package!r} beside {spec.modelfiledir} or above, nor in ROS_PACKAGE_PATH, holds it"
+                where = f"no folder {package!r} beside {own.absolute()} or above, nor in ROS_PACKAGE_PATH, holds it"
                 yield f"{element.file} ({where})", None
                 continue
             below = getattr(element.compiler, folder, "") or getattr(spec, folder, "")
-            own = Path(spec.modelfiledir)
             path = own / below / element.file
             if below and not path.is_file() and path.is_relative_to(own) and Path(element.file).is_absolute():
                 # From an <include>: MuJoCo lastly tries the included file's own folder, without meshdir.

@@ -49,6 +49,8 @@ def mend_joints(spec: mujoco.MjSpec, joints: Joints, notes: list[str]) -> None:
         low, high = joint.range
         if low > high:
             raise InputError(f"joint {name!r} of the URDF has the lower limit {low:g} above the upper one, {high:g}")
+        if (leader := element.find("mimic")) is not None and leader.get("joint") not in joints:
+            notes.append(f"{name}: moves by itself: the URDF has no joint {leader.get('joint')!r} to mimic")
         if limit is None or not {"lower", "upper"}.intersection(limit.keys()):
             notes.append(f"{name}: {kind}, but without limits in the URDF")
         elif low == high:
@@ -123,7 +125,7 @@ def mend_inertias(spec: mujoco.MjSpec, notes: list[str]) -> None:
     if massless:
         notes.append(f"links without <inertial> got a mass of 10 g: {', '.join(massless)}")
     if guessed:
-        notes.append(f"links without <inertial> have masses by their shapes, and no weight: {', '.join(guessed)}")
+        notes.append(f"links without <inertial> got the inertia of their shapes, but no weight: {', '.join(guessed)}")
     if mended:
         notes.append(f"physically impossible inertias made larger: {', '.join(mended)}")
 
