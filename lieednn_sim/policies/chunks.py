@@ -170,7 +170,7 @@ class ChunkPolicy(ReplanningPolicy):
         try:
             targets, begin, step = self._read(chunk, t0, dt)
             passed = self.now - begin
-            dropped = int(np.clip(math.ceil(passed / step - 1e-9), 0, len(targets)))
+            dropped = min(max(math.ceil(passed / step - 1e-9), 0), len(targets))
             blended, repaired = self._blended(targets, begin, step), self._options.repaired
             parts, findings = judge(self.arm, blended, step, passed, self.drawn, repaired)
             if all(finding.repaired for finding in findings):
@@ -247,23 +247,28 @@ class ChunkPolicy(ReplanningPolicy):
     def _begin_parts(self, parts: list[_Part]) -> None:
         """Follow the last part whose time has come, and the later ones then; raises `_RefusedError`."""
         due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
-        for begin, curve in parts[max(due - 1, 0) :]:
-            u = min(max(self.now - begin, 0.0), curve.duration)
-            if begin > self.now or curve.duration > u + _HORIZON:
-                self._require_clear(curve(np.linspace(u, curve.duration, _LOOKS))[0], curve.duration - u)
+        for begin, curve in parts[due:]:
+            self._require_clear(curve(np.linspace(0.0, curve.duration, _LOOKS))[0], begin - self.now, curve.duration)
         if due:
             begin, curve = parts[due - 1]
-            self._join(curve, min(self.now - begin, curve.duration))
+            self._join(curve, min(self.now - begin, curve.duration), whole=True)
             self._command(curve.end, parts[due - 1])
         self._later = parts[due:]
 
-    def _join(self, curve: ChunkCurve, begin: float, share: float = 1.0) -> None:
-        """Go over to a curve at one of its times, for a share of the horizon; raises `_RefusedError`."""
+    def _join(self, curve: ChunkCurve, begin: float, share: float = 1.0, *, whole: bool = False) -> None:
+        """Go over to a curve at one of its times, for a share of the horizon; raises `_RefusedError`.
+
+        What is coded is looked at for contact, or the ``whole`` of what is left of the curve.
+        """
         error = ""
 
         def onto(now: Floats) -> ChunkMotion:
             motion = go_over(self.arm, now, curve, begin, horizon, _FADE)
-            self._require_clear(motion.even[0][::3], motion.duration)
+            end, last = motion.base.end, curve.duration
+            self._require_clear(motion.even[0][::3], 0.0, motion.duration)
+            if whole and end < last:
+                count = math.ceil(_LOOKS * (last - end) / (last - begin)) + 1
+                self._require_clear(curve(np.linspace(end, last, count))[0], motion.duration, last - end)
             return motion
 
         # A shorter part has a smaller code, which is nearer to it. The rest comes back to it by further codes.
@@ -285,11 +290,11 @@ class ChunkPolicy(ReplanningPolicy):
             off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + np.zeros_like(q)
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
-    def _require_clear(self, q: Floats, duration: float) -> None:
-        """Raise `_RefusedError` where something is in the way at samples ``(K, n)`` of a motion."""
+    def _require_clear(self, q: Floats, begin: float, duration: float) -> None:
+        """Raise `_RefusedError` where something is in the way at samples ``(K, n)`` of what begins soon [s]."""
         if (result := self._surroundings.blocked(q)) is not None:
             first, second, distance = self._surroundings.nearest(q[result[0]])
-            time = duration * result[0] / (len(q) - 1)
+            time = begin + duration * result[0] / (len(q) - 1)
             text = f"{first!r} would be {1e3 * distance:.3g} mm from {second!r} {time:.2f} s from now"
             raise _RefusedError(Finding("contact", text, value=distance, limit=self.arm.clearance))
 
@@ -334,11 +339,18 @@ class ChunkPolicy(ReplanningPolicy):
         inside, _ = super().act(measured, target)
         # At a limit the network may be beyond it by what its code lacks.
         qd = np.where(np.abs(inside - self.drawn) < _TOLERANCE, self._rate, 0.0)
-        ahead = inside - (self.q + 0.5 * self.period * (self.qd + qd))
-        v, most = self.arm.velocity_limits, self._max_gain
-        rate = np.minimum(np.maximum(qd + _RETURN * ahead, self.qd - most), self.qd + most)
+        half, v, most = 0.5 * self.period, self.arm.velocity_limits, self._max_gain
+        held = self.q + half * self.qd
+        rate = np.minimum(np.maximum(qd + _RETURN * (inside - held - half * qd), self.qd - most), self.qd + most)
         rate = np.minimum(np.maximum(rate, -v), v)
-        return self._within_limits(self.q + 0.5 * self.period * (self.qd + rate)), rate
+        low, high = self.arm.position_limits.T
+        # From where it can still brake before a limit; then it need not be held back there.
+        reach = held + rate * (2.0 * half + 0.5 * np.abs(rate) / self.arm.acceleration_limits)
+        if (reach < low).any() or (reach > high).any():
+            room = np.minimum(np.maximum([held - low, high - held], 0.0), 1e6)
+            fast = 2.0 * room / (2.0 * half + np.sqrt(4.0 * half**2 + 2.0 * room / self.arm.acceleration_limits))
+            rate = np.minimum(np.maximum(rate, -fast[0]), fast[1])
+        return self._within_limits(held + half * rate), rate
 
     def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:
         waiting, pulled = super()._listen(measured, drawn)
@@ -372,7 +384,7 @@ class ChunkPolicy(ReplanningPolicy):
             base, at = motion.base, np.array([self.time])
             # Before it begins to slow down.
             ends = base.end < base.curve.duration and self.time + self.period > max(base.ramps_at, motion.fade)
-            looks = self._periods % self._options.look_every == 0 and self.time < motion.duration
+            looks = self._periods % self._options.look_every == 0 and 0.0 < self.time < motion.duration
             # Once it slows down, another code would let it hurry again.
             most = (0.5 if self.time < base.ramps_at else 1.0) * _TOLERANCE
             # The code may not be near enough, or joints pull.
