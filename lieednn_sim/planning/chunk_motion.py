@@ -266,7 +266,9 @@ def _joined(
         result = ChunkMotion(base, 1.0, differences, longer * max(fade, soonest))
         q, qd, qdd = result.until(max(result.fade, rise))
         fits = (np.abs(qd) <= 1.001 * v).all() and (np.abs(qdd) <= 1.001 * a).all()
-        if fits and (arm.limit_excess(q) <= LIMIT_TOLERANCE).all():
+        # The state itself may be beyond by what a code lacks.
+        beyond = arm.limit_excess(q)
+        if fits and (beyond <= LIMIT_TOLERANCE + np.maximum(beyond[0], 0.0)).all():
             return result
     raise PlanError("no transition onto the chunk keeps the limits of the joints")
 

@@ -286,8 +286,8 @@ class ChunkPolicy(ReplanningPolicy):
             motion = self.course.transition
             q, qd = (part[::3] for part in motion.even[:2])
             t = np.linspace(0.0, motion.duration, _LOOKS)
-            # It begins where the state is.
-            off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + np.zeros_like(q)
+            # It begins where the state is; the reference keeps within the limits.
+            off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + np.abs(q - np.clip(q, *self.arm.position_limits.T))
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
     def _require_clear(self, q: Floats, begin: float, duration: float) -> None:
