@@ -10,7 +10,6 @@ stays within the convex hull of its control points: where these keep the positio
 
 A chunk that is too fast is slowed down as a whole, by a factor f: its own time u goes on at the rate u' = 1 / f. It
 ends at rest: over a time D this rate falls as 1 - 10 x^3 + 15 x^4 - 6 x^5 with x from 0 to 1, up to the last target.
-Likewise it may rise at first, from what the arm's velocity is along the curve.
 """
 
 from __future__ import annotations
@@ -128,33 +127,23 @@ class Ramped:
         begin, end: its own times u there [s].
         slower: f.
         ramp: D [s].
-        rate: u' at first; by default 1 / f at once.
-        rise: time in which it becomes 1 / f [s].
 
     Attributes:
         x: ``(2,)`` its times at the begin and the end [s], as of a `PPoly`; later it rests.
         ramps_at: time at which it begins to slow down [s].
     """
 
-    def __init__(
-        self, curve: ChunkCurve, begin: float, end: float, slower: float, ramp: float, rate: float, rise: float
-    ) -> None:
-        self.curve, self.begin, self.end, self.slower = curve, begin, end, slower
-        self._ramp, self._rise, self._lack = max(ramp, 1e-9), rise, 1.0 / slower - rate
-        even = (end - begin + rise * 0.5 * self._lack) * slower - rise - 0.5 * self._ramp
-        self.ramps_at = rise + max(even, 0.0)
+    def __init__(self, curve: ChunkCurve, begin: float, end: float, slower: float, ramp: float) -> None:
+        self.curve, self.begin, self.end, self.slower, self._ramp = curve, begin, end, slower, max(ramp, 1e-9)
+        self.ramps_at = max((end - begin) * slower - 0.5 * self._ramp, 0.0)
         self.x = np.array([0.0, self.ramps_at + self._ramp])
 
     def clock(self, t: Floats) -> tuple[Floats, Floats, Floats]:
         """The curve's own time u ``(K,)`` at times ``(K,)``, and its first two derivatives."""
-        full, ramp, rise = 1.0 / self.slower, self._ramp, self._rise
-        x = (t - self.ramps_at) / ramp
-        way, rate, bend = _ramp(np.minimum(np.maximum(x, 0.0), 1.0))
-        u, rate, bend = self.begin + full * (np.minimum(t, self.ramps_at) + ramp * way), full * rate, full / ramp * bend
-        if rise > 0.0:
-            way, lack, change = (self._lack * part for part in _ramp(np.minimum(t / rise, 1.0)))
-            u, rate, bend = u - rise * way, rate - lack, bend - change / rise
-        return np.minimum(u, self.end), rate, bend
+        full, ramp = 1.0 / self.slower, self._ramp
+        way, rate, bend = _ramp(np.minimum(np.maximum((t - self.ramps_at) / ramp, 0.0), 1.0))
+        u = self.begin + full * (np.minimum(t, self.ramps_at) + ramp * way)
+        return np.minimum(u, self.end), full * rate, full / ramp * bend
 
     def states(self, t: Floats) -> Floats:
         """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)`` from 0 on."""
@@ -180,6 +169,11 @@ class ChunkMotion(Transition):
         return max(super().duration, self.fade)
 
     @property
+    def in_time(self) -> bool:
+        """Whether it is on the curve before that ends."""
+        return self.fade <= float(self.base.x[-1])
+
+    @property
     def _one(self) -> bool:
         return False
 
@@ -201,8 +195,8 @@ def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float,
     """The transition from a state onto a curve, as fast as the arm's limits allow.
 
     If the state is so far behind that the curve would be over first, it is joined at an earlier time, the nearest one
-    at the earliest; at last what the velocity lacks is not made up for, but rises along the curve. Velocities and
-    accelerations are checked at samples, against the limits, and positions too.
+    at the earliest; at last it is slowed down until that is in time. Velocities and accelerations are checked at
+    samples, against the limits, and positions too.
 
     Args:
         arm: the arm.
@@ -216,27 +210,28 @@ def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float,
         PlanError: none of those tried keeps the limits.
     """
 
-    def joined(u: float, rises: bool = False) -> tuple[ChunkMotion, bool]:
-        motion = _joined(arm, now, curve, u, min(u + most, curve.duration), fade, rises)
-        return motion, motion.fade <= motion.base.x[-1]
+    def joined(late: float, slows: bool = False) -> ChunkMotion:
+        u = begin - late * back
+        return _joined(arm, now, curve, u, min(u + most, curve.duration), fade, slows)
 
-    motion, in_time = joined(begin)
-    if in_time:
+    back = 0.0
+    motion = joined(0.0)
+    if motion.in_time:
         return motion
     back = begin - curve.nearest(now[0], begin)
     for late in (0.25, 0.5, 0.75, 1.0) if back else ():
-        motion, in_time = joined(begin - late * back)
-        if in_time:
+        motion = joined(late)
+        if motion.in_time:
             return motion
     # A state that is ahead would go back first.
     if curve.nearest(now[0], curve.duration) < begin + 0.25 * fade:
         with suppress(PlanError):
-            motion, _ = joined(begin - back, rises=True)
+            return joined(1.0, slows=True)
     return motion
 
 
 def _joined(
-    arm: Arm, now: Floats, curve: ChunkCurve, begin: float, end: float, fade: float, rises: bool
+    arm: Arm, now: Floats, curve: ChunkCurve, begin: float, end: float, fade: float, slows: bool
 ) -> ChunkMotion:
     """The transition that joins a curve at a time, and rests at another one; see `go_over`."""
     v, a = limits = np.stack([arm.velocity_limits, arm.acceleration_limits])
@@ -249,22 +244,16 @@ def _joined(
             ramps[more] = _shortest_ramp(arm, curve, begin, end, slower)
         if (ramp := ramps[more]) is None:
             continue
-        rate, rise = 1.0 / slower, 0.0
-        if rises:
-            # As fast along the curve as the state is.
-            along = float(slope / v**2 @ now[1]) / max(float(slope / v**2 @ slope), 1e-12)
-            rate = min(max(along, 0.0), rate)
-            rise = longer * 2.0 * (1.0 / slower - rate) * float((np.abs(slope) / a).max())
-            if 0.5 * (rise * (rate * slower + 1.0) + ramp) > slower * (end - begin):
-                continue
-        base = Ramped(curve, begin, end, slower, ramp, rate, rise)
-        away = np.abs(differences := now - [there, rate * slope, rate * rate * turn])
+        base = Ramped(curve, begin, end, slower, ramp)
+        away = np.abs(differences := now - [there, slope / slower, turn / slower**2])
         soonest = _soonest(away, 0.5 * limits)
         if soonest > fade:
             most = np.abs(base.states(np.linspace(0.0, float(base.x[-1]), 33))[1:]).max(axis=1)
             soonest = _soonest(away, np.maximum(limits - most, 0.5 * limits))
         result = ChunkMotion(base, 1.0, differences, longer * max(fade, soonest))
-        q, qd, qdd = result.until(max(result.fade, rise))
+        if slows and not result.in_time:
+            continue
+        q, qd, qdd = result.until(result.fade)
         fits = (np.abs(qd) <= 1.001 * v).all() and (np.abs(qdd) <= 1.001 * a).all()
         # The state itself may be beyond by what a code lacks.
         beyond = arm.limit_excess(q)
