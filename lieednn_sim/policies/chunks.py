@@ -27,16 +27,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim.arm import solve_ik
-from lieednn_sim.errors import InputError, NoSolutionError, PlanError
+from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.chunk_motion import ChunkCurve, ChunkMotion, go_over
-from lieednn_sim.planning.chunks import MOST_TARGETS, Finding, judge
+from lieednn_sim.planning.chunks import Finding, RefusedError, judge, read
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
 from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.policies.coded_policy import GENTLY
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
-from lieednn_sim.validation import as_choice, as_floats, as_positive
+from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -101,11 +100,6 @@ class ChunkVerdict:
 _Part = tuple[float, ChunkCurve]
 
 
-class _RefusedError(Exception):
-    def __init__(self, finding: Finding) -> None:
-        self.finding = finding
-
-
 class ChunkPolicy(ReplanningPolicy):
     """A policy that follows chunks of joint targets; see the module.
 
@@ -168,7 +162,8 @@ class ChunkPolicy(ReplanningPolicy):
             raise InputError("the policy was never reset: call reset(q), or step with measured joints, before accept")
         findings, dropped, motion = list[Finding](), 0, None
         try:
-            targets, begin, step = self._read(chunk, t0, dt)
+            near = self._within_limits(self.drawn)
+            targets, begin, step = read(self.arm, chunk, t0, dt, near, self.now, self._newest)
             passed = self.now - begin
             dropped = min(max(math.ceil(passed / step - 1e-9), 0), len(targets))
             blended, repaired = self._blended(targets, begin, step), self._options.repaired
@@ -176,42 +171,12 @@ class ChunkPolicy(ReplanningPolicy):
             if all(finding.repaired for finding in findings):
                 findings += self._turn_onto([(begin + first, curve) for first, curve in parts])
                 self._newest, motion = begin, self.course.transition
-        except _RefusedError as refused:
+        except RefusedError as refused:
             findings.append(refused.finding)
         more = (motion.base.slower, motion.fade) if isinstance(motion, ChunkMotion) else ()
         self.verdict = ChunkVerdict(motion is not None, tuple(findings), dropped, *more)
         self.counts.update([*(finding.kind for finding in findings), "accepted" if motion else "refused"])
         return self.verdict
-
-    def _read(self, chunk: ArrayLike, t0: float, dt: float) -> tuple[Floats, float, float]:
-        """The targets, the time of the first one, and that between two; raises `_RefusedError`."""
-        kind, n = "reach", self.arm.n_joints
-        try:
-            chunk = self._at_poses(chunk) if hasattr(chunk, "as_matrix") else chunk
-            kind = "shape"
-            kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else kind
-            targets = as_floats("chunk", chunk, ("H", n))
-            if kind == "shape":
-                raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")
-            kind = "times"
-            begin, step = float(as_floats("t0", t0, ())), as_positive("dt", dt)
-        except (InputError, NoSolutionError, TypeError, ValueError) as error:
-            raise _RefusedError(Finding(kind, str(error))) from None
-        last, old = begin + (len(targets) - 1) * step, ""
-        if last < self.now - 1e-9:
-            old = f"its last target was for {last:.3f} s, it is {self.now:.3f} s"
-        elif begin < self._newest:
-            old = f"it begins at {begin:.3f} s, one that begins at {self._newest:.3f} s came before"
-        if old:
-            raise _RefusedError(Finding("stale", old))
-        return targets, begin, step
-
-    def _at_poses(self, poses: RigidTransform) -> Floats:
-        """Joint targets ``(H, n)`` for poses, each next to the one before."""
-        q = [self._within_limits(self.drawn)]
-        for k in range(len(poses)):
-            q.append(solve_ik(self.arm, poses[k].translation, poses[k].rotation, start=q[-1]))
-        return np.array(q[1:])
 
     def _blended(self, targets: Floats, begin: float, step: float) -> Floats:
         """Targets ``(H, n)`` where earlier ones have their weight."""
@@ -228,7 +193,7 @@ class ChunkPolicy(ReplanningPolicy):
         """Follow parts, or go to their end on another way if they touch something and that is allowed."""
         try:
             self._begin_parts(parts)
-        except _RefusedError as refused:
+        except RefusedError as refused:
             end = parts[-1][1].end
             asked = refused.finding.kind == "contact" and "contact" in self._options.repaired
             if not asked or self._surroundings.blocked(end[None]):
@@ -245,7 +210,7 @@ class ChunkPolicy(ReplanningPolicy):
         self._search = self._path = None
 
     def _begin_parts(self, parts: list[_Part]) -> None:
-        """Follow the last part whose time has come, and the later ones then; raises `_RefusedError`."""
+        """Follow the last part whose time has come, and the later ones then; raises `RefusedError`."""
         due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
         for begin, curve in parts[due:]:
             self._require_clear(curve(np.linspace(0.0, curve.duration, _LOOKS))[0], begin - self.now, curve.duration)
@@ -256,7 +221,7 @@ class ChunkPolicy(ReplanningPolicy):
         self._later = parts[due:]
 
     def _join(self, curve: ChunkCurve, begin: float, share: float = 1.0, *, whole: bool = False) -> None:
-        """Go over to a curve at one of its times, for a share of the horizon; raises `_RefusedError`.
+        """Go over to a curve at one of its times, for a share of the horizon; raises `RefusedError`.
 
         What is coded is looked at for contact, or the ``whole`` of what is left of the curve.
         """
@@ -280,7 +245,7 @@ class ChunkPolicy(ReplanningPolicy):
             except PlanError as refused:
                 error = str(refused)
         else:
-            raise _RefusedError(Finding("motion", error))
+            raise RefusedError(Finding("motion", error))
         self._clear_way()
         if not self._surroundings.places and not isinstance(bounds_of(self.arm), str):
             motion = self.course.transition
@@ -291,12 +256,12 @@ class ChunkPolicy(ReplanningPolicy):
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
     def _require_clear(self, q: Floats, begin: float, duration: float) -> None:
-        """Raise `_RefusedError` where something is in the way at samples ``(K, n)`` of what begins soon [s]."""
+        """Raise `RefusedError` where something is in the way at samples ``(K, n)`` of what begins soon [s]."""
         if (result := self._surroundings.blocked(q)) is not None:
             first, second, distance = self._surroundings.nearest(q[result[0]])
             time = begin + duration * result[0] / (len(q) - 1)
             text = f"{first!r} would be {1e3 * distance:.3g} mm from {second!r} {time:.2f} s from now"
-            raise _RefusedError(Finding("contact", text, value=distance, limit=self.arm.clearance))
+            raise RefusedError(Finding("contact", text, value=distance, limit=self.arm.clearance))
 
     def _prove(self) -> None:
         """Go on with the proof of the present motion, until the arm need not brake for want of it, and rest before it.
@@ -344,7 +309,7 @@ class ChunkPolicy(ReplanningPolicy):
         rate = np.minimum(np.maximum(qd + _RETURN * (inside - held - half * qd), self.qd - most), self.qd + most)
         rate = np.minimum(np.maximum(rate, -v), v)
         low, high = self.arm.position_limits.T
-        # From where it can still brake before a limit; then it need not be held back there.
+        # From where it can still brake before a limit, as of `bounds`; then it need not be held back there.
         reach = held + rate * (2.0 * half + 0.5 * np.abs(rate) / self.arm.acceleration_limits)
         if (reach < low).any() or (reach > high).any():
             room = np.minimum(np.maximum([held - low, high - held], 0.0), 1e6)
@@ -368,7 +333,7 @@ class ChunkPolicy(ReplanningPolicy):
             self._asked = target
         try:
             self._go_on()
-        except _RefusedError as refused:
+        except RefusedError as refused:
             # It rests at the end of what it follows.
             self._command(self.course.transition.end, None)
             self.counts[refused.finding.kind] += 1
@@ -376,7 +341,7 @@ class ChunkPolicy(ReplanningPolicy):
         self._prove()
 
     def _go_on(self) -> None:
-        """Begin a part whose time has come, code the rest of a long one, or code anew; raises `_RefusedError`."""
+        """Begin a part whose time has come, code the rest of a long one, or code anew; raises `RefusedError`."""
         motion = self.course.transition
         if self._later and self._later[0][0] <= self.now + 1e-9:
             self._begin_parts(self._later)
