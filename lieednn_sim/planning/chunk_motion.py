@@ -49,16 +49,9 @@ _RAMP = _ramp(np.linspace(0.0, 1.0, 9))
 
 
 class ChunkCurve:
-    """The curve of a chunk over its own time u, from 0 to its duration.
+    """The curve of a chunk over its own time u, from 0 to its ``duration`` [s], where it is at ``end`` ``(n,)``.
 
-    Args:
-        control: ``(H + 2, n)`` control points of H targets [rad, m].
-        step: h, time between two targets [s].
-
-    Attributes:
-        step: h.
-        duration: [s].
-        end: ``(n,)`` the last configuration.
+    It has ``(H + 2, n)`` control points of H targets [rad, m], which are a time ``step`` h apart [s].
     """
 
     def __init__(self, control: Floats, step: float) -> None:
@@ -120,17 +113,10 @@ class ChunkCurve:
 
 
 class Ramped:
-    """A curve from one of its times to another, slowed down, at rest at its end.
+    """A curve from its own time ``begin`` to ``end`` [s], ``slower`` by f, at rest at its end after a ``ramp`` D [s].
 
-    Args:
-        curve: the curve.
-        begin, end: its own times u there [s].
-        slower: f.
-        ramp: D [s].
-
-    Attributes:
-        x: ``(2,)`` its times at the begin and the end [s], as of a `PPoly`; later it rests.
-        ramps_at: time at which it begins to slow down [s].
+    As of a `PPoly`, ``x`` ``(2,)`` has its times at begin and end [s]; later it rests. At ``ramps_at`` [s] the ramp
+    begins.
     """
 
     def __init__(self, curve: ChunkCurve, begin: float, end: float, slower: float, ramp: float) -> None:
@@ -173,10 +159,6 @@ class ChunkMotion(Transition):
         """Whether it is on the curve before that ends."""
         return self.fade <= float(self.base.x[-1])
 
-    @property
-    def _one(self) -> bool:
-        return False
-
     def _add_base(self, result: Floats, t: Floats) -> None:
         result += self.base.states(t)
 
@@ -194,20 +176,11 @@ class ChunkMotion(Transition):
 def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float, fade: float) -> ChunkMotion:
     """The transition from a state onto a curve, as fast as the arm's limits allow.
 
-    If the state is so far behind that the curve would be over first, it is joined at an earlier time, the nearest one
-    at the earliest; at last it is slowed down until that is in time. Velocities and accelerations are checked at
-    samples, against the limits, and positions too.
-
-    Args:
-        arm: the arm.
-        now: ``(3, n)`` joint coordinates, rates and accelerations at the beginning.
-        curve: the curve.
-        begin: its own time u at which it is to be joined [s].
-        most: longest part of it that is followed, to rest [s].
-        fade: least time in which what the state differs from the curve is made up for [s].
-
-    Raises:
-        PlanError: none of those tried keeps the limits.
+    From ``now``, ``(3, n)`` joint coordinates, rates and accelerations, it joins the curve at its time ``begin`` [s] in
+    at least the time ``fade`` [s], and follows it to rest, for ``most`` [s]. If the state is so far behind that the
+    curve would be over first, it is joined at an earlier time, the nearest one at the earliest; at last it is slowed
+    down until that is in time. Velocities and accelerations are checked at samples, against the limits, and positions
+    too; `PlanError` if none of those tried keeps them.
     """
 
     def joined(late: float, slows: bool = False) -> ChunkMotion:

@@ -84,7 +84,7 @@ class Transition:
     @cached_property
     def _one(self) -> bool:
         """Whether the whole motion is one polynomial: the base has one piece, and corrections take as long."""
-        return self.base.c.shape[1] == 1 and self.fade == self.duration
+        return isinstance(self.base, PPoly) and self.base.c.shape[1] == 1 and self.fade == self.duration
 
     @cached_property
     def _factors(self) -> Floats:

@@ -4,7 +4,7 @@ A chunk is judged before anything moves (`planning.chunks`): it is mended where 
 old one goes on. The reference goes over to its curve at the time that it is now, with continuous velocity and
 acceleration: what has passed is dropped, and what the reference lacks is made up for as fast as the limits allow. If it
 could not catch up before the curve is over, it goes on from an earlier time of the curve, the nearest one at the
-earliest, and is late. When chunks run out, it rests at the last target.
+earliest, and is late, or slower. When chunks run out, it rests at the last target.
 
 What is proved: a change makes another code of one certified network. After the last one, once the arm keeps up and
 need not rest, it converges to the end of what is coded: the last target, or of a long chunk a point of its curve, from
@@ -203,11 +203,10 @@ class ChunkPolicy(ReplanningPolicy):
             return [replace(refused.finding, repaired=True)]
         return []
 
-    def _command(self, end: Floats, curve: _Part | None, later: list[_Part] | None = None) -> None:
+    def _command(self, end: Floats, curve: _Part | None) -> None:
         """Take note of what is followed and where it ends."""
         self._wanted = self._goal = end
-        self._curve, self._later = curve, later or []
-        self._search = self._path = None
+        self._curve, self._later, self._search, self._path = curve, [], None, None
 
     def _begin_parts(self, parts: list[_Part]) -> None:
         """Follow the last part whose time has come, and the later ones then; raises `RefusedError`."""
