@@ -107,8 +107,9 @@ class ClearanceBounds:
         """
         if len(q) > AT_ONCE:
             return _in_parts(partial(self.least, cutoff=cutoff), q, path, rest)
-        steps = self._displacements(np.stack([np.abs(path) + rest, 0.0 * rest, 0.0 * rest]))
-        rests, still = np.stack([rest, 0.0 * rest], axis=1), np.zeros((len(q), len(self._members)))
+        steps, rests = np.zeros((3, len(q), len(self._turns))), np.zeros((len(q), 2, q.shape[1]))
+        steps[0], rests[:, 0] = self._displacements(np.abs(path) + rest), rest
+        still = np.zeros((len(q), len(self._members)))
         try:
             at, pairs, free, gap, _, _ = self._rows(q, path, rests, still, steps, steps[0], cutoff)
         except NoSolutionError:
@@ -138,6 +139,8 @@ class ClearanceBounds:
         )
         counted = self._counted[index]
         at, index, gaps, points = at[counted], index[counted], gaps[counted], points[counted]
+        if not len(at):
+            return at, self._collisions.pairs[:0], np.empty((2, 0, 1)), np.empty((2, 0)), np.empty((0, 1)), gaps
         pairs, normals = self._normals(place, at, self._collisions.pairs[index], gaps, points)
         margin = self._margin + self._collisions.offsets(pairs)
         fixed, moving = pairs.T

@@ -77,6 +77,7 @@ class Collisions:
         # MuJoCo's bounding sphere is smaller than the box's, but centred at the geom's frame: used where these agree.
         centred = ~planes & (np.abs(self._center).max(axis=1) < _SLACK) & (model.geom_rbound[used] > 0.0)
         self._radius[centred] = np.minimum(self._radius, model.geom_rbound[used])[centred]
+        self._reach = self._radius[self._first] + self._radius[self._second] + _SLACK
         # The moving bodies, which of them each geom belongs to, and their Jacobians; the last is zero, for fixed ones.
         bodies = np.unique(model.geom_bodyid[used])
         self._bodies = bodies[model.body_weldid[bodies] != 0]
@@ -141,11 +142,10 @@ class Collisions:
         """
         used, first, second, limits = turns[:, self._used], self._first, self._second, cutoff + self._offset
         center = places[:, self._used] + (used @ self._center[:, :, None])[..., 0]
-        parts = np.ascontiguousarray(np.moveaxis(center, -1, 0))
+        parts = np.ascontiguousarray(center.transpose(2, 0, 1))
         x, y, z = parts.take(second, axis=-1) - parts.take(first, axis=-1)
-        reach = self._radius[first] + self._radius[second] + _SLACK
-        at, index = np.nonzero(x * x + y * y + z * z < np.square(np.maximum(limits + reach, 0.0)))
-        limits = np.broadcast_to(limits, x.shape)
+        at, index = np.nonzero(x * x + y * y + z * z < np.square(np.maximum(limits + self._reach, 0.0)))
+        limits = limits + np.zeros(x.shape)
         # Boxes along the normals of the faces of each.
         one, other = first[index], second[index]
         between = center[at, other] - center[at, one]

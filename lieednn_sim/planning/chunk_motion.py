@@ -10,7 +10,6 @@ stays within the convex hull of its control points: where these keep the positio
 
 A chunk that is too fast is slowed down as a whole, by a factor f: its own time u goes on at the rate u' = 1 / f. It
 ends at rest: over a time D this rate falls as 1 - 10 x^3 + 15 x^4 - 6 x^5 with x from 0 to 1, up to the last target.
-Likewise it may rise at first, from what the arm's velocity is along the curve.
 """
 
 from __future__ import annotations
@@ -21,43 +20,43 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import PlanError
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE
-from lieednn_sim.planning.transition import Transition
+from lieednn_sim.planning.transition import EVEN, Transition
 from lieednn_sim.values import Floats
 
 # Weights of a segment's four control points from the powers of its time, and those of its first two derivatives.
 _CUBIC = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6.0
 _POWERS = np.diag([1.0, 2.0, 3.0], 1)
 _SEGMENT = np.concatenate([np.linalg.matrix_power(_POWERS, k) @ _CUBIC for k in range(3)], axis=1)
-_FOUR = np.arange(4)
-# A ramp from speed 1 to rest at nine x from 0 to 1: its way, its speed and the derivative of that.
-_X = np.linspace(0.0, 1.0, 9)
-_RAMP = _X - _X**4 * (2.5 - _X * (3.0 - _X)), 1.0 - _X**3 * (10.0 - _X * (15.0 - 6.0 * _X)), -30.0 * (_X - _X**2) ** 2
+_FOUR, _ORDERS = np.arange(4), np.arange(3).repeat(4)
 # Weights s that are tried; the greatest one whose score is at most this multiple of the best is taken.
 _WEIGHTS, _NEARLY = np.logspace(-3.0, 7.0, 21), 1.3
 # Factors on the least duration of a chunk and on that of the fade onto it, those tried first that delay it least.
 _TRIED = sorted(product((1.0, 1.15, 1.4, 2.0, 3.0, 5.0, 8.0), (1.0, 1.4, 2.0, 3.0, 5.0)), key=math.prod)
 
 
+def _ramp(x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Of a ramp from speed 1 to rest at x from 0 to 1: its way, its speed and the derivative of that."""
+    square = x * x
+    cube, left = square * x, x - square
+    return x - cube * x * (2.5 - x * (3.0 - x)), 1.0 - cube * (10.0 - x * (15.0 - 6.0 * x)), -30.0 * left * left
+
+
+_RAMP = _ramp(np.linspace(0.0, 1.0, 9))
+
+
 class ChunkCurve:
-    """The curve of a chunk over its own time u, from 0 to its duration.
+    """The curve of a chunk over its own time u, from 0 to its ``duration`` [s], where it is at ``end`` ``(n,)``.
 
-    Args:
-        control: ``(H + 2, n)`` control points of H targets [rad, m].
-        step: h, time between two targets [s].
-
-    Attributes:
-        step: h.
-        duration: [s].
-        end: ``(n,)`` the last configuration.
+    It has ``(H + 2, n)`` control points of H targets [rad, m], which are a time ``step`` h apart [s].
     """
 
     def __init__(self, control: Floats, step: float) -> None:
         self._control, self.step, self._last = control, step, len(control) - 4
+        self._segment, self._excess = _SEGMENT / step**_ORDERS, dict[int, list[tuple[float, int, int]]]()
         self.duration = step * (self._last + 1)
         self.end = self.values[-1]
 
@@ -82,11 +81,11 @@ class ChunkCurve:
     def __call__(self, u: Floats) -> Floats:
         """Configurations and their first two derivatives in u ``(3, K, n)``, at times ``(K,)``."""
         parts = u / self.step
-        segment = np.minimum(np.maximum(parts.astype(int), 0), self._last)
+        segment = np.minimum(parts.astype(int), self._last)
         powers = np.ones((len(u), 4))
         powers[:, 1:] = (parts - segment)[:, None]
-        weights = (np.multiply.accumulate(powers, axis=1) @ _SEGMENT).reshape(-1, 3, 4)
-        return (weights @ self._control[segment[:, None] + _FOUR] / self.step ** _FOUR[:3, None]).swapaxes(0, 1)
+        weights = (np.multiply.accumulate(powers, axis=1, out=powers) @ self._segment).reshape(-1, 3, 4)
+        return (weights @ self._control[segment[:, None] + _FOUR]).swapaxes(0, 1)
 
     @property
     def values(self) -> Floats:
@@ -101,61 +100,46 @@ class ChunkCurve:
     def excess(self, arm: Arm, begin: float) -> list[tuple[float, int, int]]:
         """Largest parts of the limits of velocity and acceleration from its time ``begin`` on, joints and rows."""
         first = min(int(begin / self.step), self._last)
+        if first in self._excess:
+            return self._excess[first]
         rates = np.diff(self._control[first:], axis=0) / self.step
         # In the middle between two knots, and at the knots.
         middle, at = (rates[:-2] + 6.0 * rates[1:-1] + rates[2:]) / 8.0, 0.5 * (rates[1:] + rates[:-1])
         parts = np.abs(np.concatenate([at, middle])) / arm.velocity_limits
         bends = np.abs(np.diff(rates, axis=0)) / self.step / arm.acceleration_limits
         found = ((part, *divmod(int(part.argmax()), part.shape[1])) for part in (parts, bends))
-        return [(float(part[k, joint]), joint, first + k % len(at)) for part, k, joint in found]
+        self._excess[first] = [(float(part[k, joint]), joint, first + k % len(at)) for part, k, joint in found]
+        return self._excess[first]
 
 
 class Ramped:
-    """A curve from one of its times to another, slowed down, at rest at its end.
+    """A curve from its own time ``begin`` to ``end`` [s], ``slower`` by f, at rest at its end after a ``ramp`` D [s].
 
-    Args:
-        curve: the curve.
-        begin, end: its own times u there [s].
-        slower: f.
-        ramp: D [s].
-        rate: u' at first; by default 1 / f at once.
-        rise: time in which it becomes 1 / f [s].
-
-    Attributes:
-        x: ``(4,)`` its time at the begin and the ends of the rise, of the constant rate, and of the ramp [s], as of a
-            `PPoly`; it rests if it is asked for later ones.
-        ramps_at: time at which it begins to slow down [s]; negative where rise and ramp take longer than the way.
+    As of a `PPoly`, ``x`` ``(2,)`` has its times at begin and end [s]; later it rests. At ``ramps_at`` [s] the ramp
+    begins.
     """
 
-    def __init__(
-        self, curve: ChunkCurve, begin: float, end: float, slower: float, ramp: float, rate: float, rise: float
-    ) -> None:
-        self.curve, self.begin, self.end, self.slower = curve, begin, end, slower
-        full, ramp, rise = 1.0 / slower, max(ramp, 1e-9), max(rise, 1e-9)
-        risen = 0.5 * rise * (rate + full)
-        even = max((end - begin - risen) * slower - 0.5 * ramp, 0.0)
-        self.ramps_at = rise + even
-        self.x = np.cumsum([0.0, rise, even, ramp])
-        # Of the three parts: duration, change of the rate, rate and u at the beginning.
-        parts = [(rise, full - rate, rate, begin), (even or 1.0, 0.0, full, begin + risen)]
-        parts.append((ramp, -full, full, begin + risen + even * full))
-        powers = np.zeros((7, 3, 3))
-        for k, (t, change, first, u) in enumerate(parts):
-            powers[:, k, 0] = change / t**5, -3.0 * change / t**4, 2.5 * change / t**3, 0.0, 0.0, first, u
-        for order in (1, 2):
-            powers[1:, :, order] = np.arange(6.0, 0.0, -1.0)[:, None] * powers[:-1, :, order - 1]
-        self._clock = PPoly.construct_fast(powers, self.x)
+    def __init__(self, curve: ChunkCurve, begin: float, end: float, slower: float, ramp: float) -> None:
+        self.curve, self.begin, self.end, self.slower, self._ramp = curve, begin, end, slower, max(ramp, 1e-9)
+        self.ramps_at = max((end - begin) * slower - 0.5 * self._ramp, 0.0)
+        self.x = np.array([0.0, self.ramps_at + self._ramp])
 
     def clock(self, t: Floats) -> tuple[Floats, Floats, Floats]:
         """The curve's own time u ``(K,)`` at times ``(K,)``, and its first two derivatives."""
-        u, rate, bend = self._clock(np.minimum(np.maximum(t, 0.0), self.x[-1])).T
-        return np.minimum(u, self.end), rate, bend
+        full, ramp = 1.0 / self.slower, self._ramp
+        way, rate, bend = _ramp(np.minimum(np.maximum((t - self.ramps_at) / ramp, 0.0), 1.0))
+        u = self.begin + full * (np.minimum(t, self.ramps_at) + ramp * way)
+        return np.minimum(u, self.end), full * rate, full / ramp * bend
 
     def states(self, t: Floats) -> Floats:
-        """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)``."""
+        """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)`` from 0 on."""
         u, rate, bend = self.clock(t)
-        q, slope, turn = self.curve(u)
-        return np.stack([q, slope * rate[:, None], turn * (rate * rate)[:, None] + slope * bend[:, None]])
+        states = self.curve(u)
+        _, slope, turn = states
+        turn *= (rate * rate)[:, None]
+        turn += slope * bend[:, None]
+        slope *= rate[:, None]
+        return states
 
     def __call__(self, t: float) -> Floats:
         """Joint coordinates ``(n,)`` at a time."""
@@ -171,53 +155,56 @@ class ChunkMotion(Transition):
         return max(super().duration, self.fade)
 
     @property
-    def _one(self) -> bool:
-        return False
+    def in_time(self) -> bool:
+        """Whether it is on the curve before that ends."""
+        return self.fade <= float(self.base.x[-1])
 
-    def _along(self, own: Floats) -> Floats:
-        return self.base.states(own)
+    def _add_base(self, result: Floats, t: Floats) -> None:
+        result += self.base.states(t)
+
+    def until(self, time: float) -> list[Floats]:
+        """Joint coordinates, rates and accelerations, each ``(K, n)``, at 19 to 97 times up to one."""
+        count, faded = len(EVEN), time / self.duration
+        if faded > 0.2:
+            return [part[: math.ceil((count - 1) * faded) + 1] for part in self.even]
+        # With those that others ask for, at once.
+        states = self(np.append(self.duration * EVEN, time * EVEN[::3]))
+        vars(self)["even"] = tuple(part[:count] for part in states)
+        return [part[count:] for part in states]
 
 
 def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float, fade: float) -> ChunkMotion:
     """The transition from a state onto a curve, as fast as the arm's limits allow.
 
-    If the state is so far behind that the curve would be over first, it is joined at an earlier time, the nearest one
-    at the earliest; at last what the velocity lacks is not made up for, but rises along the curve. Velocities and
-    accelerations are checked at samples, against the limits, and positions too.
-
-    Args:
-        arm: the arm.
-        now: ``(3, n)`` joint coordinates, rates and accelerations at the beginning.
-        curve: the curve.
-        begin: its own time u at which it is to be joined [s].
-        most: longest part of it that is followed, to rest [s].
-        fade: least time in which what the state differs from the curve is made up for [s].
-
-    Raises:
-        PlanError: none of those tried keeps the limits.
+    From ``now``, ``(3, n)`` joint coordinates, rates and accelerations, it joins the curve at its time ``begin`` [s] in
+    at least the time ``fade`` [s], and follows it to rest, for ``most`` [s]. If the state is so far behind that the
+    curve would be over first, it is joined at an earlier time, the nearest one at the earliest; at last it is slowed
+    down until that is in time. Velocities and accelerations are checked at samples, against the limits, and positions
+    too; `PlanError` if none of those tried keeps them.
     """
 
-    def joined(u: float, rises: bool = False) -> tuple[ChunkMotion, bool]:
-        motion = _joined(arm, now, curve, u, min(u + most, curve.duration), fade, rises)
-        return motion, motion.fade <= motion.base.x[-1]
+    def joined(late: float, slows: bool = False) -> ChunkMotion:
+        u = begin - late * back
+        return _joined(arm, now, curve, u, min(u + most, curve.duration), fade, slows)
 
-    motion, in_time = joined(begin)
-    if in_time:
+    back = 0.0
+    motion = joined(0.0)
+    if motion.in_time:
         return motion
     back = begin - curve.nearest(now[0], begin)
     for late in (0.25, 0.5, 0.75, 1.0) if back else ():
-        motion, in_time = joined(begin - late * back)
-        if in_time:
+        motion = joined(late)
+        if motion.in_time:
             return motion
     # A state that is ahead would go back first.
     if curve.nearest(now[0], curve.duration) < begin + 0.25 * fade:
         with suppress(PlanError):
-            motion, _ = joined(begin - back, rises=True)
+            return joined(1.0, slows=True)
     return motion
 
 
 def _joined(
-    arm: Arm, now: Floats, curve: ChunkCurve, begin: float, end: float, fade: float, rises: bool
+    arm: Arm, now: Floats, curve: ChunkCurve, begin: float, end: float, fade: float, slows: bool
 ) -> ChunkMotion:
     """The transition that joins a curve at a time, and rests at another one; see `go_over`."""
     v, a = limits = np.stack([arm.velocity_limits, arm.acceleration_limits])
@@ -230,31 +217,20 @@ def _joined(
             ramps[more] = _shortest_ramp(arm, curve, begin, end, slower)
         if (ramp := ramps[more]) is None:
             continue
-        rate, rise = 1.0 / slower, 0.0
-        if rises:
-            # As fast along the curve as the state is.
-            along = float(slope / v**2 @ now[1]) / max(float(slope / v**2 @ slope), 1e-12)
-            rate = min(max(along, 0.0), rate)
-            rise = longer * 2.0 * (1.0 / slower - rate) * float((np.abs(slope) / a).max())
-            if 0.5 * (rise * (rate * slower + 1.0) + ramp) > slower * (end - begin):
-                continue
-        base = Ramped(curve, begin, end, slower, ramp, rate, rise)
-        away = np.abs(differences := now - [there, rate * slope, rate * rate * turn])
+        base = Ramped(curve, begin, end, slower, ramp)
+        away = np.abs(differences := now - [there, slope / slower, turn / slower**2])
         soonest = _soonest(away, 0.5 * limits)
         if soonest > fade:
             most = np.abs(base.states(np.linspace(0.0, float(base.x[-1]), 33))[1:]).max(axis=1)
             soonest = _soonest(away, np.maximum(limits - most, 0.5 * limits))
         result = ChunkMotion(base, 1.0, differences, longer * max(fade, soonest))
-        faded = max(result.fade, rise) / result.duration
-        if faded > 0.2:
-            q, qd, qdd = (part[: math.ceil(96.0 * faded) + 1] for part in result.even)
-        else:
-            q, qd, qdd = result(np.linspace(0.0, faded * result.duration, 33))
-        if (
-            (np.abs(qd) <= 1.001 * v).all()
-            and (np.abs(qdd) <= 1.001 * a).all()
-            and (arm.limit_excess(q) <= LIMIT_TOLERANCE).all()
-        ):
+        if slows and not result.in_time:
+            continue
+        q, qd, qdd = result.until(result.fade)
+        fits = (np.abs(qd) <= 1.001 * v).all() and (np.abs(qdd) <= 1.001 * a).all()
+        # The state itself may be beyond by what a code lacks.
+        beyond = arm.limit_excess(q)
+        if fits and (beyond <= LIMIT_TOLERANCE + np.maximum(beyond[0], 0.0)).all():
             return result
     raise PlanError("no transition onto the chunk keeps the limits of the joints")
 

@@ -1,4 +1,4 @@
-"""Chunks of joint targets, as learned policies emit them: what is wrong with one, and what is mended."""
+"""Chunks of joint targets, as learned policies emit them: how one is read, what is wrong with it, what is mended."""
 
 from __future__ import annotations
 
@@ -6,16 +6,21 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from lieednn_sim.arm import Arm
+from lieednn_sim.arm import Arm, solve_ik
+from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.planning.chunk_motion import ChunkCurve
 from lieednn_sim.planning.motion import LIMIT_TOLERANCE
+from lieednn_sim.validation import as_floats, as_positive
 from lieednn_sim.values import Floats
 
 # Chunks with more jumps than this are no motion; with more targets, the first of a length would take long to fit.
 MOST_JUMPS, MOST_TARGETS = 4, 256
+# How far ahead the last target may be: beyond that its times are of another clock, or in another unit [s].
+_FARTHEST = 120.0
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,48 @@ class Finding:
 
     def __str__(self) -> str:
         return f"{self.kind}: {self.text}"
+
+
+class RefusedError(Exception):
+    """A chunk cannot be followed, as a `Finding` says."""
+
+    def __init__(self, finding: Finding) -> None:
+        self.finding = finding
+
+
+def read(
+    arm: Arm, chunk: Any, t0: float, dt: float, near: Floats, now: float, newest: float
+) -> tuple[Floats, float, float]:
+    """The targets ``(H, n)``, the time of the first one, and that between two; raises `RefusedError`.
+
+    Of poses, a `RigidTransform`, each becomes the joint target next to the one before, the first one near ``(n,)``. The
+    chunk may not begin before the ``newest`` one, or be over ``now`` [s].
+    """
+    kind, n = "reach", arm.n_joints
+    try:
+        if hasattr(chunk, "as_matrix"):
+            q = [near]
+            for pose in chunk:
+                q.append(solve_ik(arm, pose.translation, pose.rotation, start=q[-1]))
+            chunk = np.array(q[1:])
+        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else "shape"
+        targets = as_floats("chunk", chunk, ("H", n))
+        if kind == "shape":
+            raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")
+        kind = "times"
+        begin, step = float(as_floats("t0", t0, ())), as_positive("dt", dt)
+    except (InputError, NoSolutionError, TypeError, ValueError) as error:
+        raise RefusedError(Finding(kind, str(error))) from None
+    last, kind, old = begin + (len(targets) - 1) * step, "stale", ""
+    if last < now - 1e-9:
+        old = f"its last target was for {last:.3f} s, it is {now:.3f} s"
+    elif begin < newest:
+        old = f"it begins at {begin:.3f} s, one that begins at {newest:.3f} s came before"
+    elif last > now + _FARTHEST:
+        kind, old = "times", f"its last target is for {last:.1f} s, it is {now:.1f} s; t0 counts as policy.now"
+    if old:
+        raise RefusedError(Finding(kind, old))
+    return targets, begin, step
 
 
 def judge(

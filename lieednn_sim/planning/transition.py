@@ -12,7 +12,7 @@ the two states.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import product
@@ -36,7 +36,7 @@ BASE_FRACTION, FRACTION = 0.5, 0.8
 # What is tried: factors on the base's duration, and durations of the fade over the transition's.
 _SLOWER, _SHARES = (1.0, 1.25, 1.6, 2.2, 3.0), (1.0, 0.5, 0.25, 0.12, 0.06)
 # Samples of a transition, and of a shorter fade; every second of the former is looked at for what is in the way.
-_EVEN, _OF_FADE = np.linspace(0.0, 1.0, 97), np.linspace(0.0, 1.0, 16)
+EVEN, _OF_FADE = np.linspace(0.0, 1.0, 97), np.linspace(0.0, 1.0, 16)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class Transition:
     @cached_property
     def even(self) -> tuple[Floats, Floats, Floats]:
         """What a call returns at 97 even times from 0 to the duration."""
-        return self(self.duration * _EVEN)
+        return self(self.duration * EVEN)
 
     def __call__(self, t: Floats) -> tuple[Floats, Floats, Floats]:
         """Joint coordinates, rates and accelerations, each ``(K, n)``, at times ``(K,)``; at rest after the end."""
@@ -77,16 +77,14 @@ class Transition:
         powers[1:] = np.minimum(np.maximum(t / self.fade, 0.0), 1.0)
         result = np.multiply.accumulate(powers, out=powers).T @ self._factors
         if not self._one:
-            own = np.minimum(np.maximum(t / self.slower, 0.0), self.base.x[-1])
-            for order, part in enumerate(self._along(own)):
-                result[order] += part / self.slower**order
+            self._add_base(result, t)
         q, qd, qdd = result
         return q, qd, qdd
 
     @cached_property
     def _one(self) -> bool:
         """Whether the whole motion is one polynomial: the base has one piece, and corrections take as long."""
-        return self.base.c.shape[1] == 1 and self.fade == self.duration
+        return isinstance(self.base, PPoly) and self.base.c.shape[1] == 1 and self.fade == self.duration
 
     @cached_property
     def _factors(self) -> Floats:
@@ -98,9 +96,11 @@ class Transition:
             factors[: len(own)] += own * self.base.x[-1] ** np.arange(float(len(own)))[:, None]
         return _DERIVATIVES @ factors / times[..., None]
 
-    def _along(self, own: Floats) -> Iterable[Floats]:
-        """The base and its first two derivatives, each ``(K, n)``, at its times ``(K,)``."""
-        return (self.base(own, nu=order) for order in range(3))
+    def _add_base(self, result: Floats, t: Floats) -> None:
+        """Add the base and its first two derivatives to ``(3, K, n)`` at times ``(K,)``."""
+        own = np.minimum(np.maximum(t / self.slower, 0.0), self.base.x[-1])
+        for order in range(3):
+            result[order] += self.base(own, nu=order) / self.slower**order
 
 
 def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str | None] | None = None) -> Transition:
@@ -119,7 +119,7 @@ def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str
     """
     # The base's own acceleration may be left out: it begins at rest, and a spline's is no exact one.
     differences = now - [base.c[-1, 0], base.c[-2, 0], np.zeros(len(now[2]))]
-    refusal, looked = "no transition keeps the limits of the joints", _EVEN[::2]
+    refusal, looked = "no transition keeps the limits of the joints", EVEN[::2]
 
     @cache
     def blocked_after(share: float) -> str | None:

@@ -4,7 +4,7 @@ A chunk is judged before anything moves (`planning.chunks`): it is mended where 
 old one goes on. The reference goes over to its curve at the time that it is now, with continuous velocity and
 acceleration: what has passed is dropped, and what the reference lacks is made up for as fast as the limits allow. If it
 could not catch up before the curve is over, it goes on from an earlier time of the curve, the nearest one at the
-earliest, and is late. When chunks run out, it rests at the last target.
+earliest, and is late, or slower. When chunks run out, it rests at the last target.
 
 What is proved: a change makes another code of one certified network. After the last one, once the arm keeps up and
 need not rest, it converges to the end of what is coded: the last target, or of a long chunk a point of its curve, from
@@ -27,16 +27,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim.arm import solve_ik
-from lieednn_sim.errors import InputError, NoSolutionError, PlanError
+from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.planning.chunk_motion import ChunkCurve, ChunkMotion, go_over
-from lieednn_sim.planning.chunks import MOST_TARGETS, Finding, judge
+from lieednn_sim.planning.chunks import Finding, RefusedError, judge, read
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
 from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.policies.coded_policy import GENTLY
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
-from lieednn_sim.validation import as_choice, as_floats, as_positive
+from lieednn_sim.validation import as_choice
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -47,9 +46,8 @@ _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
 _LOOKS = 33
 # The part of the limits of acceleration with which it brakes before what is not proved.
 _HARD = 0.8
-# Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once; and how far
-# ahead its last target may be: beyond that its times are of another clock, or in another unit [s].
-_FADE, _HORIZON, _FARTHEST = 0.2, 1.5, 120.0
+# Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once [s].
+_FADE, _HORIZON = 0.2, 1.5
 # How far the network may be from the motion whose clearance is proved [rad, m].
 _TOLERANCE = 1e-3
 # Rate at which the reference comes back to the network after limits held it back [1/s].
@@ -100,11 +98,6 @@ class ChunkVerdict:
 
 # The time of the first target of a chunk, or of its part after a jump, and its curve.
 _Part = tuple[float, ChunkCurve]
-
-
-class _RefusedError(Exception):
-    def __init__(self, finding: Finding) -> None:
-        self.finding = finding
 
 
 class ChunkPolicy(ReplanningPolicy):
@@ -169,52 +162,21 @@ class ChunkPolicy(ReplanningPolicy):
             raise InputError("the policy was never reset: call reset(q), or step with measured joints, before accept")
         findings, dropped, motion = list[Finding](), 0, None
         try:
-            targets, begin, step = self._read(chunk, t0, dt)
+            near = self._within_limits(self.drawn)
+            targets, begin, step = read(self.arm, chunk, t0, dt, near, self.now, self._newest)
             passed = self.now - begin
-            dropped = int(np.clip(math.ceil(passed / step - 1e-9), 0, len(targets)))
+            dropped = min(max(math.ceil(passed / step - 1e-9), 0), len(targets))
             blended, repaired = self._blended(targets, begin, step), self._options.repaired
             parts, findings = judge(self.arm, blended, step, passed, self.drawn, repaired)
             if all(finding.repaired for finding in findings):
                 findings += self._turn_onto([(begin + first, curve) for first, curve in parts])
                 self._newest, motion = begin, self.course.transition
-        except _RefusedError as refused:
+        except RefusedError as refused:
             findings.append(refused.finding)
         more = (motion.base.slower, motion.fade) if isinstance(motion, ChunkMotion) else ()
         self.verdict = ChunkVerdict(motion is not None, tuple(findings), dropped, *more)
         self.counts.update([*(finding.kind for finding in findings), "accepted" if motion else "refused"])
         return self.verdict
-
-    def _read(self, chunk: ArrayLike, t0: float, dt: float) -> tuple[Floats, float, float]:
-        """The targets, the time of the first one, and that between two; raises `_RefusedError`."""
-        kind, n = "reach", self.arm.n_joints
-        try:
-            chunk = self._at_poses(chunk) if hasattr(chunk, "as_matrix") else chunk
-            kind = "shape"
-            kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else kind
-            targets = as_floats("chunk", chunk, ("H", n))
-            if kind == "shape":
-                raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")
-            kind = "times"
-            begin, step = float(as_floats("t0", t0, ())), as_positive("dt", dt)
-        except (InputError, NoSolutionError, TypeError, ValueError) as error:
-            raise _RefusedError(Finding(kind, str(error))) from None
-        last, kind, old = begin + (len(targets) - 1) * step, "stale", ""
-        if last < self.now - 1e-9:
-            old = f"its last target was for {last:.3f} s, it is {self.now:.3f} s"
-        elif begin < self._newest:
-            old = f"it begins at {begin:.3f} s, one that begins at {self._newest:.3f} s came before"
-        elif last > self.now + _FARTHEST:
-            kind, old = "times", f"its last target is for {last:.1f} s, it is {self.now:.1f} s; t0 counts as policy.now"
-        if old:
-            raise _RefusedError(Finding(kind, old))
-        return targets, begin, step
-
-    def _at_poses(self, poses: RigidTransform) -> Floats:
-        """Joint targets ``(H, n)`` for poses, each next to the one before."""
-        q = [self._within_limits(self.drawn)]
-        for k in range(len(poses)):
-            q.append(solve_ik(self.arm, poses[k].translation, poses[k].rotation, start=q[-1]))
-        return np.array(q[1:])
 
     def _blended(self, targets: Floats, begin: float, step: float) -> Floats:
         """Targets ``(H, n)`` where earlier ones have their weight."""
@@ -231,7 +193,7 @@ class ChunkPolicy(ReplanningPolicy):
         """Follow parts, or go to their end on another way if they touch something and that is allowed."""
         try:
             self._begin_parts(parts)
-        except _RefusedError as refused:
+        except RefusedError as refused:
             end = parts[-1][1].end
             asked = refused.finding.kind == "contact" and "contact" in self._options.repaired
             if not asked or self._surroundings.blocked(end[None]):
@@ -241,32 +203,36 @@ class ChunkPolicy(ReplanningPolicy):
             return [replace(refused.finding, repaired=True)]
         return []
 
-    def _command(self, end: Floats, curve: _Part | None, later: list[_Part] | None = None) -> None:
+    def _command(self, end: Floats, curve: _Part | None) -> None:
         """Take note of what is followed and where it ends."""
         self._wanted = self._goal = end
-        self._curve, self._later = curve, later or []
-        self._search = self._path = None
+        self._curve, self._later, self._search, self._path = curve, [], None, None
 
     def _begin_parts(self, parts: list[_Part]) -> None:
-        """Follow the last part whose time has come, and the later ones then; raises `_RefusedError`."""
+        """Follow the last part whose time has come, and the later ones then; raises `RefusedError`."""
         due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
-        for begin, curve in parts[max(due - 1, 0) :]:
-            u = min(max(self.now - begin, 0.0), curve.duration)
-            if begin > self.now or curve.duration > u + _HORIZON:
-                self._require_clear(curve(np.linspace(u, curve.duration, _LOOKS))[0], curve.duration - u)
+        for begin, curve in parts[due:]:
+            self._require_clear(curve(np.linspace(0.0, curve.duration, _LOOKS))[0], begin - self.now, curve.duration)
         if due:
             begin, curve = parts[due - 1]
-            self._join(curve, min(self.now - begin, curve.duration))
+            self._join(curve, min(self.now - begin, curve.duration), whole=True)
             self._command(curve.end, parts[due - 1])
         self._later = parts[due:]
 
-    def _join(self, curve: ChunkCurve, begin: float, share: float = 1.0) -> None:
-        """Go over to a curve at one of its times, for a share of the horizon; raises `_RefusedError`."""
+    def _join(self, curve: ChunkCurve, begin: float, share: float = 1.0, *, whole: bool = False) -> None:
+        """Go over to a curve at one of its times, for a share of the horizon; raises `RefusedError`.
+
+        What is coded is looked at for contact, or the ``whole`` of what is left of the curve.
+        """
         error = ""
 
         def onto(now: Floats) -> ChunkMotion:
             motion = go_over(self.arm, now, curve, begin, horizon, _FADE)
-            self._require_clear(motion.even[0][::3], motion.duration)
+            end, last = motion.base.end, curve.duration
+            self._require_clear(motion.even[0][::3], 0.0, motion.duration)
+            if whole and end < last:
+                count = math.ceil(_LOOKS * (last - end) / (last - begin)) + 1
+                self._require_clear(curve(np.linspace(end, last, count))[0], motion.duration, last - end)
             return motion
 
         # A shorter part has a smaller code, which is nearer to it. The rest comes back to it by further codes.
@@ -278,23 +244,23 @@ class ChunkPolicy(ReplanningPolicy):
             except PlanError as refused:
                 error = str(refused)
         else:
-            raise _RefusedError(Finding("motion", error))
+            raise RefusedError(Finding("motion", error))
         self._clear_way()
         if not self._surroundings.places and not isinstance(bounds_of(self.arm), str):
             motion = self.course.transition
             q, qd = (part[::3] for part in motion.even[:2])
             t = np.linspace(0.0, motion.duration, _LOOKS)
-            # It begins where the state is.
-            off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + np.zeros_like(q)
+            # It begins where the state is; the reference keeps within the limits.
+            off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + np.abs(q - np.clip(q, *self.arm.position_limits.T))
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
-    def _require_clear(self, q: Floats, duration: float) -> None:
-        """Raise `_RefusedError` where something is in the way at samples ``(K, n)`` of a motion."""
+    def _require_clear(self, q: Floats, begin: float, duration: float) -> None:
+        """Raise `RefusedError` where something is in the way at samples ``(K, n)`` of what begins soon [s]."""
         if (result := self._surroundings.blocked(q)) is not None:
             first, second, distance = self._surroundings.nearest(q[result[0]])
-            time = duration * result[0] / (len(q) - 1)
+            time = begin + duration * result[0] / (len(q) - 1)
             text = f"{first!r} would be {1e3 * distance:.3g} mm from {second!r} {time:.2f} s from now"
-            raise _RefusedError(Finding("contact", text, value=distance, limit=self.arm.clearance))
+            raise RefusedError(Finding("contact", text, value=distance, limit=self.arm.clearance))
 
     def _prove(self) -> None:
         """Go on with the proof of the present motion, until the arm need not brake for want of it, and rest before it.
@@ -337,11 +303,18 @@ class ChunkPolicy(ReplanningPolicy):
         inside, _ = super().act(measured, target)
         # At a limit the network may be beyond it by what its code lacks.
         qd = np.where(np.abs(inside - self.drawn) < _TOLERANCE, self._rate, 0.0)
-        ahead = inside - (self.q + 0.5 * self.period * (self.qd + qd))
-        v, most = self.arm.velocity_limits, self._max_gain
-        rate = np.minimum(np.maximum(qd + _RETURN * ahead, self.qd - most), self.qd + most)
+        half, v, most = 0.5 * self.period, self.arm.velocity_limits, self._max_gain
+        held = self.q + half * self.qd
+        rate = np.minimum(np.maximum(qd + _RETURN * (inside - held - half * qd), self.qd - most), self.qd + most)
         rate = np.minimum(np.maximum(rate, -v), v)
-        return self._within_limits(self.q + 0.5 * self.period * (self.qd + rate)), rate
+        low, high = self.arm.position_limits.T
+        # From where it can still brake before a limit, as of `bounds`; then it need not be held back there.
+        reach = held + rate * (2.0 * half + 0.5 * np.abs(rate) / self.arm.acceleration_limits)
+        if (reach < low).any() or (reach > high).any():
+            room = np.minimum(np.maximum([held - low, high - held], 0.0), 1e6)
+            fast = 2.0 * room / (2.0 * half + np.sqrt(4.0 * half**2 + 2.0 * room / self.arm.acceleration_limits))
+            rate = np.minimum(np.maximum(rate, -fast[0]), fast[1])
+        return self._within_limits(held + half * rate), rate
 
     def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:
         waiting, pulled = super()._listen(measured, drawn)
@@ -359,7 +332,7 @@ class ChunkPolicy(ReplanningPolicy):
             self._asked = target
         try:
             self._go_on()
-        except _RefusedError as refused:
+        except RefusedError as refused:
             # It rests at the end of what it follows.
             self._command(self.course.transition.end, None)
             self.counts[refused.finding.kind] += 1
@@ -367,7 +340,7 @@ class ChunkPolicy(ReplanningPolicy):
         self._prove()
 
     def _go_on(self) -> None:
-        """Begin a part whose time has come, code the rest of a long one, or code anew; raises `_RefusedError`."""
+        """Begin a part whose time has come, code the rest of a long one, or code anew; raises `RefusedError`."""
         motion = self.course.transition
         if self._later and self._later[0][0] <= self.now + 1e-9:
             self._begin_parts(self._later)
@@ -375,7 +348,7 @@ class ChunkPolicy(ReplanningPolicy):
             base, at = motion.base, np.array([self.time])
             # Before it begins to slow down.
             ends = base.end < base.curve.duration and self.time + self.period > max(base.ramps_at, motion.fade)
-            looks = self._periods % self._options.look_every == 0 and self.time < motion.duration
+            looks = self._periods % self._options.look_every == 0 and 0.0 < self.time < motion.duration
             # Once it slows down, another code would let it hurry again.
             most = (0.5 if self.time < base.ramps_at else 1.0) * _TOLERANCE
             # The code may not be near enough, or joints pull.

@@ -120,11 +120,14 @@ class CodedPolicy(FeedbackPolicy):
 
     def _within_acceleration(self, wish: float, extra: Floats) -> float:
         """The pace nearest to a wish with which no joint's velocity changes by more than its limit in a period."""
-        most, change, velocity = self._used * self._max_gain, extra - self.qd, self._velocity
-        moving = np.abs(velocity) > 1e-9
-        ends = (np.array([-most, most]) - change)[:, moving] / velocity[moving]
-        low = float(ends.min(axis=0).max(initial=0.0))
-        high = float(ends.max(axis=0).min(initial=math.inf))
+        most, change = self._used * self._max_gain, extra - self.qd
+        low, high = 0.0, math.inf
+        # For a few joints quicker than arrays.
+        for v, below, above in zip(
+            *map(np.ndarray.tolist, (self._velocity, -most - change, most - change)), strict=True
+        ):
+            if abs(v) > 1e-9:
+                low, high = max(low, min(below / v, above / v)), min(high, max(below / v, above / v))
         # Where no pace keeps all limits, since the arm is pulled, one between those that keep some of them.
         return max(min(wish, max(low, high)), min(low, high, self._waiting))
 
