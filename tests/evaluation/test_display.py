@@ -151,4 +151,4 @@ def test_success_needs_every_link_within_both_bounds_and_no_contact():
     # In a sequence a grasp is contact.
     grasped = dataclasses.replace(EVALUATION, frames=(good,), contacts=3, sequence=True)
     assert grasped.arrival.startswith("arrives after")
-    assert "contacts: 3, of grasps too" in str(grasped)
+    assert "contacts: 3, grasps too" in str(grasped)
