@@ -258,8 +258,7 @@ class _Search:
         arm, goal = self._arm, self._goal
         if isinstance(goal, _Point) and not refused and not len(arm.space.balls):
             # If the position is out of reach however the end effector is turned, that is said.
-            point = _Point(goal.place, None)
-            nearest = _Search(arm, point, None, self._start)._nearest(closest)
+            nearest = _Search(arm, point := _Point(goal.place, None), None, self._start)._nearest(closest)
             if point.distance(arm.link_poses(nearest)[-1])[0] > 1e-3:
                 closest, goal = nearest, point
         where = str(goal) if isinstance(goal, _Point) else "the region"

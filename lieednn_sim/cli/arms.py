@@ -16,7 +16,7 @@ from lieednn_sim.cli.arguments import joint_position
 from lieednn_sim.cli.console import console, print_import_report
 from lieednn_sim.cli.kinds import Joints
 from lieednn_sim.errors import InputError
-from lieednn_sim.evaluation.display import table
+from lieednn_sim.evaluation.display import rounded, table
 from lieednn_sim.live.page import view as show
 from lieednn_sim.live.settings import Settings
 from lieednn_sim.values import Floats
@@ -108,13 +108,8 @@ def _print_summaries(loaded: list[Arm]) -> None:
     rows = table("arms", "arm", "links", "joints", "reach m", "keyframes")
     for arm in loaded:
         kinds = Counter(factor.kind for joint in arm.joints.joints for factor in joint.factors)
-        rows.add_row(
-            arm.name,
-            str(arm.n_links),
-            ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in sorted(kinds.items())),
-            f"{farthest(arm):.2f}",
-            ", ".join(arm.keyframes),
-        )
+        counts = ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in sorted(kinds.items()))
+        rows.add_row(arm.name, str(arm.n_links), counts, f"{farthest(arm):.2f}", ", ".join(arm.keyframes))
     rows.caption = "reach: of the end effector from the base"
     console.print(rows)
 
@@ -123,7 +118,7 @@ def _coordinates(arm: Arm) -> object:
     rows = table("joint coordinates", "coordinate", "unit", "from", "to", "velocity", "acceleration", "jerk", "force")
     for j, name in enumerate(arm.joint_names):
         limits = (arm.velocity_limits, arm.acceleration_limits, arm.jerk_limits, arm.force_limits)
-        texts = ("-" if np.isinf(limit[j]) else f"{limit[j]:g}" for limit in limits)
+        texts = ("-" if np.isinf(limit[j]) else rounded(limit[j]) for limit in limits)
         rows.add_row(name, arm.unit(j), *(f"{bound:.4g}" for bound in arm.position_limits[j]), *texts)
     rows.caption = "limits; -: none" + ("; of a ball joint the angle is limited" if len(arm.space.balls) else "")
     rows.caption += f"; unit of length in networks: {arm.length_scale:g} m"

@@ -95,9 +95,8 @@ def plan_run(
             settle=planning.settle,
         )
     task = replace(task, target=tuple(result.target.tolist()))
-    place = "a pose" if planning.position is None else "({:g}, {:g}, {:g}) m".format(*planning.position)
-    head = f"planner: {planner}, {reason}; target: {planning.usual_target(arm) or planning.target or place}"
-    return result, head, run.save_network(task, result.network, result.motion)
+    aim = planning.usual_target(arm) or planning.target or planning.position or "a pose"
+    return result, f"planner: {planner}, {reason}; target: {aim}", run.save_network(task, result.network, result.motion)
 
 
 def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> tuple[Plan, str, list[Path]]:

@@ -266,8 +266,7 @@ def _frames(evaluation: Evaluation) -> Table:
         rows.add_row(name, *(rounded(error, 1e-3) for error in errors), _seconds(settling))
     rows.caption = (
         f"the end effector moves {evaluation.displacement_m:.2f} m (path {evaluation.path_m:.2f} m) in "
-        f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}"
-        + (", of grasps too" if evaluation.sequence and evaluation.contacts else "")
+        f"{evaluation.motion_s:g} s, then holds; contacts: {evaluation.contacts}{', grasps too' * evaluation.sequence}"
     )
     if plan := evaluation.plan:
         rows.caption += f"; mechanism gap of the plan: {rounded(plan.gap_mm)} mm, {rounded(plan.gap_deg)} degrees"

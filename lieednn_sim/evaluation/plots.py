@@ -301,10 +301,9 @@ def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
         row[1].plot(rollout.t, error[:, j], color=COLOURS[3])
         _label(row[1], "[deg]" if angular[j] else "[mm]")
         _from_zero(row[1], error[:, alike], _LEAST_ERROR)
-        force_unit = "N m" if angular[j] else "N"
         for axis, values, limits, unit in (
             (row[2], rollout.qd, arm.velocity_limits, f"{arm.unit(j)}/s"),
-            (row[3], rollout.force, arm.force_limits, force_unit),
+            (row[3], rollout.force, arm.force_limits, "N m" if angular[j] else "N"),
         ):
             limited = np.isfinite(limits)
             if limited[j]:

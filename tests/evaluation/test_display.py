@@ -152,4 +152,4 @@ def test_success_needs_every_link_within_both_bounds_and_no_contact():
     grasped = dataclasses.replace(EVALUATION, frames=(good,), contacts=3, sequence=True)
     assert (grasped.shortfall, grasped.arrival[:14]) == ("", "arrives after ")
     assert "3 contacts at a time, ends 1 mm" in grasped.arrival
-    assert "contacts: 3, of grasps too" in str(grasped)
+    assert "contacts: 3, grasps too" in str(grasped)
