@@ -34,6 +34,7 @@ def run(tmp_path_factory):
     return directory
 
 
+@pytest.mark.usefixtures("drawing")
 def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
     directory = tmp_path / "demo"
     begun = time.perf_counter()
