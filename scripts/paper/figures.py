@@ -15,18 +15,6 @@ from paper import network_figures, style
 from paper.plan import INSIDE, OUTSIDE, PERIODS, TOLERANCE
 from paper.results import Results, column, curves
 
-ALGORITHMS = {
-    "no projection": "no projection (ablation)",
-    "stability-aware": "stability-aware, 5 starts",
-    "Riemannian Gauss-Newton": "Riemannian Gauss-Newton, 5 starts",
-    "tracked": "tracked, 5 starts",
-    "tracked, one start": "tracked, 1 start",
-    "tracked, P=10": "tracked, $P=10$, 1 start",
-    "scaled projection": "repaired, scaled projection",
-    "P=10": "repaired, $P=10$",
-    "Riemannian gradient": "Riemannian gradient",
-}
-
 
 def draw(results: Results, directory: Path) -> dict[str, str]:
     """Draw every figure for which there are results; returns captions by file name, in the order of the report."""
@@ -37,7 +25,6 @@ def draw(results: Results, directory: Path) -> dict[str, str]:
         "weights": network_figures.weights,
         "trajectory": network_figures.trajectories,
         "equilibrium": network_figures.equilibria,
-        "epochs": epochs,
         "stability": network_figures.stability,
     }
     captions = {}
@@ -169,34 +156,4 @@ def periods(results: Results) -> tuple[Figure, str] | None:
         "Projection period of the repaired Algorithm 1: (a) fraction of targets learned within "
         f"{results.plan.max_epochs} epochs, with 95 % Wilson intervals; (b) epochs of the runs that converged, with "
         "medians."
-    )
-
-
-def epochs(results: Results) -> tuple[Figure, str] | None:
-    """Fraction of targets learned within a number of epochs, by algorithm."""
-    shown = [name for name in ALGORITHMS if results[name]]
-    if not shown:
-        return None
-    drawn = style.figure(2.9)
-    axis = drawn.subplots()
-    for k, name in enumerate(shown):
-        spent = np.sort(column(results.successes(name), "epochs"))
-        heights = np.arange(1, len(spent) + 1) / len(results[name])
-        last = max(results.plan.max_epochs, spent[-1] if len(spent) else 1)
-        axis.step(
-            np.concatenate([[1], spent, [last]]),
-            np.concatenate([[0], heights, heights[-1:] if len(spent) else [0]]),
-            where="post",
-            color=style.COLOURS[k % len(style.COLOURS)],
-            ls=style.DASHES[k // 2 % len(style.DASHES)],
-            label=f"{ALGORITHMS[name]} ({len(spent)}/{len(results[name])})",
-        )
-    axis.set(xscale="log", xlabel="epochs, of all starts together", ylabel="fraction of targets learned")
-    axis.set_xlim(10, results.plan.max_epochs * 1.05)
-    axis.set_ylim(-0.02, 1.03)
-    handles, labels = axis.get_legend_handles_labels()
-    drawn.legend(handles, labels, loc="outside right center")
-    return drawn, (
-        "Fraction of the random targets learned within a number of epochs (steps for the Riemannian methods); in "
-        "brackets how many in the end. Each has its own limit of epochs, listed in the tables."
     )
