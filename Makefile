@@ -26,7 +26,7 @@ demo: env gl
 	.venv/bin/lieednn-sim demo $(ARGS)
 
 test: lint gl browser
-	.venv/bin/python -m pytest -n 3 --dist worksteal
+	.venv/bin/python -m pytest -n 3
 
 lint: env-dev
 	.venv/bin/ruff check

@@ -37,26 +37,11 @@ def random_targets(neurons: int, count: int, seed: int = 0) -> list[np.ndarray]:
     return [rng.uniform(-0.8, 0.8, (neurons, 6)) for _ in range(count)]
 
 
-def arm_targets(arm: Arm, kind: str, count: int, seed: int = 0) -> list[np.ndarray]:
-    """Joint targets within the limits, as `draw_target` draws them, with changed angles.
-
-    ``"mixed"`` angles as they are; ``"negative"``, within the limits; ``"tiny"``, each shrunk by 1 to 1e-7; or
-    ``"zero"``, pure extension.
-    """
-    rng = np.random.default_rng(seed)
-    angular = np.array(arm.space.units) == "rad"
-    low = arm.position_limits[:, 0]
-    targets = []
-    for k in range(count):
-        q = draw_target(arm, seed + k)
-        changed = {
-            "mixed": q,
-            "negative": np.maximum(-np.abs(q), low),
-            "tiny": q * 10.0 ** rng.uniform(-7.0, 0.0, q.shape),
-            "zero": np.zeros_like(q),
-        }[kind]
-        targets.append(arm.encode(np.where(angular, changed, q)))
-    return targets
+def arm_targets(arm: Arm, count: int, *, tiny: bool = False) -> list[np.ndarray]:
+    """Joint targets as `draw_target` draws them; ``tiny``: with each angle shrunk by 1 to 1e-7."""
+    rng, angular = np.random.default_rng(0), np.array(arm.space.units) == "rad"
+    drawn = np.array([draw_target(arm, seed) for seed in range(count)])
+    return list(arm.encode(np.where(tiny & angular, drawn * 10.0 ** rng.uniform(-7.0, 0.0, drawn.shape), drawn)))
 
 
 def summarise(name: str, results: list[Synthesis]) -> dict[str, object]:
@@ -86,10 +71,8 @@ def synthesis_rows(scale: int) -> list[dict[str, object]]:
         name = f"N = {neurons}, U(-0.8, 0.8), {bias} bias 1/8"
         rows.append(summarise(name, [synthesize(xi, bias=bias, seed=k) for k, xi in enumerate(targets)]))
         print(rows[-1], flush=True)
-    studies = [(name, "mixed", 1000) for name in DEFAULT_ARMS]
-    studies += [("telescopic_pr", "negative", 100), ("telescopic_pr", "zero", 100), ("telescopic_pr", "tiny", 1000)]
-    for name, kind, count in studies:
-        targets = arm_targets(Arm.load(name), kind, max(count // scale, 1))
+    for name, kind in [*((name, "mixed") for name in DEFAULT_ARMS), ("telescopic_pr", "tiny")]:
+        targets = arm_targets(Arm.load(name), max(1000 // scale, 1), tiny=kind == "tiny")
         results = [synthesize(xi, bias="sign-matched", seed=k) for k, xi in enumerate(targets)]
         rows.append(summarise(f"{name}, {kind} angles, sign-matched", results))
         print(rows[-1], flush=True)

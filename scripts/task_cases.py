@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 import lieednn_sim as ls
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.collision import Collisions
+from lieednn_sim.evaluation.load import load_metrics
 
 ASSETS = Path(__file__).parents[1] / "assets/tasks"
 _LOOKS = 60  # clearances of a simulation are measured at so many instants
@@ -265,7 +266,9 @@ class Crane(Task):
     def judge(self, done: Outcome, case: int) -> dict[str, float]:
         (found,), (run,) = done.plans, done.runs
         uninformed = ls.simulate(run.arm, trapezoidal(found.motion), hold=10.0)
-        swing, theirs = self._swing(run), self._swing(uninformed)
+        swing, theirs, load = self._swing(run), self._swing(uninformed), load_metrics(run)
+        assert load is not None
+        assert load.clearance_mm is not None
         rest = run.t >= run.motion_end
         return {
             "time_s": run.motion_end,
@@ -273,7 +276,7 @@ class Crane(Task):
             "ratio": swing / theirs,
             "bend_mm": 1e3 * self.amplitude(run.qpos[rest, 4]),
             "hook_mm": 1e3 * done.missed(0),
-            "load_mm": 1e3 * self._load_clearance(run),
+            "load_mm": load.clearance_mm,
         }
 
     @staticmethod
@@ -285,18 +288,6 @@ class Crane(Task):
         """Largest angle of the load's line from the vertical after the motion [rad]."""
         line = (run.poses("tip").translation - run.poses("load").translation)[run.t >= run.motion_end]
         return float(np.arccos(line[:, 2] / np.linalg.norm(line, axis=1)).max())
-
-    def _load_clearance(self, run: Any) -> float:
-        """Least distance of grapple and log from truck, stakes and ground [m]."""
-        model, data, least = run.arm.model, mujoco.MjData(run.arm.model), np.inf
-        load = [k for k in range(model.ngeom) if model.geom_bodyid[k] == model.body("grapple").id]
-        others = [k for k in range(model.ngeom) if model.geom_bodyid[k] == 0 and model.geom_group[k] != 4]
-        for row in np.linspace(0, len(run.t) - 1, 5 * _LOOKS).astype(int):
-            data.qpos[:] = run.qpos[row]
-            mujoco.mj_kinematics(model, data)
-            near = (mujoco.mj_geomDistance(model, data, one, other, 1.0, None) for one in load for other in others)
-            least = min(least, *near)
-        return float(least)
 
 
 class SlowCrane(Crane):

@@ -168,6 +168,8 @@ def cascade() -> Callable[..., LieEDNN]:
     return make
 
 
+_save_figure: Callable[..., None] | None = None  # the package's own
+
 # A job in the background of a shell inherits that Ctrl-C is ignored, and the commands would respect it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -177,8 +179,33 @@ settings.register_profile("fuzz", deadline=None, max_examples=1_000_000, print_b
 settings.load_profile("lieednn")
 
 
+# The files whose tests draw with a browser, which takes all that a core has for as long as a page is open.
+_BROWSER = ("live/test_page", "rendering/test_page", "studies/report/test_page", "test_browser_page")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Workers share the tests by files, so that what a file's fixtures make is made once, and start one browser."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            name = nodeid.partition("::")[0].removeprefix("tests/").removesuffix(".py")
+            return "browser" if name in _BROWSER else name
+
+    return ByFile(config, log) if config.getoption("dist") == "load" else None
+
+
 def pytest_collection_finish() -> None:
-    """What was imported and collected stays: the garbage collector need not look through it again and again."""
+    """What was imported and collected stays: the garbage collector need not look through it again and again.
+
+    And figures are composed, but neither laid out nor drawn, which is matplotlib's and takes longer than most tests.
+    """
+    from lieednn_sim.evaluation import figure_layout
+
+    global _save_figure
+    _save_figure = figure_layout.save_figure
+    figure_layout.save_figure = lambda _, path: Path(path).write_bytes(b"a picture")
     gc.collect()
     gc.freeze()
 
@@ -226,11 +253,12 @@ def chromium() -> Iterator[Any]:
         driver.quit()
 
 
-@pytest.fixture(scope="session")
-def opened(chromium: Any) -> Callable[[str, int, int], Any]:
+@pytest.fixture(scope="module")
+def opened(chromium: Any) -> Iterator[Callable[[str, int, int], Any]]:
     """A function that opens an address in a window of a width and a height, without the logs of other pages.
 
-    Unless it is the address opened last: tests of a page go on with it, whatever their order.
+    Unless it is the address opened last: tests of a page go on with it, whatever their order. After the module's tests
+    no page is left, which would be drawn for ever.
     """
     last = None
 
@@ -246,12 +274,21 @@ def opened(chromium: Any) -> Callable[[str, int, int], Any]:
         chromium.get(address)
         return chromium
 
-    return opened
+    yield opened
+    chromium.get("about:blank")
+
+
+@pytest.fixture
+def drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are laid out and drawn, see `pytest_collection_finish`."""
+    from lieednn_sim.evaluation import figure_layout
+
+    monkeypatch.setattr(figure_layout, "save_figure", _save_figure)
 
 
 @pytest.fixture
 def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plots are neither composed nor drawn, which takes longer than all else of a run, though their files are there.
+    """Plots are not even composed, though their files are there.
 
     For tests in which plots are by the way; `test_cli.test_the_demo_without_video_meets_its_bounds` draws them.
     """

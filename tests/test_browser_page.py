@@ -16,7 +16,7 @@ import pytest
 import lieednn_sim as ls
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "browser"
-WIDTH, HEIGHT = 640, 480
+WIDTH, HEIGHT = 480, 360
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +149,7 @@ def test_the_arm_follows_the_ball_yields_and_goes_through_the_window(built, brow
 
     # The ball is dragged to the left and down, in the plane of the screen.
     where = "page.stage.ball.position.clone()"
-    start, way = pixel(browser, where), np.array([-40.0, 40.0])
+    start, way = pixel(browser, where), np.array([-30.0, 30.0])
     before = browser.execute_script(f"return {where}.toArray()")
     drag(browser, start, start + way)()
     ball = "return page.world.tipAt(page.world.target).toArray()"
@@ -163,7 +163,7 @@ def test_the_arm_follows_the_ball_yields_and_goes_through_the_window(built, brow
     # A link that the mouse holds is pulled towards it, until it is let go.
     link = "page.stage.geoms.find((geom) => geom.userData.body === 5).matrix"
     start = pixel(browser, f"page.world.tip.setFromMatrixPosition({link})")
-    let_go = drag(browser, start, start + np.array([0.0, 60.0]))
+    let_go = drag(browser, start, start + np.array([0.0, 45.0]))
     wait(lambda: browser.execute_script("return page.world.push?.acts?.z") is not None)
     assert browser.execute_script("return page.world.push.acts.z") < 0.0
     let_go()

@@ -27,6 +27,7 @@ def test_the_expert_is_evaluated_and_random_actions_fail():
     assert learn_reach.evaluate(lambda _: rng.uniform(-1.0, 1.0, 8), 1)["success"] == [False]
 
 
+@pytest.mark.usefixtures("drawing")
 def test_the_table_has_means_ranges_and_pooled_quantiles(tmp_path):
     def made(success, mm, **more):
         last = {"success": success, "mm": mm, "deg": [0.1, 0.1], "jerk": [1.0, 3.0], "goal_s": [2.0, None]}

@@ -70,7 +70,8 @@ def walk(folder):
     Figure.savefig = lambda self, to, **_: to.write("<svg/>") if hasattr(to, "write") else to.write_bytes(b"")
     demo = ["demo", "--no-video", "--output", f"{folder}/run", "--duration", "1", "--hold", "0", "--planner"]
     assert main([*demo, "linear-attractor"]) == 0
-    few = ["--planners", "minimum-jerk,linear-attractor", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "1"]
+    few = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "2"]
+    few += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0"]
     assert main(["compare", *few, "--jobs", "2", "--views", "0", "--output", f"{folder}/table"]) == 0
 
     # After the commands, whose workers import what is imported here.

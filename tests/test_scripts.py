@@ -36,6 +36,7 @@ def test_the_picture_of_the_arms(tmp_path, monkeypatch, capsys):
         assert picture.size == (64, 96)
 
 
+@pytest.mark.usefixtures("drawing")
 def test_the_tables_of_loads_that_swing_go_on_where_they_were(tmp_path, monkeypatch):
     monkeypatch.setattr(settling, "LAWS", ("none", "ei", "least-energy"))
     monkeypatch.setitem(settling.TASKS, "crane", replace(settling.TASKS["crane"], cases=1))
@@ -166,6 +167,7 @@ def test_cost_over_time_is_the_best_of_all_runs_until_then():
     assert told[-1] == "| stomp | - (0) | - (1) | 1.250 (2) | 1.250 (2) | 1.250 (2) | 1.250 (2) | 20 |"
 
 
+@pytest.mark.usefixtures("drawing")
 def test_cost_over_time_measures_and_draws(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(cost_over_time.LADDERS, "stomp", ("rounds", (1, 2)))
     monkeypatch.setattr(cost_over_time, "FIRST_SEED", 2)

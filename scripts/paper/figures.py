@@ -15,18 +15,6 @@ from paper import network_figures, style
 from paper.plan import INSIDE, OUTSIDE, PERIODS, TOLERANCE
 from paper.results import Results, column, curves
 
-ALGORITHMS = {
-    "no projection": "no projection (ablation)",
-    "stability-aware": "stability-aware, 5 starts",
-    "Riemannian Gauss-Newton": "Riemannian Gauss-Newton, 5 starts",
-    "tracked": "tracked, 5 starts",
-    "tracked, one start": "tracked, 1 start",
-    "tracked, P=10": "tracked, $P=10$, 1 start",
-    "scaled projection": "repaired, scaled projection",
-    "P=10": "repaired, $P=10$",
-    "Riemannian gradient": "Riemannian gradient",
-}
-
 
 def draw(results: Results, directory: Path) -> dict[str, str]:
     """Draw every figure for which there are results; returns captions by file name, in the order of the report."""
@@ -37,7 +25,6 @@ def draw(results: Results, directory: Path) -> dict[str, str]:
         "weights": network_figures.weights,
         "trajectory": network_figures.trajectories,
         "equilibrium": network_figures.equilibria,
-        "epochs": epochs,
         "stability": network_figures.stability,
     }
     captions = {}
@@ -74,8 +61,7 @@ def training(results: Results) -> tuple[Figure, str] | None:
     axes[0, 0].set(xscale="log", yscale="log")
     axes[0, 0].text(1.2, style.SETTLED * 1.2, r"$\sqrt{24}\,\tau$", va="bottom")
     axes[0, 1].set_ylim(-0.03, 1.03)
-    for axis, text in zip(axes.ravel(), "abcd", strict=True):
-        style.letter(axis, text)
+    style.letter(*axes.ravel())
     for axis in axes[1]:
         axis.set_xlabel("epoch")
     counts = f"{len(results['P=8'])} targets, {len(results['P=10'])} for P = 10, {len(results['literal'])} as printed"
@@ -95,18 +81,15 @@ def oscillation(results: Results) -> tuple[Figure, str] | None:
         return None
     drawn = style.figure(2.5)
     left, right = drawn.subplots(1, 2, width_ratios=(1.25, 1.0))
-    shown = []
     for k, period in enumerate(INSIDE):
         one = results.of(f"P={period}", seed)
         if one is None:
             continue
         # Logarithmic axes have no epoch 0.
         epoch = one.arrays["epoch"] + 1.0
-        left.fill_between(
-            epoch, one.arrays["error_low"], one.arrays["error_high"], color=style.COLOURS[k], alpha=0.2, lw=0
-        )
+        low, high = one.arrays["error_low"], one.arrays["error_high"]
+        left.fill_between(epoch, low, high, color=style.COLOURS[k], alpha=0.2, lw=0)
         left.plot(epoch, one.arrays["error_median"], color=style.COLOURS[k], ls=style.DASHES[k], label=f"$P={period}$")
-        shown.append(period)
     left.axhline(style.SETTLED, color="0.3", lw=0.8, ls=(0, (1, 2)))
     left.set(xscale="log", yscale="log", xlabel="epoch", ylabel=r"loss $E$")
     left.legend(loc="lower left")
@@ -116,8 +99,7 @@ def oscillation(results: Results) -> tuple[Figure, str] | None:
     right.plot(jumps, first[jumps], "o", ms=3, color="0.2", label="after a projection")
     right.set(xlabel="epoch", ylabel=r"loss $E$")
     right.legend(loc="upper right")
-    style.letter(left, "a")
-    style.letter(right, "b")
+    style.letter(left, right)
     return drawn, (
         f"Oscillation of the loss for one target (seed {seed}): (a) whole trainings, lines are medians and bands the "
         f"range of the loss in bins of epochs; (b) the first 200 epochs with P = 10, where every projection throws the "
@@ -137,16 +119,8 @@ def periods(results: Results) -> tuple[Figure, str] | None:
         rate, (low, high) = len(good) / len(records), wilson(len(good), len(records))
         colour = style.BLUE if period in INSIDE else style.VERMILION
         mark = "o" if period in INSIDE else "s"
-        left.errorbar(
-            k,
-            rate,
-            [[max(0.0, rate - low)], [max(0.0, high - rate)]],
-            fmt=mark,
-            color=colour,
-            capsize=2.5,
-            ms=4.5,
-            lw=1.0,
-        )
+        off = [[max(0.0, rate - low)], [max(0.0, high - rate)]]
+        left.errorbar(k, rate, off, fmt=mark, color=colour, capsize=2.5, ms=4.5, lw=1.0)
         spent = column(good, "epochs")
         right.plot(k + rng.uniform(-0.18, 0.18, len(spent)), spent, mark, ms=2.5, color=colour, alpha=0.5, mew=0)
         if len(spent):
@@ -163,40 +137,9 @@ def periods(results: Results) -> tuple[Figure, str] | None:
     inside = Line2D([], [], ls="", marker="o", color=style.BLUE, label="recommended, 8 to 16")
     outside = Line2D([], [], ls="", marker="s", color=style.VERMILION, label="outside")
     left.legend(handles=[inside, outside], loc="upper center", ncols=2, columnspacing=1.0, handletextpad=0.2)
-    style.letter(left, "a")
-    style.letter(right, "b")
+    style.letter(left, right)
     return drawn, (
         "Projection period of the repaired Algorithm 1: (a) fraction of targets learned within "
         f"{results.plan.max_epochs} epochs, with 95 % Wilson intervals; (b) epochs of the runs that converged, with "
         "medians."
-    )
-
-
-def epochs(results: Results) -> tuple[Figure, str] | None:
-    """Fraction of targets learned within a number of epochs, by algorithm."""
-    shown = [name for name in ALGORITHMS if results[name]]
-    if not shown:
-        return None
-    drawn = style.figure(2.9)
-    axis = drawn.subplots()
-    for k, name in enumerate(shown):
-        spent = np.sort(column(results.successes(name), "epochs"))
-        heights = np.arange(1, len(spent) + 1) / len(results[name])
-        last = max(results.plan.max_epochs, spent[-1] if len(spent) else 1)
-        axis.step(
-            np.concatenate([[1], spent, [last]]),
-            np.concatenate([[0], heights, heights[-1:] if len(spent) else [0]]),
-            where="post",
-            color=style.COLOURS[k % len(style.COLOURS)],
-            ls=style.DASHES[k // 2 % len(style.DASHES)],
-            label=f"{ALGORITHMS[name]} ({len(spent)}/{len(results[name])})",
-        )
-    axis.set(xscale="log", xlabel="epochs, of all starts together", ylabel="fraction of targets learned")
-    axis.set_xlim(10, results.plan.max_epochs * 1.05)
-    axis.set_ylim(-0.02, 1.03)
-    handles, labels = axis.get_legend_handles_labels()
-    drawn.legend(handles, labels, loc="outside right center")
-    return drawn, (
-        "Fraction of the random targets learned within a number of epochs (steps for the Riemannian methods); in "
-        "brackets how many in the end. Each has its own limit of epochs, listed in the tables."
     )

@@ -21,7 +21,8 @@ def weights(results: Results) -> tuple[Figure, str] | None:
     matrices = [record.arrays["weight"] for record in records if record is not None]
     drawn = style.figure(2.9)
     axes = drawn.subplots(1, 2)
-    for axis, matrix, text in zip(axes, matrices, "ab", strict=True):
+    style.letter(*axes)
+    for axis, matrix in zip(axes, matrices, strict=True):
         n, largest = len(matrix), float(np.abs(matrix).max())
         image = axis.imshow(matrix, cmap="RdBu_r", vmin=-largest, vmax=largest, extent=(0, n, n, 0))
         for edge in range(0, n + 1, 3):
@@ -35,7 +36,6 @@ def weights(results: Results) -> tuple[Figure, str] | None:
         axis.grid(visible=False)
         axis.spines[:].set_visible(False)
         axis.set_xlabel("sending neuron $j$")
-        style.letter(axis, text)
         drawn.colorbar(image, ax=axis, shrink=0.72, pad=0.03, label="weight")
     axes[0].set_ylabel("receiving neuron $i$")
     errors = [record["structure_error"] for record in records if record is not None]

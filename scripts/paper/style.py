@@ -43,9 +43,10 @@ def figure(height: float) -> Figure:
     return Figure(figsize=(WIDTH, height), layout="constrained")
 
 
-def letter(axis: Axes, text: str) -> None:
-    """The panel's letter, as captions refer to it."""
-    axis.set_title(f"({text})", loc="left", fontsize=8.5, pad=4)
+def letter(*axes: Axes) -> None:
+    """The panels' letters, as captions refer to them."""
+    for axis, text in zip(axes, "abcd", strict=False):
+        axis.set_title(f"({text})", loc="left", fontsize=8.5, pad=4)
 
 
 def save(drawn: Figure, directory: Path, name: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm.loops import PALLETISER, SCISSOR_LIFT
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mechanisms import MODEL, TOOL, body, compiled, connect, hinge, random_world, site, slide, tied, with_cylinder
 
@@ -71,7 +71,6 @@ def check_slopes(arm, q):
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=60)
 def test_random_trees_are_as_mujoco_says(seed):
     rng = np.random.default_rng(seed)
     xml = random_world(rng)

@@ -17,7 +17,7 @@ import pytest
 from lieednn_sim.arm import Arm
 from lieednn_sim.cli import commands, main
 from lieednn_sim.errors import RenderingUnavailableError
-from lieednn_sim.evaluation import plots
+from lieednn_sim.evaluation import figure_layout, plots
 from lieednn_sim.learning import algorithms
 from lieednn_sim.planning import Motion
 
@@ -34,7 +34,9 @@ def run(tmp_path_factory):
     return directory
 
 
-def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys):
+@pytest.mark.usefixtures("drawing")
+def test_the_demo_without_video_meets_its_bounds(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(figure_layout, "_DPI", 40)
     directory = tmp_path / "demo"
     begun = time.perf_counter()
     assert main(["demo", "--no-video", "--output", str(directory)]) == 0

@@ -45,15 +45,13 @@ def rollout_of(arm, q, q_ref):
     )
 
 
-def test_a_run_is_plotted_by_one_call(tmp_path, monkeypatch):
-    monkeypatch.setattr(figure_layout, "_DPI", 20)
+def test_a_run_is_plotted_by_one_call(tmp_path):
+    # `test_cli.test_the_demo_without_video_meets_its_bounds` draws these four.
     arm = Arm.load("telescopic_pr")
     planned = ls.plan(arm, "extended", planner="linear-attractor", duration=2.0)
     written = ls.plot(ls.simulate(arm, planned, hold=0.0), tmp_path / "new")
     assert {path.name for path in written} == {"tracking.png", "joints.png", "network.png", "clearance.png"}
-    assert all(path.read_bytes().startswith(b"\x89PNG") for path in written)
-    # To draw takes longer than all else.
-    monkeypatch.setattr(figure_layout, "save_figure", lambda figure, path: path.touch())
+    assert all(path.exists() for path in written)
     policy = ls.make_policy("linear-attractor", arm, "extended")
     written = ls.plot(ls.follow(policy, "extended", 0.1).rollout, tmp_path / "other")
     assert {path.name for path in written} == {"tracking.png", "joints.png", "channels.png"}
@@ -189,6 +187,7 @@ def test_the_training_s_plot_has_units_and_ticks(drawn):
     assert [text.get_text() for text in equilibrium.get_legend().texts][-1] == "target"
 
 
+@pytest.mark.usefixtures("drawing")
 @pytest.mark.parametrize(("kind", "first"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])
 def test_plots_are_written_in_the_format_of_the_name(kind, first, tmp_path):
     figure = Figure(figsize=(1, 1), layout="constrained")
@@ -197,6 +196,7 @@ def test_plots_are_written_in_the_format_of_the_name(kind, first, tmp_path):
     assert (tmp_path / f"plot.{kind}").read_bytes().startswith(first)
 
 
+@pytest.mark.usefixtures("drawing")
 def test_the_training_s_plot_can_be_drawn_of_a_single_epoch(tmp_path, monkeypatch):
     monkeypatch.setattr(figure_layout, "_DPI", 20)
     one = np.ones(1)

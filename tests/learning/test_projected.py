@@ -22,8 +22,8 @@ def target(seed: int, neurons: int = 4, dimension: int = 6) -> np.ndarray:
 
 
 def test_tracked_learning_reaches_nearly_every_target_on_the_manifold():
-    results = [trained(TrainingOptions.tracked(), seed) for seed in range(12)]
-    assert sum(result.success for result in results) >= 11
+    results = [trained(TrainingOptions.tracked(), seed) for seed in range(8)]
+    assert sum(result.success for result in results) >= 7
     # Trials that were taken back leave gaps in the epochs, and no row.
     assert any(len(result.history) <= result.epochs for result in results)
     for history in (result.history for result in results):

@@ -59,6 +59,7 @@ def test_a_run_stops_at_the_first_instant_at_which_nothing_is_proved(planned):
     assert f"joint {arm.joint_names[joint]!r} is {off[-1, joint]:.3g} {arm.unit(joint)} off, and '" in message
 
 
+@pytest.mark.parametrize("planned", ["telescopic_pr window 1"], indirect=True)
 @pytest.mark.parametrize("disturbances", [Disturbances(), Disturbances(mass_scale=1.5)])
 def test_a_run_inside_does_not_stop(planned, disturbances):
     arm, made = planned
@@ -107,6 +108,7 @@ def test_between_two_instants_the_larger_error_counts(planned):
     assert [at_rest.left(k, made.motion.q[k]) for k in range(first, last + 1)] == [""] * (last - first + 1)
 
 
+@pytest.mark.parametrize("planned", ["telescopic_pr window 1"], indirect=True)
 def test_what_is_no_proof_is_not_watched(planned):
     arm, made = planned
     other = next(arm.model.body(k).name for k in range(arm.model.nbody) if "obstacle" in arm.model.body(k).name)
@@ -118,6 +120,7 @@ def test_what_is_no_proof_is_not_watched(planned):
         simulate(elsewhere, made, stop_outside=True)
 
 
+@pytest.mark.parametrize("planned", ["telescopic_pr window 1"], indirect=True)
 def test_what_moves_besides_the_arm_is_outside(planned):
     arm, made = planned
     monitor, q = ClearanceMonitor.of(arm, made.motion), made.motion.q[0]

@@ -160,6 +160,7 @@ def test_controllers_know_the_payload_of_a_plan_and_the_run_says_so(controller, 
         ls.simulate_many(arm, [planned, replace(planned, arm=arm)])
 
 
+@pytest.mark.usefixtures("no_plots")
 def test_a_payload_stays_in_a_run_directory(tmp_path, capsys):
     words = ["--planner", "minimum-jerk", "--duration", "2", "--output", str(tmp_path)]
     assert main(["plan", "--payload", "6", *words]) == 0
