@@ -198,20 +198,15 @@ def section(task: str, rows: Sequence[dict[str, Any]]) -> list[str]:
             cells.append([planner, law, f"{len(done)} of {len(cases)}", *means])
         elif law == LAWS[0]:
             cells.append([planner, law, f"0 of {len(cases)}", *7 * "-"])
-    heads = [
-        "planner",
-        "law",
-        "planned",
-        "time [s]",
-        "left [deg, mm]",
-        "of a trapezoid's",
-        "other load",
-        "bending [mm]",
-    ]
+    heads = ["planner", "law", "planned", "time [s]", "left [deg, mm]", "of a trapezoid's", "other load"]
     each = {(row["planner"], row["case"], row["law"]): row for row in rows if not row["reason"]}
     pairs = [(row, each.get((*key[:2], "ei"))) for key, row in each.items() if key[2] == LAWS[-1]]
     ratios = [one["left"] / ei["left"] for one, ei in pairs if ei and one["time_s"] < 1.01 * ei["time_s"]]
-    lines = ["", f"## {TASKS[task].title}", *markdown_table([*heads, "settled within 1 s", "CPU [s]"], cells)]
+    lines = [
+        "",
+        f"## {TASKS[task].title}",
+        *markdown_table([*heads, "bending [mm]", "settled within 1 s", "CPU [s]"], cells),
+    ]
     calmer = sum(ratio <= 1.0 for ratio in ratios)
     said = f"In at most EI's time, least energy leaves no more than EI in {calmer} of {len(ratios)} plans"
     return [*lines, "", f"{said}, in the median {np.median(ratios):.2g} of it."] if ratios else lines
@@ -276,8 +271,8 @@ def plot(others: dict[tuple[str, str], list[float]], rows: Sequence[dict[str, An
         for (column, task), law in product(enumerate(tasks), LAWS):
             done = [row for row in rows if (row["task"], row["law"]) == (task, law) and not row["reason"]]
             planners = dict.fromkeys(row["planner"] for row in done)
-            left = [worst(task, [row for row in done if row["planner"] == planner]) for planner in planners]
-            axes[2, column].plot([*planners], left, marker=".", ls="")
+            far = [worst(task, [row for row in done if row["planner"] == planner]) for planner in planners]
+            axes[2, column].plot([*planners], far, marker=".", ls="")
             axes[2, column].tick_params(axis="x", rotation=90)
         for (row, kind), (column, task) in product(enumerate(("mass", "length")), enumerate(tasks)):
             axis, at = axes[row, column], [k for k, load in enumerate(LOADS) if not load or kind in load]

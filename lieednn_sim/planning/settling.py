@@ -37,7 +37,7 @@ _LOOKS = 240  # instants at which a law's limits are kept
 _MARGIN = 0.995  # of the limits, between these instants
 _LAWS = 4  # looked at
 _GROWTH = 1.05, 1.2  # of the duration of a law that breaks limits, at least and at most
-_STEADY = 0.1  # the rate from which the clock of laws slows down with the planned motion, in units of its mean
+_STEADY = 0.5  # the rate from which the clock of laws slows down with the planned motion, in units of its mean
 _SMOOTH = 1e-7  # weight of the mean square of the law's jerk, in units of the duration, against fractions of energies
 
 
@@ -55,7 +55,7 @@ class SettlingOptions(PlannerOptions):
 
     method: str = field(default=METHODS[0], metadata={"choices": METHODS})
     loads: tuple[float, ...] = (0.8, 1.2)
-    lengths: tuple[float, ...] = (0.9, 1.1)
+    lengths: tuple[float, ...] = (0.83, 1.17)
     modes: int = 1
 
 
