@@ -12,6 +12,7 @@ import copy
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.checks import ancestry, joints_of
@@ -19,20 +20,16 @@ from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.errors import InputError, NoSolutionError, PlanError, TooFastError
 from lieednn_sim.planning.clearance import FAR, Clearance, proved_clearance
 from lieednn_sim.planning.motion import Motion
-from lieednn_sim.planning.swing_model import SwingModel, along, longest_step
-from lieednn_sim.planning.time_laws import TimedCurve
+from lieednn_sim.planning.swing_model import SwingModel, longest_step
 from lieednn_sim.values import Floats
 
 
-def load_clearance(
-    arm: Arm, motion: Motion, model: SwingModel | None = None, *, swinging: bool = True
-) -> Clearance | None:
+def load_clearance(arm: Arm, motion: Motion, *, swinging: bool = True) -> Clearance | None:
     """What is proved of the distances of what hangs, at most 0.1 m or the arm's clearance; None if nothing swings.
 
     Args:
         arm: the arm, in its scene.
         motion: the motion.
-        model: its path's, if it is known.
         swinging: false for a load that would hang at rest all the way.
     """
     passive = PassiveJoints(arm)
@@ -41,17 +38,18 @@ def load_clearance(
     try:
         if not (modes := passive.modes(motion.q[-1])):
             return None
-        curve = TimedCurve(arm, motion)
-        model = model or SwingModel([arm], *along(arm, curve.q))
-        t, rows, off = model.swing(curve.own, longest_step(modes), swinging / modes[0].frequency)
+        end = float(motion.t[-1])
+        model = SwingModel([arm], CubicHermiteSpline(motion.t / end, motion.q, end * motion.qd))
+        law = CubicHermiteSpline([0.0, end], [0.0, 1.0], [1.0 / end, 1.0 / end])
+        t, rows, off = model.swing(law, longest_step(modes), swinging / modes[0].frequency)
         if not swinging:
-            rows, off = model.hung(curve.own(t)), 0.0 * off
+            rows, off = model.hung(law(t)), 0.0 * off
         return min(_bounds(passive, t, rows, off), key=lambda each: (each.proved, each.bound))
     except (InputError, NoSolutionError) as error:  # it rests nowhere, or its joints are no arm's
         return Clearance(-np.inf, 0.0, (), motion.t[None, [0, -1]], 0.0, f"no proof of clearance: {error}")
 
 
-def check_load(arm: Arm, motion: Motion, model: SwingModel) -> None:
+def check_load(arm: Arm, motion: Motion) -> None:
     """Check that what hangs keeps the arm's clearance; arguments are as of `load_clearance`.
 
     Raises:
@@ -59,7 +57,7 @@ def check_load(arm: Arm, motion: Motion, model: SwingModel) -> None:
         PlanError: it does not though it hangs at rest. Both messages name what, near to what, and when.
     """
     for swinging in (True, False):
-        found = load_clearance(arm, motion, model, swinging=swinging)
+        found = load_clearance(arm, motion, swinging=swinging)
         if found is None or found.reason or (found.proved and found.bound >= arm.clearance):
             break
         other, load = (found.pair if found.proved else found.doubtful) or ("what does not move", "what hangs")

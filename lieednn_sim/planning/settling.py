@@ -16,7 +16,8 @@ from functools import partial
 
 import daqp
 import numpy as np
-from scipy.interpolate import BSpline, CubicHermiteSpline
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline
 
 from lieednn_sim.arm import Arm, Mode, with_load
 from lieednn_sim.arm.oscillation import PassiveJoints
@@ -24,18 +25,20 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.planning.load_clearance import check_load
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.planning.options import PlannerOptions
-from lieednn_sim.planning.swing_model import SwingModel, along, longest_step
+from lieednn_sim.planning.swing_model import SwingModel, longest_step
 from lieednn_sim.planning.time_laws import TimedCurve
 from lieednn_sim.values import Floats
 
 METHODS = ("least-energy", "zv", "zvd", "ei")
 
 _SAMPLES = 2000  # of a law
+_INSTANTS = 501  # of the path
 _LOOKS = 240  # instants at which a law's limits are kept
 _MARGIN = 0.995  # of the limits, between these instants
 _LAWS = 4  # looked at
-_GROWTH = 1.15  # of the duration of a law that breaks limits, at most
-_SMOOTH = 1e-4  # weight of jerk, in units of the planned motion's, against energies, in units of what that leaves
+_GROWTH = 1.05, 1.2  # of the duration of a law that breaks limits, at least and at most
+_STEADY = 0.5  # the rate from which the clock of laws slows down with the planned motion, in units of its mean
+_SMOOTH = 1e-7  # weight of the mean square of the law's jerk, in units of the duration, against fractions of energies
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class SettlingOptions(PlannerOptions):
 
     method: str = field(default=METHODS[0], metadata={"choices": METHODS})
     loads: tuple[float, ...] = (0.8, 1.2)
-    lengths: tuple[float, ...] = (0.9, 1.1)
+    lengths: tuple[float, ...] = (0.83, 1.17)
     modes: int = 1
 
 
@@ -86,9 +89,9 @@ def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float =
     if least and passive.bodies.any():
         loads = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
         others = [with_load(arm, *load) for load in loads]
-    model = SwingModel([arm, *others], *along(arm, curve.q))
-    law = _LeastEnergy(arm, curve, model, modes).law if least else partial(shaped, curve.own, *shaper(options, modes))
-    return curve.kept(law, duration, longest, _GROWTH, lambda found: check_load(arm, found, model))
+    least_energy = least and _LeastEnergy(arm, curve, others, modes)
+    law = least_energy.law if least_energy else partial(shaped, curve.own, *shaper(options, modes))
+    return curve.kept(law, duration, longest, _GROWTH, partial(check_load, arm))
 
 
 def shaper(options: SettlingOptions, modes: tuple[Mode, ...]) -> tuple[Floats, Floats]:
@@ -121,32 +124,42 @@ def shaped(law: CubicHermiteSpline, delays: Floats, shares: Floats, duration: fl
 
 
 class _LeastEnergy:
-    """The law of least energy left on a path, for the loads of a model."""
+    """The laws of least energy left on a path, for an arm's load and others.
 
-    def __init__(self, arm: Arm, curve: TimedCurve, model: SwingModel, modes: tuple[Mode, ...]) -> None:
-        self._arm, self._curve, self._model, self._modes = arm, curve, model, modes
+    Their clock x goes as fast as the planned motion where this is fast, and slows down with it, as where its path turns
+    sharply, but not to rest. So the path bends little over x.
+    """
+
+    def __init__(self, arm: Arm, curve: TimedCurve, others: list[Arm], modes: tuple[Mode, ...]) -> None:
+        self._modes, own = modes, curve.own
+        self._limits = np.concatenate([arm.velocity_limits, arm.acceleration_limits])[:, None, None]
+        self._t = np.linspace(0.0, 1.0, _SAMPLES)
+        rate = own.x[-1] * own(self._t * own.x[-1], 1)
+        passed = cumulative_trapezoid(rate / np.hypot(rate, _STEADY), initial=0.0)
+        self._clock, x = passed / passed[-1], np.linspace(0.0, 1.0, _INSTANTS)
+        s = np.interp(x, self._clock, own(self._t * own.x[-1]))
+        self._law, self._path = CubicSpline(x, s), CubicSpline(x, curve.q(s))
+        self._model = SwingModel([arm, *others], self._path)
 
     def law(self, duration: float) -> CubicHermiteSpline:
         """The law for a duration [s]."""
-        own = self._curve.own
         # Three coefficients for a period of the slowest mode, within bounds.
         count = int(np.clip(3.0 * duration * self._modes[0].frequency + 10.0, 16, 60))
         knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
-        # s' by fractions of the duration, from and to rest without a step of the acceleration.
+        # x' by fractions of the duration, from and to rest without a step of the acceleration.
         spline = BSpline(knots, np.eye(count)[:, 2:-2], 3)
         parts = spline.antiderivative(), spline, spline.derivative()
-        steps = math.ceil(duration / longest_step(self._modes))
+        steps = math.ceil(duration / (2.0 * longest_step(self._modes)))
         # In the middle of the steps of the model, and where limits are looked at.
         middle, tau = (np.arange(steps) + 0.5) / steps, np.linspace(0.0, 1.0, _LOOKS)
         basis, looks = ([part(at) / duration**k for k, part in enumerate(parts)] for at in (middle, tau))
-        fitted, *_ = np.linalg.lstsq(looks[1], own(tau * own.x[-1], 1) * own.x[-1] / duration, rcond=None)
+        fitted, *_ = np.linalg.lstsq(parts[0](self._t), self._clock, rcond=None)
         now = fitted / (looks[0][-1] @ fitted)
-        jerk = spline.derivative(2)(tau) / math.sqrt(_LOOKS)
-        rough = math.sqrt(_SMOOTH) * jerk / np.linalg.norm(jerk @ now)
+        rough = math.sqrt(_SMOOTH / _LOOKS) * spline.derivative(2)(tau)
         best, unit = (math.inf, now), 0.0
         for _ in range(_LAWS):
             changes = [np.column_stack([part @ now, part]) for part in basis]
-            lefts, each = self._model.left(duration / steps, changes)
+            lefts, each = self._model.left(duration / steps, changes, corrected=True)
             # All other loads together count as much as the arm's own.
             lefts[1:], each[1:] = (part[1:] / math.sqrt(max(len(lefts) - 1, 1)) for part in (lefts, each))
             left, slopes = lefts.ravel(), each.reshape(lefts.size, -1)
@@ -154,19 +167,18 @@ class _LeastEnergy:
             best, unit = min(best, (size, now), key=lambda pair: pair[0]), unit or max(size, 1e-9)
             rest = np.append((left - slopes @ now) / unit, np.zeros(len(rough)))
             now = self._within_limits(now, np.vstack([slopes / unit, rough]), rest, looks)
-        tau = np.linspace(0.0, 1.0, _SAMPLES)
-        return CubicHermiteSpline(duration * tau, parts[0](tau) @ best[1], parts[1](tau) @ best[1] / duration)
+        x, rate = (part(self._t) @ best[1] for part in parts[:2])
+        return CubicHermiteSpline(duration * self._t, self._law(x), self._law(x, 1) * rate / duration)
 
     def _within_limits(self, now: Floats, slopes: Floats, rest: Floats, looks: list[Floats]) -> Floats:
         """The coefficients c that minimise ``|slopes c + rest|^2`` within the joints' limits, linearised at ``now``."""
-        s, rate, bend = (part @ now for part in looks)
-        path, r, u = [self._curve.q(s, k).T[:, :, None] for k in range(4)], rate[:, None], bend[:, None]
+        x, rate, bend = (part @ now for part in looks)
+        path, r, u = [self._path(x, k).T[:, :, None] for k in range(4)], rate[:, None], bend[:, None]
         values = path[1] * r, path[2] * r**2 + path[1] * u
-        over_s = path[2] * r * looks[0], (path[3] * r**2 + path[2] * u) * looks[0]
+        over_x = path[2] * r * looks[0], (path[3] * r**2 + path[2] * u) * looks[0]
         over_rates = path[1] * looks[1], 2.0 * path[2] * r * looks[1] + path[1] * looks[2]
         # Velocities and accelerations in units of their limits; without a limit, zero.
-        limits = np.concatenate([self._arm.velocity_limits, self._arm.acceleration_limits])[:, None, None]
-        value, change, more = (np.concatenate(pair) / limits for pair in (values, over_s, over_rates))
+        value, change, more = (np.concatenate(pair) / self._limits for pair in (values, over_x, over_rates))
         change = (change + more).reshape(-1, len(now))
         known = value.ravel() - change @ now
         # It arrives, and goes nowhere back.

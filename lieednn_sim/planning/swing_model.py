@@ -1,6 +1,7 @@
 """What the passive joints of an arm do while the arm follows a path by a time law, linearised.
 
-The arm's own joints are where the law s(t) has them. With x the passive joints' distance from where they rest at s,
+The arm's own joints are where the law s(t) of the path's parameter has them. With x the passive joints' distance from
+where they rest at s,
 
     M x'' + (D + G s') x' + (K + A s'' + C s'^2) x + a s'' + b s'^2 + d s' = 0,
 
@@ -19,16 +20,9 @@ from lieednn_sim.arm import Arm, Mode
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.values import Floats
 
+_INSTANTS = 401  # at which the path is known
 _STATIONS = 41  # of the table
-
-
-def along(arm: Arm, path: Callable[[Floats, int], Floats]) -> tuple[CubicSpline, CubicSpline]:
-    """Positions ``(nq,)`` of an arm's model along a path, and velocities ``(nv,)`` at unit s', over s.
-
-    The path has joints ``(K, n)`` at fractions ``(K,)`` of its length, called as ``path(s, order)``.
-    """
-    s = np.linspace(0.0, 1.0, _STATIONS)
-    return CubicSpline(s, arm.qpos(path(s, 0))), CubicSpline(s, arm.qvel(path(s, 0), path(s, 1)))
+_CORRECTIONS = 2  # of what swings by the linear model
 
 
 def longest_step(modes: Sequence[Mode]) -> float:
@@ -41,18 +35,21 @@ class SwingModel:
 
     Args:
         arms: the arm, and the same arm with the other loads (`with_load`).
-        qpos, rates: its path, as of `along`.
+        path: joints ``(K, n)`` and their slopes at parameters ``(K,)`` in [0, 1], called as ``path(s, order)``.
 
     Raises:
         NoSolutionError: as of `PassiveJoints.at_rest`.
     """
 
-    def __init__(self, arms: Sequence[Arm], qpos: CubicSpline, rates: CubicSpline) -> None:
-        self._passive, self._qpos, s = PassiveJoints(arms[0]), qpos, np.linspace(0.0, 1.0, _STATIONS)
-        self._m = len(self._passive.dofs)
-        tables, hanging, speeds = zip(*(self._along(PassiveJoints(arm), qpos, rates) for arm in arms), strict=True)
+    def __init__(self, arms: Sequence[Arm], path: Callable[[Floats, int], Floats]) -> None:
+        self._passive, fine = PassiveJoints(arms[0]), np.linspace(0.0, 1.0, _INSTANTS)
+        self._m, s, q = len(self._passive.dofs), np.linspace(0.0, 1.0, _STATIONS), path(fine, 0)
+        rates = arms[0].qvel(q, path(fine, 1))
+        self._qpos, way = CubicSpline(fine, arms[0].qpos(q)), CubicSpline(fine, rates)
+        tables, hanging, shifts = zip(*(self._along(PassiveJoints(arm), way) for arm in arms), strict=True)
         self._table, self._hanging = CubicSpline(s, np.stack(tables, axis=1)), CubicSpline(s, hanging[0])
-        self._rates = CubicSpline(s, speeds[0])
+        rates[:, self._passive.dofs] = CubicSpline(s, shifts[0])(fine)
+        self._rates = CubicSpline(fine, rates)
         # Half squares of these are the energies left at the end.
         stiffness, inertia = (self._table(1.0)[:, part, :, : self._m] for part in (0, 4))
         curvature, axes = np.linalg.eigh(0.5 * (stiffness + np.swapaxes(stiffness, 1, 2)))
@@ -61,13 +58,13 @@ class SwingModel:
         self._scales[:, : self._m, : self._m] = roots
         self._scales[:, self._m :, self._m :] = np.swapaxes(np.linalg.cholesky(inertia), 1, 2)
 
-    def _along(self, passive: PassiveJoints, qpos: CubicSpline, rates: CubicSpline) -> tuple[Floats, Floats, Floats]:
-        """The table ``(S, 5, m, 2 m + 1)`` of a load, where it rests ``(S, m)``, and velocities at unit s' there.
+    def _along(self, passive: PassiveJoints, rates: CubicSpline) -> tuple[Floats, Floats, Floats]:
+        """The table ``(S, 5, m, 2 m + 1)`` of a load, where it rests ``(S, m)``, and how that moves at unit s'.
 
         The table has slopes of forces over x and x', and the forces at rest: of what is constant, and of what grows
         with s', s'^2 and s''; and at last the inertia.
         """
-        s, m = np.linspace(0.0, 1.0, _STATIONS), self._m
+        s, m, qpos = np.linspace(0.0, 1.0, _STATIONS), self._m, self._qpos
         rest = passive.at_rest(qpos(s))
         stiffness, damping, inertia = (passive.slopes(of, rest) for of in ("position", "velocity", "acceleration"))
         # Where it rests moves along the path so that no force arises.
@@ -85,38 +82,46 @@ class SwingModel:
         table[:, 2, :, -1] = 0.5 * (ahead + behind) - still
         table[:, 3, :, :m] = passive.slopes("position", rest, 0.0, speeds) - stiffness
         table[:, 3, :, -1] = passive.forces(rest, 0.0, speeds) - still
-        return table, hanging, speeds
+        return table, hanging, shift
 
     def swing(self, law: CubicHermiteSpline, step: float, after: float) -> tuple[Floats, Floats, Floats]:
         """How the first load swings while the arm follows a law of time, and for some time after it [s].
 
-        The linear model's motion is corrected once, by the linear response to the forces that MuJoCo's inverse dynamics
-        would need for it. What is left is of second order in that correction, which stands for it.
+        The linear model's motion is corrected twice, by the linear response to the forces that MuJoCo's inverse
+        dynamics would need for it. What is left is of second order in the second correction, which stands for it.
 
         Returns:
-            Times ``(K,)`` in about equal steps [s], positions ``(K, nq)``, and the largest correction up to then
+            Times ``(K,)`` in about equal steps [s], positions ``(K, nq)``, and the largest last correction up to then
             ``(K, m)`` [rad, m].
         """
         end = float(law.x[-1])
         t = np.linspace(0.0, end + after, 2 + int((end + after) / step))
-        step, passive, m = float(t[1]), self._passive, self._m
+        step, m = float(t[1]), self._m
         middle = np.minimum(t[1:] - 0.5 * step, end)
         s, rate, bend = (law(middle, k) * (k == 0 or middle < end) for k in range(3))
         drives = np.stack([np.ones_like(s), rate, rate**2, bend], axis=1)
         change, push, force = self._steps(step, self._table(s)[:, :1], drives)
         states = _marched(change, np.matvec(push, force))[:, 0]
+        for _ in range(_CORRECTIONS):
+            missing = self._missing(step, (s, rate, bend), states)
+            correction = _marched(change, np.matvec(push, -missing))[:, 0]
+            states = states + correction
+        off = np.maximum.accumulate(abs(correction[:, :m]))
+        return t, self.hung(law(np.minimum(t, end)), states[:, :m]), off
+
+    def hung(self, s: Floats, away: Floats | float = 0.0) -> Floats:
+        """Positions ``(K, nq)`` along the path, with the first load so far from where it rests, ``(K, m)``."""
+        return self._passive.moved(self._qpos(s), self._hanging(s) + away)
+
+    def _missing(self, step: float, law: Sequence[Floats], states: Floats) -> Floats:
+        """What forces of the first load ``(K, 1, m)`` lack of zero, in steps [s] between states ``(K + 1, 2 m)``."""
+        (s, rate, bend), passive, m = law, self._passive, self._m
         place, speed = np.split(0.5 * (states[1:] + states[:-1]), 2, axis=1)
         velocities = self._rates(s) * rate[:, None]
         accelerations = self._rates(s, 1) * rate[:, None] ** 2 + self._rates(s) * bend[:, None]
         velocities[:, passive.dofs] += speed
         accelerations[:, passive.dofs] += np.diff(states[:, m:], axis=0) / step
-        missing = passive.forces(self.hung(s, place), velocities, accelerations)[:, None]
-        correction = _marched(change, np.matvec(push, -missing))[:, 0, :m]
-        return t, self.hung(law(np.minimum(t, end)), states[:, :m] + correction), np.maximum.accumulate(abs(correction))
-
-    def hung(self, s: Floats, away: Floats | float = 0.0) -> Floats:
-        """Positions ``(K, nq)`` along the path, with the first load so far from where it rests, ``(K, m)``."""
-        return self._passive.moved(self._qpos(s), self._hanging(s) + away)
+        return passive.forces(self.hung(s, place), velocities, accelerations)[:, None]
 
     def _steps(self, step: float, table: Floats, drives: Floats) -> tuple[Floats, Floats, Floats]:
         """What the rule of midpoints makes of x and x' in each step [s] that it takes.
@@ -133,16 +138,20 @@ class SwingModel:
         change = np.concatenate([step * mean, 2.0 * mean], axis=-2) + np.diag(np.repeat([1.0, -1.0], m))
         return change, np.concatenate([step * push, 2.0 * push], axis=-2), -whole[..., -1]
 
-    def left(self, step: float, law: Sequence[Floats]) -> tuple[Floats, Floats]:
+    def left(self, step: float, law: Sequence[Floats], *, corrected: bool = False) -> tuple[Floats, Floats]:
         """What a law leaves ``(L, 2 m)``, whose squares are twice energies, and its slopes ``(L, 2 m, N)``.
 
         The law is s, s' and s'' in the middle of K time steps [s], each ``(K, 1 + N)`` with the N changes.
+        What is left can be ``corrected`` as in `swing`, once and by the first load's forces; its slopes are not.
         """
         (s, more), (rate, more_rate), (bend, more_bend) = ((part[:, 0], part[:, 1:]) for part in law)
         one, none, m, table, slope = np.ones_like(s), np.zeros_like(s), self._m, self._table(s), self._table(s, 1)
         drives = np.stack([one, rate, rate**2, bend], axis=1)
         change, push, force = self._steps(step, table, drives)
         states = _marched(change, np.matvec(push, force))
+        ending = states[-1]
+        if corrected:
+            ending = ending + _marched(change, np.matvec(push, -self._missing(step, (s, rate, bend), states[:, 0])))[-1]
         middle, accelerated = 0.5 * (states[1:] + states[:-1]), np.diff(states[..., m:], axis=0) / step
         state = np.concatenate([middle, np.ones_like(middle[..., :1])], axis=-1)
         # How a force in each step changes what is left at the end: backwards.
@@ -159,7 +168,7 @@ class SwingModel:
             if k == 0:
                 over += np.matvec(of[:, :, 4, :, :m], accelerated)
             slopes -= np.tensordot(np.matvec(onward, over), changed, axes=(0, 0))
-        return np.matvec(self._scales, states[-1]), slopes
+        return np.matvec(self._scales, ending), slopes
 
 
 def _marched(change: Floats, push: Floats) -> Floats:

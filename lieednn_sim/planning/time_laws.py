@@ -258,12 +258,12 @@ class TimedCurve:
         law_of: Callable[[float], CubicHermiteSpline],
         duration: float,
         longest: float = math.inf,
-        growth: float = math.inf,
+        growth: tuple[float, float] = (1.002, math.inf),
         check: Callable[[Motion], None] = lambda _: None,
     ) -> Motion:
-        """The motion by a law for a duration [s], or the next longer one, by a factor each, that keeps all limits.
+        """The motion by a law for a duration [s], or the next longer one that keeps all limits.
 
-        What ``check`` says of motions that keep them counts, too.
+        It grows by factors between those of ``growth``. What ``check`` says of motions that keep limits counts, too.
         """
         for _ in range(20):
             result = self.motion(law_of(duration), math.ceil(round(duration / self._arm.timestep, 6)))
@@ -273,7 +273,7 @@ class TimedCurve:
                 return result
             except TooFastError as error:
                 # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in it.
-                duration = max(1.002 * duration, min(error.duration, growth * duration))
+                duration = float(np.clip(error.duration, growth[0] * duration, growth[1] * duration))
                 if duration > longest:
                     raise
         raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")

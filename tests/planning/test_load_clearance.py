@@ -12,7 +12,7 @@ from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.arm.oscillation import PassiveJoints
 from lieednn_sim.errors import PlanError, TooFastError
-from lieednn_sim.planning.swing_model import SwingModel, along
+from lieednn_sim.planning.swing_model import SwingModel
 from lieednn_sim.planning.time_laws import TimedCurve
 
 JOINTS = task_cases.Crane.joints
@@ -53,7 +53,7 @@ def test_the_bound_is_never_above_the_simulated_distance_and_little_below():
             run = ls.simulate(arm, plan, hold=2.0)
             at += nearest(run) - 0.05
         bound, curve = plan.load_clearance, TimedCurve(arm, plan.motion)
-        *_, off = SwingModel([arm], *along(arm, curve.q)).swing(curve.own, 0.005, 2.0)
+        *_, off = SwingModel([arm], curve.q).swing(curve.own, 0.005, 2.0)
         passive, some = PassiveJoints(arm), run.qpos[::20]
         away = passive.away(some, passive.at_rest(arm.qpos(run.q[::20])))
         swings.append(np.linalg.norm(away[:, ~passive.sprung], axis=1).max())

@@ -11,7 +11,7 @@ from lieednn_sim.arm.oscillation import Mode, PassiveJoints, with_load
 from lieednn_sim.errors import InputError, TooFastError
 from lieednn_sim.planning import SettlingOptions, settled
 from lieednn_sim.planning.settling import shaper
-from lieednn_sim.planning.swing_model import SwingModel, along
+from lieednn_sim.planning.swing_model import SwingModel
 from lieednn_sim.planning.time_laws import TimedCurve
 
 OMEGA = np.sqrt(9.81 / gantries.LENGTH)
@@ -67,7 +67,7 @@ def test_the_linear_model_leaves_of_a_pendulum_what_its_integral_says():
     motion = ls.plan(arm, [2.0], planner="minimum-jerk", duration=4.0).motion
     curve, (t, step) = TimedCurve(arm, motion), middles(4.0, 2000)
     law = law_at(curve, t)
-    (left,), _ = SwingModel([arm], *along(arm, curve.q)).left(step, law)
+    (left,), _ = SwingModel([arm], curve.q).left(step, law)
     driven = step * (2.0 * law[2][:, 0] * np.exp(1j * OMEGA * t)).sum()
     assert left @ left == pytest.approx(5.0 * abs(driven) ** 2, rel=1e-3)
 
@@ -98,7 +98,7 @@ def crane():
 def test_the_slopes_of_the_linear_model_are_its_differences(crane):
     _, arm, plan = crane
     curve, (t, step) = TimedCurve(arm, plan.motion), middles(8.0, 400)
-    model, law = SwingModel([arm, with_load(arm, 1.2)], *along(arm, curve.q)), law_at(curve, t)
+    model, law = SwingModel([arm, with_load(arm, 1.2)], curve.q), law_at(curve, t)
     sine = (
         np.sin(np.pi * t / 8.0) ** 2,
         np.pi / 8.0 * np.sin(np.pi * t / 4.0),
@@ -118,7 +118,7 @@ def test_the_linear_model_leaves_what_mujoco_leaves(crane):
     for duration, tolerance in ((8.0, 0.2), (12.0, 0.1)):
         motion = ls.plan(arm, plan.target, planner="lieednn-shaped", duration=duration).motion
         curve, (t, step) = TimedCurve(arm, motion), middles(duration, 1000)
-        model, passive = SwingModel([arm], *along(arm, curve.q)), PassiveJoints(arm)
+        model, passive = SwingModel([arm], curve.q), PassiveJoints(arm)
         run = ls.simulate(arm, motion, hold=0.0)
         there = passive.away(run.qpos[-3:], passive.at_rest(arm.qpos(motion.q[-1:]))[0])
         expected = model._scales[0] @ np.append(there[2], (there[2] - there[0]) / (2.0 * run.timestep))
