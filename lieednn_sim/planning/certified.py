@@ -152,9 +152,7 @@ def certified(problem: PlanningProblem, options: CertifiedOptions) -> Plan:
                 # The straightest network comes first; those that bend more are no faster.
                 if drawn == total or isinstance(error, TooFastError):
                     raise
-    raise NotCertifiedError(
-        f"none of {total} candidates for the target could be certified; the last one: {results[-1].message}"
-    )
+    raise NotCertifiedError(f"none of {total} candidates could be certified; the last one: {results[-1].message}")
 
 
 def _drawn(xi: Floats, magnitudes: list[float], options: CertifiedOptions, rng: np.random.Generator) -> list[Synthesis]:

@@ -27,10 +27,7 @@ from lieednn_sim.values import Floats
 def load_clearance(arm: Arm, motion: Motion, *, swinging: bool = True) -> Clearance | None:
     """What is proved of the distances of what hangs, at most 0.1 m or the arm's clearance; None if nothing swings.
 
-    Args:
-        arm: the arm, in its scene.
-        motion: the motion.
-        swinging: false for a load that would hang at rest all the way.
+    It swings as the motion makes it, or would hang at rest all the way.
     """
     passive = PassiveJoints(arm)
     if not passive.bodies.any() or np.ptp(motion.q, axis=0).max() <= 1e-8:

@@ -86,9 +86,7 @@ def count_steps(duration: float, timestep: float) -> int:
     """Number of time steps in ``duration`` [s]; raise `InputError` if there are fewer than 2, or too many."""
     ratio = as_positive("duration", duration) / as_positive("timestep", timestep)
     if not 1.5 <= ratio <= _MAX_STEPS:
-        raise InputError(
-            f"duration must be between 2 and {_MAX_STEPS} time steps of {timestep:g} s, got {duration:g} s"
-        )
+        raise InputError(f"duration must be 2 to {_MAX_STEPS} time steps of {timestep:g} s, got {duration:g} s")
     return round(ratio)
 
 
@@ -274,7 +272,5 @@ def _check_leaving(arm: Arm, t: Floats, q: Floats) -> None:
     furthest = np.asarray(-np.inf)
     for time, distances in zip(t, arm.left_along(q), strict=True):
         if (distances < furthest - rounding).any():
-            raise PlanError(
-                f"at t = {time:.2f} s the arm would come nearer again to what it is too near to at the start"
-            )
+            raise PlanError(f"at t = {time:.2f} s the arm would come nearer again to what it is near at the start")
         furthest = np.maximum(furthest, distances)

@@ -190,9 +190,7 @@ class NetworkPath:
 def require_fit(arm: Arm, network: BlockNetwork, *, certified: bool = False) -> None:
     """Raise `InputError` unless the network has a visible neuron for each link, and, if asked for, a certificate."""
     if network.n_visible != arm.n_links:
-        raise InputError(
-            f"the network has {network.n_visible} visible neurons, arm {arm.name!r} has {arm.n_links} links"
-        )
+        raise InputError(f"the network has {network.n_visible} visible neurons, arm {arm.name!r} {arm.n_links} links")
     if certified and not network.certified:
         raise InputError("only a certified network follows every target; see network.certify()")
 

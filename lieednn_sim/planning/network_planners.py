@@ -136,7 +136,5 @@ def _path(problem: PlanningProblem, network: ComponentwiseNetwork) -> NetworkPat
     # An uncertified network may have several equilibria, and learning and position limits have tolerances.
     distance = float(np.abs(network.visible(path.target) - problem.arm.encode(problem.target)).max())
     if distance > LIMIT_TOLERANCE:
-        raise PlanError(
-            f"the network ends at another equilibrium, {distance:.2g} from the target; use a certified network"
-        )
+        raise PlanError(f"it ends at another equilibrium, {distance:.2g} from the target; use a certified network")
     return path

@@ -86,9 +86,7 @@ class Policy(ABC):
             self.arm.check_position(goal, "target")
             if "q" not in vars(self):
                 if seen is None:
-                    raise InputError(
-                        "the policy does not know where the arm is: call reset(q), or give measured joints"
-                    )
+                    raise InputError("it is not known where the arm is: call reset(q), or give measured joints")
                 self.reset(seen)
             self._target = goal.copy()
         q, qd = self.act(seen, self._target)

@@ -38,7 +38,7 @@ REFUSED = {
     "plan --path-constraint circle": "no path_constraint 'circle'; allowed: line, orientation",
     "plan --target extended --output file/run": "cannot create directory",
     "demo --duration 1_000": "--duration: must be a finite decimal number, such as 0.25 or 1e-3, got '1_000'",
-    "demo --duration 1000": "duration must be between 2 and 100000 time steps of 0.002 s, got 1000 s",
+    "demo --duration 1000": "duration must be 2 to 100000 time steps of 0.002 s, got 1000 s",
     "demo --seed 1.5": "argument --seed: must be a whole number, such as 12, got '1.5'",
     "demo --position 1e308,0,0": "position must not exceed 1e+100 in size, got 1e+308",
     "demo --hold -1": "hold must not be negative, got -1",

@@ -122,7 +122,7 @@ def test_a_duration_is_a_whole_number_of_steps_and_two_at_least():
     assert [count_steps(duration, 0.002) for duration in (0.003, 0.004, 0.0049, 0.0051, 1.0)] == [2, 2, 2, 3, 500]
     assert count_steps(200.0, 0.002) == 100_000
     for duration in (0.0029, 200.003):
-        with pytest.raises(InputError, match="duration must be between 2 and 100000 time steps"):
+        with pytest.raises(InputError, match="duration must be 2 to 100000 time steps"):
             count_steps(duration, 0.002)
 
 

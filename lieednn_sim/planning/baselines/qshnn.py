@@ -139,9 +139,7 @@ def path_of(problem: PlanningProblem, joints: JointQuaternions, network: Hopfiel
     trajectory = network.trajectory(start, _LONGEST_RUN, until=target, distance=_ARRIVAL_DISTANCE)
     left = float(np.abs(trajectory.xi[-1] - target).max())
     if left > 2.0 * _ARRIVAL_DISTANCE:
-        raise PlanError(
-            f"the learned network does not arrive: {left:.2g} from the target after {_LONGEST_RUN:g} of its time"
-        )
+        raise PlanError(f"the learned network is {left:.2g} from the target after {_LONGEST_RUN:g} of its time")
     # Waypoints are interpolated between so many samples.
     fraction = np.linspace(0.0, 1.0, 2000)
     times = np.interp(fraction, np.linspace(0.0, 1.0, len(trajectory.t)), trajectory.t)
