@@ -16,7 +16,6 @@ from functools import partial
 
 import daqp
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline
 
 from lieednn_sim.arm import Arm, Mode, with_load
@@ -37,7 +36,6 @@ _LOOKS = 240  # instants at which a law's limits are kept
 _MARGIN = 0.995  # of the limits, between these instants
 _LAWS = 4  # looked at
 _GROWTH = 1.05, 1.2  # of the duration of a law that breaks limits, at least and at most
-_STEADY = 0.5  # the rate from which the clock of laws slows down with the planned motion, in units of its mean
 _SMOOTH = 1e-7  # weight of the mean square of the law's jerk, in units of the duration, against fractions of energies
 
 
@@ -124,21 +122,13 @@ def shaped(law: CubicHermiteSpline, delays: Floats, shares: Floats, duration: fl
 
 
 class _LeastEnergy:
-    """The laws of least energy left on a path, for an arm's load and others.
-
-    Their clock x goes as fast as the planned motion where this is fast, and slows down with it, as where its path turns
-    sharply, but not to rest. So the path bends little over x.
-    """
+    """The laws of least energy left on a path, for an arm's load and others."""
 
     def __init__(self, arm: Arm, curve: TimedCurve, others: list[Arm], modes: tuple[Mode, ...]) -> None:
-        self._modes, own = modes, curve.own
+        self._modes = modes
         self._limits = np.concatenate([arm.velocity_limits, arm.acceleration_limits])[:, None, None]
-        self._t = np.linspace(0.0, 1.0, _SAMPLES)
-        rate = own.x[-1] * own(self._t * own.x[-1], 1)
-        passed = cumulative_trapezoid(rate / np.hypot(rate, _STEADY), initial=0.0)
-        self._clock, x = passed / passed[-1], np.linspace(0.0, 1.0, _INSTANTS)
-        s = np.interp(x, self._clock, own(self._t * own.x[-1]))
-        self._law, self._path = CubicSpline(x, s), CubicSpline(x, curve.q(s))
+        self._t, s = np.linspace(0.0, 1.0, _SAMPLES), np.linspace(0.0, 1.0, _INSTANTS)
+        self._own, self._path = curve.own(self._t * curve.own.x[-1]), CubicSpline(s, curve.q(s))
         self._model = SwingModel([arm, *others], self._path)
 
     def law(self, duration: float) -> CubicHermiteSpline:
@@ -146,14 +136,14 @@ class _LeastEnergy:
         # Three coefficients for a period of the slowest mode, within bounds.
         count = int(np.clip(3.0 * duration * self._modes[0].frequency + 10.0, 16, 60))
         knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
-        # x' by fractions of the duration, from and to rest without a step of the acceleration.
+        # s' by fractions of the duration, from and to rest without a step of the acceleration.
         spline = BSpline(knots, np.eye(count)[:, 2:-2], 3)
         parts = spline.antiderivative(), spline, spline.derivative()
         steps = math.ceil(duration / (2.0 * longest_step(self._modes)))
         # In the middle of the steps of the model, and where limits are looked at.
         middle, tau = (np.arange(steps) + 0.5) / steps, np.linspace(0.0, 1.0, _LOOKS)
         basis, looks = ([part(at) / duration**k for k, part in enumerate(parts)] for at in (middle, tau))
-        fitted, *_ = np.linalg.lstsq(parts[0](self._t), self._clock, rcond=None)
+        fitted, *_ = np.linalg.lstsq(parts[0](self._t), self._own, rcond=None)
         now = fitted / (looks[0][-1] @ fitted)
         rough = math.sqrt(_SMOOTH / _LOOKS) * spline.derivative(2)(tau)
         best, unit = (math.inf, now), 0.0
@@ -167,18 +157,18 @@ class _LeastEnergy:
             best, unit = min(best, (size, now), key=lambda pair: pair[0]), unit or max(size, 1e-9)
             rest = np.append((left - slopes @ now) / unit, np.zeros(len(rough)))
             now = self._within_limits(now, np.vstack([slopes / unit, rough]), rest, looks)
-        x, rate = (part(self._t) @ best[1] for part in parts[:2])
-        return CubicHermiteSpline(duration * self._t, self._law(x), self._law(x, 1) * rate / duration)
+        s, rate = (part(self._t) @ best[1] for part in parts[:2])
+        return CubicHermiteSpline(duration * self._t, s, rate / duration)
 
     def _within_limits(self, now: Floats, slopes: Floats, rest: Floats, looks: list[Floats]) -> Floats:
         """The coefficients c that minimise ``|slopes c + rest|^2`` within the joints' limits, linearised at ``now``."""
-        x, rate, bend = (part @ now for part in looks)
-        path, r, u = [self._path(x, k).T[:, :, None] for k in range(4)], rate[:, None], bend[:, None]
+        s, rate, bend = (part @ now for part in looks)
+        path, r, u = [self._path(s, k).T[:, :, None] for k in range(4)], rate[:, None], bend[:, None]
         values = path[1] * r, path[2] * r**2 + path[1] * u
-        over_x = path[2] * r * looks[0], (path[3] * r**2 + path[2] * u) * looks[0]
+        over_s = path[2] * r * looks[0], (path[3] * r**2 + path[2] * u) * looks[0]
         over_rates = path[1] * looks[1], 2.0 * path[2] * r * looks[1] + path[1] * looks[2]
         # Velocities and accelerations in units of their limits; without a limit, zero.
-        value, change, more = (np.concatenate(pair) / self._limits for pair in (values, over_x, over_rates))
+        value, change, more = (np.concatenate(pair) / self._limits for pair in (values, over_s, over_rates))
         change = (change + more).reshape(-1, len(now))
         known = value.ravel() - change @ now
         # It arrives, and goes nowhere back.
