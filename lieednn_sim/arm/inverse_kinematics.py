@@ -249,7 +249,7 @@ class _Search:
             error, slopes = self._evaluate()
             return float(error @ error), 2.0 * error @ slopes
 
-        how = {"jac": True, "bounds": self._arm.position_limits, "tol": 1e-5}
+        how = {"jac": True, "bounds": self._arm.position_limits, "tol": 1e-10}
         ends = [scipy.optimize.minimize(square, q, **how) for q in (closest, self._start)]
         return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
 
