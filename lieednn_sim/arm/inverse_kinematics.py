@@ -37,7 +37,7 @@ def solve_ik(
 ) -> Floats:
     """Find a joint position, within the limits and free of contact, that puts the end effector at a pose.
 
-    Who `reporting` names is told, before each attempt, how many are done, and of their largest number.
+    Before each attempt `reporting` is told how many are done, and how many are made at most.
 
     Args:
         arm: the arm.

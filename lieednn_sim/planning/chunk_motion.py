@@ -163,7 +163,7 @@ class ChunkMotion(Transition):
         result += self.base.states(t)
 
     def until(self, time: float) -> list[Floats]:
-        """Joint coordinates, rates and accelerations, each ``(K, n)``, at 19 to 97 times up to one."""
+        """Joint coordinates, rates and accelerations, each ``(K, n)``, at 21 to 97 times up to ``time``."""
         count, faded = len(EVEN), time / self.duration
         if faded > 0.2:
             return [part[: math.ceil((count - 1) * faded) + 1] for part in self.even]
