@@ -37,7 +37,7 @@ def solve_ik(
 ) -> Floats:
     """Find a joint position, within the limits and free of contact, that puts the end effector at a pose.
 
-    Who `reporting` names is told, before each attempt, how many are done, and of their largest number.
+    Before each attempt `reporting` is told how many are done, and how many are made at most.
 
     Args:
         arm: the arm.
@@ -249,7 +249,7 @@ class _Search:
             error, slopes = self._evaluate()
             return float(error @ error), 2.0 * error @ slopes
 
-        how = {"jac": True, "bounds": self._arm.position_limits, "tol": 1e-5}
+        how = {"jac": True, "bounds": self._arm.position_limits, "tol": 1e-10}
         ends = [scipy.optimize.minimize(square, q, **how) for q in (closest, self._start)]
         return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
 

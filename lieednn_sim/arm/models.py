@@ -44,7 +44,7 @@ def arm_names() -> list[str]:
 
 
 def scene_path(arm: str) -> Path:
-    """The scene file of an arm, or `InputError` listing the known arms."""
+    """The scene file of an arm; `InputError` listing the known ones, or `FileError` for what looks like a file."""
     if Path(arm).suffix:
         raise FileError(f"no arm {arm!r}: the files of arms end in {', '.join(MODEL_SUFFIXES + DESCRIPTION_SUFFIXES)}")
     ARMS.find(arm)

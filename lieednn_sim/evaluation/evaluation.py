@@ -126,7 +126,7 @@ class Evaluation:
         recoveries: the effect of each push.
         planned_force_fraction: largest force that the plan needs of an actuator, in units of its limit, by inverse
             dynamics; None without a plan. That of the run is ``force_fraction``.
-        sequence: whether the run is of a sequence, in which a grasp is contact, and no contact is a failure.
+        sequence: whether the run is of a sequence, whose contacts are shown and no failure: a grasp is one.
         load: what the motion left swinging and bending; None for an arm on which nothing does.
         causes: if the arm does not end at its target, the reasons that its model gives, see `diagnosis.error_causes`.
     """
@@ -204,7 +204,7 @@ class Evaluation:
 
     @property
     def shortfall(self) -> str:
-        """Why the rollout is no success, or an empty string: a contact, or a link that does not end at its target."""
+        """Why the rollout is no success, or "": a contact outside of sequences, or a link that ends off its target."""
         if self.contacts and not self.sequence:
             return f"contact: up to {self.contacts} at a time"
         for frame in self.frames:

@@ -116,17 +116,17 @@ class Ramped:
     """A curve from its own time ``begin`` to ``end`` [s], ``slower`` by f, at rest at its end after a ``ramp`` D [s].
 
     As of a `PPoly`, ``x`` ``(2,)`` has its times at begin and end [s]; later it rests. At ``ramps_at`` [s] the ramp
-    begins.
+    begins; without a ramp it rests at once.
     """
 
     def __init__(self, curve: ChunkCurve, begin: float, end: float, slower: float, ramp: float) -> None:
         self.curve, self.begin, self.end, self.slower, self._ramp = curve, begin, end, slower, max(ramp, 1e-9)
         self.ramps_at = max((end - begin) * slower - 0.5 * self._ramp, 0.0)
-        self.x = np.array([0.0, self.ramps_at + self._ramp])
+        self._full, self.x = 1.0 / slower if ramp else 0.0, np.array([0.0, self.ramps_at + self._ramp])
 
     def clock(self, t: Floats) -> tuple[Floats, Floats, Floats]:
         """The curve's own time u ``(K,)`` at times ``(K,)``, and its first two derivatives."""
-        full, ramp = 1.0 / self.slower, self._ramp
+        full, ramp = self._full, self._ramp
         way, rate, bend = _ramp(np.minimum(np.maximum((t - self.ramps_at) / ramp, 0.0), 1.0))
         u = self.begin + full * (np.minimum(t, self.ramps_at) + ramp * way)
         return np.minimum(u, self.end), full * rate, full / ramp * bend
@@ -163,7 +163,7 @@ class ChunkMotion(Transition):
         result += self.base.states(t)
 
     def until(self, time: float) -> list[Floats]:
-        """Joint coordinates, rates and accelerations, each ``(K, n)``, at 19 to 97 times up to one."""
+        """Joint coordinates, rates and accelerations, each ``(K, n)``, at 21 to 97 times up to ``time``."""
         count, faded = len(EVEN), time / self.duration
         if faded > 0.2:
             return [part[: math.ceil((count - 1) * faded) + 1] for part in self.even]
@@ -218,7 +218,7 @@ def _joined(
         if (ramp := ramps[more]) is None:
             continue
         base = Ramped(curve, begin, end, slower, ramp)
-        away = np.abs(differences := now - [there, slope / slower, turn / slower**2])
+        away = np.abs(differences := now - [there, slope / slower * (ramp > 0.0), turn / slower**2 * (ramp > 0.0)])
         soonest = _soonest(away, 0.5 * limits)
         if soonest > fade:
             most = np.abs(base.states(np.linspace(0.0, float(base.x[-1]), 33))[1:]).max(axis=1)

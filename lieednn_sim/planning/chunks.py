@@ -72,7 +72,8 @@ def read(
             for pose in chunk:
                 q.append(solve_ik(arm, pose.translation, pose.rotation, start=q[-1]))
             chunk = np.array(q[1:])
-        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else "shape"
+        kind = "shape"
+        kind = "nan" if np.shape(chunk)[1:] == (n,) and 1 <= len(np.asarray(chunk)) <= MOST_TARGETS else kind
         targets = as_floats("chunk", chunk, ("H", n))
         if kind == "shape":
             raise InputError(f"chunk must have from 1 to {MOST_TARGETS} targets, got {len(targets)}")
@@ -121,10 +122,10 @@ def judge(
 
     low, high = arm.position_limits.T
     mended = np.minimum(np.maximum(arm.within_angles(targets), low), high)
-    beyond = np.abs(mended - targets)
-    if (beyond > arm.ranges).any():
-        repaired = [kind for kind in repaired if kind != "limits"]
-    for row, joint in np.argwhere(beyond > LIMIT_TOLERANCE).tolist():
+    beyond, far = (np.abs(mended - targets) > most for most in (LIMIT_TOLERANCE, arm.ranges))
+    if far.any():  # these are named, and not a smaller one before them
+        beyond, repaired = far, [kind for kind in repaired if kind != "limits"]
+    for row, joint in np.argwhere(beyond).tolist():
         note("limits", "is at", row, joint, targets[row, joint], mended[row, joint])
     speed = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
     most = np.minimum(2.0 * step * arm.acceleration_limits, speed) * step

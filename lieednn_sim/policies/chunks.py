@@ -82,8 +82,8 @@ class ChunkVerdict:
         accepted: whether it is followed; otherwise what went on before goes on.
         findings: what is wrong with it.
         dropped: number of targets whose time had passed.
-        slower: factor by which it takes longer, 1 if it is within the limits.
-        fade: time in which the reference goes over to it [s].
+        slower: factor by which it takes longer; 1 if it and the way onto it are within the limits, or it begins later.
+        fade: time in which the reference goes over to it [s]; 0 if it begins later.
     """
 
     accepted: bool
@@ -173,7 +173,7 @@ class ChunkPolicy(ReplanningPolicy):
                 self._newest, motion = begin, self.course.transition
         except RefusedError as refused:
             findings.append(refused.finding)
-        more = (motion.base.slower, motion.fade) if isinstance(motion, ChunkMotion) else ()
+        more = (motion.base.slower, motion.fade) if isinstance(motion, ChunkMotion) and passed >= -1e-9 else ()
         self.verdict = ChunkVerdict(motion is not None, tuple(findings), dropped, *more)
         self.counts.update([*(finding.kind for finding in findings), "accepted" if motion else "refused"])
         return self.verdict

@@ -122,8 +122,8 @@ def make_policy(
     policy = entry.load()(task, *given)
     if not isinstance(policy, Policy):
         raise InputError(f"policy {name!r} must be a Policy, its function returned {type(policy).__name__}")
+    policy.reset(task.start)
     if planned and "motion" not in vars(task):
         others = f"{', '.join(FOLLOWERS)}, or a NetworkPolicy of the plan's network"
         raise InputError(f"policy {name!r} would go to the end of this motion on a way of its own; take {others}")
-    policy.reset(task.start)
     return policy

@@ -161,6 +161,14 @@ def test_reach_says_how_close_the_best_of_its_attempts_comes(gantry, monkeypatch
         solve_ik(gantry, [1.75, 0.0, 0.0], Rotation.from_rotvec([0.0, 0.0, np.pi / 6.0]))
 
 
+def test_a_position_is_said_to_be_out_of_reach_only_if_it_is():
+    """A search for it alone that ends early is millimetres off."""
+    arm, place = Arm.load("telescopic_pr"), [0.58, -0.58, 2.15]
+    np.testing.assert_allclose(arm.tip(solve_ik(arm, place)), place, atol=1e-5)
+    with pytest.raises(NoSolutionError, match=r"cannot reach \(0\.58, -0\.58, 2\.15\) m with this orientation"):
+        solve_ik(arm, place, Rotation.from_rotvec([3.0, 0.0, 0.0]))
+
+
 def test_reach_says_what_touches_where_the_pose_is_met(gantry):
     """The ball is in the floor there, whatever the angle."""
     with pytest.raises(NoSolutionError, match=r"cannot reach \(1, 0, -0\.95\) m; at the solutions found '.*' touches"):

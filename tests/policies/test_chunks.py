@@ -90,6 +90,7 @@ def test_a_long_chunk_is_coded_piece_by_piece(gantry):
         (np.zeros((0, 4)), 0.0, 0.1, "shape"),
         (np.zeros((257, 4)), 0.0, 0.1, "shape"),
         (["a"], 0.0, 0.1, "shape"),
+        ([[0.0] * 4, [0.0] * 3], 0.0, 0.1, "shape"),
         (np.array([[0.0, 0.0, np.nan, 0.0]] * 2), 0.0, 0.1, "nan"),
         (np.zeros((5, 4)), np.nan, 0.1, "times"),
         (np.zeros((5, 4)), 0.0, 0.0, "times"),
@@ -138,6 +139,9 @@ def test_faults_are_found_with_their_values_and_mended(gantry):
     parts, findings = found(beyond)
     assert findings == {"limits": ("y", 0, 2.5, 2.0)}
     np.testing.assert_allclose(parts[0][1].end, [0.0, 2.0, 0.0, 0.0])
+    # One that cannot be repaired is named, though a smaller one is before it.
+    beyond[5, 1] = 60.0
+    assert found(beyond)[1]["limits"] == ("y", 5, 60.0, 2.0)
     # Explained are 0.05 m: by half of the velocity limit over a row.
     spike[7, 0] = 0.3
     parts, findings = found(spike)
@@ -316,6 +320,9 @@ def test_a_chunk_for_later_begins_then_and_a_new_target_is_newer(gantry):
     assert policy.accept(0.3 + swing(0.02 * np.arange(50)), 0.2, 0.02).accepted
     q = run(policy, 30)[:, 0]
     assert np.abs(q[:20]).max() < 1e-9 < 1e-4 < np.abs(q[29]).min()
+    # What the verdict says is of the new chunk, and not of the one that goes on until then.
+    later = policy.accept(0.3 + swing(0.02 * np.arange(50)), policy.now + 0.5, 0.02)
+    assert (later.accepted, later.slower, later.fade) == (True, 1.0, 0.0)
     for _ in range(300):
         policy.step(None, np.full(4, 0.2))
     np.testing.assert_allclose(policy.q, 0.2, atol=1e-4)
@@ -405,6 +412,15 @@ def test_a_motion_along_a_curve_has_the_derivatives_of_its_positions_and_its_sta
     motion = go_over(gantry, now, curve, 0.3, 0.9, 0.2)
     require_derivatives(motion, now)
     np.testing.assert_allclose(motion(np.array([motion.duration, 9.0]))[0], curve(np.array([1.2] * 2))[0], atol=1e-9)
+
+
+def test_a_curve_that_ends_while_it_moves_is_joined_at_rest(gantry):
+    """Of which the last target is for now; from there it takes the arm's speed back."""
+    curve, now = ChunkCurve.through(gantry, swing(0.05 * np.arange(20)), 0.05), np.zeros((3, 4))
+    now[0], now[1] = curve.end, 0.1
+    motion = go_over(gantry, now, curve, curve.duration, 1.5, 0.2)
+    require_derivatives(motion, now)
+    assert np.abs(motion.even[1]).max() == pytest.approx(0.1)
 
 
 def test_a_curve_that_cannot_be_caught_up_with_is_joined_as_late_as_needed(gantry):
