@@ -273,9 +273,10 @@ class TimedCurve:
                 return result
             except TooFastError as error:
                 # Rates sampled at the model's time step may exceed those of the law slightly; forces are not in it.
-                duration = float(np.clip(error.duration, growth[0] * duration, growth[1] * duration))
-                if duration > longest:
+                needed = min(error.duration, growth[1] * duration)
+                if needed > longest:
                     raise
+                duration = min(max(needed, growth[0] * duration), longest)
         raise PlanError("no time law keeps the limits on this path; it turns too sharply for the model's time step")
 
     def motion(self, law: CubicHermiteSpline, steps: int) -> Motion:
