@@ -6,14 +6,13 @@ import argparse
 import csv
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from lieednn_sim import io
 from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import FileError, LieEDNNError
+from lieednn_sim.studies.study import worker_pool
 
 
 def options(
@@ -72,7 +71,7 @@ def saved_runs(folder: Path, runs: Mapping[str, tuple[Any, ...]], work: Callable
             _kept(folder / f"{name}.json", work, given)
     elif missing:
         os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes
-        with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        with worker_pool(jobs) as pool:
             for done in [pool.submit(_kept, folder / f"{name}.json", work, given) for name, given in missing.items()]:
                 done.result()
     return [_made(folder / f"{name}.json", _compared(given)) for name, given in runs.items()]

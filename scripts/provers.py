@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -31,6 +30,7 @@ from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.planning import Plan, find_tube, plan
 from lieednn_sim.simulation import simulate
 from lieednn_sim.studies.problems.motion_bench_maker import PublishedProblem
+from lieednn_sim.studies.study import worker_pool
 from lieednn_sim.values import Floats
 
 SETS = {"armour": "kinova_src/saved_worlds/random", "sparrows": "kinova_scenarios"}
@@ -187,7 +187,7 @@ def main(arguments: list[str] | None = None) -> int:
         raise FileError(f"{getattr(given, missing[0])} has no {SETS[missing[0]]}/scene_*.csv")
     model = str(given.armour / MODEL)
     each = [(name, planner) for name in given.sets for planner in given.planners]
-    with ProcessPoolExecutor(given.jobs) as pool:
+    with worker_pool(given.jobs) as pool:
         rows = list(pool.map(prove, [(model, name, file, planner) for name, planner in each for file in files[name]]))
     write(given.output / "provers.md", report(rows))
     return 1 if broken(rows) else 0

@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 import sys
 from collections import defaultdict
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 
@@ -25,6 +24,7 @@ from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.network.dynamics import runge_kutta_step
 from lieednn_sim.stability import Robustness, find_certificate, find_contraction
+from lieednn_sim.studies.study import worker_pool
 from lieednn_sim.synthesis import synthesize
 
 KINDS = ("synthesized", "scaled", "cascade")
@@ -182,7 +182,7 @@ def report(cases: int, jobs: int) -> tuple[str, int]:
     """The table, and the number of broken bounds."""
     ratios: dict[tuple[str, str], list[float]] = defaultdict(list)
     rates: dict[str, list[float]] = defaultdict(list)
-    with ProcessPoolExecutor(jobs) as pool:
+    with worker_pool(jobs) as pool:
         for seed, (kind, found, rate) in enumerate(pool.map(case, range(cases), chunksize=5)):
             for name, ratio in found.items():
                 ratios[name, kind].append(ratio)
