@@ -100,7 +100,7 @@ def test_bounds_and_rates_of_contraction_by_kind_of_network(monkeypatch):
         return kind, {"push gain": 0.01 * (seed + 1) ** 2 if seed < 11 else 0.5}, rate
 
     pool = SimpleNamespace(map=lambda function, seeds, chunksize: map(function, seeds))
-    monkeypatch.setattr(robustness, "ProcessPoolExecutor", lambda jobs: contextlib.nullcontext(pool))
+    monkeypatch.setattr(robustness, "worker_pool", lambda jobs: contextlib.nullcontext(pool))
     monkeypatch.setattr(robustness, "case", case)
     text, broken = robustness.report(13, 1)
     assert broken == 1
