@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import cost_over_time
@@ -71,6 +72,7 @@ def test_bounds_are_measured_and_a_broken_one_is_told(tmp_path, monkeypatch, cap
     assert path.read_text() in capsys.readouterr().out
     assert path.read_text().count("| 1 | 0 |") == 8 * len(robustness.KINDS)
     monkeypatch.setattr(robustness, "unstable_step", lambda jacobian, method: 1e-9)
+    monkeypatch.setattr(robustness, "worker_pool", ThreadPoolExecutor)  # which has the line before
     assert robustness.main(["--cases", "1", "--output", str(path)]) == 1
 
 
