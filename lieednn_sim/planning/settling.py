@@ -87,8 +87,7 @@ def settled(arm: Arm, motion: Motion, options: SettlingOptions, longest: float =
     if least and passive.bodies.any():
         loads = [(mass, 1.0) for mass in options.loads] + [(1.0, length) for length in options.lengths]
         others = [with_load(arm, *load) for load in loads]
-    least_energy = least and _LeastEnergy(arm, curve, others, modes)
-    law = least_energy.law if least_energy else partial(shaped, curve.own, *shaper(options, modes))
+    law = _LeastEnergy(arm, curve, others, modes).law if least else partial(shaped, curve.own, *shaper(options, modes))
     return curve.kept(law, duration, longest, _GROWTH, partial(check_load, arm))
 
 

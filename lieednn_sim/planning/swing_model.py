@@ -1,7 +1,6 @@
 """What the passive joints of an arm do while the arm follows a path by a time law, linearised.
 
-The arm's own joints are where the law s(t) of the path's parameter has them. With x the passive joints' distance from
-where they rest at s,
+The arm's own joints are where the law s(t) has them. With x the passive joints' distance from where they rest at s,
 
     M x'' + (D + G s') x' + (K + A s'' + C s'^2) x + a s'' + b s'^2 + d s' = 0,
 
