@@ -159,13 +159,8 @@ def start_rows(repeats: int) -> Iterator[Row]:
         yield Row(what, ratios(python(*ours), python("-c", floor), repeats, children), "<= 1.5")
 
 
-# The package simulates no visual geoms, which do not change the motion, so there are two floors; aims are of the first.
-_FLOORS = {" on the whole model": False, " without visual geoms": True}
-
-
-def floor(arm: Arm, controller: str, followed: Rollout, bare: bool) -> Simulation:
-    """A plant at the start of a rollout, with the controls of its first step, with or without visual geoms."""
-    arm = arm.without_visuals if bare else arm
+def floor(arm: Arm, controller: str, followed: Rollout) -> Simulation:
+    """A plant at the start of a rollout, with the controls of its first step and the geoms that are only seen."""
     driver = make_controller(controller, arm, Reference.of(arm, followed.q_ref, followed.qd_ref))
     plant = make_plant(arm, None, driver.add_bodies)
     driver.equip(plant)
@@ -190,42 +185,38 @@ def rollout_rows(arm: Arm, motion: Motion, repeats: int) -> Iterator[Row]:
     for controller, changes, rival in cases:
         ours = partial(simulate, arm, motion, controller=controller, disturbances=changes)
         followed = ours()
-        for label, bare in _FLOORS.items():
-            simulation = floor(arm, controller, followed, bare)
-            run = partial(mujoco.mj_step if rival == call else step_by_step, simulation.model, simulation.data)
-            name = f"{controller}{' with noise' if changes == noise else ''}, in those of {rival}{label}"
-            samples = ratios(partial(run, len(followed.t)), ours, repeats)
-            aim = "" if bare else ">= 0.8" if rival == call else ">= 0.6"
-            yield Row(f"steps/s of a rollout by {name}", samples, aim)
+        simulation = floor(arm, controller, followed)
+        run = partial(mujoco.mj_step if rival == call else step_by_step, simulation.model, simulation.data)
+        name = f"{controller}{' with noise' if changes == noise else ''}, in those of {rival} on the whole model"
+        samples = ratios(partial(run, len(followed.t)), ours, repeats)
+        yield Row(f"steps/s of a rollout by {name}", samples, ">= 0.8" if rival == call else ">= 0.6")
 
 
-def many_rows(arm: Arm, count: int, repeats: int) -> Iterator[Row]:
+def many_row(arm: Arm, count: int, repeats: int) -> Row:
     """Steps/s of many rollouts at once, in those of `mujoco.rollout` with as many threads."""
     motions = [plan(arm, draw_target(arm, k), planner="minimum-jerk").motion for k in range(count)]
     threads = os.cpu_count() or 1
     ours = partial(simulate_many, arm, motions, hold=0.0, threads=threads)
     result = ours()
-    for label, bare in _FLOORS.items():
-        simulation, kind = floor(arm, "position-servo", result.rollout(0), bare), mujoco.mjtState.mjSTATE_FULLPHYSICS
-        model, data = simulation.model, [mujoco.MjData(simulation.model) for _ in range(threads)]
-        state = np.zeros(mujoco.mj_stateSize(model, kind))
-        mujoco.mj_getState(model, simulation.data, state, kind)
-        rival = partial(rollout.rollout, model, data, np.tile(state, (count, 1)), np.ascontiguousarray(result.ctrl))
-        name = f"steps/s of {count} rollouts by simulate_many, in those of mujoco.rollout{label}"
-        yield Row(name, ratios(rival, ours, repeats), "" if bare else ">= 0.9")
+    simulation, kind = floor(arm, "position-servo", result.rollout(0)), mujoco.mjtState.mjSTATE_FULLPHYSICS
+    model, data = simulation.model, [mujoco.MjData(simulation.model) for _ in range(threads)]
+    state = np.zeros(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, simulation.data, state, kind)
+    rival = partial(rollout.rollout, model, data, np.tile(state, (count, 1)), np.ascontiguousarray(result.ctrl))
+    name = f"steps/s of {count} rollouts by simulate_many, in those of mujoco.rollout on the whole model"
+    return Row(name, ratios(rival, ours, repeats), ">= 0.9")
 
 
 def environment_rows(arm: Arm, repeats: int, actions: int) -> Iterator[Row]:
     """Time that environments add to bare substeps, in both interfaces."""
     own = Environment(arm=arm)
-    substeps, whole, bare = own.task.substeps, arm.model, arm.without_visuals.model
-    cases: list[tuple[str, Any, Any]] = [("Gymnasium", own, whole), ("Gymnasium", own, bare)]
-    # dm_control does not support MuJoCo 4; it simulates what it renders.
+    model, substeps, cases = arm.model, own.task.substeps, dict[str, Any](Gymnasium=own)
+    # dm_control does not support MuJoCo 4.
     if importlib.util.find_spec("dm_control") is not None:
         suite = importlib.import_module("lieednn_sim.environments.suite")
-        cases.append(("dm_control", suite.load(arm, "reach", random=0), whole))
+        cases["dm_control"] = suite.load(arm, "reach", random=0)
     given = 0.3 * np.random.default_rng(0).uniform(-1.0, 1.0, (actions, arm.n_joints))
-    for name, environment, model in cases:
+    for name, environment in cases.items():
         data, added = mujoco.MjData(model), []
         for _ in range(repeats):
             environment.reset(seed=0)
@@ -233,8 +224,7 @@ def environment_rows(arm: Arm, repeats: int, actions: int) -> Iterator[Row]:
             every = iter(given)
             ours = seconds(lambda step=environment.step, rows=every: step(next(rows)), times=actions)  # type: ignore[misc]
             added.append(1e6 * (ours - seconds(partial(mujoco.mj_step, model, data, substeps), times=actions)))
-        label, aim = (" without visual geoms", "") if model is bare else ("", "<= 10")
-        yield Row(f"environment step of {name}, added to its {substeps} bare substeps{label} [us]", added, aim)
+        yield Row(f"environment step of {name}, added to its {substeps} bare substeps [us]", added, "<= 10")
 
 
 def vector_row(arm: Arm, repeats: int, actions: int, count: int) -> Row:
@@ -459,7 +449,7 @@ def ratio_rows(targets: list[np.ndarray], scale: int) -> list[Row]:
         product_row(chosen.network, often),
         *start_rows(repeats),
         *rollout_rows(arm, chosen.motion, repeats),
-        *many_rows(arm, max(256 // scale, 2), min(few, 3)),
+        many_row(arm, max(256 // scale, 2), min(few, 3)),
         *environment_rows(arm, repeats, max(50 // scale, 2)),
         vector_row(arm, few, max(20 // scale, 2), max(64 // scale, 2)),
         *synthesis_rows(targets, arms, max(1000 // scale, 1), few),

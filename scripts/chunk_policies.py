@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from common import perceptron
 
 import lieednn_sim as ls
 from lieednn_sim import io
@@ -18,7 +18,7 @@ from lieednn_sim.values import Floats
 PERIOD, H, DT = 0.01, 16, 0.1  # control period [s]; targets of a chunk, and time between two [s]
 REFERENCES = ("raw", "low-pass", "linear blending", "Ruckig", "lieednn-chunks")
 TIME_CONSTANT, BLEND, JERK = 0.1, 0.4, 20.0  # of filter and blending [s]; of Ruckig, over the acceleration [1/s]
-EPISODES, BATCH, EPOCHS = 800, 256, {"reach": 120, "track": 30}  # that the clone sees
+EPISODES, EPOCHS = 800, {"reach": 120, "track": 30}  # that the clone sees
 
 
 class Reference:
@@ -111,23 +111,9 @@ def _demonstrations(task: str, arm: ls.Arm) -> tuple[Floats, Floats]:
 
 def fit(task: str, path: Path) -> None:
     """Fit a network with two layers of 256 to demonstrations of a task, by least squares, and keep its weights."""
-    torch = import_module("torch")
-    torch.set_num_threads(1)
-    torch.manual_seed(0)
     seen, steps = _demonstrations(task, ls.Arm.load("telescopic_pr"))
     mean, deviation = seen.mean(axis=0), seen.std(axis=0) + 1e-6
-    x, y = (torch.as_tensor(rows, dtype=torch.float32) for rows in ((seen - mean) / deviation, steps))
-    sizes = (x.shape[1], 256, 256)
-    layers = [part for size in pairwise(sizes) for part in (torch.nn.Linear(*size), torch.nn.ReLU())]
-    network = torch.nn.Sequential(*layers, torch.nn.Linear(sizes[-1], y.shape[1]))
-    optimiser, batches = torch.optim.Adam(network.parameters()), len(x) // BATCH
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 2e-3, EPOCHS[task] * batches)
-    for _ in range(EPOCHS[task]):
-        for rows in torch.randperm(len(x))[: batches * BATCH].view(-1, BATCH):
-            optimiser.zero_grad()
-            torch.nn.functional.mse_loss(network(x[rows]), y[rows]).backward()
-            optimiser.step()
-            schedule.step()
+    *_, network = perceptron((seen - mean) / deviation, steps, 2e-3, EPOCHS[task], 0)
     weights = {key: value.double().numpy() for key, value in network.state_dict().items()}
     with io.atomic_path(path) as temporary, temporary.open("wb") as stream:
         np.savez(stream, mean=mean, deviation=deviation, **weights)

@@ -182,7 +182,7 @@ def run(job: tuple[Any, ...], count: int, folder: Path) -> list[dict[str, float]
     return [episode(name, policy, delay, way, seed, folder) for seed in range(count)]
 
 
-def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str = "") -> str:
+def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str = "") -> list[str]:
     """Both tables, and what they are."""
     single, closed = [], []
     for job, rows in found.items():
@@ -198,7 +198,7 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
         cells.append(f"{of['back'].max():.2g} %" if name == "reach" else f"{np.median(of['lag']):.0f} ms")
         cells.append(f"{of['refused'].sum():.0f}" if way == REFERENCES[-1] else "")
         closed.append([*cells, f"{np.median(of['True']):.2g} / {np.median(of['False']):.2g}"])
-    lines = [
+    return [
         "# Chunks of joint targets through `lieednn-chunks`",
         "",
         "Chunks of each kind have 16 to 70 targets at 10 to 50 Hz, come 0 to 0.8 s late, and follow on a clean "
@@ -225,7 +225,6 @@ def report(found: dict[tuple[Any, ...], list[dict[str, float]]], libraries: str 
         f"distance at the start{libraries}.",
         *markdown_table((*HEADINGS, "lag or back", "refused", "CPU, new chunk / none [ms]"), closed),
     ]
-    return "\n".join(lines) + "\n"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

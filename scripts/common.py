@@ -1,18 +1,25 @@
-"""What the studies have in common: their options, the files they write, and rows with which they go on."""
+"""What the studies have in common: their options, the files they write, and runs with which they go on."""
 
 from __future__ import annotations
 
 import argparse
-import csv
-import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from rich.console import Console
 
 from lieednn_sim import io
 from lieednn_sim.budget import one_blas_thread
 from lieednn_sim.errors import FileError, LieEDNNError
-from lieednn_sim.studies.study import worker_pool
+from lieednn_sim.studies.study import run_each
+from lieednn_sim.values import Floats
+
+BATCH = 256  # rows of a step of `perceptron`
 
 
 def options(
@@ -51,35 +58,41 @@ def options(
     return given
 
 
-def write(path: Path, text: str) -> None:
-    """Write a text, with its folder if it is not there, and show it."""
+def write(path: Path, lines: Iterable[str]) -> None:
+    """Write lines of text, with the folder if it is not there, and show them."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    text = "\n".join(lines) + "\n"
     io.save_text(path, text)
     print(text)
+
+
+def spread(values: Sequence[float] | np.ndarray, *levels: float) -> list[str]:
+    """Quantiles of values as cells of a table, of three digits; dashes where there is no value."""
+    return [f"{value:.3g}" for value in np.quantile(values, levels)] if len(values) else ["-"] * len(levels)
 
 
 def saved_runs(folder: Path, runs: Mapping[str, tuple[Any, ...]], work: Callable[..., Any], jobs: int) -> list[Any]:
     """What ``work`` makes of the arguments of each run, by its name, kept in JSON files with which a study goes on.
 
-    With several jobs, runs are in processes of one thread, whose sums are always in the same order. `FileError` if a
-    kept run had other arguments; paths, which may be elsewhere now, are not compared.
+    With several jobs they are in processes. Each has one thread, whose sums are always in the same order. `FileError`
+    if a kept run had other arguments; paths, which may be elsewhere now, are not compared.
     """
-    missing = {name: given for name, given in runs.items() if not (folder / f"{name}.json").is_file()}
     io.make_directory(folder)
-    if jobs == 1:
-        for name, given in missing.items():
-            _kept(folder / f"{name}.json", work, given)
-    elif missing:
-        os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes
-        with worker_pool(jobs) as pool:
-            for done in [pool.submit(_kept, folder / f"{name}.json", work, given) for name, given in missing.items()]:
-                done.result()
-    return [_made(folder / f"{name}.json", _compared(given)) for name, given in runs.items()]
+    each = [(folder / f"{name}.json", work, given) for name, given in runs.items()]
+    missing = [run for run in each if not run[0].is_file()]
+    if missing:
+        run_each(_keep, missing, _ended, workers=jobs, title=folder.name, console=Console(stderr=True))
+    return [_made(path, _compared(given)) for path, _, given in each]
 
 
-def _kept(path: Path, work: Callable[..., Any], given: tuple[Any, ...]) -> None:
+def _keep(path: Path, work: Callable[..., Any], given: tuple[Any, ...]) -> None:
     with one_blas_thread():
         io.save_json(path, {"asked": _compared(given), "made": work(*given)})
+
+
+def _ended(_run: tuple[Any, ...], _made: Any, error: Exception | None) -> None:
+    if error is not None:
+        raise error
 
 
 def _compared(given: tuple[Any, ...]) -> str:
@@ -94,42 +107,39 @@ def _made(path: Path, asked: str) -> Any:
 
 
 def saved_rows(
-    path: Path, cases: Iterable[dict[str, Any]], measure: Callable[..., dict[str, Any]]
+    folder: Path, cases: Sequence[dict[str, Any]], measure: Callable[..., dict[str, Any]], jobs: int = 1
 ) -> list[dict[str, Any]]:
-    """All rows of the file, with one for each of the cases; empty texts stand for what was not measured.
+    """A row for each case, kept as by `saved_runs`: the case, and what ``measure`` makes of its values.
 
-    Args:
-        path: the CSV file, which is written after each case.
-        cases: arguments of ``measure`` by name, with which a row begins.
-        measure: returns the other columns, numbers or texts; where it fails, ``reason`` in the row says why.
-
-    Raises:
-        FileError: the file is no such table.
+    Where that fails, ``reason`` in the row says why; else it is empty.
     """
-    rows = _read(io.make_directory(path.parent) / path.name)
-    for case in cases:
-        if any(case.items() <= row.items() for row in rows):
-            continue
-        with one_blas_thread():
-            try:
-                row = measure(**case)
-                rows.append(case | row | {"reason": row.get("reason", "")})
-            except LieEDNNError as error:
-                rows.append(case | {"reason": str(error)})
-        print(*rows[-1].values(), sep=", ", flush=True)
-        with io.atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-            names = dict.fromkeys(name for row in rows for name in row)
-            writer = csv.DictWriter(file, names, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
-    return rows
+    runs = {"-".join(map(str, case.values())): tuple(case.values()) for case in cases}
+    made = saved_runs(folder, runs, partial(_row, measure), jobs)
+    return [case | row for case, row in zip(cases, made, strict=True)]
 
 
-def _read(path: Path) -> list[dict[str, Any]]:
-    if not path.is_file():
-        return []
+def _row(measure: Callable[..., dict[str, Any]], *case: Any) -> dict[str, Any]:
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            return list(csv.DictReader(file, quoting=csv.QUOTE_NONNUMERIC))
-    except ValueError as error:
-        raise FileError(f"{path} is no table of this script ({error}); choose another --output") from None
+        return {"reason": ""} | measure(*case)
+    except LieEDNNError as error:
+        return {"reason": str(error)}
+
+
+def perceptron(x: Floats, y: Floats, rate: float, epochs: int, seed: int) -> Iterator[Any]:
+    """After each step the network of torch, with two layers of 256, that is fitted to rows by least squares."""
+    torch = import_module("torch")
+    torch.set_num_threads(1)
+    torch.manual_seed(seed)
+    x, y = (torch.as_tensor(rows, dtype=torch.float32) for rows in (x, y))
+    sizes = (x.shape[1], 256, 256)
+    layers = [part for size in pairwise(sizes) for part in (torch.nn.Linear(*size), torch.nn.ReLU())]
+    network = torch.nn.Sequential(*layers, torch.nn.Linear(sizes[-1], y.shape[1]))
+    optimiser, batches = torch.optim.Adam(network.parameters()), len(x) // BATCH
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, epochs * batches)
+    for _ in range(epochs):
+        for rows in torch.randperm(len(x))[: batches * BATCH].view(-1, BATCH):
+            optimiser.zero_grad()
+            torch.nn.functional.mse_loss(network(x[rows]), y[rows]).backward()
+            optimiser.step()
+            schedule.step()
+            yield network

@@ -8,8 +8,8 @@ So planners need not watch a clock, and all columns except the CPU time are repr
 single run, curves are late by the times of the shorter runs, and never early. Smoothing and checks of the motion are
 part of a run, as of every plan. The problems are all arms among poles, which rarely leave the straight path free, with
 seeds from 2000 on. Lengths are divided by the shortest that any planner has for the problem; medians are over all
-problems, with unsolved ones as the longest. Writes ``cost_over_time.csv`` with a row for each run,
-``cost_over_time.md`` and ``cost_over_time.png``; an interrupted run can be continued.
+problems, with unsolved ones as the longest. Writes ``cost_over_time.md`` and ``cost_over_time.png``; an interrupted run
+goes on.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ CURVE = np.geomspace(0.02, 16.0, 160)
 
 
 def measured(planner: str, arm: str, seed: int, work: int) -> dict[str, Any]:
-    """One run: its CPU time [s], and the length of its joint path, infinite if there is none for a reason."""
+    """One run: its CPU time [s], and the length of its joint path, None if there is none for a reason."""
     room, target = arm_and_target(arm, SCENE, seed)
     kind, option = PLANNERS[planner].options, LADDERS[planner][0]
     assert kind is not None, "planners without options have no work to be allowed"
     options = kind(**{option: (work,) if option == _CHECKS else work})
-    start, length, reason = cpu_time(), math.inf, ""
+    start, length, reason = cpu_time(), None, ""
     try:
         q = ls.plan(room, target, planner=planner, seed=seed, options=options).motion.q
         length = float(np.linalg.norm(np.diff(q / joint_scale(room), axis=0), axis=1).sum())
@@ -81,7 +81,7 @@ def longest(runs: Sequence[dict[str, Any]], planner: str) -> float:
     return float(max(run["cpu_s"] for run in runs if run["planner"] == planner))
 
 
-def report(runs: Sequence[dict[str, Any]], command: str) -> str:
+def report(runs: Sequence[dict[str, Any]], command: str) -> list[str]:
     """Medians by the times of `TIMES`, with the problems solved by then."""
     rows = []
     for name, ratios in best_by(runs, TIMES).items():
@@ -92,7 +92,7 @@ def report(runs: Sequence[dict[str, Any]], command: str) -> str:
         ]
         rows.append([name, *cells, f"{longest(runs, name):.2g}"])
     count = len({(run["arm"], run["seed"]) for run in runs})
-    lines = [
+    return [
         "# Cost over time",
         "",
         f"`{command}`: median length of joint paths over the shortest that any planner has for the problem, of {count} "
@@ -100,7 +100,6 @@ def report(runs: Sequence[dict[str, Any]], command: str) -> str:
         "solved. Beyond its longest run a planner was given no more work.",
         *markdown_table(["planner", *(f"{t:g} s" for t in TIMES), "longest run [s]"], rows),
     ]
-    return "\n".join(lines) + "\n"
 
 
 def plot(runs: Sequence[dict[str, Any]], path: Path) -> None:
@@ -131,11 +130,11 @@ def main(arguments: list[str] | None = None) -> None:
         for arm, seed, planner in product(given.arms, range(FIRST_SEED, FIRST_SEED + given.seeds), given.planners)
         for work in LADDERS[planner][1]
     ]
-    path = given.output / "cost_over_time.csv"
-    runs = saved_rows(path, cases, measured)
+    runs = [run | {"length": run["length"] or math.inf} for run in saved_rows(given.output / "runs", cases, measured)]
     runs.sort(key=lambda run: list(LADDERS).index(run["planner"]))
-    write(path.with_suffix(".md"), report(runs, f"python scripts/cost_over_time.py --seeds {given.seeds}"))
-    plot(runs, path.with_suffix(".png"))
+    command = f"python scripts/cost_over_time.py --seeds {given.seeds}"
+    write(given.output / "cost_over_time.md", report(runs, command))
+    plot(runs, given.output / "cost_over_time.png")
 
 
 if __name__ == "__main__":

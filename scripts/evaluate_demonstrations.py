@@ -133,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sets = [row for rows in made for row in rows]
         lines += [f"Not fitted: {path}." for (path, *_), rows in zip(runs.values(), made, strict=True) if not rows]
         lines += [f"## {kind}", "", *verdicts(sets, kind), *table(sets, kind), ""] if sets else []
-    write(given.output / "demonstrations.md", "\n".join(lines))
+    write(given.output / "demonstrations.md", lines)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,8 @@
 
 For each arm and rho, the arm follows the network with feedback (`NetworkPolicy`) in MuJoCo, without
 obstacles. A force acts for 0.2 s on a random link in a random direction, after 20 to 50 % of the path. Its size is
-chosen so that the largest joint deviation from the undisturbed path is 8 to 12 % of the range. Writes ``pushes.csv``
-with a row for each push, and ``pushes.md``; an interrupted run can be continued.
+chosen so that the largest joint deviation from the undisturbed path is 8 to 12 % of the range. Writes ``pushes.md``; an
+interrupted run goes on.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def pushed(arm: str, rate: float, seed: int) -> dict[str, Any]:
     }
 
 
-def summary(rows: list[dict[str, Any]], command: str) -> str:
+def summary(rows: list[dict[str, Any]], command: str) -> list[str]:
     """The table in Markdown, of the pushes whose force was found."""
     cells = []
     rows = [row for row in rows if not row["reason"]]
@@ -84,7 +84,7 @@ def summary(rows: list[dict[str, Any]], command: str) -> str:
         cells[-1].append(f"{max(row['arrived_mm'] for row in own):.2g}")
     headings = ["arm", "rho", "pushes", "back", "fraction of what is left, median", "worst", "before 40 %"]
     headings += ["time after the push [s], median", "peak velocity / limit", "peak force / limit", "not 8 to 12 %"]
-    lines = [
+    return [
         "# Pushed by a tenth of the range",
         "",
         f"`{command}`. In MuJoCo, with `follow(NetworkPolicy(...))`: a force of {PUSH_TIME:g} s on a random link "
@@ -97,14 +97,13 @@ def summary(rows: list[dict[str, Any]], command: str) -> str:
         "as fast.",
         *markdown_table([*headings, "end [mm], worst"], cells),
     ]
-    return "\n".join(lines) + "\n"
 
 
 def main(arguments: list[str] | None = None) -> None:
     given = options(arguments, __doc__, "results/pushes", pushes=50, rates=(0.1, 0.3, 1.0), arms=DEFAULT_ARMS)
     asked = itertools.product(given.arms, given.rates, range(given.pushes))
     cases = [{"arm": arm, "rate": rate, "seed": seed} for arm, rate, seed in asked]
-    rows = saved_rows(given.output / "pushes.csv", cases, pushed)
+    rows = saved_rows(given.output / "runs", cases, pushed)
     rows.sort(key=lambda row: (row["arm"], row["rate"], row["seed"]))
     rates = " ".join(f"{rate:g}" for rate in given.rates)
     text = summary(rows, f"python scripts/evaluate_pushes.py --pushes {given.pushes} --rates {rates}")

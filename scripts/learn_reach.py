@@ -17,13 +17,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from importlib import import_module, metadata
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import options, saved_runs, write
+from common import BATCH, options, perceptron, saved_runs, write
 
 from lieednn_sim import io
 from lieednn_sim.environments.expert import Expert
@@ -39,7 +39,7 @@ PERIOD = 0.1  # time between actions [s]
 LEARNERS = {"behaviour cloning": 120_000, "SAC": 20_000, "PPO": 400_000}
 EXPERT, RANDOM = "expert", "random actions"
 POLICY = "lieednn-certified"
-EPOCHS, BATCH = 50, 256
+EPOCHS = 50
 # Evaluations during training; episodes of each, and of the last one; the first of their seeds.
 POINTS, FEW, MANY, FIRST_SEED = 5, 20, 100, 10**6
 Act = Callable[[Floats], Any]
@@ -107,32 +107,18 @@ def demonstrations(path: Path) -> tuple[Floats, Floats]:
 
 def cloned(seed: int, path: Path) -> Iterator[tuple[int, Act]]:
     """Steps of the expert seen and the policy, now and then: a network like SAC's, fitted by least squares."""
-    torch = import_module("torch")
-    observations, actions = demonstrations(path)
+    torch, (observations, actions) = import_module("torch"), demonstrations(path)
     mean, deviation = observations.mean(axis=0), observations.std(axis=0) + 1e-6
-    torch.manual_seed(seed)
-    x, y = torch.as_tensor((observations - mean) / deviation), torch.as_tensor(actions)
-    sizes = (x.shape[1], 256, 256)
-    layers = [part for size in pairwise(sizes) for part in (torch.nn.Linear(*size), torch.nn.ReLU())]
-    network = torch.nn.Sequential(*layers, torch.nn.Linear(sizes[-1], y.shape[1]))
-    total = EPOCHS * (len(x) // BATCH)
-    optimiser = torch.optim.Adam(network.parameters())
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 1e-3, total)
+    total = EPOCHS * (len(actions) // BATCH)
 
-    def act(seen: Floats) -> Floats:
+    def act(network: Any, seen: Floats) -> Floats:
         with torch.no_grad():
             return network(torch.as_tensor((seen - mean) / deviation, dtype=torch.float32)).double().numpy()
 
-    done = 0
-    for _ in range(EPOCHS):
-        for rows in torch.randperm(len(x))[: len(x) // BATCH * BATCH].view(-1, BATCH):
-            optimiser.zero_grad()
-            torch.nn.functional.mse_loss(network(x[rows]), y[rows]).backward()
-            optimiser.step()
-            schedule.step()
-            done += 1
-            if done % (total // POINTS) == 0:
-                yield round(done / total * len(x)), act
+    steps = perceptron((observations - mean) / deviation, actions, 1e-3, EPOCHS, seed)
+    for done, network in enumerate(steps, 1):
+        if done % (total // POINTS) == 0:
+            yield round(done / total * len(actions)), partial(act, network)
 
 
 def reinforced(learner: str, seed: int) -> Iterator[tuple[int, Act]]:
@@ -176,7 +162,7 @@ def run(learner: str, seed: int, folder: Path) -> dict[str, Any]:
     return {"curve": curve, "cpu_s": spent, "last": evaluate(act, MANY)}
 
 
-def report(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
+def report(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> list[str]:
     """Markdown table of all learners; rates as means with their range over the seeds."""
     rows = []
     for learner, found in runs.items():
@@ -190,7 +176,7 @@ def report(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
         cells += [f"{np.median(every['jerk']):.3g}", f"{np.median(times):.1f}" if len(times) else ""]
         rows.append([*cells, f"{np.mean([one['cpu_s'] for one in found]) / 60.0:.1f}" if "cpu_s" in found[0] else ""])
     headings = ["", "steps", "success % (range)", "mm, median", "mm, 95 %", "deg, median", "deg, 95 %", "jerk [1/s^3]"]
-    lines = [
+    return [
         "# Learning to reach",
         "",
         f"`{NAME}` with ten actions a second, {MANY} fixed episodes for each of {max(map(len, runs.values()))} "
@@ -198,7 +184,6 @@ def report(runs: dict[str, list[dict[str, Any]]], libraries: str = "") -> str:
         f"the jerk of the joints in their ranges, and the time until success for good{libraries}.",
         *markdown_table([*headings, "goal [s]", "CPU min per seed"], rows),
     ]
-    return "\n".join(lines) + "\n"
 
 
 def plot(runs: dict[str, list[dict[str, Any]]], path: Path) -> None:

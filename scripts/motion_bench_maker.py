@@ -41,7 +41,7 @@ HEADINGS = (
 SHOWN = ("solve_time", "cspace_path_length", "motion_time")
 
 
-def report(rows: dict[str, Sequence[Solution]]) -> str:
+def report(rows: dict[str, Sequence[Solution]]) -> list[str]:
     """The statistics of all robots, and what failed."""
     cells, failures = [], []
     for robot, found in rows.items():
@@ -58,7 +58,7 @@ def report(rows: dict[str, Sequence[Solution]]) -> str:
             lost = [f"{row.problem} {row.number}" for row in asked if not row.success]
             if lost and planner != "minimum-jerk":
                 failures.append(f"- {robot}, `{planner}`: {', '.join(lost)}")
-    lines = [
+    return [
         "# MotionBenchMaker's problems",
         "",
         METHOD.format(budget=BUDGET)
@@ -68,7 +68,6 @@ def report(rows: dict[str, Sequence[Solution]]) -> str:
         *("", "What searching planners did not solve:", ""),
         *(failures or ["- nothing that could be posed"]),
     ]
-    return "\n".join(lines) + "\n"
 
 
 def main(arguments: list[str] | None = None) -> None:

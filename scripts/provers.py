@@ -5,7 +5,8 @@
 
 The folders are checkouts of roahmlab/armour and roahmlab/sparrows, which are not part of this project;
 docs/howto/published_problems.md says how the problems are posed. Writes a Markdown table, ``provers.md``; exits with
-status 1 if anything is nearer than what is proved.
+status 1 if anything is nearer than what is proved. Rows are kept in ``OUTPUT/runs``, with which an interrupted run goes
+on.
 """
 
 from __future__ import annotations
@@ -14,23 +15,22 @@ import sys
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
-from common import options, write
+from common import options, saved_runs, spread, write
 from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.obstacles import shapes
-from lieednn_sim.budget import cpu_time, one_blas_thread
+from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.evaluation import evaluate
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.planning import Plan, find_tube, plan
 from lieednn_sim.simulation import simulate
 from lieednn_sim.studies.problems.motion_bench_maker import PublishedProblem
-from lieednn_sim.studies.study import worker_pool
 from lieednn_sim.values import Floats
 
 SETS = {"armour": "kinova_src/saved_worlds/random", "sparrows": "kinova_scenarios"}
@@ -38,6 +38,7 @@ MODEL = "urdfs/kinova_arm/kinova_without_gripper.urdf"
 PLANNERS = ("lieednn-shaped", "rrt-connect", "lieednn-certified", "minimum-jerk")
 # Instants of each motion at which the proof is attacked, and the distance up to which it is [m].
 INSTANTS, FAR = 100, 0.1
+_NOTHING = 1e6
 METHOD = (
     "From the published start to the published joint goal, with the planners' defaults, within the ranges and the "
     "velocities of the robot's model and at least 2 mm from contact. Proved: with a continuous-time collision "
@@ -55,30 +56,13 @@ HEADINGS = (
 )
 
 
-class Proof(NamedTuple):
-    """What is proved of a planner's motion in a scene: times [s], and distances [mm]; or why there is none."""
-
-    set: str
-    planner: str
-    scene: str
-    reason: str = ""
-    fraction: float = 0.0
-    clearance: float = 0.0
-    found: float = 0.0
-    tube: float | None = None
-    inside: bool = False
-    motion_time: float = 0.0
-    planning_time: float = 0.0
-    tube_time: float = 0.0
-
-
 @lru_cache(maxsize=1)
-def robot(model: str) -> Arm:
+def robot(model: Path) -> Arm:
     """The Kinova Gen3, without a floor, as the planners with reachable sets have it."""
     return Arm.from_xml(model, "gen3", floor="none")
 
 
-def problem(model: str, file: Path) -> PublishedProblem:
+def problem(model: Path, file: Path) -> PublishedProblem:
     """The problem of a file: lines of start, of goal, of NaN, and of the centre and the edges of each box [rad, m]."""
     values = np.genfromtxt(file, delimiter=",")
     boxes = [{"shape": "box", "position": row[:3].tolist(), "size": row[3:6].tolist()} for row in values[3:]]
@@ -99,67 +83,66 @@ def least_distance(arm: Arm, q: Floats) -> float:
 
 
 def attacked(arm: Arm, made: Plan) -> float:
-    """Least distance [m] at random instants of a plan, of those that are proved; infinity if none are."""
+    """Least distance [m] at random instants of a plan, of those that are proved; that of nothing if none are."""
     motion, unproved = made.motion, made.clearance.unproved
     t = np.random.default_rng(0).uniform(0.0, motion.t[-1], INSTANTS)
     t = t[~((t[:, None] >= unproved[:, 0]) & (t[:, None] <= unproved[:, 1])).any(axis=1)]
-    return least_distance(arm, CubicHermiteSpline(motion.t, motion.q, motion.qd)(t)) if len(t) else np.inf
+    return least_distance(arm, CubicHermiteSpline(motion.t, motion.q, motion.qd)(t)) if len(t) else _NOTHING
 
 
-def prove(case: tuple[str, str, Path, str]) -> Proof:
-    """What is proved of a case: model, set, file and planner."""
-    model, name, file, planner = case
-    key = (name, planner, file.stem.removeprefix("scene_"))
-    with one_blas_thread():
-        try:
-            arm, start, goal = problem(model, file)
-            begin = cpu_time()
-            made = plan(arm, goal, planner=planner, start=start)
-            clearance = made.clearance
-        except LieEDNNError as error:
-            return Proof(*key, str(error))
-        planned = cpu_time()
-        try:
-            tube = 1e3 * find_tube(arm, made).size
-        except LieEDNNError:
-            tube = None
-        return Proof(
-            *key,
-            fraction=clearance.proved_fraction,
-            clearance=1e3 * clearance.bound,
-            tube_time=cpu_time() - planned,
-            tube=tube,
-            found=1e3 * attacked(arm, made),
-            inside=bool(evaluate(simulate(arm, made)).proved),
-            motion_time=float(made.motion.t[-1]),
-            planning_time=planned - begin,
-        )
+def prove(name: str, planner: str, model: Path, file: Path) -> dict[str, Any]:
+    """What is proved of a planner's motion in a scene of a set: times [s] and distances [mm]; or why there is none."""
+    row = {"set": name, "planner": planner, "scene": file.stem.removeprefix("scene_")}
+    try:
+        arm, start, goal = problem(model, file)
+        begin = cpu_time()
+        made = plan(arm, goal, planner=planner, start=start)
+        clearance = made.clearance
+    except LieEDNNError as error:
+        return row | {"reason": str(error)}
+    planned = cpu_time()
+    try:
+        tube = 1e3 * find_tube(arm, made).size
+    except LieEDNNError:
+        tube = None
+    return row | {
+        "reason": "",
+        "fraction": clearance.proved_fraction,
+        "clearance": 1e3 * clearance.bound,
+        "tube_time": cpu_time() - planned,
+        "tube": tube,
+        "found": 1e3 * attacked(arm, made),
+        "inside": bool(evaluate(simulate(arm, made)).proved),
+        "motion_time": float(made.motion.t[-1]),
+        "planning_time": planned - begin,
+    }
 
 
-def numbers(values: Sequence[float]) -> str:
-    """The median, least and largest of values."""
-    return " / ".join(f"{value:.3g}" for value in np.quantile(values, (0.5, 0.0, 1.0))) if values else "-"
-
-
-def report(rows: Sequence[Proof]) -> str:
+def report(rows: Sequence[dict[str, Any]]) -> list[str]:
     """The statistics of each set and planner, the attack, and what was not solved."""
+
+    def numbers(of: Sequence[dict[str, Any]], name: str) -> str:
+        """The median, least and largest of a column."""
+        return " / ".join(spread([row[name] for row in of], 0.5, 0.0, 1.0)) if of else "-"
+
     cells, lost = [], []
-    for key in dict.fromkeys(row[:2] for row in rows):
-        own = [row for row in rows if row[:2] == key]
-        solved = [row for row in own if not row.reason]
-        tubes = [row for row in solved if row.tube is not None]
-        sure = [sum(row.fraction == 1.0 for row in solved), sum(row.inside for row in solved)]
+    for key in dict.fromkeys((row["set"], row["planner"]) for row in rows):
+        own = [row for row in rows if (row["set"], row["planner"]) == key]
+        solved = [row for row in own if not row["reason"]]
+        tubes = [row for row in solved if row["tube"] is not None]
+        sure = [sum(row["fraction"] == 1.0 for row in solved), sum(row["inside"] for row in solved)]
         cells.append([key[0], f"`{key[1]}`", f"{len(solved)} of {len(own)}", *(f"{n} of {len(solved)}" for n in sure)])
-        cells[-1] += [numbers([row.clearance for row in solved]), f"{len(tubes)} of {len(solved)}"]
-        cells[-1] += [numbers([row.tube for row in tubes if row.tube]), numbers([row.motion_time for row in solved])]
-        cells[-1] += [numbers([row.planning_time for row in solved]), numbers([row.tube_time for row in tubes])]
-        blocked = [row.scene for row in own if " would come within " in row.reason or " would touch " in row.reason]
+        cells[-1] += [numbers(solved, "clearance"), f"{len(tubes)} of {len(solved)}"]
+        cells[-1] += [numbers([row for row in tubes if row["tube"]], "tube"), numbers(solved, "motion_time")]
+        cells[-1] += [numbers(solved, "planning_time"), numbers(tubes, "tube_time")]
+        ways = [" would come within ", " would touch "]
+        blocked = [row["scene"] for row in own if any(way in row["reason"] for way in ways)]
         lost += [f"- {key[0]}, `{key[1]}`, something in the way: {', '.join(blocked)}"] if blocked else []
-        others = [row for row in own if row.reason and row.scene not in blocked]
-        lost += [f"- {key[0]}, `{key[1]}`, {row.scene}: {row.reason}" for row in others]
-    solved = [row for row in rows if not row.reason]
-    sharp = [row.clearance / row.found for row in solved if 0.0 < row.found < 999.0 * FAR] or [np.nan]
-    lines = [
+        others = [row for row in own if row["reason"] and row["scene"] not in blocked]
+        lost += [f"- {key[0]}, `{key[1]}`, {row['scene']}: {row['reason']}" for row in others]
+    solved = [row for row in rows if not row["reason"]]
+    sharp = [row["clearance"] / row["found"] for row in solved if 0.0 < row["found"] < 999.0 * FAR] or [np.nan]
+    return [
         "# Continuous-time collision certificates",
         "",
         METHOD,
@@ -170,12 +153,11 @@ def report(rows: Sequence[Proof]) -> str:
         f"{np.median(sharp):.0%} of it.",
         *("", "What was not solved:", "", *(lost or ["- nothing"])),
     ]
-    return "\n".join(lines) + "\n"
 
 
-def broken(rows: Sequence[Proof]) -> list[Proof]:
+def broken(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Motions in which something was found nearer than what is proved."""
-    return [row for row in rows if not row.reason and row.found < row.clearance - 1e-6]
+    return [row for row in rows if not row["reason"] and row["found"] < row["clearance"] - 1e-6]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -185,10 +167,13 @@ def main(arguments: list[str] | None = None) -> int:
     files = {name: sorted((getattr(given, name) / SETS[name]).glob("scene_*.csv")) for name in given.sets}
     if missing := [name for name in given.sets if not files[name]]:
         raise FileError(f"{getattr(given, missing[0])} has no {SETS[missing[0]]}/scene_*.csv")
-    model = str(given.armour / MODEL)
-    each = [(name, planner) for name in given.sets for planner in given.planners]
-    with worker_pool(given.jobs) as pool:
-        rows = list(pool.map(prove, [(model, name, file, planner) for name, planner in each for file in files[name]]))
+    asked = {
+        f"{name}-{planner}-{file.stem}": (name, planner, given.armour / MODEL, file)
+        for name in given.sets
+        for planner in given.planners
+        for file in files[name]
+    }
+    rows = saved_runs(given.output / "runs", asked, prove, given.jobs)
     write(given.output / "provers.md", report(rows))
     return 1 if broken(rows) else 0
 

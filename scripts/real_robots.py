@@ -151,7 +151,7 @@ class _Original:
         return placed
 
 
-def as_markdown(rows: list[dict[str, Any]], folder: str) -> str:
+def as_markdown(rows: list[dict[str, Any]], folder: str) -> list[str]:
     """The table, and the import reports' remarks on each robot with a failure."""
     headings = ["robot", "links", "joints", "forward map [m]", *PLANNERS, *CONTROLLERS]
     headings += ["deepest [mm]", "times minimum jerk's", "seconds"]
@@ -177,7 +177,7 @@ def as_markdown(rows: list[dict[str, Any]], folder: str) -> str:
         if row["failures"]:
             lines += ["", f"## {row['robot']}", "", *(f"- {failure}" for failure in row["failures"])]
             lines += ["", "The report before planning:", "", *(f"- {note}" for note in row.get("notes", []))]
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def main(words: list[str] | None = None) -> None:

@@ -7,8 +7,7 @@ On the crane of ``assets/tasks/crane`` in 8 and in 12 s, on the luffing `telesco
 model's load. The swing in five seconds after the motion is compared with that after a trapezoidal speed on the same
 path in the time planned without a law, also with masses and lengths 20 % off the model's, and by `lieednn-shaped` 10 %
 off. Besides, what the linear model of the law of least energy says of random motions is compared with
-simulation. Writes ``settling.csv`` and ``linear.csv``, with which an interrupted run goes on, ``settling.md`` and
-``settling.png``.
+simulation. Writes ``settling.md`` and ``settling.png``; an interrupted run goes on.
 """
 
 from __future__ import annotations
@@ -242,7 +241,7 @@ def agreement(rows: Sequence[dict[str, Any]]) -> list[str]:
     ]
 
 
-def report(rows: Sequence[dict[str, Any]], motions: Sequence[dict[str, Any]]) -> str:
+def report(rows: Sequence[dict[str, Any]], motions: Sequence[dict[str, Any]]) -> list[str]:
     """All tables."""
     lines = [
         "# Loads that swing",
@@ -260,7 +259,7 @@ def report(rows: Sequence[dict[str, Any]], motions: Sequence[dict[str, Any]]) ->
         lines += ["", "## Other loads than planned for", ""]
         lines += [f"Motions of `{VARIED}`, as fractions of what a trapezoidal speed leaves of the same load."]
         lines += markdown_table(["task", "law", *map(name_of, LOADS)], cells)
-    return "\n".join(lines + (agreement(motions) if motions else [])) + "\n"
+    return lines + (agreement(motions) if motions else [])
 
 
 def plot(others: dict[tuple[str, str], list[float]], rows: Sequence[dict[str, Any]], path: Path) -> None:
@@ -296,10 +295,10 @@ def main(words: list[str] | None = None) -> None:
         for task, planner in product(tasks, given.planners)
         for case, law in product(range(TASKS[task].cases), LAWS)
     ]
-    rows = saved_rows(folder / "settling.csv", cases, measured)
+    rows = saved_rows(folder / "runs", cases, measured)
     cranes = [task for task in ("crane", "luffing") if task in tasks]
     random = [{"task": task, "seed": seed} for task, seed in product(cranes, range(MOTIONS))]
-    motions = saved_rows(folder / "linear.csv", random, linear)
+    motions = saved_rows(folder / "linear", random, linear)
     write(folder / "settling.md", report(rows, motions))
     if others := varied(rows):
         plot(others, rows, folder / "settling.png")

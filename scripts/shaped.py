@@ -2,7 +2,7 @@
 
     python scripts/shaped.py [--arms NAME ...] [--scenes NAME ...] [--seeds 50] [--output results/shaped]
 
-Writes ``rows.csv``, which an interrupted run goes on with, and then ``summary.md``. Times are CPU seconds of one core
+Free space has twice as many seeds. Writes ``summary.md``; an interrupted run goes on. Times are CPU seconds of one core
 with one BLAS thread.
 """
 
@@ -114,19 +114,21 @@ def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure missing cases, then write the summary."""
-    scenes = ("window", "shelf", "poles")
+    scenes = ("window", "shelf", "poles", "free")
     given = options(arguments, __doc__, "results/shaped", arms=DEFAULT_ARMS, scenes=scenes, seeds=50)
     # Seeds in the outer loop, so that an interrupted run covers all arms and scenes.
-    asked = product(range(given.seeds), given.arms, given.scenes)
-    cases = [{"arm": arm, "scene": scene, "seed": seed} for seed, arm, scene in asked]
-    rows = saved_rows(given.output / "rows.csv", cases, measured)
+    cases = [
+        {"arm": arm, "scene": scene, "seed": seed}
+        for seed, arm, scene in product(range(2 * given.seeds), given.arms, given.scenes)
+        if seed < given.seeds or scene == "free"
+    ]
+    rows = saved_rows(given.output / "runs", cases, measured)
     head = (
-        "# Shaped networks against their guides\n\nMedian / worst of the planned "
-        "motions; jerk, path and effort over the guide's. All are motions of universal networks, whose code "
-        "is the hidden neurons' start; fit is its time. One seed, from 0 on, for target, obstacles "
-        "and planner. Every network was saved, loaded and verified again. Times are CPU seconds of one core.\n"
+        "Median / worst of the planned motions; jerk, path and effort over the guide's. All are motions of universal "
+        "networks, whose code is the hidden neurons' start; fit is its time. One seed, from 0 on, for target, obstacles"
+        " and planner. Every network was saved, loaded and verified again. Times are CPU seconds of one core."
     )
-    write(given.output / "summary.md", head + "\n".join(summary(rows)) + "\n")
+    write(given.output / "summary.md", ["# Shaped networks against their guides", "", head, *summary(rows)])
 
 
 if __name__ == "__main__":

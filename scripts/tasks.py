@@ -4,47 +4,34 @@
 
 The scenes are in ``assets/tasks``; the README of each has the sources of its numbers and its pass mark. The robot of
 the task `shelf` is `hello_robot_stretch_3` of MuJoCo Menagerie, in a folder given or in the package
-mujoco_menagerie; without either the task is left out. Every planner gets five cases of every task. Writes a JSON file
-for each task, so that interrupted runs can be continued, the table `tasks.md`, and a film and a page that turns of each
-task. Seconds of planning are CPU time. A planner's name may be followed by a time law that settles the load, as in
-``lieednn-shaped+least-energy``, for the crane.
+mujoco_menagerie; without either the task is left out. Every planner gets five cases of every task. Writes the table
+`tasks.md`, and a film and a page that turns of each task; an interrupted run goes on. Seconds of planning are CPU time.
+A planner's name may be followed by a time law that settles the load, as in ``lieednn-shaped+least-energy``, for the
+crane.
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import options, write
+from common import options, saved_runs, write
 from PIL import Image
 from task_cases import Boom, Crane, Harvester, LeftOutError, Outcome, SlowCrane, Task
 from task_shelf import Shelf
 
 import lieednn_sim as ls
-from lieednn_sim import io
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.rendering import opengl
 
-TASKS: dict[str, type[Task]] = {
-    "boom": Boom,
-    "harvester": Harvester,
-    "crane": Crane,
-    "slow_crane": SlowCrane,
-    "shelf": Shelf,
-}
-
+TASKS = {"boom": Boom, "harvester": Harvester, "crane": Crane, "slow_crane": SlowCrane, "shelf": Shelf}
 PLANNERS = (
-    "lieednn-certified",
-    "lieednn-shaped",
-    "minimum-jerk",
-    "rrt-connect",
-    "sscbirrt",
-    "stomp",
+    *("lieednn-certified", "lieednn-shaped", "minimum-jerk", "rrt-connect", "sscbirrt", "stomp"),
     "trajectory-optimisation",
 )
 SETTLED = "lieednn-shaped+least-energy"
@@ -56,16 +43,26 @@ _ROWS = (  # of a simulation
 )
 
 
-def attempt(task: Task, case: int, planner: str) -> tuple[dict[str, Any], Outcome | None]:
-    """The row of a planner in a case of a task, and what happened in simulation if all of its motions were planned."""
+@cache
+def made(name: str, *menagerie: Path) -> Task:
+    """A task by its name; `LeftOutError` if what it needs is not there."""
+    return TASKS[name](menagerie)
+
+
+def attempt(name: str, planner: str, case: int, folder: Path, *menagerie: Path) -> dict[str, Any]:
+    """The row of a planner in a case of a task, which the planner of the films shows in the folder, too."""
+    task, row = made(name, *menagerie), {"planner": planner, "case": case}
     done = task.start(case)
     try:
         task.play(done, case, planner)
     except ls.LieEDNNError as error:
-        return {"failure": f"motion {len(done.plans) + 1}: {error}", "cpu_s": done.cpu_time}, None
+        return row | {"missed": f"motion {len(done.plans) + 1}: {error}", "cpu_s": done.cpu_time}
+    if planner == FILMED and case == 0:
+        write_film(folder / f"tasks_{name}.gif", done)
+        write_pages(folder, name, done)
     figures = task.judge(done, case)
-    missed = [f"{name} {figures[name]:.3g}" for name in task.missed(figures)]
-    return {"figures": figures, "missed": missed, "cpu_s": done.cpu_time}, done
+    missed = ", ".join(f"{name} {figures[name]:.3g}" for name in task.missed(figures))
+    return row | {"figures": figures, "missed": missed, "cpu_s": done.cpu_time}
 
 
 def write_film(path: Path, done: Outcome, frames: int = 60, size: tuple[int, int] = (640, 360)) -> None:
@@ -108,7 +105,7 @@ def write_pages(folder: Path, name: str, done: Outcome) -> None:
         ls.render_page(whole, folder / f"{name}{k + 1 if k else ''}.html", camera="side", title=name)
 
 
-def as_markdown(results: dict[str, dict[str, Any]]) -> str:
+def as_markdown(results: dict[str, list[dict[str, Any]]]) -> list[str]:
     """The table: a section for each task, a row for each planner."""
     lines = [
         "# Tasks of the field",
@@ -119,54 +116,41 @@ def as_markdown(results: dict[str, dict[str, Any]]) -> str:
     ]
     for name, rows in results.items():
         task, cells, failures = TASKS[name], [], []
-        for planner in dict.fromkeys(row["planner"] for row in rows.values()):
-            cases = [row for row in rows.values() if row["planner"] == planner]
+        for planner in dict.fromkeys(row["planner"] for row in rows):
+            cases = [row for row in rows if row["planner"] == planner]
             figures = [row["figures"] for row in cases if "figures" in row]
-            missed = [(row["case"] + 1, row.get("failure") or ", ".join(row["missed"])) for row in cases]
-            missed = [(case, why) for case, why in missed if why]
-            means = [float(np.mean([one[key] for one in figures])) for key in task.columns] if figures else []
-            shown = [f"{mean:.0f}" if abs(mean) >= 20.0 else f"{mean:.2f}" for mean in means] or ["-"] * len(
-                task.columns
-            )
+            missed = [row for row in cases if row["missed"]]
+            means = [np.mean([one[key] for one in figures]) if figures else np.nan for key in task.columns]
+            shown = [f"{mean:.0f}" if abs(mean) >= 20.0 else f"{mean:.2f}".replace("nan", "-") for mean in means]
             passed, cpu = f"{len(cases) - len(missed)} of {len(cases)}", np.mean([row["cpu_s"] for row in cases])
             cells.append([planner, passed, len(figures), *shown, f"{cpu:.2f}"])
-            if missed:
-                case, why = missed[0]
-                failures.append(f"- {planner}, {len(missed)} of {len(cases)}, such as case {case}: {why}")
+            for row in missed[:1]:
+                such = f"{len(missed)} of {len(cases)}, such as case {row['case'] + 1}: {row['missed']}"
+                failures.append(f"- {planner}, {such}")
         headings = ["planner", "passed", "planned", *task.columns.values(), "CPU [s]"]
         lines += ["", f"## {task.title}", "", task.published, *markdown_table(headings, cells)]
         lines += ["", "What failed:", "", *failures] if failures else ["", "Nothing failed."]
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def main(words: list[str] | None = None) -> None:
     """Do the cases that are not done yet; the table is written after each task."""
     defaults: dict[str, Any] = {"menagerie": ("",), "tasks": tuple(TASKS), "planners": (*PLANNERS, SETTLED)}
     given = options(words, __doc__, "results/tasks", **defaults)
-    folder, results = io.make_directory(given.output), {}
+    menagerie, results = [Path(one) for one in given.menagerie if one], {}
     for name in given.tasks:
         try:
-            task = TASKS[name]([Path(one) for one in given.menagerie if one])
+            task = made(name, *menagerie)
         except LeftOutError as error:
             print(f"{name}: left out: {error}")
             continue
-        path, film = folder / f"{name}.json", folder / f"tasks_{name}.gif"
-        rows = json.loads(path.read_text()) if path.is_file() else {}
         planners = [planner for planner in given.planners if "+" not in planner or isinstance(task, Crane)]
-        for planner, case in product(planners, range(CASES)):
-            key = f"{planner} {case}"
-            filmed = planner == FILMED and case == 0 and not film.is_file()
-            if key in rows and not filmed:
-                continue
-            row, done = attempt(task, case, planner)
-            rows[key] = {"planner": planner, "case": case} | row
-            io.save_json(path, rows)
-            print(f"{name}, {planner}, case {case + 1}: {row}", flush=True)
-            if filmed and done is not None:
-                write_film(film, done)
-                write_pages(folder, name, done)
-        results[name] = rows
-        write(folder / "tasks.md", as_markdown(results))
+        runs = {
+            f"{name}-{planner}-{case}": (name, planner, case, given.output, *menagerie)
+            for planner, case in product(planners, range(CASES))
+        }
+        results[name] = saved_runs(given.output / "runs", runs, attempt, 1)
+        write(given.output / "tasks.md", as_markdown(results))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from common import options, write
+from common import options, spread, write
 
 import lieednn_sim as ls
 from lieednn_sim.budget import one_blas_thread
@@ -53,20 +53,19 @@ def main() -> int:
                 pairs = np.concatenate([compared(arm, *span, seed) for seed in range(given.seeds)])
             error, bound = pairs.swapaxes(0, 1)
             beyond, most = int((error > bound).any(axis=1).sum()), error.max(axis=1)
-            ratio = np.percentile(bound.max(axis=1) / most, [0, 50, 95])
             values = [len(most), beyond, *(f"{1e3 * np.median(each):.2g}" for each in (most, bound.max(axis=1)))]
-            rows.append([name, what, *map(str, values), *(f"{value:.3g}" for value in ratio)])
+            rows.append([name, what, *values, *spread(bound.max(axis=1) / most, 0.0, 0.5, 0.95)])
             print(*rows[-1], sep=", ", flush=True)
             runs, broken = runs + len(most), broken + beyond
     headings = ["arm", "range", "runs", "beyond", "error [1e-3]", "bound [1e-3]", "least ratio", "median", "95 %"]
     head = (
-        "# Tracking errors and their bound before the run\n\n"
         f"`python scripts/tracking_bound.py --seeds {given.seeds}`: runs by the controller `computed-torque` with "
         "masses and payloads that it does not know, drawn from the range that `simulation.tracking_bound` was asked "
         "for. Medians of the largest error of a joint and of its bound [rad, m], and the bound over the error. A joint "
-        f"was beyond its bound in {broken} of {runs} runs.\n"
+        f"was beyond its bound in {broken} of {runs} runs."
     )
-    write(given.output, head + "\n".join(markdown_table(headings, rows)) + "\n")
+    title = "# Tracking errors and their bound before the run"
+    write(given.output, [title, "", head, *markdown_table(headings, rows)])
     return int(broken > 0)
 
 

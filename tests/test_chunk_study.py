@@ -77,7 +77,7 @@ def test_tables_by_hand():
     run |= {"True": 2.0, "False": 0.1}
     found[("track", "clone", 0.8, "raw")] = [run, {**run, "success": 0.5, "jump": 8.0, "jerk": 6.0}]
     found[("reach", "clone", 0.2, "lieednn-chunks")] = [run, {**run, "back": 7.0, "touched": True}]
-    lines = [line for line in chunks.report(found).splitlines() if line.startswith("| ")]
+    lines = [line for line in chunks.report(found) if line.startswith("| ")]
     assert lines[2:4] == ["| clean | 3 | 2 | 1 | 3 | 3 | 4 |", "| stale | 1 | 1 | 0 | 1 |  |  |"]
     assert lines[6:] == [
         "| track, clone | 800 | raw | 75 | 0 | 8 | 5 | 30 ms |  | 2 / 0.1 |",
