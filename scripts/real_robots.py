@@ -109,12 +109,9 @@ class _Original:
         assert report is not None
         name = report.configuration.removeprefix("keyframe ").strip("'")
         keys = [self._model.key(k).name or f"key{k}" for k in range(self._model.nkey)]
-        self._qpos = (self._model.key_qpos[keys.index(name)] if name in keys else self._model.qpos0).copy()
-        self._addresses = []
-        for joint in range(arm.model.njnt):
-            here, there = arm.model.jnt_qposadr[joint], self._model.joint(arm.model.joint(joint).name).qposadr[0]
-            width = (7, 4, 1, 1)[arm.model.jnt_type[joint]]  # free, ball, slide, hinge
-            self._addresses += [(int(there) + k, int(here) + k) for k in range(width)]
+        self._qpos = self._model.key_qpos[keys.index(name)] if name in keys else self._model.qpos0
+        self._joints = [arm.model.joint(joint).name for joint in range(arm.model.njnt)]
+        self._here, self._there = mujoco.MjData(arm.model), mujoco.MjData(self._model)
         self._frames = [self._model.body(link).id for link in report.links]
         ignored = {int(signature) for signature in arm.model.exclude_signature}
         names = [self._model.body(body).name for body in range(self._model.nbody)]
@@ -125,10 +122,10 @@ class _Original:
 
     def forward_error(self) -> float:
         """Largest distance of the links' origins between the arm's forward map and the original model [m]."""
-        data, worst = mujoco.MjData(self._model), 0.0
+        data, worst = self._there, 0.0
         low, high = self._arm.position_limits.T
         for q in np.random.default_rng(0).uniform(low, high, (_CONFIGURATIONS, len(low))):
-            data.qpos[:] = self._placed(self._arm.qpos(q))
+            self._placed(self._arm.qpos(q))
             mujoco.mj_kinematics(self._model, data)
             away = self._arm.link_poses(q).translation - data.xpos[self._frames]
             worst = max(worst, float(np.abs(away).max()))
@@ -145,10 +142,10 @@ class _Original:
         return deepest
 
     def _placed(self, qpos: np.ndarray) -> np.ndarray:
-        placed = self._qpos.copy()
-        for there, here in self._addresses:
-            placed[there] = qpos[here]
-        return placed
+        self._here.qpos[:], self._there.qpos[:] = qpos, self._qpos
+        for name in self._joints:
+            self._there.joint(name).qpos = self._here.joint(name).qpos
+        return self._there.qpos
 
 
 def as_markdown(rows: list[dict[str, Any]], folder: str) -> list[str]:

@@ -16,31 +16,25 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from common import options
 from paper import figures, report
 from paper.plan import FULL, QUICK, Plan, jobs
-from paper.results import Results, load, run_all
-from rich.console import Console
+from paper.results import Results, run_all
 
 from lieednn_sim import io
 
 
-def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, command: str, console: Console) -> Path:
+def reproduce(plan: Plan, directory: str | os.PathLike[str], workers: int, command: str) -> Path:
     """Run missing jobs on processes; write figures and report, and return the report's path."""
     output = io.make_directory(directory)
-    cache = io.make_directory(output / "jobs")
-    work = jobs(plan)
-    failures = run_all(work, cache, workers, console)
-    results = Results.collect(plan, work, lambda job: load(job, cache))
-    console.print("figures and report")
-    drawn = figures.draw(results, output)
-    return report.write(results, drawn, command, failures, output)
+    results = Results.collect(plan, run_all(jobs(plan), output / "jobs", workers))
+    return report.write(results, figures.draw(results, output), command, output)
 
 
 def main(arguments: list[str] | None = None) -> None:
     given = options(arguments, __doc__, "results/paper", quick=False, jobs=os.cpu_count() or 1, fresh=False)
     command = "python scripts/reproduce_paper.py" + (" --quick" if given.quick else "")
-    for path in (given.output / "jobs").glob("*.npz") if given.fresh else ():
+    for path in (given.output / "jobs").glob("*.json") if given.fresh else ():
         path.unlink()
     plan = QUICK if given.quick else FULL
-    print(reproduce(plan, given.output, given.jobs, command, Console(stderr=True)))
+    print(reproduce(plan, given.output, given.jobs, command))
 
 
 if __name__ == "__main__":

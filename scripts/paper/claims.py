@@ -8,8 +8,8 @@ from typing import Any
 
 from paper import measures
 from paper.checks.learning import TRANSLATIONS
-from paper.measures import FAILS, FEW, HOLDS, MOST, PART, records_of
-from paper.results import Results
+from paper.measures import FAILS, FEW, HOLDS, MOST, PART
+from paper.results import Missing, Results
 
 # Relative errors below these are rounding, or of the finite differences that they are measured with.
 EXACT, DIFFERENCES = 1e-9, 1e-6
@@ -41,7 +41,7 @@ def judge(results: Results) -> list[Claim]:
     for source, text, measure in CLAIMS:
         try:
             measured, verdict = checked(results, measure) if isinstance(measure, str) else measure(results)
-        except measures.Missing as missing:
+        except Missing as missing:
             measured, verdict = f"no results of {missing}", measures.UNKNOWN
         found.append(Claim(source, text, measured, verdict))
     return found
@@ -50,7 +50,7 @@ def judge(results: Results) -> list[Claim]:
 def checked(results: Results, name: str) -> tuple[str, str]:
     """What was measured for an entry of `CHECKED`, and the verdict."""
     check, measured, verdict = CHECKED[name]
-    values = records_of(results, check)[0].values
+    values = results.require(check)[0].values
     lists = {key: ", ".join(f"{x:.2f}" for x in value) for key, value in values.items() if isinstance(value, list)}
     return measured.format(**values | lists), verdict(values)
 

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from lieednn_sim.studies.rows import wilson
 from paper import network_figures, style
 from paper.plan import INSIDE, OUTSIDE, PERIODS, TOLERANCE
-from paper.results import Results, column, curves
+from paper.results import Missing, Results, curves, seeds
 
 
 def draw(results: Results, directory: Path) -> dict[str, str]:
     """Draw every figure for which there are results; returns captions by file name, in the order of the report."""
-    makers: dict[str, Callable[[Results], tuple[Figure, str] | None]] = {
+    makers: dict[str, Callable[[Results], tuple[Figure, str]]] = {
         "training": training,
         "oscillation": oscillation,
-        "periods": periods,
         "weights": network_figures.weights,
         "trajectory": network_figures.trajectories,
         "equilibrium": network_figures.equilibria,
@@ -29,18 +27,16 @@ def draw(results: Results, directory: Path) -> dict[str, str]:
     }
     captions = {}
     for name, make in makers.items():
-        with matplotlib.rc_context(style.STYLE):
-            made = make(results)
-            if made is not None:
-                captions[style.save(made[0], directory, name)] = made[1]
+        with matplotlib.rc_context(style.STYLE), suppress(Missing):
+            figure, caption = make(results)
+            captions[style.save(figure, directory, name)] = caption
     return captions
 
 
-def training(results: Results) -> tuple[Figure, str] | None:
+def training(results: Results) -> tuple[Figure, str]:
     """Loss and accuracy over epochs, paper's Fig. (a) and (b)."""
     names = [f"P={period}" for period in PERIODS]
-    if not all(results[name] for name in names):
-        return None
+    results.require(*names)
     drawn = style.figure(4.6)
     axes = drawn.subplots(2, 2, sharex=True, sharey="col")
     grid = np.unique(np.round(np.geomspace(1, results.plan.max_epochs, 200)))
@@ -73,18 +69,16 @@ def training(results: Results) -> tuple[Figure, str] | None:
     )
 
 
-def oscillation(results: Results) -> tuple[Figure, str] | None:
+def oscillation(results: Results) -> tuple[Figure, str]:
     """One target in detail."""
     seed = results.example()
     record = results.of("P=10", seed)
-    if record is None:
-        return None
     drawn = style.figure(2.5)
     left, right = drawn.subplots(1, 2, width_ratios=(1.25, 1.0))
     for k, period in enumerate(INSIDE):
-        one = results.of(f"P={period}", seed)
-        if one is None:
+        if seed not in seeds(results[f"P={period}"]):
             continue
+        one = results.of(f"P={period}", seed)
         # Logarithmic axes have no epoch 0.
         epoch = one.arrays["epoch"] + 1.0
         low, high = one.arrays["error_low"], one.arrays["error_high"]
@@ -104,42 +98,4 @@ def oscillation(results: Results) -> tuple[Figure, str] | None:
         f"Oscillation of the loss for one target (seed {seed}): (a) whole trainings, lines are medians and bands the "
         f"range of the loss in bins of epochs; (b) the first 200 epochs with P = 10, where every projection throws the "
         f"loss back."
-    )
-
-
-def periods(results: Results) -> tuple[Figure, str] | None:
-    """Success and epochs over the projection period."""
-    if not all(results[f"P={period}"] for period in PERIODS):
-        return None
-    drawn = style.figure(2.4)
-    left, right = drawn.subplots(1, 2)
-    rng = np.random.default_rng(0)
-    for k, period in enumerate(PERIODS):
-        records, good = results[f"P={period}"], results.successes(f"P={period}")
-        rate, (low, high) = len(good) / len(records), wilson(len(good), len(records))
-        colour = style.BLUE if period in INSIDE else style.VERMILION
-        mark = "o" if period in INSIDE else "s"
-        off = [[max(0.0, rate - low)], [max(0.0, high - rate)]]
-        left.errorbar(k, rate, off, fmt=mark, color=colour, capsize=2.5, ms=4.5, lw=1.0)
-        spent = column(good, "epochs")
-        right.plot(k + rng.uniform(-0.18, 0.18, len(spent)), spent, mark, ms=2.5, color=colour, alpha=0.5, mew=0)
-        if len(spent):
-            right.plot([k - 0.3, k + 0.3], [np.median(spent)] * 2, color="k", lw=1.4)
-    for axis in (left, right):
-        axis.set_xticks(range(len(PERIODS)), [str(period) for period in PERIODS])
-        axis.set_xlabel("projection period $P$ [epochs]")
-        axis.set_xlim(-0.6, len(PERIODS) - 0.4)
-        axis.grid(axis="x", visible=False)
-    left.set(ylim=(-0.03, 1.2), yticks=np.linspace(0.0, 1.0, 6), ylabel="fraction of targets learned")
-    right.set(ylabel="epochs to converge")
-    if right.dataLim.ymin > 0.0 and np.isfinite(right.dataLim.ymin):
-        right.set_yscale("log")
-    inside = Line2D([], [], ls="", marker="o", color=style.BLUE, label="recommended, 8 to 16")
-    outside = Line2D([], [], ls="", marker="s", color=style.VERMILION, label="outside")
-    left.legend(handles=[inside, outside], loc="upper center", ncols=2, columnspacing=1.0, handletextpad=0.2)
-    style.letter(left, right)
-    return drawn, (
-        "Projection period of the repaired Algorithm 1: (a) fraction of targets learned within "
-        f"{results.plan.max_epochs} epochs, with 95 % Wilson intervals; (b) epochs of the runs that converged, with "
-        "medians."
     )

@@ -10,7 +10,7 @@ import numpy as np
 from lieednn_sim.learning import StopReason
 from lieednn_sim.studies.rows import wilson
 from paper.plan import INSIDE, OUTSIDE, TOLERANCE
-from paper.results import Record, Results, column, fraction, quantiles, seeds
+from paper.results import Missing, Record, Results, column, fraction, quantiles, seeds
 
 HOLDS, PART, FAILS, UNKNOWN = "holds", "holds in part", "does not hold", "not measured"
 # Fractions of targets or networks: from MOST on a claim holds, below FEW it does not.
@@ -18,10 +18,6 @@ MOST, FEW = 0.9, 0.1
 
 # Ends by which the network was lost, unlike a lack of epochs.
 _LOST = (str(StopReason.LOST_EQUILIBRIUM), str(StopReason.UNSTABLE))
-
-
-class Missing(Exception):
-    """A claim has no results to be judged by."""
 
 
 def graded(rate: float) -> str:
@@ -36,16 +32,8 @@ def of(records: list[Record]) -> str:
     return f"{sum(bool(record['success'] is True) for record in records)} of {len(records)}"
 
 
-def records_of(results: Results, *names: str) -> list[Record]:
-    """Records of these groups, none of which may be empty."""
-    absent = [name for name in names if not results[name]]
-    if absent:
-        raise Missing(", ".join(absent))
-    return [record for name in names for record in results[name]]
-
-
 def _good(results: Results, *names: str) -> list[Record]:
-    records_of(results, *names)
+    results.require(*names)
     records = [record for name in names for record in results.successes(name)]
     if not records:
         raise Missing(f"a success of {', '.join(names)}")
@@ -57,7 +45,7 @@ def _periods(values: tuple[int, ...]) -> list[str]:
 
 
 def oscillating(results: Results) -> tuple[str, str]:
-    records = records_of(results, *_periods(INSIDE))
+    records = results.require(*_periods(INSIDE))
     counts = "; ".join(f"{name}: {of(results[name])}" for name in _periods(INSIDE))
     rises = quantiles(column(records, "rises"), 0.5)[0]
     measured = f"{counts}; E rises in {rises:.0%} of the epochs (median)"
@@ -65,10 +53,10 @@ def oscillating(results: Results) -> tuple[str, str]:
 
 
 def small_periods(results: Results) -> tuple[str, str]:
-    inside = records_of(results, *_periods(INSIDE))
+    inside = results.require(*_periods(INSIDE))
     usual = _median_epochs(inside)
     names = _periods(tuple(p for p in OUTSIDE if p < min(INSIDE)))
-    groups = [records_of(results, name) for name in names]
+    groups = [results.require(name) for name in names]
     slower = [_median_epochs(group) > usual for group in groups]
     parts = [f"{name}: {_pace(group)}" for name, group in zip(names, groups, strict=True)]
     measured = (
@@ -91,7 +79,7 @@ def _pace(records: list[Record]) -> str:
 
 def large_periods(results: Results) -> tuple[str, str]:
     names = _periods(tuple(p for p in OUTSIDE if p > max(INSIDE)))
-    groups = records_of(results, *names), records_of(results, *_periods(INSIDE))
+    groups = results.require(*names), results.require(*_periods(INSIDE))
     lost = [sum(record["reason"] in _LOST for record in group) for group in groups]
     apart = wilson(lost[0], len(groups[0]))[0] > wilson(lost[1], len(groups[1]))[1]
     measured = (
@@ -102,7 +90,7 @@ def large_periods(results: Results) -> tuple[str, str]:
 
 
 def larger_is_faster(results: Results) -> tuple[str, str]:
-    groups = [records_of(results, name) for name in _periods(INSIDE)]
+    groups = [results.require(name) for name in _periods(INSIDE)]
     common = set.intersection(*(seeds(group) for group in groups))
     if not common:
         raise Missing("any target with every P in 8 to 16")
@@ -133,7 +121,7 @@ def _epochs(count: float) -> str:
 
 
 def accuracy(results: Results) -> tuple[str, str]:
-    records = records_of(results, "P=10")
+    records = results.require("P=10")
     perfect = [record["accuracy"] == 1.0 for record in records]
     mean = float(np.mean(column(records, "accuracy")))
     return (
@@ -143,14 +131,14 @@ def accuracy(results: Results) -> tuple[str, str]:
 
 
 def structure(results: Results) -> tuple[str, str]:
-    kept = column(records_of(results, *_periods(INSIDE)), "structure_error").max()
-    lost = quantiles(column(records_of(results, "no projection"), "structure_error"), 0.5)[0]
+    kept = column(results.require(*_periods(INSIDE)), "structure_error").max()
+    lost = quantiles(column(results.require("no projection"), "structure_error"), 0.5)[0]
     measured = f"relative distance to the manifold: at most {kept:.1g} with projection, median {lost:.2f} without"
     return measured, HOLDS if kept < 1e-9 and lost > 0.1 else PART if kept < 1e-9 or lost > 0.1 else FAILS
 
 
 def ablation(results: Results) -> tuple[str, str]:
-    records = records_of(results, "no projection")
+    records = results.require("no projection")
     middle = quantiles(column(results.successes("no projection"), "epochs"), 0.5)[0]
     return f"{of(records)} targets, median {middle:.0f} epochs", graded(fraction(records))
 
@@ -171,7 +159,7 @@ def norms(results: Results) -> tuple[str, str]:
     records = _good(results, *_periods(INSIDE), "tracked")
     met = float(np.mean((column(records, "one_norm") < 1.0) & (column(records, "infinity_norm") < 1.0)))
     least, middle, most = quantiles(column(records, "one_norm"), 0.0, 0.5, 1.0)
-    targets = records_of(results, "P=10")
+    targets = results.require("P=10")
     possible = float(np.mean(column(targets, "smallest_one_norm") < 1.0))
     lowest, typical = quantiles(column(targets, "smallest_one_norm"), 0.0, 0.5)
     measured = (
@@ -207,21 +195,21 @@ def curvature(results: Results) -> tuple[str, str]:
 
 
 def alpha(results: Results) -> tuple[str, str]:
-    fixed, learned = records_of(results, "alpha fixed"), records_of(results, "P=10")
+    fixed, learned = results.require("alpha fixed"), results.require("P=10")
     measured = f"alpha fixed: {of(fixed)}; learned: {of(learned)}"
     before, after = fraction(fixed), fraction(learned)
     return measured, HOLDS if before < FEW <= after else PART if before < after else FAILS
 
 
 def norm_loss(results: Results) -> tuple[str, str]:
-    records = records_of(results, "loss E")
+    records = results.require("loss E")
     errors = quantiles(column(records, "error"), 0.0, 0.5)
     measured = f"{of(records)} targets with alpha learned; smallest error {errors[0]:.2g}, median {errors[1]:.2g}"
     return measured, graded(fraction(records))
 
 
 def literal(results: Results) -> tuple[str, str]:
-    records = records_of(results, "literal")
+    records = results.require("literal")
     errors = quantiles(column(records, "error"), 0.0)[0]
     reasons = sorted({record["reason"] for record in records})
     measured = f"{of(records)} targets reach tau; smallest error {errors:.2g}; ends: {', '.join(reasons)}"
@@ -231,7 +219,7 @@ def literal(results: Results) -> tuple[str, str]:
 def minutes(results: Results) -> tuple[str, str]:
     parts, times = [], []
     for name, label in (("literal", "as printed"), ("P=10", "repaired"), ("tracked", "tracked")):
-        records = records_of(results, name)
+        records = results.require(name)
         middle, most = quantiles(column(records, "seconds"), 0.5, 1.0)
         each = quantiles(1e6 * column(records, "seconds") / np.maximum(1.0, column(records, "epochs")), 0.5)[0]
         parts.append(f"{label}: median {middle:.2g} s, at most {most:.2g} s, {each:.0f} us an epoch")

@@ -7,18 +7,16 @@ from matplotlib.figure import Figure
 
 from paper import style
 from paper.experiments import target, trajectory
-from paper.results import Results, column
+from paper.results import Missing, Results, column
 
 _COORDINATES = [rf"$\omega_{a}$" for a in "xyz"] + [rf"$v_{a}$" for a in "xyz"]
 
 
-def weights(results: Results) -> tuple[Figure, str] | None:
+def weights(results: Results) -> tuple[Figure, str]:
     """Weight matrices with and without projection, paper's Fig. (c) and (d)."""
     seed = results.example()
     records = [results.of("P=10", seed), results.of("no projection", seed)]
-    if records[0] is None or records[1] is None:
-        return None
-    matrices = [record.arrays["weight"] for record in records if record is not None]
+    matrices = [record.arrays["weight"] for record in records]
     drawn = style.figure(2.9)
     axes = drawn.subplots(1, 2)
     style.letter(*axes)
@@ -38,7 +36,7 @@ def weights(results: Results) -> tuple[Figure, str] | None:
         axis.set_xlabel("sending neuron $j$")
         drawn.colorbar(image, ax=axis, shrink=0.72, pad=0.03, label="weight")
     axes[0].set_ylabel("receiving neuron $i$")
-    errors = [record["structure_error"] for record in records if record is not None]
+    errors = [record["structure_error"] for record in records]
     return drawn, (
         f"Trained weights for one target (seed {seed}): (a) with projection every 10 epochs, (b) the ablation without. "
         f"Solid lines part the 6 x 6 blocks, dotted lines their 3 x 3 parts: R twice, hat(t) R below left, zero above "
@@ -47,12 +45,10 @@ def weights(results: Results) -> tuple[Figure, str] | None:
     )
 
 
-def trajectories(results: Results) -> tuple[Figure, str] | None:
+def trajectories(results: Results) -> tuple[Figure, str]:
     """The trained network on its way to the equilibrium, paper's second figure (a)."""
     seed = results.example()
     record = results.of("P=10", seed)
-    if record is None or seed is None:
-        return None
     times = np.linspace(0.0, 25.0, 251)
     bias = record.arrays["bias"].ravel()
     states = trajectory(record.arrays["weight"], bias, np.zeros(bias.size), times)
@@ -65,19 +61,17 @@ def trajectories(results: Results) -> tuple[Figure, str] | None:
     )
 
 
-def equilibria(results: Results) -> tuple[Figure, str] | None:
+def equilibria(results: Results) -> tuple[Figure, str]:
     """The equilibrium during training, paper's second figure (b)."""
     seed = results.example()
     record = results.of("P=10", seed)
-    if record is None or seed is None:
-        return None
     drawn = _neurons(record.arrays["epoch"] + 1.0, record.arrays["equilibrium"], target(seed))
     for axis in drawn.axes:
         axis.set(xscale="log", xlabel="epoch")
     return drawn, "The equilibrium of the same network while it is trained; targets dashed."
 
 
-def stability(results: Results) -> tuple[Figure, str] | None:
+def stability(results: Results) -> tuple[Figure, str]:
     """The paper's norm against the diagonal Lyapunov condition, network by network."""
     makers = {
         "P=10": ("repaired, $P=10$", style.BLUE, "o"),
@@ -87,7 +81,7 @@ def stability(results: Results) -> tuple[Figure, str] | None:
     }
     shown = {name: results.successes(name) for name in makers if results.successes(name)}
     if not shown:
-        return None
+        raise Missing("any success")
     drawn = style.figure(2.8)
     axis = drawn.subplots()
     axis.axvspan(0.1, 1.0, color="0.9", lw=0)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import dataclass
 from typing import Any
 
-from lieednn_sim import __version__
 from paper.checks import CHECKS
 
 INSIDE, OUTSIDE = (8, 10, 12, 16), (1, 4, 24, 40)
@@ -82,10 +79,8 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Name of the result's file: it changes with the parameters and with the version of the package."""
-        content = [self.kind, self.parameters, __version__]
-        digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-        return f"{self.kind}-{digest[:20]}"
+        """Name of the result's file."""
+        return f"{self.name}-{self.parameters['seed']}" if "seed" in self.parameters else self.name
 
 
 def jobs(plan: Plan) -> list[Job]:

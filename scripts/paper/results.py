@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import base64
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
+from common import saved_runs
 
-from lieednn_sim import io
-from lieednn_sim.budget import one_blas_thread
-from lieednn_sim.errors import FileError
-from lieednn_sim.studies.study import run_each
+from lieednn_sim import __version__
 from paper import experiments
 from paper.plan import INSIDE, Job, Plan
 
-KIND = "paper-experiment"
+
+class Missing(Exception):
+    """What has to be shown or judged has no results."""
 
 
 @dataclass(frozen=True)
@@ -40,78 +41,41 @@ class Record:
         return self.values.get(name, float("nan"))
 
 
-def run(job: Job) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Do a job, wherever that is; returns arrays and metadata of its result."""
-    start = time.process_time()
-    with one_blas_thread():
-        arrays, values = experiments.KINDS[job.kind](**job.parameters)
+def run(kind: str, parameters: dict[str, Any], _version: str) -> dict[str, Any]:
+    """Do a job; returns its values, and a file of its arrays, in JSON."""
+    start, file = time.process_time(), BytesIO()
+    arrays, values = experiments.KINDS[kind](**parameters)
+    np.savez_compressed(file, allow_pickle=False, **arrays)
     values = {**values, "job_seconds": time.process_time() - start}
     finite = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
-    return arrays, {"values": finite, "parameters": job.parameters}
+    return {"values": finite, "arrays": base64.b64encode(file.getvalue()).decode()}
 
 
-def load(job: Job, directory: Path) -> Record | None:
-    """Read the result of a job; None when there is none that can be read."""
-    try:
-        arrays, meta = io.load_arrays(directory / f"{job.key}.npz", KIND)
-        values = {k: float("nan") if v is None else v for k, v in meta["values"].items()}
-    except (FileError, KeyError, AttributeError):
-        return None
-    return Record(job, arrays, values)
-
-
-def run_all(jobs: Iterable[Job], directory: Path, workers: int, console: Console) -> list[str]:
-    """Run the jobs without a result, on worker processes; each is a file of its own, so that the rest can go on.
-
-    Returns:
-        A line for each job that failed.
-
-    Raises:
-        KeyboardInterrupt: after the workers are stopped; what they finished is kept.
-    """
-    # Two groups may share a job.
-    todo = {job.key: job for job in jobs if load(job, directory) is None}
-    failures: list[str] = []
-
-    def keep(task: tuple[Job], result: Any, error: Exception | None) -> None:
-        (job,) = task
-        if error is None:
-            io.save_arrays(directory / f"{job.key}.npz", KIND, *result)
-        else:
-            failures.append(f"{job.name} {job.parameters}: {type(error).__name__}: {error}")
-            console.print(f"[red]failed:[/red] {failures[-1]}", highlight=False)
-
-    tasks = [(job,) for job in todo.values()]
-    run_each(run, tasks, keep, workers=workers, title="experiments", console=console)
-    return failures
+def run_all(jobs: Iterable[Job], directory: Path, workers: int) -> list[Record]:
+    """The results of jobs, of which those without one are run on worker processes; see `saved_runs`."""
+    asked = {job.key: (job.kind, job.parameters, __version__) for job in jobs}
+    records = []
+    for job, made in zip(jobs, saved_runs(directory, asked, run, workers), strict=True):
+        values = {k: math.nan if v is None else v for k, v in made["values"].items()}
+        with np.load(BytesIO(base64.b64decode(made["arrays"]))) as arrays:
+            records.append(Record(job, dict(arrays), values))
+    return records
 
 
 @dataclass(frozen=True)
 class Results:
-    """What was found.
-
-    Attributes:
-        plan: what was run.
-        groups: records by the name of their group, in the order of the seeds.
-        missing: jobs without a result.
-    """
+    """What was found: the plan, and records by the name of their group, in the order of the seeds."""
 
     plan: Plan
     groups: dict[str, list[Record]]
-    missing: tuple[Job, ...]
 
     @classmethod
-    def collect(cls, plan: Plan, jobs: Iterable[Job], load: Callable[[Job], Record | None]) -> Results:
-        """Load the records of the jobs."""
+    def collect(cls, plan: Plan, records: Iterable[Record]) -> Results:
+        """Group the records."""
         groups: dict[str, list[Record]] = {}
-        missing = []
-        for job in jobs:
-            record = load(job)
-            if record is None:
-                missing.append(job)
-            else:
-                groups.setdefault(job.name, []).append(record)
-        return cls(plan, groups, tuple(missing))
+        for record in records:
+            groups.setdefault(record.job.name, []).append(record)
+        return cls(plan, groups)
 
     def __getitem__(self, name: str) -> list[Record]:
         return self.groups.get(name, [])
@@ -120,7 +84,14 @@ class Results:
         """Records whose network has the target as a stable equilibrium, within the tolerance."""
         return [record for record in self[name] if record["success"]]
 
-    def example(self) -> int | None:
+    def require(self, *names: str) -> list[Record]:
+        """Records of these groups, none of which may be empty; else `Missing`."""
+        absent = [name for name in names if not self[name]]
+        if absent:
+            raise Missing(", ".join(absent))
+        return [record for name in names for record in self[name]]
+
+    def example(self) -> int:
         """The first target that is learned with P = 10, by the ablation, and if possible with every P in 8 to 16."""
         ablated = seeds(self.successes("no projection"))
         learned = {period: seeds(self.successes(f"P={period}")) & ablated for period in INSIDE}
@@ -128,11 +99,14 @@ class Results:
             common = set.intersection(*(learned[period] for period in names))
             if common:
                 return min(common)
-        return None
+        raise Missing("an example")
 
-    def of(self, name: str, seed: int | None) -> Record | None:
-        """The record of a target."""
-        return next((record for record in self[name] if record.job.parameters.get("seed") == seed), None)
+    def of(self, name: str, seed: int) -> Record:
+        """The record of a target; `Missing` without one."""
+        for record in self[name]:
+            if record.job.parameters["seed"] == seed:
+                return record
+        raise Missing(f"{name}, {seed}")
 
 
 def seeds(records: Iterable[Record]) -> set[int]:
