@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from benchmark_rows import HEADINGS, ratio_rows, seconds
 from common import options
+from common import write as write_lines
 from threadpoolctl import threadpool_info
 
 from lieednn_sim import io
@@ -102,8 +103,8 @@ def growth(scale: int, sizes: Sequence[int]) -> dict[str, list[str]]:
     return {name: [f"{value:.3g}" for value in found] + [f"{exponents[name]:.1f}"] for name, found in times.items()}
 
 
-def write(directory: Path, scale: int, suffix: str = "") -> Path:
-    """Measure a fraction 1 / ``scale`` of all targets and write both files; returns the path of the table."""
+def write(directory: Path, scale: int, suffix: str = "") -> None:
+    """Measure a fraction 1 / ``scale`` of all targets and write both files."""
     synthesize(random_targets(4, 1)[0])  # warm up
     rows, grown = synthesis_rows(scale), growth(scale, SIZES)
     ratios = ratio_rows(random_targets(4, max(200 // scale, 1), seed=2), scale)
@@ -130,10 +131,7 @@ def write(directory: Path, scale: int, suffix: str = "") -> Path:
         "Ratios of times in this run, each measured several times; what it should be at least or at most is the aim.",
         *markdown_table(HEADINGS, (row.cells() for row in ratios)),
     ]
-    path = directory / "benchmark.md"
-    io.save_text(path, "\n".join(lines) + "\n")
-    print(path.read_text(encoding="utf-8"))
-    return path
+    write_lines(directory / "benchmark.md", lines)
 
 
 def main(arguments: list[str] | None = None) -> None:

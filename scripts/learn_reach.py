@@ -38,7 +38,6 @@ PERIOD = 0.1  # time between actions [s]
 # Names and budgets of learners: control steps, those of the expert for behaviour cloning.
 LEARNERS = {"behaviour cloning": 120_000, "SAC": 20_000, "PPO": 400_000}
 EXPERT, RANDOM = "expert", "random actions"
-POLICY = "lieednn-certified"
 EPOCHS = 50
 # Evaluations during training; episodes of each, and of the last one; the first of their seeds.
 POINTS, FEW, MANY, FIRST_SEED = 5, 20, 100, 10**6
@@ -84,7 +83,7 @@ def arrival(successes: Sequence[bool]) -> float | None:
 
 def expert_of(where: Environment) -> Act:
     """The expert, which knows more than the observations; a new one for each environment."""
-    expert = Expert(where, policy=POLICY)
+    expert = Expert(where, policy="lieednn-certified")
     return lambda _: expert.act()
 
 

@@ -29,10 +29,11 @@ METHOD = (
     "Motions lead from the published start to the published joint goal, within the limits of position and velocity of "
     "the robot's URDF and of accelerations derived from its efforts, free of contact. No clearance is required, since "
     "starts and goals have none. Proved is the mean fraction of a motion's time over which it is proved, for every "
-    "instant, that nothing touches. A planner has {budget:g} s of CPU time, on one core, "
-    "for a problem. Problems whose start or goal touches something or breaks a limit are skipped: they count neither "
-    "as solved nor as failed. The solve time covers everything from the problem to the timed motion. Statistics are "
-    "over solved problems. The C-space path is a Euclidean length in radians, for slides in metres."
+    f"instant, that nothing touches. A planner has {BUDGET:g} s of CPU time, on one core, for a problem. Problems "
+    "whose start or goal touches something or breaks a limit are skipped: they count neither as solved nor as failed. "
+    "The solve time covers everything from the problem to the timed motion. Statistics are over solved problems. The "
+    "C-space path is a Euclidean length in radians, for slides in metres. Four numbers are mean / median / 75 % / "
+    "98 %. [How the problems are posed, and what others publish](../../docs/howto/published_problems.md)."
 )
 HEADINGS = (
     *("robot", "planner", "problems", "skipped", "solved, of asked"),
@@ -61,9 +62,7 @@ def report(rows: dict[str, Sequence[Solution]]) -> list[str]:
     return [
         "# MotionBenchMaker's problems",
         "",
-        METHOD.format(budget=BUDGET)
-        + " Four numbers are mean / median / 75 % / 98 %. [How the problems are posed, and "
-        "what others publish](../../docs/howto/published_problems.md).",
+        METHOD,
         *markdown_table(HEADINGS, cells),
         *("", "What searching planners did not solve:", ""),
         *(failures or ["- nothing that could be posed"]),

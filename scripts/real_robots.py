@@ -42,10 +42,10 @@ ROBOTS = (
     *("fetch/fetch.urdf",),
 )
 # The base or the links of one of two arms.
+LEFT = {"links": [f"arm_left_{k}_link" for k in range(1, 8)]}
 OPTIONS: dict[str, dict[str, Any]] = {
     "aloha/aloha.xml": {"base": "left/base_link"},
-    "tiago_pro_description/robots/tiago_pro.urdf": {"links": [f"arm_left_{k}_link" for k in range(1, 8)]},
-    "talos_data/robots/talos_full_v2.urdf": {"links": [f"arm_left_{k}_link" for k in range(1, 8)]},
+    **dict.fromkeys(("tiago_pro_description/robots/tiago_pro.urdf", "talos_data/robots/talos_full_v2.urdf"), LEFT),
 }
 PLANNERS = ("lieednn-certified", "minimum-jerk")
 CONTROLLERS = ("position-servo", "inverse-dynamics")

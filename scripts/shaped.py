@@ -46,14 +46,6 @@ def effort(arm: ls.Arm, motion: Motion) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def verified_after_loading(network: ls.LieEDNN) -> bool:
-    """Whether the network is certified after saving and loading, which verifies the certificate again."""
-    with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory) / "network.npz"
-        network.save(path)
-        return ls.LieEDNN.load(path).certified
-
-
 def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
     """Plan a case and compare it with its guide; ratios are those of the network's motion to the guide's."""
     room = ls.Arm.load(arm, scene, seed)
@@ -61,11 +53,14 @@ def measured(arm: str, scene: str, seed: int) -> dict[str, Any]:
     assert isinstance(plan.network, ls.LieEDNN)
     assert plan.guide is not None
     motion, guide = plan.motion, plan.guide.motion
+    with tempfile.TemporaryDirectory() as folder:  # to load it verifies the certificate again
+        plan.network.save(path := Path(folder) / "network.npz")
+        certified = ls.LieEDNN.load(path).certified
     mine, given = motion_metrics(room, motion), motion_metrics(room, guide)
     near = [1e3 * Collisions(room).clearance(each.q[::STRIDE]) for each in (motion, guide)]
     return {
         "guide": plan.guide.planner,
-        "certified": int(verified_after_loading(plan.network)),
+        "certified": int(certified),
         "deviation_mm": 1e3 * plan.details.deviation,
         "gap_mm": mine.gap_mm,
         "jerk": mine.jerk_joints / given.jerk_joints,

@@ -27,21 +27,15 @@ class LeftOutError(Exception):
 
 @dataclass
 class Outcome:
-    """A case so far: the present state, the plans and simulations that led to it, and what a film shows.
-
-    Attributes:
-        model, data: the present state.
-        plans, runs: what was planned, and what the simulation made of it.
-        shots: models, times, positions, and the mocap body that rides on the tip, for the film.
-        cpu_time: CPU time of planning [s].
-    """
+    """A case so far: the present state, the plans and simulations that led to it, and what a film shows."""
 
     model: Any
     data: Any
     plans: list[Any] = field(default_factory=list)
     runs: list[Any] = field(default_factory=list)
+    # Models, times, positions, and the mocap body that rides on the tip.
     shots: list[tuple[Any, Any, Any, str]] = field(default_factory=list)
-    cpu_time: float = 0.0
+    cpu_time: float = 0.0  # of planning [s]
 
     def move(self, arm: ls.Arm, goal: Any, hold: float, riding: str = "", **options: Any) -> None:
         """Plan for a view in the present state, simulate the plan and some time at rest, and go on from there.
@@ -75,21 +69,14 @@ class Outcome:
 
 
 class Task:
-    """A task: its name, the published figures, the columns of its table and its pass mark.
-
-    Attributes:
-        title, published: what stands above its table.
-        columns: heads of the table by name of the figure.
-        most, least: the pass mark: the largest and the least values that pass, by name of the figure.
-        joints: the joints that are planned.
-    """
+    """A task: its name, the published figures, the columns of its table and its pass mark."""
 
     title: ClassVar[str]
     published: ClassVar[str]
-    columns: ClassVar[Mapping[str, str]]
-    most: ClassVar[Mapping[str, float]] = {}
-    least: ClassVar[Mapping[str, float]] = {}
-    joints: ClassVar[list[str]]
+    columns: ClassVar[Mapping[str, str]]  # heads of the table by name of the figure
+    most: ClassVar[Mapping[str, float]] = {}  # the pass mark: the largest values that pass
+    least: ClassVar[Mapping[str, float]] = {}  # and the least ones
+    joints: ClassVar[list[str]]  # those that are planned
 
     def __init__(self, menagerie: Sequence[Path] = ()) -> None:
         del menagerie
@@ -108,9 +95,8 @@ class Task:
 
     def missed(self, figures: Mapping[str, float]) -> list[str]:
         """The figures that miss the pass mark."""
-        return [name for name, value in self.most.items() if not figures[name] <= value] + [
-            name for name, value in self.least.items() if not figures[name] >= value
-        ]
+        over = [name for name, value in self.most.items() if not figures[name] <= value]
+        return over + [name for name, value in self.least.items() if not figures[name] >= value]
 
 
 class Boom(Task):

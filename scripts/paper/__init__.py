@@ -1,1 +1,1 @@
-"""The experiments of the paper: what is run (`plan`), how (`runner`), and what is made of it (`report`)."""
+"""The experiments of the paper: what is run (`plan`), what comes of it (`results`) and is made of it (`report`)."""

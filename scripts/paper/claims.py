@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from paper import measures
 from paper.checks.learning import TRANSLATIONS
@@ -18,21 +17,13 @@ SAME = 0.999
 Scalars = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Claim:
-    """One line of the table.
+class Claim(NamedTuple):
+    """One line of the table."""
 
-    Attributes:
-        source: where the paper says it.
-        text: the claim, in our words.
-        measured: what we found.
-        verdict: one of the four of `measures`.
-    """
-
-    source: str
-    text: str
-    measured: str
-    verdict: str
+    source: str  # where the paper says it
+    text: str  # the claim, in our words
+    measured: str  # what we found
+    verdict: str  # one of the four of `measures`
 
 
 def judge(results: Results) -> list[Claim]:

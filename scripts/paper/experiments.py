@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from lieednn_sim import learning, stability, theory
-from lieednn_sim.learning import ALGORITHMS, History, TrainingResult, train
+from lieednn_sim.learning import ALGORITHMS, History, train
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.synthesis import synthesize
 from paper.checks import CHECKS
@@ -35,14 +35,12 @@ def target(seed: int) -> np.ndarray:
 
 def trained(algorithm: str, changes: dict[str, Any], seed: int) -> Outcome:
     """Projective learning in one of its variants."""
-    options = ALGORITHMS[algorithm].load()(**changes)
-    return _training(*_timed(lambda: train(target(seed), options, bias=BIAS, seed=seed)), seed)
+    return _training(ALGORITHMS[algorithm].load()(**changes), seed)
 
 
 def riemannian(seed: int, **options: Any) -> Outcome:
     """Learning on the manifold itself."""
-    settings = learning.RiemannianOptions(**options)
-    return _training(*_timed(lambda: train(target(seed), settings, bias=BIAS, seed=seed)), seed)
+    return _training(learning.RiemannianOptions(**options), seed)
 
 
 def synthesis(seed: int) -> Outcome:
@@ -62,17 +60,12 @@ def retargeted(seed: int) -> Outcome:
     return _described(moved, None, seed, {"success": success, "reason": "retargeted", "seconds": seconds})
 
 
-def checked(name: str, samples: int) -> Outcome:
-    """A formula of the paper against numbers."""
-    return {}, CHECKS[name](samples)
-
-
 KINDS: dict[str, Callable[..., Outcome]] = {
     "train": trained,
     "riemannian": riemannian,
     "synthesis": synthesis,
     "retarget": retargeted,
-    "check": checked,
+    "check": lambda name, samples: ({}, CHECKS[name](samples)),
 }
 
 
@@ -83,7 +76,8 @@ def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
     return result, time.process_time() - start
 
 
-def _training(result: TrainingResult, seconds: float, seed: int) -> Outcome:
+def _training(options: Any, seed: int) -> Outcome:
+    result, seconds = _timed(lambda: train(target(seed), options, bias=BIAS, seed=seed))
     history = result.history
     rises = float(np.mean(np.diff(history.error) > 0.0)) if len(history) > 1 else 0.0
     scalars = {

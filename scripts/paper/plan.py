@@ -34,29 +34,16 @@ RIEMANNIAN: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Plan:
-    """The extent of the experiments.
+    """The extent of the experiments."""
 
-    Attributes:
-        name: name for the report.
-        targets: number of random targets in comparisons.
-        some_targets: number of them for projection periods other than 10, and for other variants of the repaired
-            algorithm.
-        slow_targets: number of them for the algorithm as printed and for the exact projection, whose epochs take
-            milliseconds.
-        max_epochs: largest number of epochs of trainings with the gradient.
-        slow_epochs: the same for the slow ones.
-        gradient_steps: number of steps along the Riemannian gradient.
-        samples: number of random matrices or states in each check of a formula.
-    """
-
-    name: str
-    targets: int
-    some_targets: int
-    slow_targets: int
-    max_epochs: int
-    slow_epochs: int
-    gradient_steps: int
-    samples: int
+    name: str  # for the report
+    targets: int  # random targets in comparisons
+    some_targets: int  # of them for projection periods other than 10, and for other variants of the repaired algorithm
+    slow_targets: int  # of them as printed and for the exact projection, whose epochs take milliseconds
+    max_epochs: int  # of trainings with the gradient
+    slow_epochs: int  # the same for the slow ones
+    gradient_steps: int  # along the Riemannian gradient
+    samples: int  # random matrices or states in each check of a formula
 
 
 FULL = Plan("full", 100, 20, 4, 25_000, 10_000, 1000, 1000)
@@ -65,17 +52,11 @@ QUICK = Plan("quick", 6, 3, 1, 5000, 500, 200, 200)
 
 @dataclass(frozen=True)
 class Job:
-    """A unit of work.
+    """A unit of work."""
 
-    Attributes:
-        name: name of its group.
-        kind: name of its function in `experiments.KINDS`.
-        parameters: arguments of that function, JSON values.
-    """
-
-    name: str
-    kind: str
-    parameters: dict[str, Any]
+    name: str  # of its group
+    kind: str  # name of its function in `experiments.KINDS`
+    parameters: dict[str, Any]  # arguments of that function, JSON values
 
     @property
     def key(self) -> str:

@@ -45,13 +45,16 @@ def write(results: Results, figures: dict[str, str], command: str, directory: Pa
     claims = judge(results)
     verdicts = {claim.text: {"verdict": claim.verdict, "measured": claim.measured} for claim in claims}
     io.save_json(directory / "claims.json", {"plan": results.plan.name, "claims": verdicts})
+    words = {HOLDS: "hold", PART: "hold in part", FAILS: "do not hold", UNKNOWN: "were not measured"}
+    found = [claim.verdict for claim in claims]
+    counts = [f"{found.count(kind)} {word}" for kind, word in words.items() if kind in found]
     parts = [
         "# What of the paper reproduces\n",
         _made(results, command),
         "## Claims\n",
         f"Verdicts follow from the numbers: a fraction of {MOST:.0%} or more holds, one below {FEW:.0%} does not, what "
         "lies between, or needs a condition that the paper does not state, holds in part.\n",
-        _counted([claim.verdict for claim in claims]),
+        f"Of {len(found)} claims {', '.join(counts)}.\n",
         *markdown_table(
             ("claim", "where", "measured", "verdict"),
             [(claim.text, claim.source, claim.measured, f"**{claim.verdict}**") for claim in claims],
@@ -75,12 +78,6 @@ def write(results: Results, figures: dict[str, str], command: str, directory: Pa
     path = directory / "report.md"
     io.save_text(path, "\n".join(parts))
     return path
-
-
-def _counted(verdicts: list[str]) -> str:
-    words = {HOLDS: "hold", PART: "hold in part", FAILS: "do not hold", UNKNOWN: "were not measured"}
-    counts = [f"{verdicts.count(kind)} {word}" for kind, word in words.items() if kind in verdicts]
-    return f"Of {len(verdicts)} claims {', '.join(counts)}.\n"
 
 
 def compared(results: Results) -> list[str]:

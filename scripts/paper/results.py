@@ -25,17 +25,11 @@ class Missing(Exception):
 
 @dataclass(frozen=True)
 class Record:
-    """Result of a job.
-
-    Attributes:
-        job: what was run.
-        arrays: by name.
-        values: scalars by name; what is infinite or undefined is NaN.
-    """
+    """Result of a job."""
 
     job: Job
     arrays: dict[str, np.ndarray]
-    values: dict[str, Any]
+    values: dict[str, Any]  # scalars; what is infinite or undefined is NaN
 
     def __getitem__(self, name: str) -> Any:
         return self.values.get(name, float("nan"))

@@ -8,19 +8,11 @@ from typing import Any
 from paper.checks import formulas, learning, theorems
 
 CHECKS: dict[str, Callable[[int], dict[str, Any]]] = {
-    "automorphism": theorems.automorphism,
-    "closed group": theorems.closed_group,
-    "representation": theorems.representation,
-    "quotient": theorems.quotient,
-    "rotation lemma": theorems.rotation_lemma,
-    "decoding": theorems.decoding,
-    "projection": formulas.projection,
-    "weight gradient": learning.weight_gradient,
-    "strength gradient": learning.strength_gradient,
-    "riemannian": learning.riemannian,
-    "norm conditions": formulas.norm_conditions,
-    "single norms": formulas.single_norms,
-    "algebras": formulas.algebras,
-    "activation": formulas.activation,
-    "equivariance": formulas.equivariance,
+    check.__name__.replace("_", " "): check
+    for check in (
+        *(theorems.automorphism, theorems.closed_group, theorems.representation, theorems.quotient),
+        *(theorems.rotation_lemma, theorems.decoding, formulas.projection, learning.weight_gradient),
+        *(learning.strength_gradient, learning.riemannian, formulas.norm_conditions, formulas.single_norms),
+        *(formulas.algebras, formulas.activation, formulas.equivariance),
+    )
 }
