@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from lieednn_sim import io
 from lieednn_sim.budget import one_blas_thread
+from lieednn_sim.cli.console import progress
 from lieednn_sim.errors import FileError, LieEDNNError
 from lieednn_sim.studies.study import run_each
 from lieednn_sim.values import Floats
@@ -81,7 +81,8 @@ def saved_runs(folder: Path, runs: Mapping[str, tuple[Any, ...]], work: Callable
     each = [(folder / f"{name}.json", work, given) for name, given in runs.items()]
     missing = [run for run in each if not run[0].is_file()]
     if missing:
-        run_each(_keep, missing, _ended, workers=jobs, title=folder.name, console=Console(stderr=True))
+        with progress(folder.name):
+            run_each(_keep, missing, _ended, workers=jobs)
     return [_made(path, _compared(given)) for path, _, given in each]
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from common import options, write
 from rich.console import Console
 
+from lieednn_sim.cli.console import progress
 from lieednn_sim.evaluation.display import markdown_table
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
 from lieednn_sim.studies.problems.study import PublishedProblems, Solution
@@ -76,7 +77,8 @@ def main(arguments: list[str] | None = None) -> None:
     rows: dict[str, Sequence[Solution]] = {}
     for robot in given.robots:
         study = PublishedProblems(ProblemSets(given.folder / robot), given.planners, given.problems, BUDGET)
-        made = compute(study, given.output / robot, jobs=given.jobs, console=Console(stderr=True))
+        with progress(robot):
+            made = compute(study, given.output / robot, jobs=given.jobs, console=Console(stderr=True))
         rows[robot] = list(made.rows.values())
     write(given.output / "motion_bench_maker.md", report(rows))
 

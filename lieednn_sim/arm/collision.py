@@ -33,17 +33,11 @@ _SLACK = 1e-9  # rounding of the bounds [m]
 
 
 class Distances(NamedTuple):
-    """Geom pairs closer than a cutoff, the nearest first.
+    """Geom pairs closer than a cutoff, the nearest first."""
 
-    Attributes:
-        distance: ``(P,)`` signed, from where the geoms begin to push each other [m].
-        jacobian: ``(P, n)`` derivatives in the joint coordinates [m/rad, m/m]; zero for geoms that just touch.
-        pairs: ``(P, 2)`` geom ids.
-    """
-
-    distance: Floats
-    jacobian: Floats
-    pairs: Pairs
+    distance: Floats  # ``(P,)`` signed, from where the geoms begin to push each other [m]
+    jacobian: Floats  # ``(P, n)`` derivatives in the joint coordinates [m/rad, m/m]; zero for geoms that just touch
+    pairs: Pairs  # ``(P, 2)`` geom ids
 
 
 class Collisions:

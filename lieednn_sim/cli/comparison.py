@@ -65,14 +65,16 @@ def compare(
             table = merge_tables(directory, merge)
         else:
             _print_found(study)
-            table = compute(study, directory, **how)
+            with progress("compare"):
+                table = compute(study, directory, **how)
         if study.shard is not None:
             wrote(table.path)
             return
         reactions = None
         if seeds:
             pushed = Reactions(study.arms, study.scenes, seeds, user_files=study.user_files)
-            reactions = compute(pushed, directory, **how)
+            with progress("reactions"):
+                reactions = compute(pushed, directory, **how)
         controller = study.controllers[0]
         seen = _views(table, choose_problems(table, problems, controller), controller)
         head = {"command": line, "date": date}

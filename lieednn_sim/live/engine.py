@@ -12,11 +12,12 @@ import numpy as np
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import NotCertifiedError
-from lieednn_sim.live.settings import PLANNED, Settings
+from lieednn_sim.live.settings import Settings
 from lieednn_sim.network import BlockNetwork
 from lieednn_sim.planning import ShapedOptions, plan
 from lieednn_sim.planning.motion import Motion
 from lieednn_sim.policies import FilteredPolicy, MotionTracker, NetworkPolicy, Policy, make_policy
+from lieednn_sim.policies.making import PLANNED
 from lieednn_sim.simulation.disturbances import Push
 from lieednn_sim.simulation.following import ClosedLoop
 from lieednn_sim.stability import Certificate

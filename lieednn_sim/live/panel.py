@@ -10,7 +10,7 @@ import numpy as np
 
 from lieednn_sim.live.scene import ArmScene, Snapshot, status
 from lieednn_sim.live.session import SPEEDS, Session
-from lieednn_sim.live.settings import PLANNED
+from lieednn_sim.policies.making import PLANNED
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, optional_module
 from lieednn_sim.rendering import scene_setup
 from lieednn_sim.values import Floats

@@ -7,13 +7,11 @@ from typing import Any
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.planning import default_planner
+from lieednn_sim.policies.making import PLANNED
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES
 from lieednn_sim.simulation import Disturbances
 from lieednn_sim.validation import as_choice, as_positive
 from lieednn_sim.values import check_fields
-
-# Policies that follow or imitate a planned motion.
-PLANNED = ("tracker", "dmp")
 
 
 @dataclass(frozen=True)
@@ -22,7 +20,7 @@ class Settings:
 
     Attributes:
         policy: one of your own as FILE.py:FUNCTION, or a name of `POLICIES`.
-        planner: a name of `PLANNERS`, for the policies tracker and dmp (`PLANNED`), which follow a motion; by default
+        planner: a name of `PLANNERS`, for the policies of `PLANNED`, which follow a motion; by default
             the `default_planner` of the arm.
         rho: rate of the clock of ``lieednn-shaped``, see `ShapedOptions`.
         filtered: whether the policy is behind the safety filter; None if it is among obstacles.

@@ -20,8 +20,9 @@ from lieednn_sim.registry import POLICIES
 from lieednn_sim.validation import Seed, as_positive, as_seed
 from lieednn_sim.values import Floats, check_fields
 
-#: Policies of the package that follow a motion, where they are given one.
-FOLLOWERS = "dmp", "lieednn-chunks", "lieednn-replanning", "tracker"
+#: Policies of the package that cannot do without a planned motion, and those that follow one where they are given it.
+PLANNED = "dmp", "tracker"
+FOLLOWERS = "lieednn-chunks", "lieednn-replanning", *PLANNED
 
 _Make = TypeVar("_Make", bound=Callable[..., Policy])
 
@@ -124,6 +125,6 @@ def make_policy(
         raise InputError(f"policy {name!r} must be a Policy, its function returned {type(policy).__name__}")
     policy.reset(task.start)
     if planned and "motion" not in vars(task):
-        others = f"{', '.join(FOLLOWERS)}, or a NetworkPolicy of the plan's network"
+        others = f"{', '.join(sorted(FOLLOWERS))}, or a NetworkPolicy of the plan's network"
         raise InputError(f"policy {name!r} would go to the end of this motion on a way of its own; take {others}")
     return policy

@@ -102,15 +102,10 @@ def render_page(rollout: Rollout, path: StrPath, *, camera: str | None = None, t
 
 
 class Recording(NamedTuple):
-    """Motions for viser's player.
+    """Motions for viser's player."""
 
-    Attributes:
-        content: the recording, a ``.viser`` file.
-        ratio: least width / height of the picture in which all is seen, 1 to 16/9.
-    """
-
-    content: bytes
-    ratio: float
+    content: bytes  # the recording, a ``.viser`` file
+    ratio: float  # least width / height of the picture in which all is seen, 1 to 16/9
 
     @property
     def base64(self) -> str:

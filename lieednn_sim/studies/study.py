@@ -14,10 +14,10 @@ from functools import partial
 from typing import Any, ClassVar, Generic
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from lieednn_sim import io
 from lieednn_sim._processes import WorkerContext
+from lieednn_sim.budget import report, reporting
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Registry
 from lieednn_sim.studies.rows import R
@@ -33,7 +33,7 @@ class Study(ABC, Generic[R]):
     """Base class of studies: it says which cases there are, how the rows of one are computed, and what all rows share.
 
     Attributes:
-        name: name of the table's file without suffix, and of the progress bar.
+        name: name of the table's file without suffix.
         kind: class of the rows.
         run: the function that computes the rows of a case from its arguments in `todo`. It runs in another process, so
             it must be defined at the top of a module. Where a case fails, its rows carry the reason; an exception
@@ -65,11 +65,13 @@ class Study(ABC, Generic[R]):
 def compute(study: Study[R], directory: StrPath, *, jobs: int = 1, console: Console | None = None) -> Table[R]:
     """The table of a directory, with the rows that it lacked computed; finished cases are kept when interrupted.
 
+    Who `reporting` names is told of the cases done.
+
     Args:
         directory: directory of the table.
         jobs: number of worker processes; with 1 the cases run in this process. A script that starts workers needs
             `if __name__ == "__main__":`, as always with Python's `multiprocessing`.
-        console: console for a progress bar and for errors; None for neither.
+        console: console for errors; None for none.
 
     Raises:
         InputError: ``jobs`` is less than 1.
@@ -91,7 +93,7 @@ def compute(study: Study[R], directory: StrPath, *, jobs: int = 1, console: Cons
             rows = study.failed(*case, reason)
         table.add(rows)
 
-    run_each(run, todo, add, workers=workers, title=study.name, console=shown)
+    run_each(run, todo, add, workers=workers)
     return table
 
 
@@ -123,22 +125,20 @@ def run_each(
     done: Callable[[tuple[Any, ...], Any, Exception | None], None],
     *,
     workers: int,
-    title: str,
-    console: Console,
 ) -> None:
     """Run tasks on worker processes, or in this process where one is enough; `LieEDNNError` if a worker died.
+
+    Who `reporting` names is told of the tasks done.
 
     ``todo`` holds each task's arguments, with which, its result and its exception ``done`` is called here when it ends,
     in any order. What goes to worker processes and back must be picklable.
     """
     workers = min(workers, len(todo))
-    pools = worker_pool(workers) if workers > 1 else contextlib.nullcontext()
-    times = (TimeElapsedColumn(), TextColumn("done, left"), TimeRemainingColumn())
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *times)
-    with pools as pool, Progress(*columns, console=console) as progress:
+    with worker_pool(workers) if workers > 1 else contextlib.nullcontext() as pool:
         ended = _here(run, todo) if pool is None else _on_workers(pool, run, todo, 2 * workers)
-        for outcome in progress.track(ended, total=len(todo), description=title):
+        for count, outcome in enumerate(ended, 1):
             done(*outcome)
+            report(count, len(todo))
 
 
 _Outcome = tuple[tuple[Any, ...], Any, Exception | None]
@@ -147,7 +147,8 @@ _Outcome = tuple[tuple[Any, ...], Any, Exception | None]
 def _here(run: Callable[..., Any], todo: Sequence[tuple[Any, ...]]) -> Iterator[_Outcome]:
     for task in todo:
         try:
-            ended: _Outcome = task, run(*task), None
+            with reporting(lambda *_: None):  # of its own progress
+                ended: _Outcome = task, run(*task), None
         except Exception as error:
             ended = task, None, error
         yield ended

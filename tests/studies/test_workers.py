@@ -11,7 +11,6 @@ import sys
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 
 import pytest
-from rich.console import Console
 
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.registry import CONTROLLERS, PLANNERS, POLICIES, Entry
@@ -79,7 +78,7 @@ def test_outcomes_come_as_tasks_end_and_few_are_submitted_ahead(monkeypatch):
     tasks = [(value, value % 5) for value in range(20)]
     for number in (1, 2):
         results.clear()
-        run_each(divmod, tasks, done, workers=number, title="", console=Console(quiet=True))
+        run_each(divmod, tasks, done, workers=number)
         assert results == {(a, b): divmod(a, b) if b else ZeroDivisionError for a, b in tasks}
     assert (len(submitted), max(submitted)) == (20, 3)
 
@@ -88,7 +87,7 @@ def test_a_worker_that_dies_loses_no_finished_task(monkeypatch):
     monkeypatch.setattr(workers, "worker_pool", lambda _: worker_pool(1))
     kept, tasks, before = [], [(abs, -1), (os._exit, 1), (abs, -2)], set(multiprocessing.active_children())
     with pytest.raises(LieEDNNError, match=r"a worker process died, .* continues, and one job needs less"):
-        run_each(operator.call, tasks, lambda *it: kept.append(it), workers=2, title="", console=Console(quiet=True))
+        run_each(operator.call, tasks, lambda *it: kept.append(it), workers=2)
     assert kept == [((abs, -1), 1, None)]
     assert set(multiprocessing.active_children()) <= before
 
@@ -103,5 +102,5 @@ def test_a_task_that_ends_at_the_same_time_counts_before_a_worker_that_dies(monk
     monkeypatch.setattr(workers, "worker_pool", Ended)
     kept = []
     with pytest.raises(LieEDNNError, match="a worker process died"):
-        run_each(abs, [(0,), (-1,)], lambda *it: kept.append(it), workers=2, title="", console=Console(quiet=True))
+        run_each(abs, [(0,), (-1,)], lambda *it: kept.append(it), workers=2)
     assert kept == [((-1,), 1, None)]

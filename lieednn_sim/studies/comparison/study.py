@@ -339,7 +339,7 @@ def compare(
         write_page("out/comparison.html", table)     # of `studies.report`
 
     The arguments and errors are those of `Comparison` (whose ``common`` is ``settings`` here) and `study.compute`,
-    which together do the same with a progress bar, a part of the cases, or fewer seeds for slow planners.
+    which together do the same for a part of the cases, or fewer seeds for slow planners.
     """
     common = Settings() if settings is None else settings
     study = Comparison(planners, arms, scenes, controllers, seeds=seeds, common=common)

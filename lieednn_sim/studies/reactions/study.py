@@ -63,27 +63,17 @@ _DURATION = 7.0  # that is simulated [s]
 
 @dataclass(frozen=True, slots=True)
 class Reaction(TableRow):
-    """A row of the benchmark of disturbed policies: one rollout.
-
-    Attributes:
-        arm: name of the arm; together with the next four, the key of the row.
-        scene: name of its scene.
-        policy: a name of `COMPARED`.
-        disturbance: a name of `DISTURBANCES`.
-        seed: seed of target, obstacles and disturbance.
-        success: whether every link ends within 1 mm and 0.1 degrees of the target without contact.
-        reason: why it does not; begins with "problem", "plan", "simulation", "contact", "arrival" or "error".
-    """
+    """A row of the benchmark of disturbed policies: one rollout."""
 
     _key = ("arm", "scene", "policy", "disturbance", "seed")
 
-    arm: str
+    arm: str  # its name; together with the next four, the key of the row
     scene: str
-    policy: str
-    disturbance: str
-    seed: int
-    success: bool = outcome()
-    reason: str = ""
+    policy: str  # a name of `COMPARED`
+    disturbance: str  # a name of `DISTURBANCES`
+    seed: int  # of target, obstacles and disturbance
+    success: bool = outcome()  # whether every link ends within 1 mm and 0.1 degrees of the target without contact
+    reason: str = ""  # why it does not; begins with "problem", "plan", "simulation", "contact", "arrival" or "error"
     push_n: float | None = column("push [N]", "force that takes a joint a tenth of its range off that path")
     final_mm: float | None = column("final [mm]", "distance of the worst link from its target at the end")
     deviation: float | None = column("deviation [ranges]", "largest distance of a joint from the undisturbed path")
@@ -270,24 +260,16 @@ METHOD = (
 
 @dataclass(frozen=True)
 class Reactions(Study[Reaction]):
-    """The reactive benchmark: each policy on all arms in all scenes, under each of `DISTURBANCES`.
-
-    Attributes:
-        arms: names of arms.
-        scenes: names of scenes.
-        seeds: number of seeds, starting at 0.
-        policies: names of `COMPARED`.
-        user_files: arms and scenes from files, by their names; see `Comparison.user_files`.
-    """
+    """The reactive benchmark: each policy on all arms in all scenes, under each of `DISTURBANCES`."""
 
     name, kind = "reactions", Reaction
     run, failed = staticmethod(run_reactions), staticmethod(failed_reactions)
 
-    arms: Sequence[str]
+    arms: Sequence[str]  # names
     scenes: Sequence[str]
-    seeds: int
-    policies: Sequence[str] = tuple(COMPARED)
-    user_files: UserFiles = ()
+    seeds: int  # number of them, starting at 0
+    policies: Sequence[str] = tuple(COMPARED)  # names of `COMPARED`
+    user_files: UserFiles = ()  # arms and scenes from files, by their names; see `Comparison.user_files`
 
     def __post_init__(self) -> None:
         check_fields(self, as_count, "seeds")
