@@ -145,7 +145,8 @@ class RiemannianTraining(Training[RiemannianOptions]):
         """One step, or none where it is rejected."""
         options = self.options
         due = self.epoch - self._checked_at >= options.stability_interval
-        if self.arrived(before) and (not options.certified or self._proved(before, search=due)):
+        proof = self._certificate if due else self._learned_certificate
+        if self.arrived(before) and (not options.certified or proof(before).valid):
             return before, StopReason.CONVERGED
         if self.epoch >= end:
             return before, StopReason.EPOCHS_SPENT
@@ -212,10 +213,6 @@ class RiemannianTraining(Training[RiemannianOptions]):
                 length = min(0.3 * (value - _BARRIER), 0.1) / max(slope, 0.3)
                 step, log_scale = step - length * neutral, log_scale - length * in_log_scale
         return self._moved(now, step, log_scale, nearby)
-
-    def _proved(self, now: Iterate, *, search: bool) -> bool:
-        """Whether the learned diagonal certifies the weights, or with ``search`` any that is found."""
-        return self._learned_certificate(now).valid or (search and self._certificate(now).valid)
 
     def _learned_certificate(self, now: Iterate) -> Certificate:
         weight, rates = rotational_weight(now.point), {"gamma": self.problem.gamma, "mu": self.problem.mu}

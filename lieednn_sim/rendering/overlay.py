@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import field
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -52,11 +53,15 @@ class Overlay:
 
     def draw(self, scene: mujoco.MjvScene, k: int) -> None:
         """Add the planned frames of sample ``k`` to a scene."""
-        axis_length = 0.22  # at full size [m]
-        for frame in self.planned_frames[k]:
-            for axis, rgba in enumerate(_AXIS_COLOURS):
-                tip = frame[:3, 3] + self.scale * axis_length * frame[:3, axis]
-                _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, 0.007 * self.scale, frame[:3, 3], tip, rgba)
+        arrow, length, width = mujoco.mjtGeom.mjGEOM_ARROW, 0.22 * self.scale, 0.007 * self.scale
+        for frame, (axis, rgba) in product(self.planned_frames[k], enumerate(_AXIS_COLOURS)):
+            if scene.ngeom < scene.maxgeom:
+                geom = scene.geoms[scene.ngeom]
+                mujoco.mjv_initGeom(geom, arrow, _NOWHERE, _NOWHERE, _UPRIGHT, rgba)
+                mujoco.mjv_connector(geom, arrow, width, frame[:3, 3], frame[:3, 3] + length * frame[:3, axis])
+                geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # no shadows
+                geom.emission = 0.3
+                scene.ngeom += 1
 
     def paths(self, seen: Callable[[Floats], tuple[Floats, NDArray[np.bool_]]], k: int, height: int) -> list[Line]:
         """The planned path, and those travelled up to sample ``k``, as lines of a picture.
@@ -70,19 +75,6 @@ class Overlay:
             some = np.unique(np.linspace(0, len(way) - 1, 151, dtype=int))
             lines.append((*seen(way[some]), max(width * height, 1.5), colour))
         return lines
-
-
-def _connect(
-    scene: mujoco.MjvScene, kind: mujoco.mjtGeom, width: float, a: Floats, b: Floats, rgba: NDArray[np.float32]
-) -> None:
-    if scene.ngeom >= scene.maxgeom:
-        return
-    geom = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(geom, kind, _NOWHERE, _NOWHERE, _UPRIGHT, rgba)
-    mujoco.mjv_connector(geom, kind, width, a, b)
-    geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # no shadows
-    geom.emission = 0.3
-    scene.ngeom += 1
 
 
 # White on a dark, semi-transparent panel, which is readable on any background.
