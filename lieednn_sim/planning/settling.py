@@ -126,6 +126,7 @@ class _LeastEnergy:
     def __init__(self, arm: Arm, curve: TimedCurve, others: list[Arm], modes: tuple[Mode, ...]) -> None:
         self._modes = modes
         self._limits = np.concatenate([arm.velocity_limits, arm.acceleration_limits])[:, None, None]
+        # The path's own spline has denser knots, between which its third derivative jumps where a planner left corners.
         self._t, s = np.linspace(0.0, 1.0, _SAMPLES), np.linspace(0.0, 1.0, _INSTANTS)
         self._own, self._path = curve.own(self._t * curve.own.x[-1]), CubicSpline(s, curve.q(s))
         self._model = SwingModel([arm, *others], self._path)
