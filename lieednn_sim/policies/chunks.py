@@ -32,6 +32,7 @@ from lieednn_sim.planning.chunk_motion import ChunkCurve, ChunkMotion, go_over
 from lieednn_sim.planning.chunks import Finding, RefusedError, judge, read
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
 from lieednn_sim.planning.timed_path import TimedPath
+from lieednn_sim.planning.transition import EVEN
 from lieednn_sim.policies.bounds import fastest
 from lieednn_sim.policies.coded_policy import GENTLY
 from lieednn_sim.policies.making import PolicyTask
@@ -250,7 +251,7 @@ class ChunkPolicy(ReplanningPolicy):
         if not self._surroundings.places and not isinstance(bounds_of(self.arm), str):
             motion = self.course.transition
             q, qd = (part[::3] for part in motion.even[:2])
-            t = np.linspace(0.0, motion.duration, _LOOKS)
+            t = motion.duration * EVEN[::3]
             # It begins where the state is; the reference keeps within the limits.
             off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + np.abs(q - np.clip(q, *self.arm.position_limits.T))
             self._proof = ProofAhead(self.arm, t, q, qd, off)
