@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieednn_sim.arm import Arm, solve_ik
 from lieednn_sim.errors import InputError, NoSolutionError
@@ -125,7 +126,7 @@ def judge(
     beyond, far = (np.abs(mended - targets) > most for most in (LIMIT_TOLERANCE, arm.ranges))
     if far.any():  # these are named, and not a smaller one before them
         beyond, repaired = far, [kind for kind in repaired if kind != "limits"]
-    for row, joint in np.argwhere(beyond).tolist():
+    for row, joint in _where(beyond):
         note("limits", "is at", row, joint, targets[row, joint], mended[row, joint])
     speed = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
     most = np.minimum(2.0 * step * arm.acceleration_limits, speed) * step
@@ -135,13 +136,13 @@ def judge(
         most, across = most + 6.0 * np.median(bends, axis=0), np.abs(mended[2:] - mended[:-2])
         # The neighbours of an outlier are bent half as much.
         largest = np.maximum(bends, np.maximum(np.roll(bends, 1, axis=0), np.roll(bends, -1, axis=0)))
-        for row, joint in np.argwhere((bends > most) & (2.0 * across < bends) & (bends > 0.9 * largest)).tolist():
+        for row, joint in _where((bends > most) & (2.0 * across < bends) & (bends > 0.9 * largest)):
             note("outlier", "is off its neighbours by", row + 1, joint, 0.5 * bends[row, joint], 0.5 * most[joint])
             mended[row + 1, joint] = 0.5 * (mended[row, joint] + mended[row + 2, joint])
         steps = np.diff(mended, axis=0)
         usual = 0.5 * (np.concatenate([steps[1:], steps[-1:]]) + np.concatenate([steps[:1], steps[:-1]]))
         jumps = (np.abs(steps) > 2.0 * step * speed) & (np.abs(steps - usual) > np.maximum(most, 0.5 * np.abs(steps)))
-    for row, joint in np.argwhere(jumps).tolist():
+    for row, joint in _where(jumps):
         jump = abs(mended[row + 1, joint] - mended[row, joint])
         note("jump", "jumps by", row + 1, joint, jump, step * speed[joint])
     edges = [0, *(np.flatnonzero(jumps.any(axis=1)) + 1).tolist(), len(mended)]
@@ -156,7 +157,7 @@ def judge(
             note("jump", "begins away by", round((begin + u) / step), joint, away[joint], step * speed[joint])
     for (begin, curve), (a, b) in zip(parts, pairwise(edges), strict=False):
         off = np.abs(curve.values[: b - a] - mended[a:b])
-        for row, joint in np.argwhere(off > step * speed).tolist():
+        for row, joint in _where(off > step * speed):
             note("outlier", "is off the smooth curve by", a + row, joint, off[row, joint], step * speed[joint])
         for kind, limits, unit, (part, joint, row) in zip(
             ("speed", "acceleration"),
@@ -169,3 +170,8 @@ def judge(
                 row, limit = round((begin + row * curve.step) / step), float(limits[joint])
                 note(kind, f"is {part:.3g} times too fast, with", row, joint, part * limit, limit, unit)
     return parts, list(findings.values())
+
+
+def _where(found: NDArray[np.bool_]) -> list[list[int]]:
+    """Rows and joints where something is found, nearly always nowhere."""
+    return np.argwhere(found).tolist() if found.any() else []

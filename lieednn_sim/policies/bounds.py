@@ -65,17 +65,21 @@ class JointBounds:
         change = self.acceleration_limits * self.timestep
         lower, upper = np.maximum(-self.velocity_limits, old - change), np.minimum(self.velocity_limits, old + change)
         low, high = self.position_limits.T
-        back, ahead = -self._stopping(q - low, -old), self._stopping(high - q, old)
+        h, a, middle = self.timestep, self.acceleration_limits, q + 0.5 * self.timestep * old
+        back, ahead = -fastest(middle - low, a, h), fastest(high - middle, a, h)
         of_position = np.stack([back > lower, ahead < upper])
         lower, upper = np.clip(back, lower, upper), np.clip(ahead, lower, upper)
         return np.minimum(lower, upper), upper, of_position
 
-    def _stopping(self, distance: Floats, velocity: Floats) -> Floats:
-        """Largest velocities ``(n,)`` at the end of the step from which the distance suffices to brake."""
-        h, a = self.timestep, self.acceleration_limits
-        left = distance - 0.5 * h * velocity
-        root = np.sqrt(np.maximum((0.5 * a * h) ** 2 + 2.0 * a * left, 0.0)) - 0.5 * a * h
-        return np.where(left >= 0.0, root, 2.0 * left / h)
+
+def fastest(left: Floats, a: Floats, h: float) -> Floats:
+    """Largest velocities at the end of a step h [s] from which joints can brake before a limit by accelerations ``a``.
+
+    They are ``left`` away from it at half of the step if they stop then; beyond it they return.
+    """
+    left = np.minimum(left, 1e6)
+    root = np.sqrt(np.maximum(0.25 * h**2 + 2.0 * left / a, 0.0))
+    return 2.0 * left / np.where(left >= 0.0, 0.5 * h + root, h)
 
 
 class ApproachBounds:

@@ -32,6 +32,8 @@ from lieednn_sim.planning.chunk_motion import ChunkCurve, ChunkMotion, go_over
 from lieednn_sim.planning.chunks import Finding, RefusedError, judge, read
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
 from lieednn_sim.planning.timed_path import TimedPath
+from lieednn_sim.planning.transition import EVEN
+from lieednn_sim.policies.bounds import fastest
 from lieednn_sim.policies.coded_policy import GENTLY
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
@@ -249,7 +251,7 @@ class ChunkPolicy(ReplanningPolicy):
         if not self._surroundings.places and not isinstance(bounds_of(self.arm), str):
             motion = self.course.transition
             q, qd = (part[::3] for part in motion.even[:2])
-            t = np.linspace(0.0, motion.duration, _LOOKS)
+            t = motion.duration * EVEN[::3]
             # It begins where the state is; the reference keeps within the limits.
             off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + np.abs(q - np.clip(q, *self.arm.position_limits.T))
             self._proof = ProofAhead(self.arm, t, q, qd, off)
@@ -307,13 +309,20 @@ class ChunkPolicy(ReplanningPolicy):
         held = self.q + half * self.qd
         rate = np.minimum(np.maximum(qd + _RETURN * (inside - held - half * qd), self.qd - most), self.qd + most)
         rate = np.minimum(np.maximum(rate, -v), v)
-        low, high = self.arm.position_limits.T
-        # From where it can still brake before a limit, as of `bounds`; then it need not be held back there.
-        reach = held + rate * (2.0 * half + 0.5 * np.abs(rate) / self.arm.acceleration_limits)
+        (low, high), a, h = self.arm.position_limits.T, self.arm.acceleration_limits, self.period
+        # From where it can still brake before a limit; then it need not be held back there.
+        reach = held + rate * (h + 0.5 * np.abs(rate) / a)
         if (reach < low).any() or (reach > high).any():
-            room = np.minimum(np.maximum([held - low, high - held], 0.0), 1e6)
-            fast = 2.0 * room / (2.0 * half + np.sqrt(4.0 * half**2 + 2.0 * room / self.arm.acceleration_limits))
-            rate = np.minimum(np.maximum(rate, -fast[0]), fast[1])
+            rate = np.minimum(np.maximum(rate, -fastest(held - low, a, h)), fastest(high - held, a, h))
+        for ball in self.arm.space.balls:
+            # Half of its limits is left for staying inside while it moves along the limit.
+            ahead = held[ball] + rate[ball] * (h + np.abs(rate[ball]) / a[ball])
+            if (angle := math.hypot(*ahead)) > high[ball[0]]:
+                outward = ahead / angle
+                least = 0.5 * (a[ball] / np.maximum(np.abs(outward), 1e-9)).min()
+                excess = outward @ rate[ball] - fastest(high[ball[0]] - outward @ held[ball], least, h)
+                slower = rate[ball] - max(excess, 0.0) * outward
+                rate[ball] = np.minimum(np.maximum(slower, self.qd[ball] - most[ball]), self.qd[ball] + most[ball])
         return self._within_limits(held + half * rate), rate
 
     def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:

@@ -255,6 +255,21 @@ def test_at_limits_positions_and_rates_agree():
     assert (np.abs(q[:, :, None] - arm.position_limits) < 1e-6).any()
 
 
+@pytest.mark.parametrize(("step", "speed"), [(0.02, 1.0), (0.05, 1.0), (0.1, 0.6)])
+def test_positions_and_rates_agree_along_the_limit_of_a_ball_joint(step, speed):
+    """It goes out to its largest angle, which the chunk exceeds, while it turns about, and on along that."""
+    arm = ls.Arm.load("telescopic_compound")
+    policy, home, ball, t = ChunkPolicy(arm, feedback=None), arm.keyframe("home"), arm.space.balls[-1], np.arange(60.0)
+    policy.reset(home)
+    chunk, angle = np.tile(home, (60, 1)), step * speed * t
+    out = 1.02 * arm.position_limits[ball[0], 1] * np.minimum(t / 20.0, 1.0)
+    chunk[:, ball] = np.stack([out * np.cos(angle), out * np.sin(angle), 0.0 * t], axis=1)
+    assert policy.accept(chunk, 0.0, step).accepted
+    q, qd = np.moveaxis([policy.step(None, home) for _ in range(700)], 1, 0)
+    np.testing.assert_allclose(np.diff(q, axis=0), 0.005 * (qd[1:] + qd[:-1]), atol=1e-11)
+    assert -1e-4 < arm.limit_excess(q)[:, ball].max() < 1e-12
+
+
 def test_earlier_chunks_have_their_weight_until_they_end(gantry):
     """At 0.1 for 2 s, then at 0.3 with a weight of 0.75: 0.25 from 0.3 on at first, and 0.3 where the first ends."""
     policy = made(gantry, newest=0.75)

@@ -9,7 +9,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.errors import InputError
 from lieednn_sim.policies import FilterOptions, SafetyFilter, safety_filter
-from lieednn_sim.policies.bounds import ApproachBounds
+from lieednn_sim.policies.bounds import ApproachBounds, fastest
 
 POLES = Arm.load("telescopic_pr", "poles", 0)
 SPATIAL = Arm.load("telescopic_compound")
@@ -80,13 +80,13 @@ def test_velocities_from_which_joints_can_brake_by_hand(gantry):
     filter_ = SafetyFilter(gantry, 0.02)
     h, a = 0.02, gantry.acceleration_limits
     distance, old = np.array([0.05, 0.1, 0.02, 0.5]), np.array([0.9, -1.0, 1.2, 7.0])
-    most = filter_._stopping(distance, old)
+    most = fastest(distance - 0.5 * h * old, a, h)
     np.testing.assert_allclose(most**2 / (2.0 * a) + 0.5 * h * (old + most), distance, rtol=1e-12)
     # Where the next step leads beyond it: back to the limit within the step.
-    np.testing.assert_allclose(filter_._stopping(np.full(4, 0.001), np.full(4, 0.3)), -0.2)
+    assert fastest(0.001 - 0.01 * 0.3, 10.0, h) == pytest.approx(-0.2)
     # x brakes for its limit, y for its speed, z is at rest in the middle and turn is as fast as it may be.
     low, high, of_position = filter_._bounds(np.array([0.99, 0.0, 0.5, 0.0]), np.array([0.5, 1.9, 0.0, 8.0]))
-    at_limit = filter_._stopping(np.array([0.01] * 4), np.array([0.5] * 4))[0]
+    at_limit = fastest(0.01 - 0.01 * 0.5, 10.0, h)
     np.testing.assert_allclose(high, [max(at_limit, 0.5 - 0.2), 2.0, 0.8, 8.0])
     np.testing.assert_allclose(low, [0.3, 1.5, -0.8, 6.4])
     assert of_position.tolist() == [[False] * 4, [True, False, False, False]]
