@@ -198,14 +198,11 @@ def section(task: str, rows: Sequence[dict[str, Any]]) -> list[str]:
         elif law == LAWS[0]:
             cells.append([planner, law, f"0 of {len(cases)}", *7 * "-"])
     heads = ["planner", "law", "planned", "time [s]", "left [deg, mm]", "of a trapezoid's", "other load"]
+    heads += ["bending [mm]", "settled within 1 s", "CPU [s]"]
     each = {(row["planner"], row["case"], row["law"]): row for row in rows if not row["reason"]}
     pairs = [(row, each.get((*key[:2], "ei"))) for key, row in each.items() if key[2] == LAWS[-1]]
     ratios = [one["left"] / ei["left"] for one, ei in pairs if ei and one["time_s"] < 1.01 * ei["time_s"]]
-    lines = [
-        "",
-        f"## {TASKS[task].title}",
-        *markdown_table([*heads, "bending [mm]", "settled within 1 s", "CPU [s]"], cells),
-    ]
+    lines = ["", f"## {TASKS[task].title}", *markdown_table(heads, cells)]
     calmer = sum(ratio <= 1.0 for ratio in ratios)
     said = f"In at most EI's time, least energy leaves no more than EI in {calmer} of {len(ratios)} plans"
     return [*lines, "", f"{said}, in the median {np.median(ratios):.2g} of it."] if ratios else lines

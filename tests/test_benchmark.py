@@ -43,7 +43,7 @@ def test_every_row_is_measured_and_written(tmp_path, monkeypatch):
     assert all(f"| {row['targets']} | {row['certified']} |" in text for row in rows)
     assert text.count("| certified synthesis | ") == text.count("| shaping | ") == 1
     for parts, count in (
-        (("mj_step", "rollout"), 6),
+        (("mj_step", "rollout"), 12),
         (("simulate_many",), 1),
         (("environments at once",), 1),
         (("environment step of ",), 2 if find_spec("dm_control") else 1),
