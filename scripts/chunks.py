@@ -132,7 +132,8 @@ def judged(kind: str, seed: int) -> dict[str, float]:
 def episode(name: str, policy: str, delay: float, way: str, seed: int, folder: Path) -> dict[str, float]:
     """What one episode of a task comes to, with a chunk of its policy every `EVERY` seconds."""
     # To reach a target it has as long, whatever the delay.
-    task = make_task(name, control_timestep=PERIOD, **({"time_limit": 6.0 + delay} if name == "reach" else {}))
+    longer: dict[str, Any] = {"time_limit": 6.0 + delay} if name == "reach" else {}
+    task = make_task(name, control_timestep=PERIOD, **longer)
     task.begin(np.random.default_rng(FIRST_SEED + seed))
     arm, rng, steps, sparse = task.arm, np.random.default_rng(seed), task.steps, round(DT / PERIOD)
     goal, many = task.target(0.0), steps + H * sparse
