@@ -52,13 +52,7 @@ class Arm(ModelArm):
     import_report: ImportReport | None = None
 
     @classmethod
-    def load(
-        cls,
-        name: StrPath,
-        scene: StrPath = "free",
-        seed: Seed = 0,
-        **options: Unpack[ImportOptions],
-    ) -> Arm:
+    def load(cls, name: StrPath, scene: StrPath = "free", seed: Seed = 0, **options: Unpack[ImportOptions]) -> Arm:
         """Load an arm of the package, or of an MJCF or URDF file, with the obstacles of a scene.
 
         Args:

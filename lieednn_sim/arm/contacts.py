@@ -79,6 +79,9 @@ class ContactFinder:
         # Overridden rather than written into the geoms, whose bounding volumes were built for the old margins.
         self._model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
         self._model.opt.o_margin = margin + self._offsets.largest
+        # Trees of boxes around bodies' geoms pay where many of these do not move; else it takes up to a fifth less.
+        if model.body_geomnum[model.body_weldid == 0].sum() < 10:
+            self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
         self._data = mujoco.MjData(self._model)
         self._left: dict[tuple[int, ...], int] = {}
         self._begin, self._lack = leaving, np.zeros(0)
@@ -155,8 +158,7 @@ class ContactFinder:
 
 def moving_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Which geoms ``(ngeom,)`` belong to moving bodies, not to the world or to what is welded to it."""
-    moving: NDArray[np.bool_] = model.body_weldid[model.geom_bodyid] != 0
-    return moving
+    return np.asarray(model.body_weldid[model.geom_bodyid] != 0)
 
 
 def colliding_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:

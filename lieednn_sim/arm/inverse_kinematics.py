@@ -28,12 +28,7 @@ _ATTEMPTS, _MOST, _STEPS = 8, 32, 60  # attempts if none of them comes near a so
 
 
 def solve_ik(
-    arm: Arm,
-    position: ArrayLike,
-    rotation: Rotation | None = None,
-    *,
-    start: ArrayLike | str = "home",
-    seed: Seed = 0,
+    arm: Arm, position: ArrayLike, rotation: Rotation | None = None, *, start: ArrayLike | str = "home", seed: Seed = 0
 ) -> Floats:
     """Find a joint position, within the limits and free of contact, that puts the end effector at a pose.
 

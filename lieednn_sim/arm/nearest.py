@@ -142,7 +142,7 @@ class NearestPose:
 
     def _descend(self, q: Floats, goal: Floats, known: tuple[Floats, Floats] | None = None) -> Floats:
         """Minima ``(B, c)`` next to starts ``(B, c)`` for stacked poses ``(B, 12m)``; ``known`` as in `_approach`."""
-        q, _ = self._approach(q, goal, known=known)
+        q, _ = self._approach(q, goal, 0 if known and np.abs(known[0] - goal).max() < 1e-3 else 40, known)
         moving = np.arange(len(q))
         # If a gap remains, Gauss-Newton converges only linearly.
         for _ in range(6):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.lie import continued
-from lieednn_sim.planning.motion import Motion, check_joints, check_roughly
+from lieednn_sim.planning.clearance import check_contact
+from lieednn_sim.planning.motion import Motion, check_joints, check_limits, interpolation
 from lieednn_sim.planning.problem import PlanningProblem
 from lieednn_sim.validation import as_floats
 from lieednn_sim.values import Floats, read_only, weakly_cached
@@ -120,7 +120,7 @@ def joint_motion(
         progress: ``(K,)`` from 0 to 1.
         checked: whether limits and contact are checked.
         guiding: whether a network is to follow it, whose own motion counts: then contact is looked for at some samples,
-            and states between every fourth sample are interpolated, to a nanometre.
+            as are the limits, and states are interpolated between some, to a nanometre.
 
     Raises:
         PlanError: the motion breaks a limit of the arm.
@@ -129,10 +129,14 @@ def joint_motion(
     q, qd = (as_floats(name, value, (len(t), arm.n_joints)).copy() for name, value in (("q", q), ("qd", qd)))
     # With exact ends: rounding might miss them, and exceed a limit there.
     q[0], q[-1], qd[[0, -1]] = problem.start, problem.target, 0.0
-    if checked:
-        (check_roughly if guiding else check_joints)(arm, t, q, qd)
-    known = np.append(np.arange(0, len(t) - 1, 4 if guiding else 1), len(t) - 1)
+    if checked and not guiding:
+        check_joints(arm, t, q, qd)
+    elif checked:
+        every = max(1, (len(t) - 1) // 256)
+        check_limits(arm, t[::every], q[::every], qd[::every])
+        check_contact(arm, t[:: 8 * every], q[:: 8 * every])
+    known, all_of = interpolation(len(t), 250) if guiding else (slice(None), None)
     none, xi = np.zeros((len(q), arm.n_links)), continued(arm.encode(q[known]))
-    if guiding:
-        xi = CubicSpline(t[known], xi)(t)
+    if all_of is not None:
+        xi = (all_of @ xi.reshape(len(xi), -1)).reshape(len(t), arm.n_links, 6)
     return Motion(t, as_floats("progress", progress, (len(q),)), xi, xi[-1], q, qd, none, none.copy())

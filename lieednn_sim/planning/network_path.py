@@ -27,6 +27,7 @@ from lieednn_sim.planning.motion import (
     Motion,
     check_motion,
     count_steps,
+    interpolation,
     joint_scale,
     travelled,
     unexplained_steps,
@@ -146,11 +147,13 @@ class NetworkPath:
         strength = float(network.alpha[0].max())
         visible = CurveEncoder(network.n_visible, network.activation, strength).path(network, given.xi[0])
         w = visible.x
-        speed = PchipInterpolator(w, np.linalg.norm(visible(w, 1) * units, axis=(-2, -1)))
-        # Decoded at every third instant, and at all where they become denser.
-        some = w[(np.arange(len(w)) % 3 == 0) | ((w > 0.95) & (w < 0.9999)) | (w == w[-1])]
+        slope = np.concatenate([visible.c[2], visible(w[-1:], 1)]) * units
+        speed = PchipInterpolator(w, np.sqrt(np.einsum("kij,kij->k", slope, slope)))
+        # Decoded at every third instant, or sixth of a smooth path, and at all where they become denser.
+        bends = np.abs(np.diff(visible.c[3, : np.count_nonzero(w < 0.95) : 6], n=6, axis=0)).max()
+        some = w[(np.arange(len(w)) % (6 if bends < 5e-5 else 3) == 0) | ((w > 0.95) & (w < 0.9999)) | (w == w[-1])]
         # Both paths have about the same length; guesses are taken from some samples of the motion's.
-        known = np.append(np.arange(0, len(given.t) - 1, 4), len(given.t) - 1)
+        known, _ = interpolation(len(given.t), 500)
         passed, length = travelled(given.xi[known] * units), speed.antiderivative()(some)
         near = np.stack([np.interp(length, passed, joint) for joint in given.q[known].T], axis=1)
         joints = _through(some, arm.decode(visible(some), start=near))
@@ -162,28 +165,26 @@ class NetworkPath:
         The law maps fractions of the duration to fractions of the path's length. By default it is minimum jerk, slowed
         down where the path turns sharply.
         """
-        if law is not None:
-            return self._timed(duration, timestep, law)
-        motion = self._timed(duration, timestep, minimum_jerk_law)
-        eased = eased_law(motion, joint_scale(self.arm))
+        motion = self._timed(duration, timestep, minimum_jerk_law if law is None else law)
+        eased = eased_law(motion, joint_scale(self.arm)) if law is None else None
         return motion if eased is None else self._timed(duration, timestep, eased)
 
     def _timed(self, duration: float, timestep: float, law: Law) -> Motion:
         t = timestep * np.arange(count_steps(duration, timestep) + 1, dtype=np.float64)
-        position, rate = np.zeros_like(t), np.zeros_like(t)
+        known, all_of = interpolation(len(t), 500)
+        position, rate = np.zeros_like(t), np.zeros(len(known))
         if (speed := self.speed) is not None:
             length = speed.antiderivative()
             total = float(length(speed.x[-1]))
-            progress, progress_rate = law(t / t[-1])
-            position = _invert(length, speed, speed.x, total * progress)
-            rate = total * progress_rate / (t[-1] * np.maximum(speed(position), 1e-300))
+            progress, progress_rate = law(t[known] / t[-1])
+            position = _invert(length, speed, speed.x, total * np.clip(all_of @ progress, 0.0, 1.0))
+            rate = total * progress_rate / (t[-1] * np.maximum(speed(position[known]), 1e-300))
         states = self.states(position)
         tau, xi = (-np.log1p(-position), states) if self.universal else (position, self.network.visible(states))
-        n, values = self.arm.n_joints, self.joints(position)
-        # Copied, since checks are quicker where rows are next to each other.
-        q, gaps = values[:, :n].copy(), np.maximum(values[:, n:], 0.0)
-        qd = self.joints(position, 1)[:, :n] * rate[:, None]
+        n, values, slopes = self.arm.n_joints, self.joints(position[known]), self.joints(position[known], 1)
+        q, qd = all_of @ values[:, :n], all_of @ (slopes[:, :n] * rate[:, None])
         qd[[0, -1]] = 0.0
+        gaps = np.maximum(all_of @ values[:, n:], 0.0)
         return Motion(t, tau, xi, self.target, q, qd, *np.split(gaps, 2, axis=1))
 
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.guides import GuideOptions, followed
+from lieednn_sim.planning.motion import interpolation
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
@@ -34,6 +34,7 @@ _GUIDE = GuideOptions()
 # Of universal networks; with the second, curves have codes that are fifty times as long or as sharply bent.
 _STRENGTHS = (STRENGTH, 4000.0)
 _STRIDE = 2  # every second sample of the guide's motion is a sample of the curve
+_PIECES = 250  # of the guide's path, from whose ends the network's is so far
 
 
 @dataclass(frozen=True)
@@ -86,15 +87,15 @@ def shaped(problem: PlanningProblem, options: ShapedOptions) -> Plan:
 
 def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan) -> Plan:
     """A network shaped after a guide's motion; raises `PlanError` as `shaped`."""
-    given, arm = guide.motion, problem.arm
-    lasts = float(given.t[-1])
+    given, arm, lasts = guide.motion, problem.arm, float(guide.motion.t[-1])
     # The guide's duration, which may be longer than the problem's.
-    asked = replace(problem, duration=lasts, longest=max(lasts, problem.longest))
-    if np.abs(given.xi - given.xi[0]).max() == 0.0:
+    asked = problem if lasts == problem.duration else replace(problem, duration=lasts)
+    if np.abs(given.xi - given.xi[0]).max() < 1e-14:
         network = without_weights(given.xi_target)
         path = NetworkPath.integrate(arm, network, problem.start)
         return Plan(in_time(timed_motion, asked, path), network, ShapedDetails(0.0, 0.0), guide=guide)
-    units, start = lever_units(arm, given.q), cpu_time()
+    tips = arm.tip_in_frames(given.q[interpolation(len(given.t), _PIECES)[0]])
+    units, start = lever_units(arm, given.q, tips), cpu_time()
     network, encoded = _network(arm, options, np.concatenate([given.xi[:-1:_STRIDE], given.xi_target[None]]), units)
     fit_time = cpu_time() - start
     if encoded:
@@ -105,15 +106,12 @@ def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan
         motion = path.timed(lasts, problem.timestep, law_of(given, units))
     else:
         motion = in_time(timed_motion, asked, path, law_of(given, units))
-    some = motion.q[:: max(1, len(motion.q) // 200)]
-    deviation = _deviation(arm.tip(some), arm.tip(given.q[::_STRIDE]))
+    deviation = _deviation(arm.tip_in_frames(motion.q[interpolation(len(motion.t), _PIECES)[0]])[:, 0], tips[:, 0])
     if deviation > options.deviation:
         raise PlanError(
-            f"the end effector would be {1e3 * deviation:.2g} mm off its path, and deviation allows "
-            f"{1e3 * options.deviation:.2g} mm"
+            f"the end effector would be {1e3 * deviation:.2g} mm off its path, {1e3 * options.deviation:.2g} mm allowed"
         )
-    if fastest:
-        motion = retime(arm, motion)
+    motion = retime(arm, motion) if fastest else motion
     check_path_constraint(arm, problem.path_constraint, motion)
     return Plan(motion, path.network, ShapedDetails(deviation, fit_time), guide=guide)
 
@@ -131,22 +129,22 @@ def _network(arm: Arm, options: ShapedOptions, curve: Floats, units: Floats) -> 
     return shape(curve, 0.2 * options.deviation, units=units, options=shaping).network, False
 
 
-def lever_units(arm: Arm, q: Floats) -> Floats:
+def lever_units(arm: Arm, q: Floats, tips: Floats | None = None) -> Floats:
     """Metres ``(N, 6)`` for one unit of each network coordinate along joint positions ``(K, n)``.
 
-    For rotations, the longest lever arm from the frame of rotation to the end effector; for translations, the length
-    scale.
+    For rotations, the longest lever arm from the frame of rotation to the end effector, of which `Arm.tip_in_frames`
+    may be given; for translations, the length scale.
     """
-    some = q[:: max(1, len(q) // 50)]
-    lever = np.linalg.norm(arm.tip_in_frames(some), axis=-1).max(axis=0)
+    tips = arm.tip_in_frames(q[:: max(1, len(q) // 50)]) if tips is None else tips
+    lever = np.sqrt(np.einsum("knj,knj->kn", tips, tips).max(axis=0))
     units = np.empty((arm.n_links, 6))
     units[:, :3], units[:, 3:] = lever[:, None], arm.length_scale
     return units
 
 
 def _deviation(path: Floats, line: Floats) -> float:
-    """Largest distance of a path ``(K, 3)`` from a polyline ``(L, 3)`` [m], near its nearest vertices."""
-    _, nearest = KDTree(line, compact_nodes=False, balanced_tree=False).query(path)
+    """Largest distance of a path ``(K, 3)`` from a polyline ``(L, 3)`` [m], beside the vertex of the same time."""
+    nearest = np.linspace(0, len(line) - 1, len(path)).round().astype(int)
     off = np.full(len(path), np.inf)
     for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(line) - 2)):
         step, away = line[first + 1] - line[first], path - line[first]

@@ -70,7 +70,7 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
         TooWeakError: f0 alone is beyond a limit.
     """
     last = len(t) - 1
-    looks, fastest = some_samples(len(t)), np.abs(np.diff(qd, axis=0)).argmax(axis=0)
+    looks, fastest = np.linspace(0, last, 33).round().astype(int), np.abs(np.diff(qd, axis=0)).argmax(axis=0)
     if not _limited(arm) or _use(_along(arm, t, q, qd, np.append(np.minimum(looks, last - 1), fastest))).max() <= _NEAR:
         return None
     check_held(arm, q[looks], [f"t = {time:.2f} s" for time in t[looks]])
@@ -101,11 +101,6 @@ def least_stretch(still: Floats, damping: Floats, rest: Floats, bound: Floats | 
     spare = bound - still
     root = np.sqrt(np.maximum(damping**2 + 4.0 * spare * rest, 0.0))
     return np.where(spare > 0.0, (damping + root) / (2.0 * np.where(spare > 0.0, spare, 1.0)), 0.0)
-
-
-def some_samples(count: int) -> NDArray[np.int_]:
-    """Which of so many samples of a motion are looked at first."""
-    return np.linspace(0, count - 1, 33).round().astype(int)
 
 
 def _limited(arm: Arm) -> bool:

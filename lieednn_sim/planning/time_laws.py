@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator, make_interp_spline
+from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline, PchipInterpolator, make_interp_spline
 from scipy.ndimage import convolve1d, maximum_filter1d
 
 from lieednn_sim.arm import Arm
@@ -54,16 +54,16 @@ def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
 
 def law_of(motion: Motion, units: Floats) -> Law:
     """The law by which a motion follows its path, whose length is that of its states in ``units`` ``(N, 6)``."""
-    length = travelled(motion.xi * units)
-    s, fraction = motion.t / motion.t[-1], length / length[-1]
-    slope = np.gradient(fraction, s, edge_order=2)
-    return _through(s, fraction, np.maximum(slope, 0.0))
+    known = np.unique(np.linspace(0, len(motion.t) - 1, 251).round().astype(int))
+    length = travelled(motion.xi[known] * units)
+    return _clipped(make_interp_spline(motion.t[known] / motion.t[-1], length / length[-1], min(5, len(known) - 1)))
 
 
 def law_of_times(t: Floats, fraction: Floats) -> Law:
     """The monotonic law from rest to rest with the given fractions ``(K,)`` of the length at times ``(K,)``."""
     s = t / t[-1]
-    return _through(s, fraction, PchipInterpolator(s, fraction).derivative()(s))
+    slope = PchipInterpolator(s, fraction).derivative()(s)
+    return _clipped(CubicHermiteSpline(s, fraction, np.where((s > 0.0) & (s < 1.0), slope, 0.0)))
 
 
 def recorded_law(t: Floats, fraction: Floats) -> Law:
@@ -114,8 +114,7 @@ def eased_law(motion: Motion, units: Floats) -> Law | None:
     return law_of_times(cumulative_trapezoid(slower, s, initial=0.0), minimum_jerk_law(s)[0])
 
 
-def _through(s: Floats, fraction: Floats, slope: Floats) -> Law:
-    law = CubicHermiteSpline(s, fraction, np.where((s > 0.0) & (s < 1.0), slope, 0.0))
+def _clipped(law: CubicHermiteSpline | BSpline) -> Law:
     rate = law.derivative()
     return lambda x: (np.clip(law(x), 0.0, 1.0), np.maximum(rate(x), 0.0))
 

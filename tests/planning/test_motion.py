@@ -16,7 +16,7 @@ from lieednn_sim.errors import FileError, InputError, PlanError, TooFastError
 from lieednn_sim.lie import exp
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning import CertifiedOptions, certified, network_path, plan
-from lieednn_sim.planning.motion import Motion, check_limits, check_motion, count_steps
+from lieednn_sim.planning.motion import Motion, check_limits, check_motion, count_steps, interpolation
 from lieednn_sim.planning.network_path import RESIDUAL, NetworkPath, _invert
 from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.synthesis import synthesize, synthesize_many
@@ -366,3 +366,16 @@ def test_the_plan_is_the_candidate_with_the_smallest_gap_or_the_shortest_without
     # Candidates are ranked on rough ways, which are good to a few percent.
     best, worst = min(found.values()), max(found.values())
     assert found[id(chosen.network)] <= 1.05 * best < (0.5 if quality is _gap else 0.95) * worst
+
+
+@pytest.mark.parametrize("count", [3, 251, 2001, 1997])
+def test_samples_between_known_ones_are_on_polynomials_of_degree_five(count):
+    known, all_of = interpolation(count, 250)
+    assert (known[0], known[-1]) == (0, count - 1)
+    s = np.arange(count) / (count - 1)
+    values = np.stack([s ** min(5, len(known) - 1), np.sin(9.0 * s)], axis=1)
+    made = all_of @ values[known]
+    np.testing.assert_array_equal(made[known], values[known])
+    np.testing.assert_allclose(made[:, 0], values[:, 0], atol=1e-14)
+    if count > 3:
+        np.testing.assert_allclose(made[:, 1], values[:, 1], atol=2e-10)

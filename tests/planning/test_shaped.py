@@ -182,7 +182,14 @@ def test_the_motion_is_proved_whatever_was_seen_of_its_guide(monkeypatch):
     arm = FREE.with_scene("poles", 0)
     target = draw_target(arm, 0)
     usual = planned(arm, target)
-    monkeypatch.setattr("lieednn_sim.planning.motion.check_contact", lambda *_: None)
+    monkeypatch.setattr("lieednn_sim.planning.joint_space.check_contact", lambda *_: None)
     made = planned(arm, target)
     assert made.proved
     np.testing.assert_array_equal(made.motion.q, usual.motion.q)
+
+
+@pytest.mark.parametrize("steps", [2, 3, 7])
+def test_a_motion_of_a_few_steps_arrives(steps):
+    home = FREE.keyframe("home")
+    motion = plan(FREE, home + 1e-6, planner="lieednn-shaped", duration=0.005 * steps).motion
+    np.testing.assert_allclose(motion.q[[0, -1]], [home, home + 1e-6], atol=1e-9)
