@@ -95,8 +95,19 @@ fresh() {
     return 1
 }
 
+pip() { $venv/bin/python -m pip "$1" --quiet --disable-pip-version-check "${@:2}"; }
 # Python compiles what is imported.
-pip_install() { $venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile "$@"; }
+pip_install() { pip install --no-compile "$@"; }
+
+# fontTools without its compiled parts, with which nothing here would be faster; where it cannot be had, pip takes all.
+small_fonttools() {
+    local wheels
+    wheels=$(mktemp -d)
+    if pip download --no-deps --only-binary=:all: --platform any --dest "$wheels" fonttools 2>/dev/null; then
+        pip_install --no-deps "$wheels"/*.whl || true
+    fi
+    rm -rf "$wheels"
+}
 
 wrong=
 if [ -e $venv ] || [ -L $venv ]; then
@@ -112,14 +123,19 @@ now=$(digest)
 if ! fresh; then
     was=$(ls $venv/.lieednn-sim-* 2>/dev/null || true)
     say "Installing lieednn_sim with the extras $extras into $venv; the first time this takes some minutes"
-    # Dependency groups came with pip 25.1. Later releases of the film's encoder have twice its size.
+    if [ -z "$was" ]; then small_fonttools; fi
+    # Dependency groups came with pip 25.1. Later releases of the film's encoder and of zstandard have twice their size.
     if ! { { [ -z "$group" ] || pip_install 'pip>=25.1'; } &&
-        pip_install --editable ".[$extras]" $group 'imageio-ffmpeg<0.8'; }; then
+        pip_install --editable ".[$extras]" $group 'imageio-ffmpeg<0.8' 'zstandard<0.22; python_version < "3.12"'; }; then
         if [ -n "$was" ]; then
             die "pip could not bring $venv up to date with pyproject.toml (its reason is above); without a network," \
                 "try again later, or run what is there, as it is: $venv/bin/lieednn-sim"
         fi
         die "pip could not install lieednn_sim (its reason is above); the first time it needs the network"
     fi
+    # What making the environment compiled, of pip itself.
+    if ours; then
+        find $venv/lib/*/site-packages/{pip,setuptools,pkg_resources}/ -name __pycache__ -prune -exec rm -rf {} + || true
+    fi 2>/dev/null
     printf '%s\n' "$now" >$venv/.lieednn-sim-"$wanted"
 fi

@@ -47,9 +47,7 @@ class SequencePart:
         """Return what is done and what is proved."""
         if self.plan is None:
             return "controls"
-        network = self.plan.network
-        proof = "no network, no proof" if network is None else str(network.certificate)
-        return f"{self.plan.planner}: {proof}"
+        return f"{self.plan.planner}: {self.plan.proof}"
 
 
 @frozen
