@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from lieednn_sim.arm.serial_arm import SerialArm
 
 _DEPTH = 5e-4  # how much further than at the start the held body may sink into what it stands on [m]
+# How far from a hand what it holds may be: [m], and as a fraction of the hand's distance from its base.
+_NEAR, _NEAR_OF_ALL = 0.1, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,16 +46,22 @@ class Grasp:
 
 
 def find_grasp(
-    model: mujoco.MjModel, qpos: Floats, tip: BodyFrames, holding: str, touching: Sequence[str], clearance: float
+    model: mujoco.MjModel,
+    qpos: Floats,
+    tip: BodyFrames,
+    holding: str,
+    touching: Sequence[str],
+    clearance: float,
+    tied: bool,
 ) -> Grasp:
     """The grasp of the free body called ``holding`` at its present pose, where the model is at ``qpos`` ``(nq,)``.
 
     The held body may touch what it is nearer to than the clearance [m] now, and the bodies called as in ``touching``,
     such as where it is put, but sink into them no deeper than now. What carries it may touch it, and so may other parts
-    of the arm that are that near now.
+    of the arm that are that near now. It must be near the hand, unless it is ``tied`` to it.
 
     Raises:
-        InputError: there is no such free body, it carries the arm, or there is no body to touch.
+        InputError: there is no such free body, it carries the arm, it is not near, or there is no body to touch.
     """
     free = {model.body(model.jnt_bodyid[j]).name: j for j in np.flatnonzero(model.jnt_type == FREE).tolist()}
     if holding not in free:
@@ -82,6 +90,16 @@ def find_grasp(
         for pair in product(np.flatnonzero(mine & solid).tolist(), np.flatnonzero(others & solid).tolist()):
             offsets.setdefault(pair, offset)
     (place,), (turn,) = tip.poses(data.xpos, data.xmat)
+    # Between the spheres around geoms; the end effector's frame may be between fingers.
+    ends, sizes = np.vstack([place, data.geom_xpos[hand]]), np.append(0.0, model.geom_rbound[hand])
+    gaps = np.linalg.norm(ends[:, None] - data.geom_xpos[mine], axis=-1) - sizes[:, None] - model.geom_rbound[mine]
+    away = gaps.min(initial=np.linalg.norm(data.xpos[body] - place))
+    near = max(_NEAR, _NEAR_OF_ALL * np.linalg.norm(place - data.xpos[root]))
+    if away > near and not tied:
+        raise InputError(
+            f"{quoted(holding)} is {away:.3g} m from the hand, which can hold what is at most {near:.3g} m away: "
+            "move the hand there first, in a sequence by a Move before this one"
+        )
     turned = scipy.spatial.transform.Rotation.from_matrix(turn.T @ data.xmat[body].reshape(3, 3))
     pose = scipy.spatial.transform.RigidTransform.from_components(turn.T @ (data.xpos[body] - place), turned)
     addresses = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])

@@ -80,7 +80,7 @@ class ModelArm(SerialArm):
         view = read_view(own, data, name=more["name"], **named)
         made = {name: view.fields[name].copy() for name in LIMITS}
         arm = cls(model=own, named=named, made=made, **view.fields, **more)
-        return arm if view.held is None else arm.holding(view.held)
+        return arm if view.held is None else arm._carrying(view.held, tied=True)
 
     def data(self) -> mujoco.MjData:
         """New data of the model: of a view of a compiled model in its state, else at ``home``."""
@@ -309,10 +309,14 @@ class ModelArm(SerialArm):
             touching: names of bodies that it may touch as well, such as those it is put on.
 
         Raises:
-            InputError: the arm is no view, or there is no such body.
+            InputError: the arm is no view, there is no such body, or it is further from the hand than 0.1 m and than a
+                tenth of the hand's distance from its base.
         """
-        grasp = find_grasp(self.model, self._require_view(), self.frames[-1:], body, touching, self.clearance)
-        return replace(self, grasp=grasp)
+        return self._carrying(body, touching)
+
+    def _carrying(self, body: str, touching: Sequence[str] = (), *, tied: bool = False) -> Self:
+        qpos, tip = self._require_view(), self.frames[-1:]
+        return replace(self, grasp=find_grasp(self.model, qpos, tip, body, touching, self.clearance, tied))
 
     def check_reachable(self, q: ArrayLike | str, what: str = "q") -> Floats:
         """Return ``q`` as `check_position` does, or raise `InputError` if contact is nearer than `clearance`."""

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
@@ -19,6 +20,7 @@ from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
 from lieednn_sim.budget import check_time, cpu_time, default_limit, one_blas_thread
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, OutOfTimeError, PlanError
 from lieednn_sim.learning.demonstrations import LearnedMotion
+from lieednn_sim.lie import transforms
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion, joint_scale, travelled
 from lieednn_sim.planning.path_constraints import KEPT_ANGLE, KEPT_DISTANCE, projected
@@ -45,7 +47,7 @@ def plan_learned(
     learned: LearnedMotion,
     *,
     start: ArrayLike | str | None = None,
-    goal: RigidTransform | None = None,
+    goal: RigidTransform | ArrayLike | None = None,
     turning: bool = True,
     duration: Duration | None = None,
     fastest: bool = False,
@@ -58,7 +60,8 @@ def plan_learned(
         learned: the motion, as of `ShapedMotion.fit` or `LearnedMotion.load`.
         start: joint position ``(n,)`` at rest [rad, m], or a keyframe's name, from which the end effector goes as it
             was learned; by default one where the recordings began.
-        goal: pose of the end effector at the end in the world; by default that of the recordings.
+        goal: pose of the end effector at the end in the world, or its position ``(3,)`` [m], with the rotation of the
+            recordings' end; by default that of the recordings.
         turning: whether the end effector turns as was recorded, if it was; else its orientation is free.
         duration: as of `plan`; by default that of the recordings, and at most three times as long.
         fastest: as of `plan`.
@@ -69,8 +72,10 @@ def plan_learned(
         NoSolutionError: the end effector cannot reach the first pose.
         PlanError: it cannot follow the others, or the motion breaks a limit of the arm.
     """
-    if goal is not None:
+    if isinstance(goal, scipy.spatial.transform.RigidTransform):
         as_floats("the translation of goal", goal.translation, (3,))
+    elif goal is not None:
+        goal = transforms(learned.goal.rotation.as_matrix(), as_floats("the position of goal", goal, (3,)))
     begin, shortest, longest = cpu_time(), *durations(float(learned.t[-1]) if duration is None else duration)
     q = None if start is None else arm.check_start(start)
     poses = learned.poses(None if q is None else arm.link_poses(q)[-1], goal)
