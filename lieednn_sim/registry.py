@@ -131,8 +131,7 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
 
     The attribute ``entries`` holds this package's own rows, and those that decorators have added, without looking for
     others. Where others may add to the kind, ``make(place, takes=...)`` is the row of an added thing and its options;
-    ``wanted`` says what such a thing must be, and ``group`` is that of packages' entry points. ``further`` is what else
-    there is, for messages.
+    ``wanted`` says what such a thing must be, ``group`` is that of packages' entry points, ``further`` for messages.
     """
 
     def __init__(
@@ -445,9 +444,7 @@ _FORMATS = {
     ),
 }
 #: File formats of other tools.
-FORMATS = Registry(
-    "format", _FORMATS, further="and of networks ONNX and C, by plan.network.to_onnx(...) and plan.network.to_c(...)"
-)
+FORMATS = Registry("format", _FORMATS, further="and of a network ONNX and C, by plan.network.to_onnx and to_c")
 
 _ALGORITHMS = {
     "literal": Entry("learning.options:TrainingOptions.literal", "as printed in the paper"),

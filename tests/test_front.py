@@ -86,7 +86,7 @@ def test_every_result_has_a_short_repr():
         assert len(repr(result)) < 700, type(result)
     x, y, z = arm.tip(planned.motion.q[-1])
     assert str(planned).splitlines() == [
-        f"lieednn-shaped: 8 joints of telescopic_pr in 2 s, end effector to ({x:.3f}, {y:.3f}, {z:.3f}) m",
+        f"lieednn-shaped: telescopic_pr in 2 s, end effector to ({x:.3f}, {y:.3f}, {z:.3f}) m",
         str(network.certificate),
         f"clearance: {planned.clearance}",
     ]

@@ -14,9 +14,8 @@ import numpy as np
 import scipy
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.checks import FREE
+from lieednn_sim.arm.checks import FREE, ancestry
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms
-from lieednn_sim.arm.frames import BodyFrames
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import rotations
 from lieednn_sim.validation import as_choice, quoted
@@ -25,6 +24,7 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
+    from lieednn_sim.arm.model_arm import ModelArm
     from lieednn_sim.arm.serial_arm import SerialArm
 
 _DEPTH = 5e-4  # how much further than at the start the held body may sink into what it stands on [m]
@@ -45,15 +45,7 @@ class Grasp:
     offsets: dict[tuple[int, int], float]
 
 
-def find_grasp(
-    model: mujoco.MjModel,
-    qpos: Floats,
-    tip: BodyFrames,
-    holding: str,
-    touching: Sequence[str],
-    clearance: float,
-    tied: bool,
-) -> Grasp:
+def find_grasp(arm: ModelArm, qpos: Floats, holding: str, touching: Sequence[str], tied: bool) -> Grasp:
     """The grasp of the free body called ``holding`` at its present pose, where the model is at ``qpos`` ``(nq,)``.
 
     The held body may touch what it is nearer to than the clearance [m] now, and the bodies called as in ``touching``,
@@ -63,6 +55,7 @@ def find_grasp(
     Raises:
         InputError: there is no such free body, it carries the arm, it is not near, or there is no body to touch.
     """
+    model, tip, clearance = arm.model, arm.frames[-1:], arm.clearance
     free = {model.body(model.jnt_bodyid[j]).name: j for j in np.flatnonzero(model.jnt_type == FREE).tolist()}
     if holding not in free:
         names = ", ".join(sorted(filter(None, free))) or "none"
@@ -91,13 +84,14 @@ def find_grasp(
             offsets.setdefault(pair, offset)
     (place,), (turn,) = tip.poses(data.xpos, data.xmat)
     # Between the spheres around geoms; the end effector's frame may be between fingers.
-    ends, sizes = np.vstack([place, data.geom_xpos[hand]]), np.append(0.0, model.geom_rbound[hand])
+    below = np.isin(model.geom_bodyid, [k for k in range(model.nbody) if carrier in ancestry(model, k)])
+    ends, sizes = np.vstack([place, data.geom_xpos[below]]), np.append(0.0, model.geom_rbound[below])
     gaps = np.linalg.norm(ends[:, None] - data.geom_xpos[mine], axis=-1) - sizes[:, None] - model.geom_rbound[mine]
     away = gaps.min(initial=np.linalg.norm(data.xpos[body] - place))
     near = max(_NEAR, _NEAR_OF_ALL * np.linalg.norm(place - data.xpos[root]))
     if away > near and not tied:
         raise InputError(
-            f"{quoted(holding)} is {away:.3g} m from the hand, which can hold what is at most {near:.3g} m away: "
+            f"{quoted(holding)} is {away:.3g} m or more from the hand, which can hold what is up to {near:.3g} m away: "
             "move the hand there first, in a sequence by a Move before this one"
         )
     turned = scipy.spatial.transform.Rotation.from_matrix(turn.T @ data.xmat[body].reshape(3, 3))

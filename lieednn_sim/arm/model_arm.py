@@ -80,7 +80,7 @@ class ModelArm(SerialArm):
         view = read_view(own, data, name=more["name"], **named)
         made = {name: view.fields[name].copy() for name in LIMITS}
         arm = cls(model=own, named=named, made=made, **view.fields, **more)
-        return arm if view.held is None else arm._carrying(view.held, tied=True)
+        return arm if view.held is None else arm.holding(view.held, tied=True)
 
     def data(self) -> mujoco.MjData:
         """New data of the model: of a view of a compiled model in its state, else at ``home``."""
@@ -298,7 +298,7 @@ class ModelArm(SerialArm):
         at = self.keyframe("home") if q is None else as_floats("q", q, (self.n_joints,), batched=True)
         return np.swapaxes(self.qvel(at[..., None, :], np.eye(self.n_joints)), -1, -2)
 
-    def holding(self, body: str, touching: Sequence[str] = ()) -> Self:
+    def holding(self, body: str, touching: Sequence[str] = (), *, tied: bool = False) -> Self:
         """This view of a model with a free body that its end effector carries, from where that is in its ``home``.
 
         The body moves with the end effector. What carries it may touch it. It keeps the clearance from all else, except
@@ -307,16 +307,13 @@ class ModelArm(SerialArm):
         Args:
             body: name of a body with a free joint.
             touching: names of bodies that it may touch as well, such as those it is put on.
+            tied: whether something else fixes it to the hand, which may then be anywhere.
 
         Raises:
-            InputError: the arm is no view, there is no such body, or it is further from the hand than 0.1 m and than a
-                tenth of the hand's distance from its base.
+            InputError: the arm is no view, or there is no such body at the hand: up to 0.1 m away, or a tenth of the
+                hand's distance from its base.
         """
-        return self._carrying(body, touching)
-
-    def _carrying(self, body: str, touching: Sequence[str] = (), *, tied: bool = False) -> Self:
-        qpos, tip = self._require_view(), self.frames[-1:]
-        return replace(self, grasp=find_grasp(self.model, qpos, tip, body, touching, self.clearance, tied))
+        return replace(self, grasp=find_grasp(self, self._require_view(), body, touching, tied))
 
     def check_reachable(self, q: ArrayLike | str, what: str = "q") -> Floats:
         """Return ``q`` as `check_position` does, or raise `InputError` if contact is nearer than `clearance`."""

@@ -72,15 +72,16 @@ def plan_learned(
         NoSolutionError: the end effector cannot reach the first pose.
         PlanError: it cannot follow the others, or the motion breaks a limit of the arm.
     """
-    if isinstance(goal, scipy.spatial.transform.RigidTransform):
-        as_floats("the translation of goal", goal.translation, (3,))
-    elif goal is not None:
+    if not (goal is None or isinstance(goal, scipy.spatial.transform.RigidTransform)):
         goal = transforms(learned.goal.rotation.as_matrix(), as_floats("the position of goal", goal, (3,)))
     begin, shortest, longest = cpu_time(), *durations(float(learned.t[-1]) if duration is None else duration)
     q = None if start is None else arm.check_start(start)
     poses = learned.poses(None if q is None else arm.link_poses(q)[-1], goal)
     turning = turning and learned.dof == 6
-    regions = [_region(pose, turning) for pose in poses]
+    if turning:
+        regions = [TaskSpaceRegion(pose, np.zeros(6), np.zeros(6)) for pose in poses]
+    else:  # all poses at their places
+        regions = [TaskSpaceRegion.box(place, place) for place in poses.translation]
     refusal = ""
     with default_limit(), one_blas_thread():
         for first in _starts(arm, regions[0], seed) if q is None else [q]:
@@ -101,13 +102,6 @@ def plan_learned(
             result = replace(result, motion=motion, target=path[-1], planner="lieednn-shaped", cpu_time=spent)
             return replace(result, arm=arm, leaves=leaves)
     raise PlanError(f"the arm cannot do the learned motion: {refusal}; {_REMEDY}")
-
-
-def _region(pose: RigidTransform, turning: bool) -> TaskSpaceRegion:
-    """The learned pose, or all poses at its place."""
-    if turning:
-        return TaskSpaceRegion(pose, np.zeros(6), np.zeros(6))
-    return TaskSpaceRegion.box(pose.translation, pose.translation)
 
 
 def _starts(arm: Arm, region: TaskSpaceRegion, seed: Seed) -> list[Floats]:

@@ -120,22 +120,20 @@ class Plan:
     @property
     def proof(self) -> str:
         """What its network's certificate says, in a few words."""
-        return "no network, no proof" if self.network is None else str(self.network.certificate)
+        if self.network is None:
+            return "no network, no proof"
+        return "not certified" if self.network.certificate is None else str(self.network.certificate)
 
     def __repr__(self) -> str:
-        return f"<Plan by {self._moved}, {'no network' if self.network is None else repr(self.network)}>"
+        return f"<Plan by {self.planner or 'a planner'}: {self.motion!r}, {self.network!r}>"
 
     def __str__(self) -> str:
         """Return what moves, how long and whereto, what is proved of its arrival, and of its distances."""
         if self.arm is None:
-            return f"{self._moved}\n{self.proof}"
+            return repr(self)
         tip = ", ".join(f"{value:.3f}" for value in self.arm.tip(self.motion.q[-1]))
-        return f"{self._moved}, end effector to ({tip}) m\n{self.proof}\nclearance: {self.clearance}"
-
-    @property
-    def _moved(self) -> str:
-        whose = "" if self.arm is None else f" of {self.arm.name}"
-        return f"{self.planner or 'a planner'}: {self.motion.q.shape[1]} joints{whose} in {self.t[-1]:g} s"
+        moved = f"{self.planner}: {self.arm.name} in {self.t[-1]:g} s, end effector to ({tip}) m"
+        return f"{moved}\n{self.proof}\nclearance: {self.clearance}"
 
     @property
     def t(self) -> Floats:
