@@ -405,7 +405,7 @@ _ARMS = {
     "telescopic_rrp": Entry(help="three links that turn twice and slide"),
 }
 #: The arms of the package; each is a folder of that name with a scene.xml in ``assets/mjcf``.
-ARMS = Registry("arm", _ARMS)
+ARMS = Registry("arm", _ARMS, further="or the path of an MJCF or URDF file")
 #: Those that studies take by default, which are alike.
 DEFAULT_ARMS = ("telescopic_compound", "telescopic_pr", "telescopic_rrp")
 

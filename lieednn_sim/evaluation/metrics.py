@@ -124,12 +124,11 @@ class FollowingErrors:
     settling_s: tuple[float | None, ...]
 
     def __str__(self) -> str:
-        """Return the delay, the errors, and how long the arm took after each jump, in one line."""
         lag = "the target does not move" if self.lag_s is None else f"{1e3 * self.lag_s:.3g} ms behind the target"
         off = f"end effector {rounded(self.rms_mm)} mm and {rounded(self.rms_deg)} degrees off (RMS)"
         worst = f"a link at most {rounded(self.worst_mm)} mm and {rounded(self.worst_deg)} degrees"
-        waits = ["does not" if wait is None else f"{wait:.2f} s" for wait in self.settling_s]
-        return f"{lag}, {off}, {worst}" + (f", settles after jumps: {', '.join(waits)}" if waits else "")
+        waits = ", ".join("never" if wait is None else f"in {wait:.2f} s" for wait in self.settling_s)
+        return f"{lag}, {off}, {worst}" + (f", settles after its jumps: {waits}" if waits else "")
 
 
 def evaluate_following(following: Following) -> FollowingErrors:

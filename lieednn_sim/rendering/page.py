@@ -97,7 +97,7 @@ def render_page(rollout: Rollout, path: StrPath, *, camera: str | None = None, t
     shown = KEY[: 2 + bool(PassiveJoints(rollout.arm).bodies.any())]
     texts += [f'<i style="background:rgb{colour}"></i>{word} path' for colour, word in shown]
     page = player(
-        recording.base64,
+        base64.b64encode(recording.content).decode("ascii"),
         title=f"{title or 'Motion'} on {place}",
         style=_STYLE.replace("RATIO", f"{recording.ratio:.3f}"),
         header="<header>" + "".join(f"<span>{text}</span>" for text in texts) + "</header>",
@@ -106,20 +106,10 @@ def render_page(rollout: Rollout, path: StrPath, *, camera: str | None = None, t
 
 
 class Recording(NamedTuple):
-    """Motions for viser's player.
+    """Motions for viser's player."""
 
-    Attributes:
-        content: the recording, a ``.viser`` file.
-        ratio: least width / height of the picture in which all is seen, 1 to 16/9.
-    """
-
-    content: bytes
-    ratio: float
-
-    @property
-    def base64(self) -> str:
-        """The content as text, for `player`."""
-        return base64.b64encode(self.content).decode("ascii")
+    content: bytes  # the recording, a ``.viser`` file
+    ratio: float  # least width / height of the picture in which all is seen, 1 to 16/9
 
 
 def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: str | None = None) -> Recording:
