@@ -5,6 +5,7 @@
 # PYTHON=... chooses the interpreter. A .venv that this script did not make is used when it can be, and never removed.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
+. scripts/debian.sh
 
 wanted=${1:-demo}
 venv=.venv
@@ -17,7 +18,6 @@ if [ "$wanted" = dev ]; then
 fi
 if [ -n "${PYTHON:-}" ]; then pythons=("$PYTHON"); else pythons=(python3.11 python3.12 python3.13 python3 python); fi
 
-say() { printf '%s\n' "$*" >&2; }
 die() { say "error: $*"; exit 1; }
 
 supported() { "$1" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' >/dev/null 2>&1; }
@@ -60,11 +60,7 @@ make_venv() {
             "$(/usr/bin/python3 -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null || echo 0.0)"; then
             package=python3-venv
         fi
-        if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
-            say "Installing $package"
-            apt-get update -qq >&2 || true
-            DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends "$package" >/dev/null || true
-        fi
+        install_packages "what makes virtual environments" "$package"
         can_make_venv "$python" || die "$python cannot make virtual environments: apt-get install $package"
     fi
     say "Making $venv with $("$python" --version 2>&1)"

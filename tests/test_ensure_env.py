@@ -66,7 +66,7 @@ class Checkout:
 @pytest.fixture
 def checkout(tmp_path):
     path, python = tmp_path / "check out", tmp_path / "a python" / "python"
-    for name in ("scripts/ensure_env.sh", "pyproject.toml"):
+    for name in ("scripts/ensure_env.sh", "scripts/debian.sh", "pyproject.toml"):
         (path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, path / name)
     made = Checkout(path, python, tmp_path / "log", tmp_path / "offline")

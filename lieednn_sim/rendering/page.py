@@ -97,7 +97,7 @@ def render_page(rollout: Rollout, path: StrPath, *, camera: str | None = None, t
     shown = KEY[: 2 + bool(PassiveJoints(rollout.arm).bodies.any())]
     texts += [f'<i style="background:rgb{colour}"></i>{word} path' for colour, word in shown]
     page = player(
-        base64.b64encode(recording.content).decode("ascii"),
+        recording.base64,
         title=f"{title or 'Motion'} on {place}",
         style=_STYLE.replace("RATIO", f"{recording.ratio:.3f}"),
         header="<header>" + "".join(f"<span>{text}</span>" for text in texts) + "</header>",
@@ -110,6 +110,11 @@ class Recording(NamedTuple):
 
     content: bytes  # the recording, a ``.viser`` file
     ratio: float  # least width / height of the picture in which all is seen, 1 to 16/9
+
+    @property
+    def base64(self) -> str:
+        """The content as text, for `player`."""
+        return base64.b64encode(self.content).decode("ascii")
 
 
 def record(rollouts: Sequence[Rollout], labels: Sequence[str] = (), *, camera: str | None = None) -> Recording:
