@@ -120,15 +120,12 @@ class Plan:
     @property
     def proof(self) -> str:
         """What its network's certificate says, in a few words."""
-        if self.network is None:
-            return "no network, no proof"
-        return "not certified" if self.network.certificate is None else str(self.network.certificate)
+        return "no network, no proof" if self.network is None else str(self.network.certificate or "not certified")
 
     def __repr__(self) -> str:
         return f"<Plan by {self.planner or 'a planner'}: {self.motion!r}, {self.network!r}>"
 
     def __str__(self) -> str:
-        """Return what moves, how long and whereto, what is proved of its arrival, and of its distances."""
         if self.arm is None:
             return repr(self)
         tip = ", ".join(f"{value:.3f}" for value in self.arm.tip(self.motion.q[-1]))

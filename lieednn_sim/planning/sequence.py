@@ -44,7 +44,6 @@ class SequencePart:
     plan: Plan | None = None
 
     def __str__(self) -> str:
-        """Return what is done and what is proved."""
         if self.plan is None:
             return "controls"
         return f"{self.plan.planner}: {self.plan.proof}"

@@ -44,8 +44,7 @@ class Preset(NamedTuple):
     samples: int
 
 
-# What moves by less than this between two frames [m, rad] is not rendered again, which takes nearly all of the time.
-_STILL = 1e-5
+_STILL = 1e-5  # what moves by less between frames [m, rad] is not rendered again, which takes nearly all of the time
 _MAX_RATE = 1000.0  # frames per second: more is probably a mistake
 _MAX_WIDTH, _MAX_HEIGHT = 3840, 2160  # 4K [pixels]
 #: Rendering presets by name.
