@@ -24,7 +24,6 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-    from lieednn_sim.arm.model_arm import ModelArm
     from lieednn_sim.arm.serial_arm import SerialArm
 
 _DEPTH = 5e-4  # how much further than at the start the held body may sink into what it stands on [m]
@@ -44,7 +43,9 @@ class Grasp:
     offsets: dict[tuple[int, int], float]
 
 
-def find_grasp(arm: ModelArm, qpos: Floats, holding: str, touching: Sequence[str], tied: bool) -> Grasp:
+def find_grasp(
+    arm: SerialArm, qpos: Floats, holding: str, touching: Sequence[str], clearance: float, tied: bool
+) -> Grasp:
     """The grasp of the free body called ``holding`` at its present pose, where the model is at ``qpos`` ``(nq,)``.
 
     The held body may touch what it is nearer to than the clearance [m] now, and the bodies called as in ``touching``,
@@ -54,7 +55,7 @@ def find_grasp(arm: ModelArm, qpos: Floats, holding: str, touching: Sequence[str
     Raises:
         InputError: there is no such free body, it carries the arm, it is not near, or there is no body to touch.
     """
-    model, tip, clearance = arm.model, arm.frames[-1:], arm.clearance
+    model, tip = arm.model, arm.frames[-1:]
     free = {model.body(model.jnt_bodyid[j]).name: j for j in np.flatnonzero(model.jnt_type == FREE).tolist()}
     if holding not in free:
         names = ", ".join(sorted(filter(None, free))) or "none"

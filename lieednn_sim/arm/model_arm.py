@@ -313,7 +313,7 @@ class ModelArm(SerialArm):
             InputError: the arm is no view, or there is no such body at the hand: up to 0.1 m away, or a tenth of the
                 hand's distance from its base.
         """
-        return replace(self, grasp=find_grasp(self, self._require_view(), body, touching, tied))
+        return replace(self, grasp=find_grasp(self, self._require_view(), body, touching, self.clearance, tied))
 
     def check_reachable(self, q: ArrayLike | str, what: str = "q") -> Floats:
         """Return ``q`` as `check_position` does, or raise `InputError` if contact is nearer than `clearance`."""
