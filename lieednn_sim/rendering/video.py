@@ -224,7 +224,7 @@ def render_video(
             written: Future[None] | None = None
             shown = np.array([np.inf])
             for done, k in enumerate(samples, start=1):
-                now = np.append(rollout.qpos[k], overlay.planned_frames[k])
+                now = np.append(rollout.qpos[k], rollout.q_ref[k])
                 if np.abs(now - shown).max() > _STILL:
                     picture, shown = view.picture_at(rollout.qpos[k], functools.partial(overlay.draw, k=int(k))), now
                 paths = overlay.paths(view.seen, int(k), size[1])
