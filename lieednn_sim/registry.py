@@ -131,7 +131,7 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
 
     The attribute ``entries`` holds this package's own rows, and those that decorators have added, without looking for
     others. Where others may add to the kind, ``make(place, takes=...)`` is the row of an added thing and its options;
-    ``wanted`` says what such a thing must be, and ``group`` is that of packages' entry points.
+    ``wanted`` says what such a thing must be, ``group`` is that of packages' entry points, ``further`` for messages.
     """
 
     def __init__(
@@ -142,8 +142,10 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         make: Callable[..., _Entry] | None = None,
         wanted: str = "",
         group: str = "",
+        further: str = "",
     ) -> None:
         self.kind, self.entries = kind, entries
+        self._further = further if make is None else "or one of your own as file.py:name"
         self._make, self._wanted, self._group = make, wanted, group
         self._searched = make is None
 
@@ -165,9 +167,8 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
             given = _of_file(f"{self.kind} {name!r}", *parts.groups())
             registered = (entry for entry in self.entries.values() if entry.place is given)
             self.entries[name] = next(registered, None) or self._row(name, given)
-        if new and name not in self:
-            own = "or one of your own as file.py:name"
-            raise InputError(f"no {self.kind} {name[:80]!r}; allowed: {', '.join(sorted(self))}, {own}")
+        if self._further and isinstance(name, str) and name not in self:
+            raise InputError(f"no {self.kind} {name[:80]!r}; allowed: {', '.join(sorted(self))}, {self._further}")
         return self[as_choice(self.kind, name, self)]
 
     def register(self, name: str, options: type | None = None) -> Callable[[_Given], _Given]:
@@ -404,7 +405,7 @@ _ARMS = {
     "telescopic_rrp": Entry(help="three links that turn twice and slide"),
 }
 #: The arms of the package; each is a folder of that name with a scene.xml in ``assets/mjcf``.
-ARMS = Registry("arm", _ARMS)
+ARMS = Registry("arm", _ARMS, further="or the path of an MJCF or URDF file")
 #: Those that studies take by default, which are alike.
 DEFAULT_ARMS = ("telescopic_compound", "telescopic_pr", "telescopic_rrp")
 
@@ -443,7 +444,7 @@ _FORMATS = {
     ),
 }
 #: File formats of other tools.
-FORMATS = Registry("format", _FORMATS)
+FORMATS = Registry("format", _FORMATS, further="and of a network ONNX and C, by plan.network.to_onnx and to_c")
 
 _ALGORITHMS = {
     "literal": Entry("learning.options:TrainingOptions.literal", "as printed in the paper"),

@@ -5,6 +5,7 @@
 # PYTHON=... chooses the interpreter. A .venv that this script did not make is used when it can be, and never removed.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
+. scripts/debian.sh
 
 wanted=${1:-demo}
 venv=.venv
@@ -17,7 +18,6 @@ if [ "$wanted" = dev ]; then
 fi
 if [ -n "${PYTHON:-}" ]; then pythons=("$PYTHON"); else pythons=(python3.11 python3.12 python3.13 python3 python); fi
 
-say() { printf '%s\n' "$*" >&2; }
 die() { say "error: $*"; exit 1; }
 
 supported() { "$1" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' >/dev/null 2>&1; }
@@ -60,11 +60,7 @@ make_venv() {
             "$(/usr/bin/python3 -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null || echo 0.0)"; then
             package=python3-venv
         fi
-        if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
-            say "Installing $package"
-            apt-get update -qq >&2 || true
-            DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends "$package" >/dev/null || true
-        fi
+        install_packages "what makes virtual environments" "$package"
         can_make_venv "$python" || die "$python cannot make virtual environments: apt-get install $package"
     fi
     say "Making $venv with $("$python" --version 2>&1)"
@@ -95,8 +91,19 @@ fresh() {
     return 1
 }
 
+pip() { $venv/bin/python -m pip "$1" --quiet --disable-pip-version-check "${@:2}"; }
 # Python compiles what is imported.
-pip_install() { $venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile "$@"; }
+pip_install() { pip install --no-compile "$@"; }
+
+# fontTools without its compiled parts, with which nothing here would be faster; where it cannot be had, pip takes all.
+small_fonttools() {
+    local wheels
+    wheels=$(mktemp -d)
+    if pip download --no-deps --only-binary=:all: --platform any --dest "$wheels" fonttools 2>/dev/null; then
+        pip_install --no-deps "$wheels"/*.whl || true
+    fi
+    rm -rf "$wheels"
+}
 
 wrong=
 if [ -e $venv ] || [ -L $venv ]; then
@@ -112,14 +119,19 @@ now=$(digest)
 if ! fresh; then
     was=$(ls $venv/.lieednn-sim-* 2>/dev/null || true)
     say "Installing lieednn_sim with the extras $extras into $venv; the first time this takes some minutes"
-    # Dependency groups came with pip 25.1. Later releases of the film's encoder have twice its size.
+    if [ -z "$was" ]; then small_fonttools; fi
+    # Dependency groups came with pip 25.1. Later releases of the film's encoder and of zstandard have twice their size.
     if ! { { [ -z "$group" ] || pip_install 'pip>=25.1'; } &&
-        pip_install --editable ".[$extras]" $group 'imageio-ffmpeg<0.8'; }; then
+        pip_install --editable ".[$extras]" $group 'imageio-ffmpeg<0.8' 'zstandard<0.22; python_version < "3.12"'; }; then
         if [ -n "$was" ]; then
             die "pip could not bring $venv up to date with pyproject.toml (its reason is above); without a network," \
                 "try again later, or run what is there, as it is: $venv/bin/lieednn-sim"
         fi
         die "pip could not install lieednn_sim (its reason is above); the first time it needs the network"
     fi
+    # What making the environment compiled, of pip itself.
+    if ours; then
+        find $venv/lib/*/site-packages/{pip,setuptools,pkg_resources}/ -name __pycache__ -prune -exec rm -rf {} + || true
+    fi 2>/dev/null
     printf '%s\n' "$now" >$venv/.lieednn-sim-"$wanted"
 fi

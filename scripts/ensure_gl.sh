@@ -3,8 +3,8 @@
 # Always succeeds, because everything but rendering works without OpenGL.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
+. scripts/debian.sh
 
-say() { printf '%s\n' "$*" >&2; }
 # Prints the packages that are missing; succeeds where there is OpenGL.
 ask() {
     (.venv/bin/lieednn-sim doctor --json || true) | .venv/bin/python -c '
@@ -16,20 +16,9 @@ sys.exit(found["opengl"]["backend"] == "disable")'
 }
 
 if packages=$(ask 2>/dev/null); then exit 0; fi
-
-as_root=
-if [ "$(id -u)" != 0 ]; then
-    as_root=none
-    if command -v sudo >/dev/null && sudo -n true 2>/dev/null; then as_root="sudo -n"; fi
-fi
-
-if [ -n "$packages" ] && [ "$as_root" != none ] && command -v apt-get >/dev/null; then
-    say "Installing OpenGL for rendering without a display: $packages"
-    $as_root apt-get update -qq >&2 || true
-    # shellcheck disable=SC2086  # both are lists of words
-    $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends $packages >/dev/null || true
-    if ask >/dev/null 2>&1; then exit 0; fi
-fi
+# shellcheck disable=SC2086  # a list of words
+install_packages "OpenGL for rendering without a display" $packages
+if ask >/dev/null 2>&1; then exit 0; fi
 
 say "No rendering: going on without video."
 ask >/dev/null || true

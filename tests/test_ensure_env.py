@@ -20,7 +20,7 @@ echo "$*" >>'{log}'
 case "$*" in
     "-m venv "*) mkdir -p "$3/bin" && cp "$0" "$3/bin/python" ;;
     "-m pip --version") [ ! -e "$(dirname "$0")/no-pip" ] ;;
-    "-m pip install "*) [ ! -e '{offline}' ] ;;
+    "-m pip install "* | "-m pip download "*) [ ! -e '{offline}' ] ;;
     *) exec '{python}' -IS "$@" ;;
 esac
 """
@@ -50,13 +50,10 @@ class Checkout:
         )
 
     def installed(self) -> list[str]:
-        """What pip was asked to install by the last call."""
-        calls = self.log.read_text().splitlines()
-        return [
-            re.sub(r".*--no-compile (--editable )?", "", call).removesuffix(" imageio-ffmpeg<0.8")
-            for call in calls
-            if " install " in call
-        ]
+        """What pip was asked to install by the last call, but the wheel that it was to download, and small releases."""
+        calls = re.findall(r" install .*--no-compile (?:--editable )?(.*)", self.log.read_text())
+        small = ' imageio-ffmpeg<0.8 zstandard<0.22; python_version < "3.12"'
+        return [call.removesuffix(small) for call in calls if "*.whl" not in call]
 
     def own_environment(self) -> Path:
         """An environment as the user would make it; returns its interpreter."""
@@ -69,7 +66,7 @@ class Checkout:
 @pytest.fixture
 def checkout(tmp_path):
     path, python = tmp_path / "check out", tmp_path / "a python" / "python"
-    for name in ("scripts/ensure_env.sh", "pyproject.toml"):
+    for name in ("scripts/ensure_env.sh", "scripts/debian.sh", "pyproject.toml"):
         (path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, path / name)
     made = Checkout(path, python, tmp_path / "log", tmp_path / "offline")

@@ -73,15 +73,28 @@ def test_every_result_has_a_short_repr():
     target = arm.keyframe("extended")
     planned = ls.plan(arm, target, planner="lieednn-shaped", duration=2.0)
     network, rollout = planned.network, ls.simulate(arm, planned, hold=0.0)
-    following = ls.follow(ls.NetworkPolicy(arm, network), lambda t: target, 0.2)
+    policy = ls.NetworkPolicy(arm, network)
+    following = ls.follow(policy, lambda t: target, 0.2)
     evaluation, xi = ls.evaluate(rollout), arm.encode(target)
     trained = train(xi, TrainingOptions.tracked())
     results = [arm, planned, planned.motion, rollout, following, evaluation, ls.evaluate_following(following)]
     results += [evaluation.end_effector, network, network.certificate, network.assess(), network.robustness()]
     results += [network.equilibrium(), network.trajectory(network.start(planned.motion.xi[0]), 1.0)]
     results += [trained, trained.history, ls.synthesize(xi, bias="sign-matched"), ls.simulate_many(arm, [planned])]
+    results += [policy, ls.plan(arm, target, planner="minimum-jerk")]
     for result in results:
         assert len(repr(result)) < 700, type(result)
+    x, y, z = arm.tip(planned.motion.q[-1])
+    assert str(planned).splitlines() == [
+        f"lieednn-shaped: telescopic_pr in 2 s, end effector to ({x:.3f}, {y:.3f}, {z:.3f}) m",
+        str(network.certificate),
+        f"clearance: {planned.clearance}",
+    ]
+    assert repr(policy) == "<NetworkPolicy of telescopic_pr at 100 Hz, certified>"
+    assert str(results[-1]).splitlines()[1] == "no network, no proof"
+    following = ls.follow(policy, lambda t: (1.0 - t) * arm.keyframe("home") + t * target, 0.2)
+    errors = ls.evaluate_following(following)
+    assert str(errors).startswith(f"{1e3 * errors.lag_s:.3g} ms behind the target, end effector {errors.rms_mm:.3g} mm")
     assert repr(evaluation).startswith("<Evaluation of telescopic_pr, free, by position-servo: arrives after ")
     assert repr(network.assess()) == f"<Verdict: {str(network.assess()).splitlines()[0]}>"
     assert np.isfinite(evaluation.final_worst_mm)

@@ -14,9 +14,8 @@ import numpy as np
 import scipy
 
 from lieednn_sim._mujoco import kinematics_at, mujoco
-from lieednn_sim.arm.checks import FREE
+from lieednn_sim.arm.checks import FREE, ancestry
 from lieednn_sim.arm.contacts import ContactFinder, colliding_geoms
-from lieednn_sim.arm.frames import BodyFrames
 from lieednn_sim.errors import InputError
 from lieednn_sim.lie import rotations
 from lieednn_sim.validation import as_choice, quoted
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from lieednn_sim.arm.serial_arm import SerialArm
 
 _DEPTH = 5e-4  # how much further than at the start the held body may sink into what it stands on [m]
+_NEAR = 0.1  # how far from a hand what it holds may be [m], and as a fraction of the hand's distance from its base
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,17 +44,18 @@ class Grasp:
 
 
 def find_grasp(
-    model: mujoco.MjModel, qpos: Floats, tip: BodyFrames, holding: str, touching: Sequence[str], clearance: float
+    arm: SerialArm, qpos: Floats, holding: str, touching: Sequence[str], clearance: float, tied: bool
 ) -> Grasp:
     """The grasp of the free body called ``holding`` at its present pose, where the model is at ``qpos`` ``(nq,)``.
 
     The held body may touch what it is nearer to than the clearance [m] now, and the bodies called as in ``touching``,
     such as where it is put, but sink into them no deeper than now. What carries it may touch it, and so may other parts
-    of the arm that are that near now.
+    of the arm that are that near now. It must be near the hand, unless it is ``tied`` to it.
 
     Raises:
-        InputError: there is no such free body, it carries the arm, or there is no body to touch.
+        InputError: there is no such free body, it carries the arm, it is not near, or there is no body to touch.
     """
+    model, tip = arm.model, arm.frames[-1:]
     free = {model.body(model.jnt_bodyid[j]).name: j for j in np.flatnonzero(model.jnt_type == FREE).tolist()}
     if holding not in free:
         names = ", ".join(sorted(filter(None, free))) or "none"
@@ -82,6 +83,17 @@ def find_grasp(
         for pair in product(np.flatnonzero(mine & solid).tolist(), np.flatnonzero(others & solid).tolist()):
             offsets.setdefault(pair, offset)
     (place,), (turn,) = tip.poses(data.xpos, data.xmat)
+    # Between the spheres around geoms; the end effector's frame may be between fingers.
+    below = np.isin(model.geom_bodyid, [k for k in range(model.nbody) if carrier in ancestry(model, k)])
+    ends, sizes = np.vstack([place, data.geom_xpos[below]]), np.append(0.0, model.geom_rbound[below])
+    gaps = np.linalg.norm(ends[:, None] - data.geom_xpos[mine], axis=-1) - sizes[:, None] - model.geom_rbound[mine]
+    away = gaps.min(initial=np.linalg.norm(data.xpos[body] - place))
+    near = _NEAR * max(1.0, float(np.linalg.norm(place - data.xpos[root])))
+    if away > near and not tied:
+        raise InputError(
+            f"{quoted(holding)} is {away:.3g} m or more from the hand, which can hold what is up to {near:.3g} m away: "
+            "move the hand there first, in a sequence by a Move before this one"
+        )
     turned = scipy.spatial.transform.Rotation.from_matrix(turn.T @ data.xmat[body].reshape(3, 3))
     pose = scipy.spatial.transform.RigidTransform.from_components(turn.T @ (data.xpos[body] - place), turned)
     addresses = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])

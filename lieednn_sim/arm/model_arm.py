@@ -80,7 +80,7 @@ class ModelArm(SerialArm):
         view = read_view(own, data, name=more["name"], **named)
         made = {name: view.fields[name].copy() for name in LIMITS}
         arm = cls(model=own, named=named, made=made, **view.fields, **more)
-        return arm if view.held is None else arm.holding(view.held)
+        return arm if view.held is None else arm.holding(view.held, tied=True)
 
     def data(self) -> mujoco.MjData:
         """New data of the model: of a view of a compiled model in its state, else at ``home``."""
@@ -298,7 +298,7 @@ class ModelArm(SerialArm):
         at = self.keyframe("home") if q is None else as_floats("q", q, (self.n_joints,), batched=True)
         return np.swapaxes(self.qvel(at[..., None, :], np.eye(self.n_joints)), -1, -2)
 
-    def holding(self, body: str, touching: Sequence[str] = ()) -> Self:
+    def holding(self, body: str, touching: Sequence[str] = (), *, tied: bool = False) -> Self:
         """This view of a model with a free body that its end effector carries, from where that is in its ``home``.
 
         The body moves with the end effector. What carries it may touch it. It keeps the clearance from all else, except
@@ -307,12 +307,13 @@ class ModelArm(SerialArm):
         Args:
             body: name of a body with a free joint.
             touching: names of bodies that it may touch as well, such as those it is put on.
+            tied: whether something else fixes it to the hand, which may then be anywhere.
 
         Raises:
-            InputError: the arm is no view, or there is no such body.
+            InputError: the arm is no view, or there is no such body at the hand: up to 0.1 m away, or a tenth of the
+                hand's distance from its base.
         """
-        grasp = find_grasp(self.model, self._require_view(), self.frames[-1:], body, touching, self.clearance)
-        return replace(self, grasp=grasp)
+        return replace(self, grasp=find_grasp(self, self._require_view(), body, touching, self.clearance, tied))
 
     def check_reachable(self, q: ArrayLike | str, what: str = "q") -> Floats:
         """Return ``q`` as `check_position` does, or raise `InputError` if contact is nearer than `clearance`."""

@@ -18,7 +18,6 @@ from lieednn_sim.cli.run_directory import RunDirectory
 from lieednn_sim.errors import InputError
 from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.learning.demonstrations import LearnedMotion
-from lieednn_sim.lie import transforms
 from lieednn_sim.planning import OBSTACLE_PLANNER, Plan, default_planner, plan_learned
 from lieednn_sim.planning import plan as plan_motion
 from lieednn_sim.planning.certified import CertifiedDetails
@@ -111,7 +110,7 @@ def _plan_learned(run: RunDirectory, arm: Arm, planning: Planning) -> tuple[Plan
             if others:
                 raise InputError("--learned takes one goal, give --pose once")
         elif isinstance(goal, TaskSpaceRegion):
-            goal = transforms(learned.goal.rotation.as_matrix(), goal.lower[:3])
+            goal = goal.lower[:3]
         else:
             goal = arm.link_poses(goal)[-1]
     start = None if planning.start is None else joint_position(arm, planning.start, "start")

@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.collision import Collisions
 from lieednn_sim.evaluation.diagnosis import error_causes
+from lieednn_sim.evaluation.display import rounded
 from lieednn_sim.evaluation.evaluation import (
     SETTLED_ROTATION,
     SETTLED_TRANSLATION,
@@ -121,6 +122,13 @@ class FollowingErrors:
     worst_deg: float
     lag_s: float | None
     settling_s: tuple[float | None, ...]
+
+    def __str__(self) -> str:
+        lag = "the target does not move" if self.lag_s is None else f"{1e3 * self.lag_s:.3g} ms behind the target"
+        off = f"end effector {rounded(self.rms_mm)} mm and {rounded(self.rms_deg)} degrees off (RMS)"
+        worst = f"a link at most {rounded(self.worst_mm)} mm and {rounded(self.worst_deg)} degrees"
+        waits = ", ".join("never" if wait is None else f"in {wait:.2f} s" for wait in self.settling_s)
+        return f"{lag}, {off}, {worst}" + (f", settles after its jumps: {waits}" if waits else "")
 
 
 def evaluate_following(following: Following) -> FollowingErrors:

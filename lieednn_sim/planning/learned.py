@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
@@ -19,6 +20,7 @@ from lieednn_sim.arm import Arm, TaskSpaceRegion, ik_candidates
 from lieednn_sim.budget import check_time, cpu_time, default_limit, one_blas_thread
 from lieednn_sim.errors import LieEDNNError, NoSolutionError, OutOfTimeError, PlanError
 from lieednn_sim.learning.demonstrations import LearnedMotion
+from lieednn_sim.lie import transforms
 from lieednn_sim.planning.joint_space import joint_motion
 from lieednn_sim.planning.motion import Motion, joint_scale, travelled
 from lieednn_sim.planning.path_constraints import KEPT_ANGLE, KEPT_DISTANCE, projected
@@ -45,7 +47,7 @@ def plan_learned(
     learned: LearnedMotion,
     *,
     start: ArrayLike | str | None = None,
-    goal: RigidTransform | None = None,
+    goal: RigidTransform | ArrayLike | None = None,
     turning: bool = True,
     duration: Duration | None = None,
     fastest: bool = False,
@@ -58,7 +60,8 @@ def plan_learned(
         learned: the motion, as of `ShapedMotion.fit` or `LearnedMotion.load`.
         start: joint position ``(n,)`` at rest [rad, m], or a keyframe's name, from which the end effector goes as it
             was learned; by default one where the recordings began.
-        goal: pose of the end effector at the end in the world; by default that of the recordings.
+        goal: pose of the end effector at the end in the world, or its position ``(3,)`` [m], with the rotation of the
+            recordings' end; by default that of the recordings.
         turning: whether the end effector turns as was recorded, if it was; else its orientation is free.
         duration: as of `plan`; by default that of the recordings, and at most three times as long.
         fastest: as of `plan`.
@@ -69,13 +72,16 @@ def plan_learned(
         NoSolutionError: the end effector cannot reach the first pose.
         PlanError: it cannot follow the others, or the motion breaks a limit of the arm.
     """
-    if goal is not None:
-        as_floats("the translation of goal", goal.translation, (3,))
+    if not (goal is None or isinstance(goal, scipy.spatial.transform.RigidTransform)):
+        goal = transforms(learned.goal.rotation.as_matrix(), as_floats("the position of goal", goal, (3,)))
     begin, shortest, longest = cpu_time(), *durations(float(learned.t[-1]) if duration is None else duration)
     q = None if start is None else arm.check_start(start)
     poses = learned.poses(None if q is None else arm.link_poses(q)[-1], goal)
     turning = turning and learned.dof == 6
-    regions = [_region(pose, turning) for pose in poses]
+    if turning:
+        regions = [TaskSpaceRegion(pose, np.zeros(6), np.zeros(6)) for pose in poses]
+    else:  # all poses at their places
+        regions = [TaskSpaceRegion.box(place, place) for place in poses.translation]
     refusal = ""
     with default_limit(), one_blas_thread():
         for first in _starts(arm, regions[0], seed) if q is None else [q]:
@@ -96,13 +102,6 @@ def plan_learned(
             result = replace(result, motion=motion, target=path[-1], planner="lieednn-shaped", cpu_time=spent)
             return replace(result, arm=arm, leaves=leaves)
     raise PlanError(f"the arm cannot do the learned motion: {refusal}; {_REMEDY}")
-
-
-def _region(pose: RigidTransform, turning: bool) -> TaskSpaceRegion:
-    """The learned pose, or all poses at its place."""
-    if turning:
-        return TaskSpaceRegion(pose, np.zeros(6), np.zeros(6))
-    return TaskSpaceRegion.box(pose.translation, pose.translation)
 
 
 def _starts(arm: Arm, region: TaskSpaceRegion, seed: Seed) -> list[Floats]:

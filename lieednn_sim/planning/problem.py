@@ -118,6 +118,21 @@ class Plan:
     leaves: str = ""
 
     @property
+    def proof(self) -> str:
+        """What its network's certificate says, in a few words."""
+        return "no network, no proof" if self.network is None else str(self.network.certificate or "not certified")
+
+    def __repr__(self) -> str:
+        return f"<Plan by {self.planner or 'a planner'}: {self.motion!r}, {self.network!r}>"
+
+    def __str__(self) -> str:
+        if self.arm is None:
+            return repr(self)
+        tip = ", ".join(f"{value:.3f}" for value in self.arm.tip(self.motion.q[-1]))
+        moved = f"{self.planner}: {self.arm.name} in {self.t[-1]:g} s, end effector to ({tip}) m"
+        return f"{moved}\n{self.proof}\nclearance: {self.clearance}"
+
+    @property
     def t(self) -> Floats:
         """``(K,)`` times from 0 [s]."""
         return self.motion.t

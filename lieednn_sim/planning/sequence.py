@@ -44,12 +44,9 @@ class SequencePart:
     plan: Plan | None = None
 
     def __str__(self) -> str:
-        """Return what is done and what is proved."""
         if self.plan is None:
             return "controls"
-        network = self.plan.network
-        proof = "no network, no proof" if network is None else str(network.certificate)
-        return f"{self.plan.planner}: {proof}"
+        return f"{self.plan.planner}: {self.plan.proof}"
 
 
 @frozen

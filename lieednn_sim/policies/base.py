@@ -53,6 +53,10 @@ class Policy(ABC):
         self._max_gain = arm.acceleration_limits * self.period
         self._target: Floats | None = None
 
+    def __repr__(self) -> str:
+        proof = "certified" if self.certified else "not certified"
+        return f"<{type(self).__name__} of {self.arm.name} at {self.rate:g} Hz, {proof}>"
+
     def reset(self, q: ArrayLike | str) -> None:
         """Start again at rest from joint coordinates ``(n,)``, or from a keyframe, given by its name.
 

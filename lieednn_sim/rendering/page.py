@@ -36,14 +36,18 @@ __all__ = ["render_page"]
 _RATE = 25  # poses per second
 _WIDE = 16.0 / 9.0  # widest picture that a view is made for: width / height
 _MARGIN = 1.2  # room around what a view contains, as a factor
-# viser's player fills the window below a caption, and on narrow screens is no higher than what it shows is wide.
+# viser's player fills the window below a caption. In a narrow one it zooms out, so that all that is shown is seen.
 _STYLE = """<style>
 body { display: flex; flex-direction: column; background: #fff; color: #1c1f23; }
 header { display: flex; flex-wrap: wrap; gap: .1rem 1.2rem; padding: .55rem .9rem; font-size: .92rem; }
 header i { display: inline-block; width: 1.3em; height: .3em; margin-right: .45em; vertical-align: .18em; }
-#root { flex: 1; min-height: 0; max-height: calc(100vw / RATIO + 3rem); }
+#root { flex: 1; min-height: 0; }
 @media (prefers-color-scheme: dark) { body { background: #1a1b1e; color: #e6e8ea; } }
-</style>"""
+</style><script>setInterval(() => {
+  const eye = window.__viserMutable?.cameraControl, box = document.querySelector("#root canvas");
+  const zoom = box && Math.min(1, box.clientWidth / box.clientHeight / RATIO);
+  if (eye && zoom && Math.abs(eye.camera.zoom - zoom) > 1e-3) eye.zoomTo(zoom, false);
+}, 200)</script>"""
 
 
 def player(recording: str, *, title: str = "Motion", style: str = "", header: str = "") -> str:

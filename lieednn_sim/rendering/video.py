@@ -44,6 +44,7 @@ class Preset(NamedTuple):
     samples: int
 
 
+_STILL = 1e-5  # what moves by less between frames [m, rad] is not rendered again, which takes nearly all of the time
 _MAX_RATE = 1000.0  # frames per second: more is probably a mistake
 _MAX_WIDTH, _MAX_HEIGHT = 3840, 2160  # 4K [pixels]
 #: Rendering presets by name.
@@ -221,8 +222,11 @@ def render_video(
                 append(write_caption(draw_lines(picture, paths), words, bool(len(overlay.traced_load))))
 
             written: Future[None] | None = None
+            shown = np.array([np.inf])
             for done, k in enumerate(samples, start=1):
-                picture = view.picture_at(rollout.qpos[k], functools.partial(overlay.draw, k=int(k)))
+                now = np.append(rollout.qpos[k], rollout.q_ref[k])
+                if np.abs(now - shown).max() > _STILL:
+                    picture, shown = view.picture_at(rollout.qpos[k], functools.partial(overlay.draw, k=int(k))), now
                 paths = overlay.paths(view.seen, int(k), size[1])
                 if written is not None:
                     written.result()

@@ -76,7 +76,7 @@ def test_files_of_others_are_never_replaced(rollout, tmp_path):
 @pytest.mark.parametrize(
     ("source", "options", "message"),
     [
-        ("rollout", {"format": "xml"}, "format"),
+        ("rollout", {"format": "onnx"}, r"no format 'onnx'; allowed: csv, .*, by plan.network.to_onnx and to_c"),
         ("nowhere", {}, "is made from a rollout"),
         ({}, {}, "nothing to export"),
         ({"../out": "rollout"}, {}, "without folders"),

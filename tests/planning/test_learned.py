@@ -13,7 +13,7 @@ from scipy.interpolate import PchipInterpolator
 import lieednn_sim as ls
 from lieednn_sim import budget
 from lieednn_sim.cli import main
-from lieednn_sim.errors import FileError, NoSolutionError, OutOfTimeError, PlanError
+from lieednn_sim.errors import FileError, InputError, NoSolutionError, OutOfTimeError, PlanError
 from lieednn_sim.learning.demonstrations import Demonstration, LearnedMotion, ShapedMotion, align
 from lieednn_sim.lie import transforms
 from lieednn_sim.planning.time_laws import recorded_law
@@ -69,7 +69,8 @@ def test_the_end_effector_moves_as_was_shown(learned, turning):
 def test_from_elsewhere_to_elsewhere(learned):
     start, aside = TABLES[0][0][20], np.array([0.02, -0.03, 0.01])
     goal = transforms(learned.goal.rotation.as_matrix(), learned.goal.translation + aside)
-    plan = ls.plan_learned(ARM, learned, start=start, goal=goal, turning=False, duration=5.0)
+    # A position has the rotation that was recorded.
+    plan = ls.plan_learned(ARM, learned, start=start, goal=goal.translation.tolist(), turning=False, duration=5.0)
     np.testing.assert_allclose(plan.motion.q[0], start, atol=1e-12)
     np.testing.assert_allclose(ARM.tip(plan.motion.q[-1]), goal.translation, atol=1e-5)
     assert off(ARM, plan, learned.poses(ARM.link_poses(start)[-1], goal)) < 1e-3
@@ -90,6 +91,8 @@ def test_recordings_that_do_not_begin_at_rest_are_given_time_to():
 
 
 def test_what_cannot_be_done_says_why(learned):
+    with pytest.raises(InputError, match=r"the position of goal must have shape \(3\), got \(8\)"):
+        ls.plan_learned(ARM, learned, goal=ARM.keyframe("home"))
     far = transforms(np.eye(3), np.array([9.0, 0.0, 0.0]))
     with pytest.raises(
         NoSolutionError, match=r"at the start of the learned motion, \(.*\) m, .* give another goal or start"

@@ -143,9 +143,8 @@ def test_a_frame_shows_its_sample_and_says_its_time(gantry, monkeypatch, tmp_pat
     # Every third of a second is shown to the nearest step.
     for fps, steps, expected in ((25, 22, [0, 4, 8, 12, 16, 20]), (30, 12, [0, 3, 7, 10])):
         samples.clear()
-        assert video.render_video(make_rollout(gantry, np.zeros((steps, 4))), tmp_path / "v.mp4", fps=fps) == len(
-            expected
-        )
+        moving = make_rollout(gantry, np.linspace(np.zeros(4), np.full(4, 0.05), steps))
+        assert video.render_video(moving, tmp_path / "v.mp4", fps=fps) == len(expected)
         assert (samples, rates[-1]) == (expected, fps)
 
 

@@ -175,6 +175,21 @@ def test_in_a_browser_the_page_plays_to_its_end(rollout, browser):
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
 
 
+@pytest.mark.browser
+def test_in_a_tall_window_the_page_is_filled_and_the_arm_stays_within(address, opened):
+    """As wide a picture as one of the least width / height has, in the whole height."""
+    driver = opened(f"{address}#tall", 400, 844)
+    zoom, wide, high, ratio = driver.execute_async_script(
+        "const done = arguments[0], ratio = Number(document.head.innerHTML.match(/clientHeight . ([0-9.]+)/)[1]);"
+        "const wait = setInterval(() => { const eye = window.__viserMutable?.cameraControl;"
+        "if (!eye || eye.camera.zoom === 1) return; const box = document.querySelector('#root canvas');"
+        "clearInterval(wait); done([eye.camera.zoom, box.clientWidth, box.clientHeight, ratio]); }, 50)"
+    )
+    assert high > 500 > wide
+    assert zoom == pytest.approx(wide / high / ratio, rel=0.02)
+    assert ratio >= 1.0
+
+
 def test_legs_are_drawn_between_their_ends():
     """Of the compound arm, whose legs are tendons: from lower to upper site, where MuJoCo's kinematics has them."""
     pytest.importorskip("viser")

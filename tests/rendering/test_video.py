@@ -9,6 +9,7 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
+from rollouts import make_rollout
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import reporting
@@ -68,12 +69,13 @@ def test_the_planned_path_is_drawn_over_the_arm(arm, rollout):
 
 
 @pytest.fixture
-def encoding(rollout, tmp_path, monkeypatch):
+def encoding(arm, tmp_path, monkeypatch):
     """A function that makes a video with a function in place of the encoder; events say which pictures were rendered.
 
     Frame k is grey, of brightness k, and too small for words.
     """
     rendered = [threading.Event() for _ in range(6)]
+    moving = make_rollout(arm, arm.keyframe("home") + np.linspace(0.0, 0.1, 251)[:, None])
 
     class Pictures(contextlib.nullcontext):
         scale = 1.0
@@ -86,7 +88,7 @@ def encoding(rollout, tmp_path, monkeypatch):
             rendered[k].set()
             return np.full((90, 160, 3), k, np.uint8)
 
-    def make(append):
+    def make(append, rollout=moving):
         monkeypatch.setattr(video, "Camera", lambda *_, **__: Pictures())
         writer = contextlib.nullcontext(lambda picture: append(picture[0, 0, 0]))
         monkeypatch.setattr(video, "_writer", lambda path, *_: path.touch() or writer)
@@ -105,6 +107,14 @@ def test_a_picture_is_encoded_while_the_next_is_rendered(encoding):
 
     assert make(append) == 6
     assert written == list(range(6))
+
+
+def test_what_rests_is_not_rendered_again(encoding, arm):
+    """Two pictures of a second of motion, and one of two seconds at rest."""
+    (make, _), written = encoding, []
+    q = arm.keyframe("home") + 0.1 * np.clip(np.arange(301) / 100.0, 0.0, 1.0)[:, None]
+    assert make(written.append, make_rollout(arm, q)) == 7
+    assert written == [0, 1, 2, 2, 2, 2, 2]
 
 
 @pytest.mark.parametrize("frame", [0, 3, 5])

@@ -95,7 +95,14 @@ def test_a_run_is_physics_for_all_that_is_not_the_arms(arm):
 
 
 def test_a_can_of_the_scene_is_carried(arm):
-    held = arm.holding("can")
+    with pytest.raises(
+        ls.errors.InputError, match=r"'can' is 0\.\d+ m or more from the hand, .* up to 0\.1 m away: mov"
+    ):
+        arm.holding("can")
+    assert arm.holding("can", tied=True).grasp.carrier == arm.model.body("right/hand").id
+    near = arm.data()
+    near.joint("joint0").qpos[:3] = arm.tip(arm.keyframe("home"))
+    held = arm.at(near).holding("can")
     q = held.keyframe("home") + np.array([0.2, 0.0, 0.05])
     moved = held.qpos(q)[:3] - held.qpos(held.keyframe("home"))[:3]
     assert np.linalg.norm(moved) > 0.05

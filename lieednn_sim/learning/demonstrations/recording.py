@@ -158,9 +158,9 @@ def load_demonstrations(
     - ``.npy``: ``(K, D)`` or ``(n, K, D)`` with D = 2, 3 or 7, or 4 or 8 with the times first.
     - ``.npz``: such an array, the only one or named ``poses`` or ``positions``; optionally separate ``quaternions``
       ``(..., K, 4)``, and times ``t`` ``(K,)`` or ``(n, K)`` [s].
-    - ``.csv``, ``.txt``, ``.tsv``, ``.tum``: one demonstration, separated by commas, blanks or tabs. A first line, or a
-      comment, may name the columns x, y, z (or tx, ty, tz), qw, qx, qy, qz and t, time or timestamp in any order;
-      others are ignored, unless they may be the time. A ``.tum`` file without names has timestamp tx ty tz qx qy qz qw.
+    - ``.csv``, ``.txt``, ``.tsv``, ``.tum``: one demonstration, separated by commas, semicolons, blanks or tabs. A
+      first line, or a comment, may name the columns x, y, z (or tx, ty, tz), qw, qx, qy, qz and t, time or timestamp in
+      any order; others are ignored, unless they may be the time. Without names, a ``.tum`` file is as TUM defines it.
     - ``.mat``: the structures ``demos`` of the LASA data set, with ``pos`` ``(2, K)`` and ``t``.
 
     Args:

@@ -151,7 +151,7 @@ def _text(path: Path, layout: Layout) -> Iterator[Table]:
     if comments is None:
         raise FileError(f"{path} has no rows{', only comments' if lines else ''}")
     first = lines[comments]
-    separator = "," if "," in first else "\t" if "\t" in first else None
+    separator = next((mark for mark in ";,\t" if mark in first), None)
 
     def words(line: str) -> list[str]:
         return [name.strip(" ,\"'").lower() for name in line.strip("#% ").split(separator)]
@@ -160,9 +160,11 @@ def _text(path: Path, layout: Layout) -> Iterator[Table]:
     try:
         if not (rows := lines[comments + headed :]):
             raise ValueError("there are no rows")
+        if separator == ";":  # as spreadsheets write where the comma is the decimal sign
+            rows = [row.replace(",", ".") for row in rows]
         table = np.loadtxt(rows, delimiter=separator, ndmin=2, quotechar='"')
     except ValueError as error:
-        wanted = "must be separated by commas, blanks or tabs, with points in its numbers"
+        wanted = "must be separated by commas, blanks or tabs, with points in its numbers, or by semicolons"
         raise FileError(f"{path} {wanted}; {error}") from None
     if headed:
         names = words(first)
