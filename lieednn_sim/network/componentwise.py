@@ -140,7 +140,11 @@ class ComponentwiseNetwork(BlockNetwork):
             NotCertifiedError: the neurons that the pushes affect are not certified.
         """
         moved = np.arange(self.n_visible * self.bias.shape[1]) if pushed is None else pushed
-        return stability.robustness(self.weight, pushed=moved, **self._proved_on)
+        given, known = np.asarray(moved), self._of_weights
+        key = "robustness", given.shape, given.dtype.str, given.tobytes()
+        if key not in known:
+            known[key] = stability.robustness(self.weight, pushed=moved, **self._proved_on)
+        return known[key]
 
     def to_c(self, folder: StrPath) -> Path:
         """Write the network as C99, for a controller: ``lieednn.h`` and ``lieednn.c``, without allocation.
