@@ -141,7 +141,7 @@ class ComponentwiseNetwork(BlockNetwork):
         """
         moved = np.arange(self.n_visible * self.bias.shape[1]) if pushed is None else pushed
         given, known = np.asarray(moved), self._of_weights
-        key = "robustness", given.shape, given.dtype.str, given.tobytes()
+        key = f"robustness to {given.shape} {given.dtype} {given.tobytes().hex()}"
         if key not in known:
             known[key] = stability.robustness(self.weight, pushed=moved, **self._proved_on)
         return known[key]
