@@ -62,12 +62,14 @@ for name in ("replace", "rename", "unlink", "remove"):
 
 ROAD = """
 def walk(folder):
-    from matplotlib.figure import Figure
     from lieednn_sim.cli import main
+    from lieednn_sim.evaluation import plots
+    from lieednn_sim.studies.report import figures, page
 
-    # Layout and drawing are matplotlib's alone, and take long.
-    Figure.get_layout_engine = lambda self: None
-    Figure.savefig = lambda self, to, **_: to.write("<svg/>") if hasattr(to, "write") else to.write_bytes(b"")
+    # Figures are matplotlib's alone, and take long.
+    for what in ("network", "tracking", "joints", "clearance"):
+        setattr(plots, f"plot_{what}", lambda *given: given[-1].write_bytes(b""))
+    page.plots = lambda rows, controller: [figures.Plot(controller, "<svg/>", "")]
     demo = ["demo", "--no-video", "--output", f"{folder}/run", "--duration", "1", "--hold", "0", "--planner"]
     assert main([*demo, "linear-attractor"]) == 0
     few = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "2"]

@@ -14,6 +14,7 @@ from lieednn_sim import stability
 from lieednn_sim.errors import InputError, NotCertifiedError
 from lieednn_sim.network.base import BlockNetwork, checked_fields
 from lieednn_sim.network.exporting import write_c, write_onnx
+from lieednn_sim.stability.robustness import flat_coordinates
 from lieednn_sim.validation import as_choice, as_floats, as_positive
 from lieednn_sim.values import Floats, StrPath, frozen, read_only, set_fields
 
@@ -139,8 +140,12 @@ class ComponentwiseNetwork(BlockNetwork):
         Raises:
             NotCertifiedError: the neurons that the pushes affect are not certified.
         """
-        moved = np.arange(self.n_visible * self.bias.shape[1]) if pushed is None else pushed
-        return stability.robustness(self.weight, pushed=moved, **self._proved_on)
+        visible = np.arange(self.n_visible * self.bias.shape[1])
+        moved = visible if pushed is None else flat_coordinates("pushed", pushed, self.bias.size)
+        known, key = self._of_weights, f"robustness to {moved.tolist()}"
+        if key not in known:
+            known[key] = stability.robustness(self.weight, pushed=moved, **self._proved_on)
+        return known[key]
 
     def to_c(self, folder: StrPath) -> Path:
         """Write the network as C99, for a controller: ``lieednn.h`` and ``lieednn.c``, without allocation.

@@ -213,10 +213,10 @@ class Robustness:
     def _gains(self, pushed: ArrayLike | None, watched: ArrayLike | None) -> list[tuple[Guarantee, float]]:
         """Largest |T e| of a unit push times the largest |e_watched| of a unit |T e|, for each guarantee."""
         n = len(self.reached) + (0 if self.others is None else len(self.others.reached))
-        moved = self.pushed if pushed is None else _coordinates("pushed", pushed, n)
+        moved = self.pushed if pushed is None else flat_coordinates("pushed", pushed, n)
         if not np.isin(moved, self.pushed).all():
             raise InputError(f"pushed must name some of the coordinates {self.pushed.tolist()}, got {moved.tolist()}")
-        seen = self.pushed if watched is None else _coordinates("watched", watched, n)
+        seen = self.pushed if watched is None else flat_coordinates("watched", watched, n)
         columns, rows = np.isin(self.reached, moved), np.isin(self.reached, seen)
         norm = _spectral_norm
         # Coordinates that the push does not reach never move.
@@ -247,7 +247,7 @@ def robustness(
     """
     matrix = as_weight("weight", weight)
     n = len(matrix)
-    moved = np.arange(n) if pushed is None else _coordinates("pushed", pushed, n)
+    moved = np.arange(n) if pushed is None else flat_coordinates("pushed", pushed, n)
     reached = np.isin(np.arange(n), moved)
     while (wider := reached | matrix[:, reached].any(axis=1)).sum() > reached.sum():
         reached = wider
@@ -291,7 +291,7 @@ def robustness(
     return Robustness(moved, np.flatnonzero(reached), tuple(guarantees), others)
 
 
-def _coordinates(name: str, value: ArrayLike, n: int) -> Indices:
+def flat_coordinates(name: str, value: ArrayLike, n: int) -> Indices:
     """The flat coordinates, out of n, that a value names: ascending, each once, at least one."""
     try:
         # Looked at before it is copied.

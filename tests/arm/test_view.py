@@ -192,25 +192,24 @@ def test_where_a_loop_cannot_close_nothing_is_free():
         arm.qpos([0.9])
 
 
-RING = """<mujoco><extension><plugin plugin="mujoco.sdf.torus"><instance name="t">
-<config key="radius1" value=".2"/><config key="radius2" value=".05"/></instance></plugin></extension>
-<asset><mesh name="torus"><plugin instance="t"/></mesh></asset><worldbody>
-<geom name="ring" pos="1 0 0" type="sdf" mesh="torus"{}><plugin instance="t"/></geom>
+BLOCK = """<mujoco><asset><mesh name="block" vertex="-.25 -.2 -.2 .25 -.2 -.2 -.25 .2 -.2 .25 .2 -.2 -.25 -.2 .2
+.25 -.2 .2 -.25 .2 .2 .25 .2 .2"/></asset><worldbody>
+<geom name="block" pos="1 0 0" type="sdf" mesh="block"{}/>
 <body name="a"><joint name="out" type="slide" axis="1 0 0" range="0 1"/><geom size=".1"/></body></worldbody></mujoco>"""
 
 
 def test_geoms_of_which_no_clearance_can_be_kept_are_named():
-    told = r"keep no clearance of 'ring'"
-    model = mujoco.MjModel.from_xml_string(RING.format(""))
+    told = r"keep no clearance of 'block'"
+    model = mujoco.MjModel.from_xml_string(BLOCK.format(""))
     with pytest.warns(UserWarning, match=told) as seen:
         arm = ls.Arm.of(model, mujoco.MjData(model), ["out"], clearance=0.02)
     assert seen[0].filename == __file__
-    # MuJoCo sees it no sooner: the ball of 0.1 m comes to the ring, which begins at 0.75 m, at 0.65 m.
+    # MuJoCo sees it no sooner: the ball of 0.1 m comes to the block, which begins at 0.75 m, at 0.65 m.
     assert arm.near_contacts([0.645]) == []
     assert arm.near_contacts([0.66])
-    imported = ls.Arm.from_spec(mujoco.MjSpec.from_string(RING.format("")), floor="none")
+    imported = ls.Arm.from_spec(mujoco.MjSpec.from_string(BLOCK.format("")), floor="none")
     assert any(told in note for note in imported.import_report.notes)
-    drawn = mujoco.MjModel.from_xml_string(RING.format(' contype="0" conaffinity="0"'))
+    drawn = mujoco.MjModel.from_xml_string(BLOCK.format(' contype="0" conaffinity="0"'))
     assert ls.Arm.of(drawn, mujoco.MjData(drawn), ["out"]).notes == ()
 
 

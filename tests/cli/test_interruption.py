@@ -129,16 +129,16 @@ def test_an_ffmpeg_that_does_not_exist_is_named(run, capsys, monkeypatch):
 
 
 @pytest.mark.rendering
-def test_a_disk_that_is_full_is_one_line_with_the_name_that_was_asked_for(run, tmp_path, start):
+def test_a_disk_that_is_full_is_one_line_with_the_name_that_was_asked_for(run, tmp_path, capsys):
     film = tmp_path / "film.gif"
     words = ["render", str(run), "--size", "64x48", "--preset", "draft", "--fps", "2", "--output", str(film)]
-
-    def limited():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))
-
-    process = start("-m", "lieednn_sim", *words, preexec_fn=limited)
-    assert process.communicate()[1] == f"lieednn-sim: error: cannot write {film}: File too large\n"
-    assert process.returncode == 2
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (500, limits[1]))
+    try:
+        assert main(words) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert capsys.readouterr().err == f"lieednn-sim: error: cannot write {film}: File too large\n"
     assert list(tmp_path.iterdir()) == []
 
 

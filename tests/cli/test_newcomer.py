@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import builtins
+import signal
 import sys
 import warnings
 
@@ -33,29 +35,23 @@ def test_what_is_printed_is_no_markup(capsys):
     assert text in capsys.readouterr().err.replace("\n", " ")
 
 
-# While a module is imported a signal comes, and the module makes an error of its own of what that raises.
-IMPORTING = """
-import builtins, os, signal, sys
-from lieednn_sim.cli import main
-original = builtins.__import__
-def hook(name, *rest, **named):
-    if name == "matplotlib":
-        builtins.__import__ = original
-        try:
-            os.kill(os.getpid(), signal.SIGTERM)
-        except BaseException:
-            raise ImportError("cannot load the library") from None
-    return original(name, *rest, **named)
-builtins.__import__ = hook
-words = "demo --no-page --no-video --target random:3 --planner minimum-jerk --hold 0 --output"
-sys.exit(main([*words.split(), sys.argv[1]]))
-"""
+def test_a_signal_during_an_import_ends_the_command_cleanly(tmp_path, monkeypatch, capsys):
+    """While plots are imported a signal comes, and the module makes an error of its own of what that raises."""
+    original = builtins.__import__
 
+    def hook(name, namespace=None, local=None, wanted=(), level=0):
+        if name == "lieednn_sim.evaluation" and "plots" in (wanted or ()):
+            try:
+                signal.raise_signal(signal.SIGTERM)
+            except BaseException:
+                raise ImportError("cannot load the library") from None
+        return original(name, namespace, local, wanted, level)
 
-def test_a_signal_during_an_import_ends_the_command_cleanly(tmp_path, start):
-    process = start("-c", IMPORTING, str(tmp_path / "run"))
-    printed, message = process.communicate()
-    assert process.returncode == 143, message
+    words = "demo --no-page --no-video --target random:3 --planner minimum-jerk --hold 0 --output"
+    with monkeypatch.context() as patch:
+        patch.setattr(builtins, "__import__", hook)
+        assert main([*words.split(), str(tmp_path / "run")]) == 143
+    printed, message = capsys.readouterr()
     assert message == "lieednn-sim: interrupted; files already reported are complete\n"
     assert (tmp_path / "run" / "rollout.npz").exists()
     assert "rollout.npz" in printed

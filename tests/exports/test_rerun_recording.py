@@ -12,13 +12,22 @@ from lieednn_sim._mujoco import kinematics_at
 from lieednn_sim.arm import Arm
 from lieednn_sim.exports import export
 
-chunk = pytest.importorskip("rerun.chunk")
+
+@pytest.fixture(autouse=True)
+def installed():
+    pytest.importorskip("rerun")
+
+
+def reader(path):
+    from rerun.chunk import RrdReader  # by the worker that needs it, not by all that collect the tests
+
+    return RrdReader(path)
 
 
 def read(path):
     """The columns of each entity by name, with the unnecessary lists around single values removed."""
     found = {}
-    for part in chunk.RrdReader(path).stream():
+    for part in reader(path).stream():
         entity = found.setdefault(str(part.entity_path), {})
         batch = part.to_record_batch()
         for name, column in zip(batch.schema.names, batch.columns, strict=True):
@@ -29,7 +38,7 @@ def read(path):
 def test_the_arm_moves_and_curves_run_as_they_were_simulated(rollout, tmp_path):
     (path,) = export({"reach": rollout}, tmp_path, format="rerun", rate=20.0)
     assert path.name == "reach.rrd"
-    assert [store.recording_id for store in chunk.RrdReader(path).recordings()] == ["reach"]
+    assert [store.recording_id for store in reader(path).recordings()] == ["reach"]
     found, rows, arm = read(path), slice(None, None, 5), rollout.arm
     curve = found["/joints/lift/measured"]
     np.testing.assert_array_equal(np.ravel(curve["Scalars:scalars"]), rollout.q[rows, 1])

@@ -167,8 +167,7 @@ def test_a_network_without_rest_is_given_up():
 
 def test_lost_equilibrium_and_instability_stop_the_training_with_their_reason():
     wild = {"initial_rate": 5.0, "min_rate": 5.0, "max_rate": 5.0, "max_epochs": 500}
-    reasons = {train(target(seed), TrainingOptions(**wild), seed=seed).reason for seed in range(6)}
-    assert StopReason.LOST_EQUILIBRIUM in reasons
+    assert train(target(0), TrainingOptions(**wild), seed=0).reason is StopReason.LOST_EQUILIBRIUM
     unstable = TrainingOptions(initial_rate=0.5, min_rate=0.5, max_rate=0.5, stability_interval=10)
     results = [train(target(seed), unstable, seed=seed) for seed in range(6)]
     assert StopReason.UNSTABLE in {result.reason for result in results}

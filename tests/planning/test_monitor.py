@@ -44,9 +44,9 @@ def test_a_run_stops_at_the_first_instant_at_which_nothing_is_proved(planned):
     q, qd = made.motion.q[: last + 1], made.motion.qd[: last + 1]
     off = np.abs(run.q - q)
     steps = [slice(k, k + 2) for k in range(last)]
-    steps = [slice(0, last - 80), *steps[last - 80 :]]
+    steps = [slice(0, last - 20), *steps[last - 20 :]]
     proofs = [proved_clearance(arm, run.t[: len(q[k])], q[k], qd[k], off[k]).proved for k in steps]
-    assert proofs == [True] * 80 + [False]
+    assert proofs == [True] * 20 + [False]
     # Of the whole run, the same instant and joint are told, and it is in a stretch that is not proved.
     assert whole.outside == message
     assert evaluate(whole).proof == f"{whole.clearance}; {message}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cvxpy as cp
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,6 +14,8 @@ seeds = st.integers(0, 2**32 - 1)
 
 def largest_margin(weight, level, group_size):
     """The largest t with P W + W^T P - 2 level P <= -t I for a diagonal P of mean 1: positive if level is feasible."""
+    import cvxpy as cp  # by the worker that needs it, not by all that collect the tests
+
     n = len(weight)
     entries, margin = cp.Variable(n // group_size, nonneg=True), cp.Variable()
     diagonal = cp.diag(np.kron(np.eye(n // group_size), np.ones((group_size, 1))) @ entries)

@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lieednn_sim.cli import main
 from lieednn_sim.errors import FileError, InputError, PlanError
 from lieednn_sim.planning import find_tube, plan
 from lieednn_sim.registry import PLANNERS
-from lieednn_sim.studies import Case, Comparison, Settings, compute, run_case, write_summary
+from lieednn_sim.studies import Case, Comparison, Settings, Table, compute, run_case, write_summary
 from lieednn_sim.studies.comparison import study
 from lieednn_sim.studies.comparison.rows import BY_NAME, Row
 from lieednn_sim.studies.comparison.summary import failures
@@ -146,28 +147,15 @@ def test_the_summary_says_what_is_missing_and_what_is_proved(finished):
     assert text.rstrip().endswith("- none")
 
 
-def test_interrupting_keeps_what_is_done(tmp_path, start):
-    code = (
-        "import sys\n"
-        "from lieednn_sim.cli import main\n"
-        "from lieednn_sim.studies import Table\n"
-        "add = Table.add\n"
-        "def announcing(self, rows):\n"
-        "    add(self, rows)\n"
-        "    print('a case is done', flush=True)\n"
-        "Table.add = announcing\n"
-        "sys.exit(main())"
-    )
-    options = "--planners minimum-jerk --arms telescopic_pr --scenes free --controllers position-servo --seeds 999"
-    options += " --jobs 2 --duration 1 --hold 0"
-    process = start("-c", code, "compare", *options.split(), "--output", str(tmp_path))
-    assert process.stdout.readline() == "a case is done\n", process.stderr.read()
-    process.send_signal(signal.SIGINT)
-    # The workers hold its stderr: this returns when they are gone, too.
-    _, message = process.communicate()
-    assert process.returncode == 130
-    assert "Traceback" not in message
-    assert 0 < len(Comparison.read(tmp_path).rows) < 999
+def test_interrupting_keeps_what_is_done(tmp_path, monkeypatch, capsys):
+    """After the first case; `cli/test_interruption.py` and `test_workers.py` tell that workers are gone then, too."""
+    add = Table.add
+    monkeypatch.setattr(Table, "add", lambda self, rows: (add(self, rows), signal.raise_signal(signal.SIGINT)))
+    options = "--planners minimum-jerk --arms telescopic_pr --scenes free --controllers position-servo --seeds 9"
+    options += " --jobs 1 --duration 1 --hold 0"
+    assert main(["compare", *options.split(), "--output", str(tmp_path)]) == 130
+    assert capsys.readouterr().err.endswith("lieednn-sim: interrupted; files already reported are complete\n")
+    assert len(Comparison.read(tmp_path).rows) == 1
     assert {path.name for path in tmp_path.iterdir()} == {"comparison.sqlite", "lieednn_sim.json"}
 
 

@@ -13,8 +13,10 @@ from lieednn_sim.cli import main
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.io import load_description
 from lieednn_sim.studies import Case, Comparison, Settings, compute, replay
+from lieednn_sim.studies import study as workers
 from lieednn_sim.studies.comparison.study import Shard, merge
 from lieednn_sim.studies.rows import grouped
+from lieednn_sim.studies.study import worker_pool
 from lieednn_sim.studies.user_files import SCENE, load, resolve
 
 POST = {"shape": "box", "name": "post", "size": [0.1, 0.1, 2.0], "position": [0.0, 0.0, 1.2]}
@@ -35,7 +37,9 @@ def chosen(*arms, scenes=("free",)):
     return Comparison(("minimum-jerk",), arms, scenes, ("position-servo",), seeds=1)
 
 
-def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, capsys, undrawn):
+def test_files_go_the_whole_way_through_workers_into_table_and_page(folder, capsys, undrawn, monkeypatch):
+    # One is enough, though another number asks for workers.
+    monkeypatch.setattr(workers, "worker_pool", lambda _: worker_pool(1))
     # The arm's home is at the height of its base, where targets in the scene are hard to find above a floor.
     (folder / "post.json").write_text(json.dumps({"floor": "none", "obstacles": [POST]}))
     words = "compare --arms two.xml,two.xml:one,tool --scenes free,post.json --output out"

@@ -61,13 +61,13 @@ def test_the_shape_depends_on_the_goal(shown, learned, monkeypatch):
     kept, motion = learned
     aligned = align(shown, phase="time")
     today = ShapedMotion.fit(aligned, options=OPTIONS)
-    (ours, rival), _ = compare_models(kept, motion, rivals=["promp"], aligned=aligned, starts=20)
+    (ours, rival), _ = compare_models(kept, motion, rivals=["promp"], aligned=aligned, starts=5)
     (before,), _ = compare_models(aligned, today, rivals=[], starts=1, leave_one_out=False)
     # What it has not seen it knows far better than they know what they have.
     for error in (ours.training.dtwd_mm, ours.left_out.dtwd_mm):
         assert error < 0.1 * before.training.dtwd_mm
         assert error < 0.1 * rival.training.dtwd_mm
-    assert (ours.attraction.arrived, ours.attraction.spurious) == (20, 0)
+    assert (ours.attraction.arrived, ours.attraction.spurious) == (5, 0)
 
 
 def test_another_goal_is_reached_the_way_that_was_not_shown(learned, tmp_path):
