@@ -18,7 +18,7 @@ from lieednn_sim.values import Floats
 PERIOD, H, DT = 0.01, 16, 0.1  # control period [s]; targets of a chunk, and time between two [s]
 REFERENCES = ("raw", "low-pass", "linear blending", "Ruckig", "lieednn-chunks")
 TIME_CONSTANT, BLEND, JERK = 0.1, 0.4, 20.0  # of filter and blending [s]; of Ruckig, over the acceleration [1/s]
-EPISODES, EPOCHS = 800, {"reach": 120, "track": 30}  # that the clone sees
+EPISODES, EPOCHS = 800, {"reach": 300, "track": 30}  # that the clone sees
 
 
 class Reference:
