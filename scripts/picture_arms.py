@@ -6,6 +6,7 @@ python scripts/picture_arms.py [FILE]     # default: results/arms.jpg; needs hea
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
@@ -19,12 +20,11 @@ ALONE = ("telescopic_pr", "telescopic_rrp", "telescopic_compound")
 AMONG = (("telescopic_pr", "window", 1), ("telescopic_rrp", "shelf", 3), ("telescopic_compound", "poles", 2))
 
 
-def picture(arm: ls.Arm, q: np.ndarray, target: np.ndarray) -> np.ndarray:
-    with Camera(arm, size=SIZE, target=target) as camera:
-        return camera.picture(q).copy()
-
-
 def main(path: str = "results/arms.jpg") -> None:
+    def picture(arm: ls.Arm, q: np.ndarray, target: np.ndarray) -> np.ndarray:
+        with Camera(arm, size=SIZE, target=target) as camera:
+            return camera.picture(q).copy()
+
     above, below = [], []
     for arm in map(ls.Arm.load, ALONE):
         home, extended = arm.keyframe("home"), arm.keyframe("extended")
@@ -34,9 +34,9 @@ def main(path: str = "results/arms.jpg") -> None:
         target = ls.draw_target(arm, seed)
         motion = ls.plan(arm, target, planner="lieednn-shaped", seed=seed).motion
         below.append(picture(arm, motion.q[int(0.7 * len(motion.q))], target))
+    io.make_directory(Path(path).parent)
     with io.atomic_path(path) as temporary:
         Image.fromarray(np.vstack([np.hstack(above), np.hstack(below)])).save(temporary, quality=86)
-    print(path)
 
 
 if __name__ == "__main__":
