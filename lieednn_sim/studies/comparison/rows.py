@@ -26,23 +26,32 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Row(TableRow):
-    """A row of the table: one rollout. Measured columns are named as in `Evaluation` and `MotionMetrics`."""
+    """A row of the comparison's table: one rollout. Measured columns are named as in `Evaluation` and `MotionMetrics`.
+
+    Attributes:
+        arm, scene, planner, controller: names; together with the seed, the key of the row.
+        seed: seed of target, obstacles and planner.
+        mass_scale: true masses relative to those that the controller knows.
+        success: whether the rollout arrived without contact.
+        reason: why it did not; begins with what failed: "problem", "plan", "simulation", "contact", "arrival", or
+            "error" for a bug or a worker that died repeatedly.
+        stability: proven stability of the network: "global", "local" or "none"; "-" without a network, "" without a
+            motion.
+        stability_level: the condition that proves it.
+    """
 
     _key = ("arm", "scene", "planner", "controller", "seed")
 
-    arm: str  # its name; together with the next four, the key of the row
+    arm: str
     scene: str
     planner: str
-    controller: str  # that followed the motion
-    seed: int  # of target, obstacles and planner
-    mass_scale: float  # true masses relative to those that the controller knows
-    success: bool = outcome()  # whether the rollout arrived without contact
-    # Why it did not; begins with what failed: "problem", "plan", "simulation", "contact", "arrival", or "error" for a
-    # bug or a worker that died repeatedly.
+    controller: str
+    seed: int
+    mass_scale: float
+    success: bool = outcome()
     reason: str = ""
-    # Proven stability of the network: "global", "local" or "none"; "-" without a network, "" without a motion.
     stability: str = ""
-    stability_level: str = ""  # the condition that proves it
+    stability_level: str = ""
     planning_s: float | None = _of_motion(
         "planning [s]",
         "CPU time of the planner, stopped at its time budget; the one column that differs between runs",
