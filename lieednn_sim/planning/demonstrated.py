@@ -35,21 +35,13 @@ DEVIATION = 1e-3  # default, relative to the length of the mean
 
 @frozen
 class JointDemonstrations:
-    """Demonstrations of one motion of an arm's joints, at K equal steps of the phase.
-
-    Attributes:
-        arm: the arm.
-        t: ``(K,)`` mean time at which a phase is reached, from 0 to the mean duration [s].
-        q: ``(m, K, n)`` joint positions [rad, m].
-        units: ``(N, 6)`` metres for one unit of each network coordinate, `lever_units`.
-        goals_kept: whether each ends at its own goal; else all end at one.
-    """
+    """Demonstrations of one motion of an arm's joints, at K equal steps of the phase."""
 
     arm: Arm
-    t: Floats
-    q: Floats
-    units: Floats
-    goals_kept: bool = False
+    t: Floats  # ``(K,)`` mean time at which a phase is reached, from 0 to the mean duration [s]
+    q: Floats  # ``(m, K, n)`` joint positions [rad, m]
+    units: Floats  # ``(N, 6)`` metres for one unit of each network coordinate, `lever_units`
+    goals_kept: bool = False  # whether each ends at its own goal; else all end at one
 
     @classmethod
     def load(
@@ -142,27 +134,16 @@ class JointDemonstrations:
 
 @frozen
 class JointMotion:
-    """A shaped network of an arm's joints with the time law of the demonstrations.
+    """A shaped network of an arm's joints with the time law of the demonstrations."""
 
-    Attributes:
-        network: certified network with one visible neuron for each link of the arm.
-        arm: the arm.
-        units: as in `JointDemonstrations`.
-        goal: ``(n,)`` joint position at which the motion ends [rad, m].
-        duration: duration of the demonstrations [s].
-        law: their time law.
-        shaping: the search that found the network of their mean.
-        response: as of `ShapedMotion`, in `units`.
-    """
-
-    network: LieEDNN
+    network: LieEDNN  # certified, with one visible neuron for each link of the arm
     arm: Arm
-    units: Floats
-    goal: Floats
-    duration: float
-    law: Law
-    shaping: Shaping
-    response: Response | None = None
+    units: Floats  # as in `JointDemonstrations`
+    goal: Floats  # ``(n,)`` joint position at which the motion ends [rad, m]
+    duration: float  # of the demonstrations [s]
+    law: Law  # their time law
+    shaping: Shaping  # the search that found the network of their mean
+    response: Response | None = None  # as of `ShapedMotion`, in `units`
 
     @classmethod
     def fit(

@@ -41,19 +41,12 @@ EVEN, _OF_FADE = np.linspace(0.0, 1.0, 97), np.linspace(0.0, 1.0, 16)
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """A motion of the joints from a moving state to rest, twice continuously differentiable where its base is.
+    """A motion of the joints from a moving state to rest, twice continuously differentiable where its base is."""
 
-    Attributes:
-        base: b, a piecewise polynomial from rest to rest over [0, its last breakpoint].
-        slower: factor on its duration.
-        differences: ``(3, n)`` e, v and a.
-        fade: T_c [s].
-    """
-
-    base: PPoly
-    slower: float
-    differences: Floats
-    fade: float
+    base: PPoly  # b, a piecewise polynomial from rest to rest over [0, its last breakpoint]
+    slower: float  # factor on its duration
+    differences: Floats  # ``(3, n)`` e, v and a
+    fade: float  # T_c [s]
 
     @property
     def duration(self) -> float:

@@ -50,11 +50,17 @@ _INHERITED = "LIEEDNN_SIM_GL"
 
 @dataclass(frozen=True)
 class Backend:
-    """The OpenGL backend for MuJoCo."""
+    """The OpenGL backend for MuJoCo.
 
-    name: str  # ``egl``, ``osmesa``, ``cgl`` or ``glfw``; ``"disable"`` means physics without rendering
-    detail: str  # the renderer found, or why there is none
-    requested: str = ""  # the user's ``MUJOCO_GL``, or empty
+    Attributes:
+        name: ``egl``, ``osmesa``, ``cgl`` or ``glfw``; ``"disable"`` means physics without rendering.
+        detail: the renderer found, or why there is none.
+        requested: the user's ``MUJOCO_GL``, or empty.
+    """
+
+    name: str
+    detail: str
+    requested: str = ""
 
     @property
     def renders(self) -> bool:

@@ -106,10 +106,15 @@ def render_page(rollout: Rollout, path: StrPath, *, camera: str | None = None, t
 
 
 class Recording(NamedTuple):
-    """Motions for viser's player."""
+    """Motions for viser's player.
 
-    content: bytes  # the recording, a ``.viser`` file
-    ratio: float  # least width / height of the picture in which all is seen, 1 to 16/9
+    Attributes:
+        content: the recording, a ``.viser`` file.
+        ratio: least width / height of the picture in which all is seen, 1 to 16/9.
+    """
+
+    content: bytes
+    ratio: float
 
     @property
     def base64(self) -> str:

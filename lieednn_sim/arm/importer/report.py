@@ -47,13 +47,20 @@ class ImportOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Coupling:
-    """One joint that follows another: qpos = ratio * (qpos of the leader) + shift."""
+    """One joint that follows another: qpos = ratio * (qpos of the leader) + shift.
 
-    follower: str  # names of joints
+    Attributes:
+        follower, leader: joint names.
+        ratio: dimensionless between two joints of one kind.
+        shift: [rad, m].
+        source: the equality or tendon that ties them.
+    """
+
+    follower: str
     leader: str
-    ratio: float  # dimensionless between two joints of one kind
-    shift: float  # [rad, m]
-    source: str  # the equality or tendon that ties them
+    ratio: float
+    shift: float
+    source: str
 
     def __str__(self) -> str:
         shift = f" {self.shift:+g}" if self.shift else ""
@@ -62,15 +69,23 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Servo:
-    """What drives one coordinate: position servos with the force kp (ctrl - q) - kv dq/dt, or motors."""
+    """What drives one coordinate: position servos with the force kp (ctrl - q) - kv dq/dt, or motors.
 
-    name: str  # of the coordinate
-    kp: float  # [N m/rad, N/m]; zero for motors
-    kv: float  # [N m s/rad, N s/m]
-    force_range: tuple[float, float]  # [N m, N]; infinite where nothing limits the actuators
-    # Natural frequency on the largest inertia of a few configurations, the other coordinates held [Hz].
+    Attributes:
+        name: name of the coordinate.
+        kp: [N m/rad, N/m]; zero for motors.
+        kv: [N m s/rad, N s/m].
+        force_range: [N m, N]; infinite where nothing limits the actuators.
+        frequency: natural frequency on the largest inertia of a few configurations, the other coordinates held [Hz].
+        kept: whether it is the given model's.
+    """
+
+    name: str
+    kp: float
+    kv: float
+    force_range: tuple[float, float]
     frequency: float
-    kept: bool  # whether it is the given model's
+    kept: bool
 
     def __str__(self) -> str:
         low, high = self.force_range

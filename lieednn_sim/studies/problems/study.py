@@ -158,22 +158,15 @@ def measured(arm: Arm, result: Plan) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class PublishedProblems(Study[Solution]):
-    """Planners on the published problems of one robot.
-
-    Attributes:
-        sets: the problems.
-        planners: names of `PLANNERS`.
-        problems: number of problems, chosen by `ProblemSets.selection`; None for all.
-        time_budget: CPU time for each problem [s].
-    """
+    """Planners on the published problems of one robot."""
 
     name, kind = "problems", Solution
     run, failed = staticmethod(solve), staticmethod(failed)
 
     sets: ProblemSets
-    planners: Sequence[str] = ("minimum-jerk", "rrt-connect", "lieednn-shaped")
-    problems: int | None = 100
-    time_budget: float = 10.0
+    planners: Sequence[str] = ("minimum-jerk", "rrt-connect", "lieednn-shaped")  # names of `PLANNERS`
+    problems: int | None = 100  # how many, chosen by `ProblemSets.selection`; None for all
+    time_budget: float = 10.0  # CPU time for each problem [s]
 
     def __post_init__(self) -> None:
         chosen = list(dict.fromkeys(self.planners))

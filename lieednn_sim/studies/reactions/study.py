@@ -63,17 +63,25 @@ _DURATION = 7.0  # that is simulated [s]
 
 @dataclass(frozen=True, slots=True)
 class Reaction(TableRow):
-    """A row of the benchmark of disturbed policies: one rollout."""
+    """A row of the benchmark of disturbed policies: one rollout.
+
+    Attributes:
+        arm, scene: names; together with the next three, the key of the row.
+        policy, disturbance: names of `COMPARED` and of `DISTURBANCES`.
+        seed: seed of target, obstacles and disturbance.
+        success: whether every link ends within 1 mm and 0.1 degrees of the target without contact.
+        reason: why it does not; begins with "problem", "plan", "simulation", "contact", "arrival" or "error".
+    """
 
     _key = ("arm", "scene", "policy", "disturbance", "seed")
 
-    arm: str  # its name; together with the next four, the key of the row
+    arm: str
     scene: str
-    policy: str  # a name of `COMPARED`
-    disturbance: str  # a name of `DISTURBANCES`
-    seed: int  # of target, obstacles and disturbance
-    success: bool = outcome()  # whether every link ends within 1 mm and 0.1 degrees of the target without contact
-    reason: str = ""  # why it does not; begins with "problem", "plan", "simulation", "contact", "arrival" or "error"
+    policy: str
+    disturbance: str
+    seed: int
+    success: bool = outcome()
+    reason: str = ""
     push_n: float | None = column("push [N]", "force that takes a joint a tenth of its range off that path")
     final_mm: float | None = column("final [mm]", "distance of the worst link from its target at the end")
     deviation: float | None = column("deviation [ranges]", "largest distance of a joint from the undisturbed path")
