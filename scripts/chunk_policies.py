@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
@@ -61,13 +62,13 @@ class Reference:
         if self._way == "low-pass":
             q = self._q + (1.0 - np.exp(-PERIOD / TIME_CONSTANT)) * (q - self._q)
         elif self._way == "linear blending":
-            part = min((self.now - self._came) / BLEND, 1.0)
-            q = part * q + (1.0 - part) * self._wanted(-2)
+            q = q + (1.0 - min((self.now - self._came) / BLEND, 1.0)) * (self._wanted(-2) - q)
         elif self._way == "Ruckig":
             velocity = (q - np.array(self._given.target_position)) / PERIOD
             self._given.target_position, self._given.target_velocity = q, np.clip(velocity, -self._most, self._most)
-            self._otg.update(self._given, self._made)
-            self._made.pass_to_input(self._given)
+            with suppress(import_module("ruckig").RuckigError):  # it may fail next to rest, and stays there
+                self._otg.update(self._given, self._made)
+                self._made.pass_to_input(self._given)
             q = np.array(self._made.new_position)
         self._q = q
         return q

@@ -136,9 +136,8 @@ def episode(name: str, policy: str, delay: float, way: str, seed: int, folder: P
     task = make_task(name, control_timestep=PERIOD, **longer)
     task.begin(np.random.default_rng(FIRST_SEED + seed))
     arm, rng, steps, sparse = task.arm, np.random.default_rng(seed), task.steps, round(DT / PERIOD)
-    goal, many = task.target(0.0), steps + H * sparse
+    goal, many, reach = task.target(0.0), steps + H * sparse, name == "reach"
     targets = np.array([task.target(PERIOD * k) for k in range(many + 1)])
-    reach = name == "reach"
     ideal = policies.reached(arm, goal, PERIOD, many) if reach else targets[:-1]
     cloned = policies.clone(arm, folder / f"{name}.npz") if policy == "clone" else None
     reference, coming = policies.Reference(arm, way), deque[tuple[int, Floats]]()
