@@ -106,8 +106,7 @@ def _demonstrations(task: str, arm: ls.Arm) -> tuple[Floats, Floats]:
         off = size * rng.standard_normal((count, arm.n_joints))
         chunks = np.array([way[k : k + H] for k in range(count)]) + off[:, None] * back
         pairs.append((_seen(arm, chunks[:, 0], targets), _root(arm, np.diff(chunks, axis=1)).reshape(count, -1)))
-    x, y = (np.concatenate(values) for values in zip(*pairs, strict=True))
-    return x, y
+    return np.concatenate([x for x, _ in pairs]), np.concatenate([y for _, y in pairs])
 
 
 def fit(task: str, path: Path) -> None:

@@ -37,6 +37,7 @@ def main(path: str = "results/arms.jpg") -> None:
     io.make_directory(Path(path).parent)
     with io.atomic_path(path) as temporary:
         Image.fromarray(np.vstack([np.hstack(above), np.hstack(below)])).save(temporary, quality=86)
+    print(path)
 
 
 if __name__ == "__main__":
