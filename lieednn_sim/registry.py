@@ -162,14 +162,11 @@ class Registry(Mapping[str, _Entry], Generic[_Entry]):
         """The row of that name; `InputError` that lists the names if there is none, or says what a file lacks."""
         from lieednn_sim.validation import as_choice  # NumPy is slow to import
 
-        new = self._make is not None and isinstance(name, str) and name not in self.entries
-        if new and (parts := _IN_FILE.fullmatch(name)):
+        if self._make and isinstance(name, str) and name not in self.entries and (parts := _IN_FILE.fullmatch(name)):
             given = _of_file(f"{self.kind} {name!r}", *parts.groups())
             registered = (entry for entry in self.entries.values() if entry.place is given)
             self.entries[name] = next(registered, None) or self._row(name, given)
-        if self._further and isinstance(name, str) and name not in self:
-            raise InputError(f"no {self.kind} {name[:80]!r}; allowed: {', '.join(sorted(self))}, {self._further}")
-        return self[as_choice(self.kind, name, self)]
+        return self[as_choice(self.kind, name, self, self._further)]
 
     def register(self, name: str, options: type | None = None) -> Callable[[_Given], _Given]:
         """Decorator that adds a thing; `InputError` if its name is taken or malformed, or it is not callable."""

@@ -226,10 +226,10 @@ def as_generator(name: str, seed: Seed) -> np.random.Generator:
     return np.random.default_rng(seed if known else as_seed(name, seed))
 
 
-def as_choice(name: str, value: str, allowed: Iterable[str]) -> str:
-    """Return ``value`` if it is one of ``allowed``, or raise `InputError` that lists them."""
+def as_choice(name: str, value: str, allowed: Iterable[str], further: str = "") -> str:
+    """Return ``value`` if it is one of ``allowed``, or raise `InputError` that lists them, and what else may do."""
     choices = sorted(allowed)
     # Only strings are compared: an array would be compared elementwise.
     if not isinstance(value, str) or value not in choices:
-        raise InputError(f"no {name} {quoted(value)}; allowed: {', '.join(choices)}")
+        raise InputError(f"no {name} {quoted(value)}; allowed: {', '.join([*choices, *filter(None, [further])])}")
     return value

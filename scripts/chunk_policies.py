@@ -36,7 +36,7 @@ class Reference:
         self._policy.reset(self._q)
         if way == "Ruckig":
             ruckig, n, a = import_module("ruckig"), arm.n_joints, arm.acceleration_limits
-            self._otg, self._made = ruckig.Ruckig(n, PERIOD), ruckig.OutputParameter(n)
+            self._otg, self._made, self._error = ruckig.Ruckig(n, PERIOD), ruckig.OutputParameter(n), ruckig.RuckigError
             self._given = given = ruckig.InputParameter(n)
             given.current_position = given.target_position = self._q
             given.max_velocity, given.max_acceleration, given.max_jerk = arm.velocity_limits, a, JERK * a
@@ -66,7 +66,7 @@ class Reference:
         elif self._way == "Ruckig":
             velocity = (q - np.array(self._given.target_position)) / PERIOD
             self._given.target_position, self._given.target_velocity = q, np.clip(velocity, -self._most, self._most)
-            with suppress(import_module("ruckig").RuckigError):  # it may fail next to rest, and stays there
+            with suppress(self._error):  # it may fail next to rest, and stays there
                 self._otg.update(self._given, self._made)
                 self._made.pass_to_input(self._given)
             q = np.array(self._made.new_position)

@@ -83,17 +83,18 @@ def find_grasp(
         for pair in product(np.flatnonzero(mine & solid).tolist(), np.flatnonzero(others & solid).tolist()):
             offsets.setdefault(pair, offset)
     (place,), (turn,) = tip.poses(data.xpos, data.xmat)
-    # Between the spheres around geoms; the end effector's frame may be between fingers.
-    below = np.isin(model.geom_bodyid, [k for k in range(model.nbody) if carrier in ancestry(model, k)])
-    ends, sizes = np.vstack([place, data.geom_xpos[below]]), np.append(0.0, model.geom_rbound[below])
-    gaps = np.linalg.norm(ends[:, None] - data.geom_xpos[mine], axis=-1) - sizes[:, None] - model.geom_rbound[mine]
-    away = gaps.min(initial=np.linalg.norm(data.xpos[body] - place))
-    near = _NEAR * max(1.0, float(np.linalg.norm(place - data.xpos[root])))
-    if away > near and not tied:
-        raise InputError(
-            f"{quoted(holding)} is {away:.3g} m or more from the hand, which can hold what is up to {near:.3g} m away: "
-            "move the hand there first, in a sequence by a Move before this one"
-        )
+    if not tied:
+        # Between the spheres around geoms; the end effector's frame may be between fingers.
+        below = np.isin(model.geom_bodyid, [k for k in range(model.nbody) if carrier in ancestry(model, k)])
+        ends, sizes = np.vstack([place, data.geom_xpos[below]]), np.append(0.0, model.geom_rbound[below])
+        gaps = np.linalg.norm(ends[:, None] - data.geom_xpos[mine], axis=-1) - sizes[:, None] - model.geom_rbound[mine]
+        away = gaps.min(initial=np.linalg.norm(data.xpos[body] - place))
+        near = _NEAR * max(1.0, float(np.linalg.norm(place - data.xpos[root])))
+        if away > near:
+            raise InputError(
+                f"{quoted(holding)} is {away:.3g} m or more from the hand, which can hold what is up to {near:.3g} m "
+                "away: move the hand there first, in a sequence by a Move before this one"
+            )
     turned = scipy.spatial.transform.Rotation.from_matrix(turn.T @ data.xmat[body].reshape(3, 3))
     pose = scipy.spatial.transform.RigidTransform.from_components(turn.T @ (data.xpos[body] - place), turned)
     addresses = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])

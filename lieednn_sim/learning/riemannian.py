@@ -145,8 +145,8 @@ class RiemannianTraining(Training[RiemannianOptions]):
         """One step, or none where it is rejected."""
         options = self.options
         due = self.epoch - self._checked_at >= options.stability_interval
-        proof = self._certificate if due else self._learned_certificate
-        if self.arrived(before) and (not options.certified or proof(before).valid):
+        proofs = (self._learned_certificate, self._certificate)[: 1 + due]
+        if self.arrived(before) and (not options.certified or any(proof(before).valid for proof in proofs)):
             return before, StopReason.CONVERGED
         if self.epoch >= end:
             return before, StopReason.EPOCHS_SPENT

@@ -71,6 +71,10 @@ class Motion:
         """Sampling period [s]."""
         return float(self.t[1] - self.t[0])
 
+    def ends(self, pieces: int) -> NDArray[np.int_]:
+        """The samples at the ends of so many even pieces, or all; see `interpolation`."""
+        return interpolation(len(self.t), pieces)[0]
+
     def save(self, path: StrPath) -> None:
         """Write to an ``.npz`` file, atomically."""
         io.save_arrays(path, "motion", vars(self), {})

@@ -153,7 +153,7 @@ class NetworkPath:
         bends = np.abs(np.diff(visible.c[3, : np.count_nonzero(w < 0.95) : 6], n=6, axis=0)).max()
         some = w[(np.arange(len(w)) % (6 if bends < 5e-5 else 3) == 0) | ((w > 0.95) & (w < 0.9999)) | (w == w[-1])]
         # Both paths have about the same length; guesses are taken from some samples of the motion's.
-        known, _ = interpolation(len(given.t), 500)
+        known = given.ends(500)
         passed, length = travelled(given.xi[known] * units), speed.antiderivative()(some)
         near = np.stack([np.interp(length, passed, joint) for joint in given.q[known].T], axis=1)
         joints = _through(some, arm.decode(visible(some), start=near))

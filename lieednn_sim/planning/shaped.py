@@ -19,7 +19,6 @@ from lieednn_sim.budget import cpu_time
 from lieednn_sim.errors import InputError, PlanError
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.guides import GuideOptions, followed
-from lieednn_sim.planning.motion import interpolation
 from lieednn_sim.planning.network_path import NetworkPath, timed_motion
 from lieednn_sim.planning.network_planners import without_weights
 from lieednn_sim.planning.options import NetworkOptions
@@ -94,7 +93,7 @@ def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan
         network = without_weights(given.xi_target)
         path = NetworkPath.integrate(arm, network, problem.start)
         return Plan(in_time(timed_motion, asked, path), network, ShapedDetails(0.0, 0.0), guide=guide)
-    tips = arm.tip_in_frames(given.q[interpolation(len(given.t), _PIECES)[0]])
+    tips = arm.tip_in_frames(given.q[given.ends(_PIECES)])
     units, start = lever_units(arm, given.q, tips), cpu_time()
     network, encoded = _network(arm, options, np.concatenate([given.xi[:-1:_STRIDE], given.xi_target[None]]), units)
     fit_time = cpu_time() - start
@@ -106,7 +105,7 @@ def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan
         motion = path.timed(lasts, problem.timestep, law_of(given, units))
     else:
         motion = in_time(timed_motion, asked, path, law_of(given, units))
-    deviation = _deviation(arm.tip_in_frames(motion.q[interpolation(len(motion.t), _PIECES)[0]])[:, 0], tips[:, 0])
+    deviation = _deviation(arm.tip_in_frames(motion.q[motion.ends(_PIECES)])[:, 0], tips[:, 0])
     if deviation > options.deviation:
         raise PlanError(
             f"the end effector would be {1e3 * deviation:.2g} mm off its path, {1e3 * options.deviation:.2g} mm allowed"

@@ -54,7 +54,7 @@ def minimum_jerk_law(s: Floats) -> tuple[Floats, Floats]:
 
 def law_of(motion: Motion, units: Floats) -> Law:
     """The law by which a motion follows its path, whose length is that of its states in ``units`` ``(N, 6)``."""
-    known = np.unique(np.linspace(0, len(motion.t) - 1, 251).round().astype(int))
+    known = motion.ends(250)
     length = travelled(motion.xi[known] * units)
     return _clipped(make_interp_spline(motion.t[known] / motion.t[-1], length / length[-1], min(5, len(known) - 1)))
 
