@@ -129,9 +129,10 @@ if ! fresh; then
         fi
         die "pip could not install lieednn_sim (its reason is above); the first time it needs the network"
     fi
-    # What making the environment compiled, of pip itself.
+    # What making the environment compiled, of pip itself; and the tests of the two largest, which nothing imports.
     if ours; then
         find $venv/lib/*/site-packages/{pip,setuptools,pkg_resources}/ -name __pycache__ -prune -exec rm -rf {} + || true
+        find $venv/lib/*/site-packages/{numpy,scipy}/ -type d -name tests -prune -exec rm -rf {} + || true
     fi 2>/dev/null
     printf '%s\n' "$now" >$venv/.lieednn-sim-"$wanted"
 fi
