@@ -317,12 +317,14 @@ class ChunkPolicy(ReplanningPolicy):
         for ball in self.arm.space.balls:
             # Half of its limits is left for staying inside while it moves along the limit.
             ahead = held[ball] + rate[ball] * (h + np.abs(rate[ball]) / a[ball])
-            if (angle := math.hypot(*ahead)) > high[ball[0]]:
-                outward = ahead / angle
-                least = 0.5 * (a[ball] / np.maximum(np.abs(outward), 1e-9)).min()
-                excess = outward @ rate[ball] - fastest(high[ball[0]] - outward @ held[ball], least, h)
-                slower = rate[ball] - max(excess, 0.0) * outward
-                rate[ball] = np.minimum(np.maximum(slower, self.qd[ball] - most[ball]), self.qd[ball] + most[ball])
+            if math.hypot(*ahead) > high[ball[0]]:
+                # Towards where it would leave its limits, and outwards where it is.
+                for way in (ahead, held[ball]):
+                    outward = way / math.hypot(*way)
+                    least = 0.5 * (a[ball] / np.maximum(np.abs(outward), 1e-9)).min()
+                    excess = outward @ rate[ball] - fastest(high[ball[0]] - outward @ held[ball], least, h)
+                    slower = rate[ball] - max(excess, 0.0) * outward
+                    rate[ball] = np.minimum(np.maximum(slower, self.qd[ball] - most[ball]), self.qd[ball] + most[ball])
         return self._within_limits(held + half * rate), rate
 
     def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:
