@@ -33,7 +33,7 @@ from lieednn_sim.planning.chunks import Finding, RefusedError, judge, read
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
 from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.planning.transition import EVEN
-from lieednn_sim.policies.bounds import fastest
+from lieednn_sim.policies.bounds import braking_in_time
 from lieednn_sim.policies.coded_policy import GENTLY
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
@@ -309,22 +309,7 @@ class ChunkPolicy(ReplanningPolicy):
         held = self.q + half * self.qd
         rate = np.minimum(np.maximum(qd + _RETURN * (inside - held - half * qd), self.qd - most), self.qd + most)
         rate = np.minimum(np.maximum(rate, -v), v)
-        (low, high), a, h = self.arm.position_limits.T, self.arm.acceleration_limits, self.period
-        # From where it can still brake before a limit; then it need not be held back there.
-        reach = held + rate * (h + 0.5 * np.abs(rate) / a)
-        if (reach < low).any() or (reach > high).any():
-            rate = np.minimum(np.maximum(rate, -fastest(held - low, a, h)), fastest(high - held, a, h))
-        for ball in self.arm.space.balls:
-            # Half of its limits is left for staying inside while it moves along the limit.
-            ahead = held[ball] + rate[ball] * (h + np.abs(rate[ball]) / a[ball])
-            if math.hypot(*ahead) > high[ball[0]]:
-                # Towards where it would leave its limits, and outwards where it is.
-                for way in (ahead, held[ball]):
-                    outward = way / math.hypot(*way)
-                    least = 0.5 * (a[ball] / np.maximum(np.abs(outward), 1e-9)).min()
-                    excess = outward @ rate[ball] - fastest(high[ball[0]] - outward @ held[ball], least, h)
-                    slower = rate[ball] - max(excess, 0.0) * outward
-                    rate[ball] = np.minimum(np.maximum(slower, self.qd[ball] - most[ball]), self.qd[ball] + most[ball])
+        rate = braking_in_time(self.arm, held, rate, self.qd, self.period)
         return self._within_limits(held + half * rate), rate
 
     def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:
