@@ -224,11 +224,12 @@ class CompoundJoints:
                 twists[..., links, :] = logarithm(*self._poses(offset, links, coordinates))
         if once:
             vectors = parts @ offset.reshape(-1, offset.shape[-1]).T
-            vectors[-len(anchors) :] += anchors
-            *turns, total, difference = vectors.reshape(-1, 3, len(once) * vectors.shape[1])
+            if len(anchors):
+                vectors[-len(anchors) :] += anchors
+            *turns, total, difference = vectors.reshape(len(vectors) // (3 * len(once)), 3, -1)
             omega = turn_of(turns)
             found = np.concatenate([omega, moving(omega, total, difference)])
-            twists[..., once, :] = found.reshape(6, len(once), -1).T.reshape(*offset.shape[:-1], -1, 6)
+            twists[..., once, :] = found.reshape(6, len(once), -1).T.reshape(*offset.shape[:-1], len(once), 6)
         return twists
 
     @cached_property
@@ -252,7 +253,7 @@ class CompoundJoints:
 
         With their rotation R, slides p before and q after it, and the point c, the translation is (p + c) + R (q - c).
         The parts ``((3 T + 6) J, n)`` map displacements to the at most T rotation vectors, p + q and p - q of all J
-        joints, component by component; 2 c ``(3 J, 1)`` is to be added to the last.
+        joints, component by component; 2 c ``(3 J, 1)`` is to be added to the last, if that is not zero.
         """
         n, turning = len(self.reference), {}
         for i, joint in enumerate(self.joints):
@@ -272,7 +273,7 @@ class CompoundJoints:
                     parts[f - places[0], :, k, factor.indices] = omega.T
                 else:
                     parts[most:, :, k, factor.indices] += np.stack([v, v if f < places[0] else -v])
-        return list(turning), parts.reshape(-1, n), anchors.reshape(-1, 1)
+        return list(turning), parts.reshape(-1, n), anchors.reshape(-1, 1) if anchors.any() else anchors[:0]
 
 
 def least_singular_value(jacobian: Floats, least: float = 1e-300) -> Floats:
