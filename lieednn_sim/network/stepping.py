@@ -121,8 +121,9 @@ class UndrivenState:
 
     def _input(self, left: Floats) -> Floats:
         """U(h) - x_d ``(m, 6N)`` where e^-z is ``(m,)``."""
-        outputs = self._phi(self._rest + left[:, None, None] * self._off)
-        return np.asarray(np.vecdot(outputs, self._weight) - self._resting)
+        hidden = left[:, None, None] * self._off
+        hidden += self._rest
+        return np.asarray(np.vecdot(self._phi(hidden), self._weight) - self._resting)
 
     def advance(self, z: float) -> None:
         """Advance by a time z of 1/gamma."""
