@@ -99,7 +99,7 @@ class TimedPath:
         # For differences at the start.
         h = 1e-3 * duration
         times = np.concatenate([h * np.arange(4.0), self.clock.times(encoder.levels), [duration]])
-        q, _, _ = transition(times)
+        q = transition(times, 1)[0]
         states = continued(np.concatenate([visible[None], arm.joints.twists(q) / arm.twist_units]))[1:]
         # What the state lacks of a configuration, a mechanism gap, fades.
         gone = np.minimum(times / duration, 1.0)

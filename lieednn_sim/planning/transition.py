@@ -68,18 +68,22 @@ class Transition:
         """What a call returns at 97 even times from 0 to the duration."""
         return self._sum(_EVEN_POWERS) if self._one else self(self.duration * EVEN)
 
-    def __call__(self, t: Floats) -> Floats:
-        """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)``; at rest after the end."""
+    def __call__(self, t: Floats, orders: int = 3) -> Floats:
+        """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)``, or the first of these orders.
+
+        It rests after its end.
+        """
         powers = np.ones((6, len(t)))
         powers[1:] = np.minimum(np.maximum(t / self.fade, 0.0), 1.0)
-        result = self._sum(np.multiply.accumulate(powers, out=powers).T)
+        result = self._sum(np.multiply.accumulate(powers, out=powers).T, orders)
         if not self._one:
             self._add_base(result, t)
         return result
 
-    def _sum(self, powers: Floats) -> Floats:
+    def _sum(self, powers: Floats, orders: int = 3) -> Floats:
         """The corrections, or the whole motion, from powers of s ``(K, 6)``, the lowest first."""
-        return np.asarray(powers @ self._factors).reshape(len(powers), 3, -1).swapaxes(0, 1)
+        factors = self._factors[:, : orders * self.differences.shape[1]]
+        return np.asarray(powers @ factors).reshape(len(powers), orders, -1).swapaxes(0, 1)
 
     @cached_property
     def _one(self) -> bool:
@@ -97,10 +101,10 @@ class Transition:
         return np.asarray((_DERIVATIVES @ factors).reshape(6, 3, -1) / times).reshape(6, -1)
 
     def _add_base(self, result: Floats, t: Floats) -> None:
-        """Add the base and its first two derivatives to ``(3, K, n)`` at times ``(K,)``."""
+        """Add the base and its first derivatives to ``(orders, K, n)`` at times ``(K,)``."""
         own = np.minimum(np.maximum(t / self.slower, 0.0), self.base.x[-1])
-        for order in range(3):
-            result[order] += self.base(own, nu=order) / self.slower**order
+        for order, part in enumerate(result):
+            part += self.base(own, nu=order) / self.slower**order
 
 
 def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str | None] | None = None) -> Transition:
