@@ -136,10 +136,13 @@ class Collisions:
         """
         used, first, second, limits = turns[:, self._used], self._first, self._second, cutoff + self._offset
         center = places[:, self._used] + (used @ self._center[:, :, None])[..., 0]
-        parts = np.ascontiguousarray(center.transpose(2, 0, 1))
-        x, y, z = parts.take(second, axis=-1) - parts.take(first, axis=-1)
-        at, index = np.nonzero(x * x + y * y + z * z < np.square(np.maximum(limits + self._reach, 0.0)))
-        limits = limits + np.zeros(x.shape)
+        # The configurations last: whole rows are taken.
+        parts = np.ascontiguousarray(center.transpose(2, 1, 0))
+        away = parts.take(second, axis=1)
+        away -= parts.take(first, axis=1)
+        apart = np.ascontiguousarray(np.square(away, out=away).sum(axis=0).T)
+        at, index = np.divmod(np.flatnonzero(apart < np.square(np.maximum(limits + self._reach, 0.0))), len(first))
+        limits = np.broadcast_to(limits, apart.shape)
         # Boxes along the normals of the faces of each.
         one, other = first[index], second[index]
         between = center[at, other] - center[at, one]
@@ -154,10 +157,11 @@ class Collisions:
         at, index, last = at[near], index[near], -1
         limits, distance, segments = limits[at, index], np.empty(len(at)), np.empty((len(at), 6))
         rows = zip(at.tolist(), self.pairs[index].tolist(), limits.tolist(), segments, strict=True)
+        model, data = self.arm.geometry, self._data
         for row, (k, pair, limit, segment) in enumerate(rows):
             if k != last:
-                self._data.geom_xpos[:], self._data.geom_xmat[:], last = places[k], turns[k].reshape(-1, 9), k
-            distance[row] = mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, limit, segment)
+                data.geom_xpos[:], data.geom_xmat[:], last = places[k], turns[k].reshape(-1, 9), k
+            distance[row] = mujoco.mj_geomDistance(model, data, *pair, limit, segment)
         kept = distance < limits
         return at[kept], index[kept], distance[kept], segments[kept].reshape(-1, 2, 3)
 

@@ -66,9 +66,9 @@ class Coordinates:
         """``(..., n)`` to ``(..., nq)``."""
         qpos = q @ self.coupling.T + self.offset
         if len(self.balls):
-            # Reordered here, since SciPy's `scalar_first` takes as long as the rest.
-            turns = scipy.spatial.transform.Rotation.from_rotvec(q[..., self.balls])
-            qpos[..., self.ball_addresses[:, [1, 2, 3, 0]]] = turns.as_quat()
+            # Reordered here, since SciPy's `scalar_first` takes as long as the rest; with one axis as in `lie.exp`.
+            turns = scipy.spatial.transform.Rotation.from_rotvec(q[..., self.balls].reshape(-1, 3)).as_quat()
+            qpos[..., self.ball_addresses[:, [1, 2, 3, 0]]] = turns.reshape(*q.shape[:-1], len(self.balls), 4)
         return qpos
 
     def from_qpos(self, qpos: Floats) -> Floats:
@@ -79,7 +79,8 @@ class Coordinates:
         q = np.empty((*qpos.shape[:-1], len(self)))
         q[..., self.scalars] = scalars
         quaternions = qpos[..., self.ball_addresses[:, [1, 2, 3, 0]]]
-        q[..., self.balls] = scipy.spatial.transform.Rotation.from_quat(quaternions).as_rotvec()
+        turns = scipy.spatial.transform.Rotation.from_quat(quaternions.reshape(-1, 4)).as_rotvec()
+        q[..., self.balls] = turns.reshape(*qpos.shape[:-1], len(self.balls), 3)
         return q
 
     def to_qvel(self, q: Floats, qd: Floats) -> Floats:

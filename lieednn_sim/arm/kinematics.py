@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim.lie.se3 import hat, left_jacobian_so3, logarithm, moving, skew, transforms
+from lieednn_sim.lie.se3 import hat, left_jacobian_so3, logarithm, moving, skew, transforms, turn_of
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ class CompoundJoints:
         """
         offset = q - self.reference
         twists = np.empty((*offset.shape[:-1], len(self.joints), 6))
-        once, parts = self._turning_once
+        once, parts, anchors = self._turning_at_once
         for links, coordinates in self._alike:
             screw = self.joints[links[0]].screw
             if screw is not None:
@@ -223,12 +223,13 @@ class CompoundJoints:
             elif links[0] not in once:
                 twists[..., links, :] = logarithm(*self._poses(offset, links, coordinates))
         if once:
-            turn, total, difference, shift = (parts @ offset.reshape(-1, offset.shape[-1]).T).reshape(4, 3, -1)
-            angle = np.sqrt(np.einsum("ib,ib->b", turn, turn))
-            principal = 1.0 - 2.0 * np.pi * np.round(angle / (2.0 * np.pi)) / np.maximum(angle, 1.0)
-            omega = principal * turn
-            found = np.concatenate([omega, moving(omega, total, difference) + principal * shift])
-            twists[..., once, :] = found.reshape(6, len(once), -1).T.reshape(*offset.shape[:-1], -1, 6)
+            vectors = parts @ offset.reshape(-1, offset.shape[-1]).T
+            if len(anchors):
+                vectors[-len(anchors) :] += anchors
+            *turns, total, difference = vectors.reshape(len(vectors) // (3 * len(once)), 3, -1)
+            omega = turn_of(turns)
+            found = np.concatenate([omega, moving(omega, total, difference)])
+            twists[..., once, :] = found.reshape(6, len(once), -1).T.reshape(*offset.shape[:-1], len(once), 6)
         return twists
 
     @cached_property
@@ -247,27 +248,32 @@ class CompoundJoints:
         return first.pose(local)
 
     @cached_property
-    def _turning_once(self) -> tuple[list[int], Floats]:
-        """The joints whose dof are slides and one hinge or ball, which need no logarithm, and their poses in parts.
+    def _turning_at_once(self) -> tuple[list[int], Floats, Floats]:
+        """The joints that turn by hinges or balls about one point, without slides in between, and their poses in parts.
 
-        With slides p before and q after it and its anchor c, the translation is p + R q + (I - R) c, where the last one
-        is J(omega) (-omega x c). The parts ``(12 J, n)`` map displacements to omega, p + q, p - q and -omega x c of all
-        J joints, component by component.
+        With their rotation R, slides p before and q after it, and the point c, the translation is (p + c) + R (q - c).
+        The parts ``((3 T + 6) J, n)`` map displacements to the at most T rotation vectors, p + q and p - q of all J
+        joints, component by component; 2 c ``(3 J, 1)`` is to be added to the last, if that is not zero.
         """
-        parts = {}
+        n, turning = len(self.reference), {}
         for i, joint in enumerate(self.joints):
-            turning = [f for f, factor in enumerate(joint.factors) if factor.kind != "slide"]
-            if joint.screw is None and len(turning) == 1:
-                part = parts[i] = np.zeros((4, 3, len(self.reference)))
-                for f, factor in enumerate(joint.factors):
-                    omega, v = (twist.T for twist in factor.twists(np.zeros(len(self.reference))))
-                    if f == turning[0]:
-                        part[0][:, factor.indices], part[3][:, factor.indices] = omega, v
-                    else:
-                        part[1][:, factor.indices] += v
-                        part[2][:, factor.indices] += v if f < turning[0] else -v
-        stacked = np.array([*parts.values()]).reshape(-1, 12, len(self.reference))
-        return list(parts), stacked.swapaxes(0, 1).reshape(-1, len(self.reference))
+            places = [f for f, factor in enumerate(joint.factors) if factor.kind != "slide"]
+            points = [joint.factors[f].anchor for f in places]
+            in_a_row = joint.screw is None and places and places[-1] - places[0] < len(places)
+            if in_a_row and not np.ptp(points, axis=0).any():
+                turning[i] = places
+        most = max(map(len, turning.values()), default=0)
+        parts, anchors = np.zeros((most + 2, 3, len(turning), n)), np.zeros((3, len(turning), 1))
+        for k, (i, places) in enumerate(turning.items()):
+            factors = self.joints[i].factors
+            anchors[:, k, 0] = 2.0 * factors[places[0]].anchor
+            for f, factor in enumerate(factors):
+                omega, v = (twist.T for twist in factor.twists(np.zeros(n)))
+                if f in places:
+                    parts[f - places[0], :, k, factor.indices] = omega.T
+                else:
+                    parts[most:, :, k, factor.indices] += np.stack([v, v if f < places[0] else -v])
+        return list(turning), parts.reshape(-1, n), anchors.reshape(-1, 1) if anchors.any() else anchors[:0]
 
 
 def least_singular_value(jacobian: Floats, least: float = 1e-300) -> Floats:

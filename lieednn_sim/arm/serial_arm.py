@@ -122,7 +122,8 @@ class SerialArm:
         excess = np.maximum(low - q, q - high)
         balls = self.space.balls
         if len(balls):
-            excess[..., balls] = np.linalg.norm(q[..., balls], axis=-1, keepdims=True) - high[balls]
+            turns = q[..., balls]
+            excess[..., balls] = np.sqrt(np.vecdot(turns, turns))[..., None] - high[balls]
         return excess
 
     def within_angles(self, q: Floats) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import factorial
 from typing import TYPE_CHECKING
 
@@ -93,6 +94,24 @@ def rotation_vectors(rotation: Rotation) -> Floats:
     parameters = rotation.as_mrp()
     size = np.sqrt(np.vecdot(parameters, parameters))
     return np.asarray(parameters * (4.0 * np.arctan(size) / np.maximum(size, 1e-150))[..., None])
+
+
+def turn_of(turns: Sequence[Floats]) -> Floats:
+    """The rotation vectors ``(3, M)``, up to half a turn, of products of rotations by their ``(3, M)``; unchecked."""
+    first, *others = turns
+    angle = np.sqrt(np.einsum("ib,ib->b", first, first))
+    if not others:
+        return np.asarray((1.0 - 2.0 * np.pi * np.round(angle / (2.0 * np.pi)) / np.maximum(angle, 1.0)) * first)
+    # As quaternions.
+    real, part = np.cos(0.5 * angle), np.sin(0.5 * angle) / np.maximum(angle, 1e-150) * first
+    for turn in others:
+        angle = np.sqrt(np.einsum("ib,ib->b", turn, turn))
+        cosine, sine = np.cos(0.5 * angle), np.sin(0.5 * angle) / np.maximum(angle, 1e-150) * turn
+        dot = np.einsum("ib,ib->b", part, sine)
+        part = real * sine + cosine * part + _cross(part, sine)
+        real = real * cosine - dot
+    size = np.sqrt(np.einsum("ib,ib->b", part, part))
+    return np.asarray(np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / np.maximum(size, 1e-150) * part)
 
 
 def moving(omega: Floats, total: Floats, difference: Floats) -> Floats:

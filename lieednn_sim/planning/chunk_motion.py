@@ -58,7 +58,7 @@ class ChunkCurve:
         self._control, self.step, self._last = control, step, len(control) - 4
         self._segment, self._excess = _SEGMENT / step**_ORDERS, dict[int, list[tuple[float, int, int]]]()
         self.duration = step * (self._last + 1)
-        self.end = self.values[-1]
+        self.end = np.asarray(control[-3] + 4.0 * control[-2] + control[-1]) / 6.0
 
     @classmethod
     def through(cls, arm: Arm, targets: Floats, step: float) -> ChunkCurve:
@@ -78,13 +78,14 @@ class ChunkCurve:
         points[-3] = 6.0 * points[-1] - 4.0 * points[-4] - points[-5]
         return cls(points[:-2], step)
 
-    def __call__(self, u: Floats) -> Floats:
-        """Configurations and their first two derivatives in u ``(3, K, n)``, at times ``(K,)``."""
+    def __call__(self, u: Floats, orders: int = 3) -> Floats:
+        """Configurations and their first derivatives in u ``(orders, K, n)``, at times ``(K,)``."""
         parts = u / self.step
         segment = np.minimum(parts.astype(int), self._last)
         powers = np.ones((len(u), 4))
         powers[:, 1:] = (parts - segment)[:, None]
-        weights = (np.multiply.accumulate(powers, axis=1, out=powers) @ self._segment).reshape(-1, 3, 4)
+        factors = self._segment[:, : 4 * orders]
+        weights = (np.multiply.accumulate(powers, axis=1, out=powers) @ factors).reshape(-1, orders, 4)
         return (weights @ self._control[segment[:, None] + _FOUR]).swapaxes(0, 1)
 
     @property
@@ -95,18 +96,18 @@ class ChunkCurve:
     def nearest(self, q: Floats, latest: float) -> float:
         """The time of the curve, of 65 up to a latest one, at which it is nearest to a configuration ``(n,)``."""
         u = np.linspace(0.0, latest, 65)
-        return float(u[np.square(self(u)[0] - q).sum(axis=1).argmin()])
+        return float(u[np.square(self(u, 1)[0] - q).sum(axis=1).argmin()])
 
     def excess(self, arm: Arm, begin: float) -> list[tuple[float, int, int]]:
         """Largest parts of the limits of velocity and acceleration from its time ``begin`` on, joints and rows."""
         first = min(int(begin / self.step), self._last)
         if first in self._excess:
             return self._excess[first]
-        rates = np.diff(self._control[first:], axis=0) / self.step
+        rates = (self._control[first + 1 :] - self._control[first:-1]) / self.step
         # In the middle between two knots, and at the knots.
         middle, at = (rates[:-2] + 6.0 * rates[1:-1] + rates[2:]) / 8.0, 0.5 * (rates[1:] + rates[:-1])
         parts = np.abs(np.concatenate([at, middle])) / arm.velocity_limits
-        bends = np.abs(np.diff(rates, axis=0)) / self.step / arm.acceleration_limits
+        bends = np.abs(rates[1:] - rates[:-1]) / self.step / arm.acceleration_limits
         found = ((part, *divmod(int(part.argmax()), part.shape[1])) for part in (parts, bends))
         self._excess[first] = [(float(part[k, joint]), joint, first + k % len(at)) for part, k, joint in found]
         return self._excess[first]
@@ -131,9 +132,11 @@ class Ramped:
         u = self.begin + full * (np.minimum(t, self.ramps_at) + ramp * way)
         return np.minimum(u, self.end), full * rate, full / ramp * bend
 
-    def states(self, t: Floats) -> Floats:
-        """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)`` from 0 on."""
+    def states(self, t: Floats, orders: int = 3) -> Floats:
+        """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)`` from 0 on, or coordinates."""
         u, rate, bend = self.clock(t)
+        if orders == 1:
+            return self.curve(u, 1)
         states = self.curve(u)
         _, slope, turn = states
         turn *= (rate * rate)[:, None]
@@ -143,7 +146,7 @@ class Ramped:
 
     def __call__(self, t: float) -> Floats:
         """Joint coordinates ``(n,)`` at a time."""
-        return self.states(np.array([t]))[0, 0]
+        return self.states(np.array([t]), 1)[0, 0]
 
 
 class ChunkMotion(Transition):
@@ -160,7 +163,7 @@ class ChunkMotion(Transition):
         return self.fade <= float(self.base.x[-1])
 
     def _add_base(self, result: Floats, t: Floats) -> None:
-        result += self.base.states(t)
+        result += self.base.states(t, len(result))
 
     def until(self, time: float) -> list[Floats]:
         """Joint coordinates, rates and accelerations, each ``(K, n)``, at 21 to 97 times up to ``time``."""

@@ -100,9 +100,9 @@ class Cubics:
 
     def __init__(self, step: float, q: Floats, qd: Floats, off: Floats | None = None) -> None:
         self._q, self._moved, self._off = q, step * qd, off
-        chords, before, after = np.diff(q, axis=0), self._moved[:-1], self._moved[1:]
+        chords, before, after = 6.0 * (q[1:] - q[:-1]), self._moved[:-1], self._moved[1:]
         # Accelerations at the ends of each step, times its square.
-        self._ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
+        self._ends = np.array([chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - chords])
         self._largest = np.abs(self._ends).max(axis=0)
 
     def turns(self) -> Floats:
@@ -294,9 +294,9 @@ class ProofAhead:
 
 def _edges(q: Floats, least: int = _FIRST) -> tuple[Floats, Floats]:
     """Begin and end of the first intervals of a motion ``(K, n)``, at least so many, in steps."""
-    way = float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
-    count = min(max(least, math.ceil(way / _WAY)), len(q) - 1)
-    edges = np.linspace(0, len(q) - 1, count + 1).round()
+    steps = q[1:] - q[:-1]
+    count = min(max(least, math.ceil(float(np.sqrt(np.vecdot(steps, steps)).sum()) / _WAY)), len(q) - 1)
+    edges = (np.arange(count + 1.0) * ((len(q) - 1) / count)).round()
     return edges[:-1], edges[1:]
 
 

@@ -20,7 +20,6 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.lie import continued
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import joint_scale
-from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.planning.transition import Transition
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.values import Floats
@@ -41,13 +40,13 @@ class Clock:
     def __init__(self, duration: float, speed: Floats) -> None:
         count = len(speed) - 1
         step = duration / count
-        length = step * float(speed.sum() - 0.5 * (speed[0] + speed[-1]))
+        length = step * float(np.add.reduce(speed) - 0.5 * (speed[0] + speed[-1]))
         part = 0.5 if length > 0.0 else 1.0
         rate = 3.0 * part / (duration * count**2) * np.arange(count, -1.0, -1.0) ** 2
         rate += (1.0 - part) / max(length, 1e-300) * speed
         # Summed from the end, where what is left is small.
         left = np.zeros(count + 1)
-        np.cumsum((rate[1:] + rate[:-1])[::-1], out=left[-2::-1])
+        np.add.accumulate((rate[1:] + rate[:-1])[::-1], out=left[-2::-1])
         y = np.cbrt(left / left[0])
         # The rate stays as it is where a ten-thousandth of the way is left.
         y = y[: np.count_nonzero(y >= 0.05)]
@@ -95,14 +94,16 @@ class TimedPath:
         self, arm: Arm, encoder: CurveEncoder, transition: Transition, visible: Floats, most: float = np.inf
     ) -> None:
         self.transition, duration = transition, transition.duration
-        self.clock = Clock(duration, np.sqrt(((transition.even[1] / joint_scale(arm)) ** 2).sum(axis=1)))
+        speed = transition.even[1] / joint_scale(arm)
+        self.clock = Clock(duration, np.sqrt(np.vecdot(speed, speed)))
         # For differences at the start.
         h = 1e-3 * duration
         times = np.concatenate([h * np.arange(4.0), self.clock.times(encoder.levels), [duration]])
-        q, _, _ = transition(times)
+        q = transition(times, 1)[0]
         states = continued(np.concatenate([visible[None], arm.joints.twists(q) / arm.twist_units]))[1:]
         # What the state lacks of a configuration, a mechanism gap, fades.
-        left = 1.0 - minimum_jerk_law(np.minimum(times / duration, 1.0))[0]
+        gone = np.minimum(times / duration, 1.0)
+        left = 1.0 - gone * gone * gone * (10.0 - 15.0 * gone + 6.0 * gone * gone)
         states += left[:, None, None] * (visible - states[0])
         near, rest, target = states[:4], states[4:-1], states[-1]
         velocity = (-1.5 * near[0] + 2.0 * near[1] - 0.5 * near[2]) / h

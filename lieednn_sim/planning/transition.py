@@ -28,15 +28,20 @@ from lieednn_sim.values import Floats
 # Coefficients of the corrections for unit e, v and a in s, the lowest power first.
 _FADING = np.array(
     [[1.0, 0.0, 0.0, -10.0, 15.0, -6.0], [0.0, 1.0, 0.0, -6.0, 8.0, -3.0], [0.0, 0.0, 0.5, -1.5, 1.5, -0.5]]
+).T.copy()
+_POWERS = np.arange(6.0)[:, None]
+# From the coefficients of a polynomial, the lowest power first, to its own and those of its first two derivatives:
+# ``(18, 6)``, for each power of theirs.
+_DERIVATIVES = np.stack([np.linalg.matrix_power(np.diag(np.arange(1.0, 6.0), 1), k) for k in range(3)], 1).reshape(
+    18, 6
 )
-# From the coefficients of a polynomial, the lowest power first, to its own and those of its first two derivatives.
-_DERIVATIVES = np.stack([np.linalg.matrix_power(np.diag(np.arange(1.0, 6.0), 1), order) for order in range(3)])
 # Fraction of the limits of velocity and acceleration that a base may take; together with the corrections.
 BASE_FRACTION, FRACTION = 0.5, 0.8
 # What is tried: factors on the base's duration, and durations of the fade over the transition's.
 _SLOWER, _SHARES = (1.0, 1.25, 1.6, 2.2, 3.0), (1.0, 0.5, 0.25, 0.12, 0.06)
 # Samples of a transition, and of a shorter fade; every second of the former is looked at for what is in the way.
 EVEN, _OF_FADE = np.linspace(0.0, 1.0, 97), np.linspace(0.0, 1.0, 16)
+_EVEN_POWERS = EVEN[:, None] ** _POWERS.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,20 +64,26 @@ class Transition:
         return np.asarray(self.base(self.base.x[-1]))
 
     @cached_property
-    def even(self) -> tuple[Floats, Floats, Floats]:
+    def even(self) -> Floats:
         """What a call returns at 97 even times from 0 to the duration."""
-        return self(self.duration * EVEN)
+        return self._sum(_EVEN_POWERS) if self._one else self(self.duration * EVEN)
 
-    def __call__(self, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """Joint coordinates, rates and accelerations, each ``(K, n)``, at times ``(K,)``; at rest after the end."""
-        # Powers, the lowest first.
+    def __call__(self, t: Floats, orders: int = 3) -> Floats:
+        """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)``, or the first of these orders.
+
+        It rests after its end.
+        """
         powers = np.ones((6, len(t)))
         powers[1:] = np.minimum(np.maximum(t / self.fade, 0.0), 1.0)
-        result = np.multiply.accumulate(powers, out=powers).T @ self._factors
+        result = self._sum(np.multiply.accumulate(powers, out=powers).T, orders)
         if not self._one:
             self._add_base(result, t)
-        q, qd, qdd = result
-        return q, qd, qdd
+        return result
+
+    def _sum(self, powers: Floats, orders: int = 3) -> Floats:
+        """The corrections, or the whole motion, from powers of s ``(K, 6)``, the lowest first."""
+        factors = self._factors[:, : orders * self.differences.shape[1]]
+        return np.asarray(powers @ factors).reshape(len(powers), orders, -1).swapaxes(0, 1)
 
     @cached_property
     def _one(self) -> bool:
@@ -81,19 +92,19 @@ class Transition:
 
     @cached_property
     def _factors(self) -> Floats:
-        """``(3, 6, n)`` coefficients in s of the corrections, their rates and accelerations, or of the whole motion."""
-        times = self.fade ** np.arange(3.0)[:, None]
-        factors = _FADING.T @ (self.differences * times)
+        """``(6, 3 n)`` coefficients in s of the corrections, their rates and accelerations, or of the whole motion."""
+        times = self.fade ** _POWERS[:3]
+        factors = _FADING @ (self.differences * times)
         if self._one:
             own = self.base.c[::-1, 0]
-            factors[: len(own)] += own * self.base.x[-1] ** np.arange(float(len(own)))[:, None]
-        return _DERIVATIVES @ factors / times[..., None]
+            factors[: len(own)] += own * self.base.x[-1] ** _POWERS[: len(own)]
+        return np.asarray((_DERIVATIVES @ factors).reshape(6, 3, -1) / times).reshape(6, -1)
 
     def _add_base(self, result: Floats, t: Floats) -> None:
-        """Add the base and its first two derivatives to ``(3, K, n)`` at times ``(K,)``."""
+        """Add the base and its first derivatives to ``(orders, K, n)`` at times ``(K,)``."""
         own = np.minimum(np.maximum(t / self.slower, 0.0), self.base.x[-1])
-        for order in range(3):
-            result[order] += self.base(own, nu=order) / self.slower**order
+        for order, part in enumerate(result):
+            part += self.base(own, nu=order) / self.slower**order
 
 
 def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str | None] | None = None) -> Transition:
@@ -111,7 +122,8 @@ def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str
         PlanError: no transition tried keeps the limits and the clearance.
     """
     # The base's own acceleration may be left out: it begins at rest, and a spline's is no exact one.
-    differences = now - [base.c[-1, 0], base.c[-2, 0], np.zeros(len(now[2]))]
+    differences = now.copy()
+    differences[:2] -= base.c[:-3:-1, 0]
     refusal, looked = "no transition keeps the limits of the joints", EVEN[::2]
 
     @cache
@@ -123,21 +135,17 @@ def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str
         return blocked_after(before) or clear(base(base.x[-1] * looked[(share < looked) & (looked <= before)]))
 
     moves = bool((np.abs(differences) > 1e-12).any())
+    limits = FRACTION * np.array([arm.velocity_limits, arm.acceleration_limits])[:, None]
     for slower, share in product(_SLOWER, _SHARES if moves else _SHARES[:1]):
         blocked = blocked_after(share)
         if not blocked:
             result = Transition(base, slower, differences, share * slower * float(base.x[-1]))
-            q, qd, qdd = result.even
-            seen = q[::2]
+            states, seen = result.even, result.even[0, ::2]
             if share < 1.0:
                 of_fade = result(result.fade * _OF_FADE)
-                q, qd, qdd = map(np.concatenate, zip(of_fade, result.even, strict=True))
+                states = np.concatenate([of_fade, states], axis=1)
                 seen = np.concatenate([of_fade[0], seen[looked <= share]])
-            if (
-                (np.abs(qd) > FRACTION * arm.velocity_limits).any()
-                or (np.abs(qdd) > FRACTION * arm.acceleration_limits).any()
-                or (arm.limit_excess(q) > LIMIT_TOLERANCE).any()
-            ):
+            if (np.abs(states[1:]) > limits).any() or (arm.limit_excess(states[0]) > LIMIT_TOLERANCE).any():
                 continue
             blocked = None if clear is None else clear(seen)
             if blocked is None:

@@ -14,6 +14,7 @@ discrete time to Del Prete (IEEE Robotics and Automation Letters 3(1), 2018).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,6 +81,40 @@ def fastest(left: Floats, a: Floats, h: float) -> Floats:
     left = np.minimum(left, 1e6)
     root = np.sqrt(np.maximum(0.25 * h**2 + 2.0 * left / a, 0.0))
     return 2.0 * left / np.where(left >= 0.0, 0.5 * h + root, h)
+
+
+def braking_in_time(arm: Arm, middle: Floats, rates: Floats, old: Floats, h: float) -> Floats:
+    """Velocities ``(n,)`` at the end of a step h [s] from which an arm can brake before its position limits.
+
+    Args:
+        arm: its limits of position and acceleration count.
+        middle: joints ``(n,)`` at half of the step.
+        rates: velocities that are wished for, within the limits of velocity and acceleration; near position limits
+            those returned are smaller, and of ball joints within the latter.
+        old: velocities at its beginning.
+    """
+    (low, high), a = arm.position_limits.T, arm.acceleration_limits
+    reach = middle + rates * (h + 0.5 * np.abs(rates) / a)
+    if (reach < low).any() or (reach > high).any():
+        rates = np.minimum(np.maximum(rates, -fastest(middle - low, a, h)), fastest(high - middle, a, h))
+    for ball in arm.space.balls:
+        largest, at, most = high[ball[0]], middle[ball], a[ball] * h
+        # Half of the acceleration is left for turning while it moves along the limit.
+        ahead = at + rates[ball] * (h + np.abs(rates[ball]) / a[ball])
+        if math.hypot(*at) + math.hypot(*(ahead - at)) > largest:
+            rates = rates.copy()
+            # Towards where it would leave its limits, and outwards where it is; again, since some coordinates may brake
+            # as hard as they can already, so that others have to.
+            for way in (ahead, at) * 4:
+                outward = way / max(math.hypot(*way), 1e-300)
+                least = 0.5 * (a[ball] / np.maximum(np.abs(outward), 1e-9)).min()
+                # Less what it comes nearer in half a step, along the limit.
+                left = largest - outward @ at - 0.125 * h**2 * (rates[ball] @ rates[ball]) / largest
+                excess = outward @ rates[ball] - fastest(left, least, h)
+                if excess > 0.0:
+                    slower = rates[ball] - excess * outward
+                    rates[ball] = np.minimum(np.maximum(slower, old[ball] - most), old[ball] + most)
+    return rates
 
 
 class ApproachBounds:

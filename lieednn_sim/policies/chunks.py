@@ -33,7 +33,7 @@ from lieednn_sim.planning.chunks import Finding, RefusedError, judge, read
 from lieednn_sim.planning.clearance import ProofAhead, bounds_of
 from lieednn_sim.planning.timed_path import TimedPath
 from lieednn_sim.planning.transition import EVEN
-from lieednn_sim.policies.bounds import fastest
+from lieednn_sim.policies.bounds import braking_in_time
 from lieednn_sim.policies.coded_policy import GENTLY
 from lieednn_sim.policies.making import PolicyTask
 from lieednn_sim.policies.replanning import ReplanningOptions, ReplanningPolicy
@@ -43,9 +43,9 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-# Kinds of findings that are repaired by default; and samples at which contact is looked for, a third of a motion's.
+# Kinds of findings that are repaired by default; and samples at which contact is looked for, a quarter of a motion's.
 _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
-_LOOKS = 33
+_LOOKS = 25
 # The part of the limits of acceleration with which it brakes before what is not proved.
 _HARD = 0.8
 # Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once [s].
@@ -189,7 +189,7 @@ class ChunkPolicy(ReplanningPolicy):
         # The weight of earlier ones falls to zero where they end.
         left = np.clip((curve.duration - u) / max(curve.duration - (self.now - then), _FADE), 0.0, 1.0)
         weight = (1.0 - self._options.newest) * (left * left * (3.0 - 2.0 * left))[:, None]
-        return (1.0 - weight) * targets + weight * curve(np.clip(u, 0.0, curve.duration))[0]
+        return (1.0 - weight) * targets + weight * curve(np.clip(u, 0.0, curve.duration), 1)[0]
 
     def _turn_onto(self, parts: list[_Part]) -> list[Finding]:
         """Follow parts, or go to their end on another way if they touch something and that is allowed."""
@@ -214,7 +214,7 @@ class ChunkPolicy(ReplanningPolicy):
         """Follow the last part whose time has come, and the later ones then; raises `RefusedError`."""
         due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
         for begin, curve in parts[due:]:
-            self._require_clear(curve(np.linspace(0.0, curve.duration, _LOOKS))[0], begin - self.now, curve.duration)
+            self._require_clear(curve(np.linspace(0.0, curve.duration, _LOOKS), 1)[0], begin - self.now, curve.duration)
         if due:
             begin, curve = parts[due - 1]
             self._join(curve, min(self.now - begin, curve.duration), whole=True)
@@ -231,10 +231,10 @@ class ChunkPolicy(ReplanningPolicy):
         def onto(now: Floats) -> ChunkMotion:
             motion = go_over(self.arm, now, curve, begin, horizon, _FADE)
             end, last = motion.base.end, curve.duration
-            self._require_clear(motion.even[0][::3], 0.0, motion.duration)
+            self._require_clear(motion.even[0][::4], 0.0, motion.duration)
             if whole and end < last:
                 count = math.ceil(_LOOKS * (last - end) / (last - begin)) + 1
-                self._require_clear(curve(np.linspace(end, last, count))[0], motion.duration, last - end)
+                self._require_clear(curve(np.linspace(end, last, count), 1)[0], motion.duration, last - end)
             return motion
 
         # A shorter part has a smaller code, which is nearer to it. The rest comes back to it by further codes.
@@ -253,7 +253,9 @@ class ChunkPolicy(ReplanningPolicy):
             q, qd = (part[::3] for part in motion.even[:2])
             t = motion.duration * EVEN[::3]
             # It begins where the state is; the reference keeps within the limits.
-            off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + np.abs(q - np.clip(q, *self.arm.position_limits.T))
+            low, high = self.arm.position_limits.T
+            beyond = np.maximum(np.maximum(low - q, q - high), 0.0)
+            off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + beyond
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
     def _require_clear(self, q: Floats, begin: float, duration: float) -> None:
@@ -309,20 +311,7 @@ class ChunkPolicy(ReplanningPolicy):
         held = self.q + half * self.qd
         rate = np.minimum(np.maximum(qd + _RETURN * (inside - held - half * qd), self.qd - most), self.qd + most)
         rate = np.minimum(np.maximum(rate, -v), v)
-        (low, high), a, h = self.arm.position_limits.T, self.arm.acceleration_limits, self.period
-        # From where it can still brake before a limit; then it need not be held back there.
-        reach = held + rate * (h + 0.5 * np.abs(rate) / a)
-        if (reach < low).any() or (reach > high).any():
-            rate = np.minimum(np.maximum(rate, -fastest(held - low, a, h)), fastest(high - held, a, h))
-        for ball in self.arm.space.balls:
-            # Half of its limits is left for staying inside while it moves along the limit.
-            ahead = held[ball] + rate[ball] * (h + np.abs(rate[ball]) / a[ball])
-            if (angle := math.hypot(*ahead)) > high[ball[0]]:
-                outward = ahead / angle
-                least = 0.5 * (a[ball] / np.maximum(np.abs(outward), 1e-9)).min()
-                excess = outward @ rate[ball] - fastest(high[ball[0]] - outward @ held[ball], least, h)
-                slower = rate[ball] - max(excess, 0.0) * outward
-                rate[ball] = np.minimum(np.maximum(slower, self.qd[ball] - most[ball]), self.qd[ball] + most[ball])
+        rate = braking_in_time(self.arm, held, rate, self.qd, self.period)
         return self._within_limits(held + half * rate), rate
 
     def _listen(self, measured: Floats | None, drawn: Floats) -> tuple[float, tuple[Floats, Floats] | None]:
@@ -361,7 +350,7 @@ class ChunkPolicy(ReplanningPolicy):
             # Once it slows down, another code would let it hurry again.
             most = (0.5 if self.time < base.ramps_at else 1.0) * _TOLERANCE
             # The code may not be near enough, or joints pull.
-            if ends or (looks and np.abs(motion(at)[0] - self.drawn).max() > most):
+            if ends or (looks and np.abs(motion(at, 1)[0] - self.drawn).max() > most):
                 self._join(base.curve, float(base.clock(at)[0][0]), 1.0 if ends else 0.5)
 
     @property

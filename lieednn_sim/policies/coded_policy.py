@@ -171,7 +171,7 @@ class CodedPolicy(FeedbackPolicy):
 
     def _at(self, times: Floats) -> Floats:
         """Configurations ``(K, n)`` at times of the present motion."""
-        return self.course.transition(times)[0]
+        return self.course.transition(times, 1)[0]
 
     def channels(self) -> Floats:
         """See `Policy`."""

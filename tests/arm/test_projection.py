@@ -69,10 +69,12 @@ def link(begin, axis=(0.0, 0.0, 1.0), anchor=(0.0, 0.0, 0.0), ratio=1.0, kind="h
 
 @pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 8.0])
 def test_twists_are_principal_logarithms_of_the_poses(arm, size):
-    """Of a ball and slides behind it; of hinges with slides before, behind and on both sides, off the axis; of all."""
+    """Of a ball and slides behind it; of hinges with slides before, behind and on both sides, off the axis; of two."""
     slides = link(0, kind="slide", order=(1, 0, 2)), link(3, anchor=[0.1, 0.2, 0.0], kind="slide", ratio=2.0)
     between = replace(slides[1], factors=tuple(slides[1].factors[k] for k in (1, 0, 2)))
-    for joints in (arm.joints, CompoundJoints((*slides, between, link(6)), np.zeros(9))):
+    first, second, slide = link(6).factors
+    around = CompoundJoint((slide, *(replace(hinge, anchor=np.array([0.1, 0.2, 0.3])) for hinge in (first, second))))
+    for joints in (arm.joints, CompoundJoints((*slides, between, link(6), around), np.zeros(9))):
         rng, n = np.random.default_rng(0), len(joints.reference)
         q = joints.reference + size * rng.uniform(-1.0, 1.0, (200, n))
         xi = joints.twists(q)

@@ -4,6 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 import lieednn_sim as ls
@@ -13,6 +15,7 @@ from lieednn_sim.planning.chunk_motion import ChunkCurve, go_over
 from lieednn_sim.planning.chunks import judge
 from lieednn_sim.planning.clearance import ProofAhead, proved_clearance
 from lieednn_sim.policies import ChunkOptions, ChunkPolicy, make_policy
+from lieednn_sim.policies.bounds import braking_in_time
 from lieednn_sim.simulation import follow
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 
@@ -268,6 +271,24 @@ def test_positions_and_rates_agree_along_the_limit_of_a_ball_joint(step, speed):
     q, qd = np.moveaxis([policy.step(None, home) for _ in range(700)], 1, 0)
     np.testing.assert_allclose(np.diff(q, axis=0), 0.005 * (qd[1:] + qd[:-1]), atol=1e-11)
     assert -1e-4 < arm.limit_excess(q)[:, ball].max() < 1e-12
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=5)
+def test_joints_brake_before_their_limits_whatever_is_wished_for(seed):
+    """Another velocity in every 40th of 400 steps, up to the limits; ball joints turn along their largest angles."""
+    arm, rng, h = ls.Arm.load("telescopic_compound"), np.random.default_rng(seed), 0.01
+    v, most, balls = arm.velocity_limits, h * arm.acceleration_limits, arm.space.balls.ravel()
+    q, qd, beyond = arm.keyframe("home"), np.zeros(arm.n_joints), []
+    for wish in rng.uniform(-v, v, (10, arm.n_joints)).repeat(40, axis=0):
+        middle, old = q + 0.5 * h * qd, qd
+        qd = braking_in_time(arm, middle, np.clip(wish, old - most, old + most), old, h)
+        assert (np.abs(qd - old) <= most + 1e-9).all()
+        q = middle + 0.5 * h * qd
+        beyond.append(arm.limit_excess(q))
+    worst = np.max(beyond, axis=0)
+    assert np.delete(worst, balls).max() <= 1e-9
+    assert -0.02 < worst.max() < 5e-4
 
 
 def test_earlier_chunks_have_their_weight_until_they_end(gantry):
