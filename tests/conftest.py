@@ -200,8 +200,12 @@ def pytest_collection_finish() -> None:
     """What was imported and collected stays: the garbage collector need not look through it again and again.
 
     And figures are composed, but neither laid out nor drawn, which is matplotlib's and takes longer than most tests.
+    Of an imported arm a few straight paths are looked along, where a test does not ask for more.
     """
+    from lieednn_sim.arm.importer import remarks
     from lieednn_sim.evaluation import figure_layout
+
+    remarks._PATHS = 16
 
     global _save_figure
     _save_figure = figure_layout.save_figure
