@@ -173,7 +173,7 @@ _save_figure: Callable[..., None] | None = None  # the package's own
 # A job in the background of a shell inherits that Ctrl-C is ignored, and the commands would respect it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-settings.register_profile("lieednn", max_examples=30, deadline=None, derandomize=True, print_blob=True)
+settings.register_profile("lieednn", max_examples=20, deadline=None, derandomize=True, print_blob=True)
 # For `pytest tests/test_fuzz.py --hypothesis-profile=fuzz`: new examples every time, until something is found.
 settings.register_profile("fuzz", deadline=None, max_examples=1_000_000, print_blob=True)
 settings.load_profile("lieednn")
