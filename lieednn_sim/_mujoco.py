@@ -37,21 +37,22 @@ class QuietWarnings:
         mujoco.set_mju_user_warning(self._before)
 
 
-def kinematics_at(model: Any, qpos: Any) -> Any:
-    """New `mujoco.MjData` of a model, with its positions at ``qpos`` ``(nq,)`` and the frames of all bodies there."""
-    data = mujoco.MjData(model)
+def kinematics_at(model: Any, qpos: Any, data: Any = None) -> Any:
+    """New `mujoco.MjData`, or the given, with positions at ``qpos`` ``(nq,)`` and the frames of all bodies there."""
+    data = mujoco.MjData(model) if data is None else data
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     return data
 
 
 def scratch_data(model: Any) -> Any:
-    """`mujoco.MjData` to compute with, which the next call of this thread for the model returns again.
+    """`mujoco.MjData`, as if new, to compute with until the next call of this thread for the model returns it again.
 
     New ones take a hundred times as long as a computation, so those of the thread's last model are kept.
     """
     if getattr(_SCRATCH, "model", None) is not model:
         _SCRATCH.model, _SCRATCH.data = model, mujoco.MjData(model)
+    mujoco.mj_resetData(model, _SCRATCH.data)
     return _SCRATCH.data
 
 

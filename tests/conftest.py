@@ -173,7 +173,7 @@ _save_figure: Callable[..., None] | None = None  # the package's own
 # A job in the background of a shell inherits that Ctrl-C is ignored, and the commands would respect it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-settings.register_profile("lieednn", max_examples=30, deadline=None, derandomize=True, print_blob=True)
+settings.register_profile("lieednn", max_examples=20, deadline=None, derandomize=True, print_blob=True)
 # For `pytest tests/test_fuzz.py --hypothesis-profile=fuzz`: new examples every time, until something is found.
 settings.register_profile("fuzz", deadline=None, max_examples=1_000_000, print_blob=True)
 settings.load_profile("lieednn")
@@ -200,8 +200,12 @@ def pytest_collection_finish() -> None:
     """What was imported and collected stays: the garbage collector need not look through it again and again.
 
     And figures are composed, but neither laid out nor drawn, which is matplotlib's and takes longer than most tests.
+    Of an imported arm a few straight paths are looked along, where a test does not ask for more.
     """
+    from lieednn_sim.arm.importer import remarks
     from lieednn_sim.evaluation import figure_layout
+
+    remarks._PATHS = 16
 
     global _save_figure
     _save_figure = figure_layout.save_figure

@@ -14,8 +14,8 @@ from lieednn_sim.learning import TrainingOptions, train
 
 
 def test_rooms_are_there_without_being_imported_before():
-    code = "import lieednn_sim as ls; assert 'lie' in dir(ls); print(ls.planning.plan.__name__, ls.lie.hat.__name__)"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "plan hat\n"
+    code = "import lieednn_sim as ls; assert 'lie' in dir(ls); print(ls.arm.Arm.__name__, ls.lie.hat.__name__)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "Arm hat\n"
     with pytest.raises(AttributeError, match="no attribute 'plans'"):
         ls.plans  # noqa: B018
 

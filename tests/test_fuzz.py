@@ -129,7 +129,7 @@ def check_demonstration(phase, samples, t, length):
 def test_numbers_of_any_size(area):
     with np.errstate(all="ignore"):
         calls = list(area())
-    for number in range(rounds(max(90, 4 * len(calls)))):
+    for number in range(rounds(max(45, 4 * len(calls)))):
         function, *kinds = calls[number % len(calls)]
         draw = fuzz_public.Draw(number, fuzz_things.fresh)
         check(function, *(abs(draw.number()) if kind is float else draw.array(kind) for kind in kinds))

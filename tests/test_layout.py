@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -46,10 +47,17 @@ SUBPACKAGES = (
 )
 
 
+@cache
+def imports(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    """The imports anywhere in a module."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def imported(path: Path) -> set[str]:
     """What of the package, by the name of its subpackage, a module imports anywhere in it."""
     subpackages = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in imports(path):
         if isinstance(node, ast.ImportFrom) and node.module == "lieednn_sim":
             subpackages |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("lieednn_sim."):
@@ -84,7 +92,7 @@ def test_no_module_needs_itself():
     modules = {".".join(parts).removesuffix(".__init__"): path for path, parts in paths.items()}
     needs: dict[str, set[str]] = {module: set() for module in modules}
     for module, path in modules.items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in imports(path):
             if isinstance(node, ast.ImportFrom) and node.module in modules:
                 names = (f"{node.module}.{alias.name}" for alias in node.names)
                 needs[module] |= {name if name in modules else node.module for name in names}

@@ -71,7 +71,6 @@ def alive(references):
 @pytest.mark.parametrize(
     ("make", "scene", "planner"),
     [
-        (loaded, "poles", "lieednn-shaped"),
         (loaded, "poles", "rrt-connect"),
         (loaded, "free", "lieednn-certified"),
         (viewed, "poles", "lieednn-shaped"),

@@ -64,12 +64,15 @@ ROAD = """
 def walk(folder):
     from lieednn_sim.cli import main
     from lieednn_sim.evaluation import plots
+    from lieednn_sim.studies import study
     from lieednn_sim.studies.report import figures, page
 
     # Figures are matplotlib's alone, and take long.
     for what in ("network", "tracking", "joints", "clearance"):
         setattr(plots, f"plot_{what}", lambda *given: given[-1].write_bytes(b""))
     page.plots = lambda rows, controller: [figures.Plot(controller, "<svg/>", "")]
+    # One worker is enough, though it takes another number to ask for one.
+    pool, study.worker_pool = study.worker_pool, lambda _: pool(1)
     demo = ["demo", "--no-video", "--output", f"{folder}/run", "--duration", "1", "--hold", "0", "--planner"]
     assert main([*demo, "linear-attractor"]) == 0
     few = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes", "free", "--seeds", "2"]

@@ -42,7 +42,14 @@ def blocks(text: str, languages: str) -> list[tuple[int, str]]:
 
 PYTHON = {page: found for page, text in TEXTS.items() if page not in ELSEWHERE and (found := blocks(text, "python"))}
 # What takes long and shows the same where there is less of it.
-SHORTER = {"docs/howto/swinging_loads.md": (("hold=5.0", "hold=0.5"), ("(0.8, 1.2)", "(0.8,)"))}
+SHORTER = {
+    "docs/howto/swinging_loads.md": (
+        ("hold=5.0", "hold=0.2"),
+        ("(0.8, 1.2)", "(0.8,)"),
+        ("duration=10.0", "duration=5.0"),
+    ),
+    "docs/howto/demonstrations.md": (("duration=12.0", "duration=2.0"),),
+}
 COMMANDS = {
     (page, line): None
     for page, text in TEXTS.items()

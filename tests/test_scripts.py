@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -68,13 +69,20 @@ def test_the_tables_of_loads_that_swing_go_on_where_they_were(tmp_path, monkeypa
     assert (tmp_path / "settling.md").read_text() == table
 
 
+class Pickling(ThreadPoolExecutor):
+    """Threads that take only what could go to other processes."""
+
+    def map(self, *work, **options):
+        return super().map(*pickle.loads(pickle.dumps(work)), **options)
+
+
 def test_bounds_are_measured_and_a_broken_one_is_told(tmp_path, monkeypatch, capsys):
     path = tmp_path / "robustness.md"
+    monkeypatch.setattr(robustness, "worker_pool", Pickling)  # whose workers have a line below as well
     assert robustness.main(["--cases", "3", "--output", str(path)]) == 0
     assert path.read_text() in capsys.readouterr().out
     assert path.read_text().count("| 1 | 0 |") == 8 * len(robustness.KINDS)
     monkeypatch.setattr(robustness, "unstable_step", lambda jacobian, method: 1e-9)
-    monkeypatch.setattr(robustness, "worker_pool", ThreadPoolExecutor)  # which has the line before
     assert robustness.main(["--cases", "1", "--output", str(path)]) == 1
 
 

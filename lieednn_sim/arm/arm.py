@@ -23,7 +23,7 @@ from lieednn_sim.arm.importer.importing import import_model
 from lieednn_sim.arm.importer.loading import compile_spec, read_model
 from lieednn_sim.arm.importer.report import ImportOptions, ImportReport
 from lieednn_sim.arm.model_arm import LIMITS, ModelArm
-from lieednn_sim.arm.models import chosen, find_model, label_of
+from lieednn_sim.arm.models import chosen, find_model, label_of, models_directory
 from lieednn_sim.arm.obstacles import add_own_obstacles, check_home, is_scene_file, load_obstacles, scene_label
 from lieednn_sim.arm.parsing import read_arm, read_chain
 from lieednn_sim.arm.scenes import add_obstacles
@@ -67,7 +67,9 @@ class Arm(ModelArm):
             InputError: an unknown arm or scene, or the file holds no arm.
         """
         model = find_model(name, options)
-        return cls.from_xml(model.path, model.name, **model.options).with_scene(scene, seed)
+        own = model.path.is_relative_to(models_directory()) and not model.options
+        arm = copy.deepcopy(_own(*model[:2])) if own else cls.from_xml(model.path, model.name, **model.options)
+        return arm.with_scene(scene, seed)
 
     @classmethod
     def from_xml(cls, path: StrPath, name: str | None = None, **options: Unpack[ImportOptions]) -> Arm:
@@ -338,7 +340,8 @@ class Arm(ModelArm):
         vars(self).update(state, spec=loaded.spec)
 
     def __deepcopy__(self, _: dict[int, Any]) -> Arm:
-        return replace(self, spec=self.spec and self.spec.copy(), model=copy.deepcopy(self.model))
+        limits = {name: getattr(self, name).copy() for name in LIMITS}
+        return replace(self, spec=self.spec and self.spec.copy(), model=copy.deepcopy(self.model), **limits)
 
     @cached_property
     def _compiled(self) -> str:
@@ -349,6 +352,12 @@ class Arm(ModelArm):
     def fingerprint(self) -> str:
         """Fingerprint of this arm and its obstacles, see `fingerprint.arm_fingerprint`."""
         return arm_fingerprint(self)
+
+
+@lru_cache(maxsize=8)
+def _own(path: Path, name: str) -> Arm:
+    """An arm of the package, whose file does not change; to be copied."""
+    return Arm.from_xml(path, name)
 
 
 @lru_cache(maxsize=8)

@@ -10,7 +10,16 @@ import scipy
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import SCALAR
-from lieednn_sim.arm.equalities import EXACT, Indices, Residuals, dof_addresses, names, position_addresses, turns
+from lieednn_sim.arm.equalities import (
+    EXACT,
+    Indices,
+    Residuals,
+    dof_addresses,
+    least_squares,
+    names,
+    position_addresses,
+    turns,
+)
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.values import Floats
 
@@ -109,13 +118,13 @@ class ClosedLoops:
         """
         jacobian, given = self._residuals.at(qpos)[1], self._residuals.known
         right = -jacobian[:, given] @ known[given]
-        result, _, _, singular = np.linalg.lstsq(jacobian[:, self.dofs], right, rcond=None)
+        result, singular = least_squares(jacobian[:, self.dofs], right)
         if len(singular) and singular[-1] <= SINGULAR * singular[0]:
             raise NoSolutionError(
                 f"joints {names(self._model, self._joints)} are at a dead centre (singular) where "
                 f"{self._drivers_at(qpos)}: their velocities are not determined; keep away from there"
             )
-        return np.asarray(result, dtype=float)
+        return result
 
     def check_independent(self, known: Floats, joints: Sequence[int]) -> None:
         """Raise `InputError` where the loops leave the independent joints less freedom than they have, at the state.

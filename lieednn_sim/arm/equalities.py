@@ -19,6 +19,20 @@ Indices = NDArray[np.int_]
 EXACT = 1e-12
 
 
+def least_squares(matrix: Floats, right: Floats, least: float = 1e-15) -> tuple[Floats, Floats]:
+    """The least x ``(n, ...)`` with the least |A x - b| of A ``(m, n)`` and b ``(m, ...)``, and singular values of A.
+
+    Those below ``least`` times the largest count as zero. As `numpy.linalg.lstsq`, whose checks of its arguments take
+    most of its time for matrices this small.
+    """
+    padded = np.zeros((max(matrix.shape), *right.shape[1:]))
+    padded[: len(right)] = right
+    if not padded.size or not matrix.size:
+        return padded[: matrix.shape[1]], np.zeros(0)
+    _, solution, singular, *_ = scipy.linalg.lapack.dgelss(matrix, padded, least)
+    return np.asarray(solution[: matrix.shape[1]]), singular
+
+
 class Residuals:
     """How far a set of equalities is from being met, and which dependent joints can change that.
 
@@ -70,12 +84,7 @@ class Residuals:
 
     def least_squares(self, jacobian: Floats, residual: Floats) -> Floats:
         """The change ``(D, ...)`` of the dependent dofs that undoes a residual; redundant rows do no harm."""
-        # As numpy.linalg.lstsq, whose checks of its arguments take most of its time for matrices this small.
-        columns, count = jacobian[:, self.dofs], len(self.dofs)
-        right = np.zeros((max(columns.shape), *residual.shape[1:]))
-        right[: len(residual)] = -residual
-        solved = scipy.linalg.lapack.dgelss(columns, right, 1e-10)[1] if right.size and columns.size else right
-        return np.asarray(solved[:count])
+        return least_squares(jacobian[:, self.dofs], -residual, 1e-10)[0]
 
     def move(self, qpos: Floats, step: Floats) -> None:
         """Move the dependent dofs of ``(nq,)`` by a step ``(D,)``, in place."""

@@ -44,9 +44,12 @@ def disabled_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 def actuator_moments(model: mujoco.MjModel) -> Floats:
     """Generalised force per unit force of each actuator, ``(nu, nv)``, at the reference position; disabled ones: 0."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    moments = np.zeros((model.nu, model.nv))
+    data, moments = scratch_data(model), np.zeros((model.nu, model.nv))
+    # Of mj_forward what moments need.
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_tendon(model, data)
+    mujoco.mj_transmission(model, data)
     if model.nu:
         mujoco.mju_sparse2dense(
             moments, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.checks import BALL, FREE, SLIDE
 from lieednn_sim.arm.equalities import free_ranges, joint_range, names, tendon_joints
 from lieednn_sim.arm.forces import required_forces
@@ -52,7 +52,7 @@ def largest_inertia(model: mujoco.MjModel, configurations: Floats, rates: Floats
 
     Rates are as in `force_ranges`, ``(nv, n)`` or, where they differ, ``(S, nv, n)``.
     """
-    data, column = mujoco.MjData(model), np.zeros(model.nv)
+    data, column = scratch_data(model), np.zeros(model.nv)
     rates = np.broadcast_to(rates, (len(configurations), *rates.shape[-2:]))
     largest = np.zeros(rates.shape[-1])
     for data.qpos[:], basis in zip(configurations, rates, strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco, scratch_data
 from lieednn_sim.arm.checks import check_numbers, joint_kind, joint_label
 from lieednn_sim.arm.coordinates import Coordinates, Line, Sum
 from lieednn_sim.arm.dependents import Dependents, independent_joints
@@ -152,21 +152,17 @@ def read_joints(
 ) -> tuple[CompoundJoints, RigidTransform, RigidTransform, RigidTransform]:
     """Compound joints, and the fixed poses base, mounts and tips around them, at the model's reference position."""
     reference = coordinates.from_qpos(model.qpos0)
-    data = kinematics_at(model, coordinates.to_qpos(reference))
+    data = kinematics_at(model, coordinates.to_qpos(reference), scratch_data(model))
     places, turns = BodyFrames.of(chain.frames).poses(data.xpos, data.xmat)
     turned = scipy.spatial.transform.Rotation.from_matrix(turns)
     world = scipy.spatial.transform.RigidTransform.from_components(places, turned)
-    joints, mounts, tips = [], [], []
-    for (parent, child), group in zip(itertools.pairwise(world), chain.groups, strict=True):
-        # The joint frame sits on the last axis that turns and takes the axes of the first moving body.
-        turning = [joint for joint in group if joint_kind(model, joint) != "slide"]
-        orientation = _orientation(data, model.jnt_bodyid[group[0]])
-        anchor = data.xanchor[(turning or group)[-1]]
-        frame = scipy.spatial.transform.RigidTransform.from_components(anchor, orientation)
-        factors = itertools.chain.from_iterable(_factors(model, data, joint, frame, coordinates) for joint in group)
-        joints.append(CompoundJoint(tuple(factors)))
-        mounts.append((parent.inv() * frame).as_matrix())
-        tips.append((frame.inv() * child).as_matrix())
+    # The joint frame sits on the last axis that turns and takes the axes of the first moving body.
+    last = [sorted(group, key=lambda joint: joint_kind(model, joint) != "slide")[-1] for group in chain.groups]
+    turns = _orientations(data, model.jnt_bodyid[[group[0] for group in chain.groups]])
+    frames = scipy.spatial.transform.RigidTransform.from_components(data.xanchor[last], turns)
+    inside = frames.inv()
+    factors = _factors(model, data, chain, inside, coordinates)
+    joints = [CompoundJoint(tuple(factor for joint in group for factor in factors[joint])) for group in chain.groups]
     for i, (compound, group) in enumerate(zip(joints, chain.groups, strict=True), start=1):
         shared = any(np.isin(compound.indices, other.indices).any() for other in joints if other is not compound)
         if compound.screw is None or shared:
@@ -174,12 +170,11 @@ def read_joints(
                 _check_turn(model, arm, joint, ranges[joint])
         if not shared:
             _check_independent(compound, len(coordinates), f"link {i} of arm {arm!r}")
-    return (
-        CompoundJoints(tuple(joints), reference),
-        world[0],
-        scipy.spatial.transform.RigidTransform.from_matrix(np.array(mounts)),
-        scipy.spatial.transform.RigidTransform.from_matrix(np.array(tips)),
+    mounts, tips = (
+        scipy.spatial.transform.RigidTransform.from_matrix(poses.as_matrix())
+        for poses in (world[:-1].inv() * frames, inside * world[1:])
     )
+    return CompoundJoints(tuple(joints), reference), world[0], mounts, tips
 
 
 def read_position_limits(
@@ -213,22 +208,31 @@ def _leaders(model: mujoco.MjModel, arm: str, joints: list[int]) -> dict[int, Li
 
 
 def _factors(
-    model: mujoco.MjModel, data: mujoco.MjData, joint: int, frame: RigidTransform, coordinates: Coordinates
-) -> Iterator[Factor]:
-    """A joint as factors: one for each coordinate that moves it, since motions about one axis commute."""
-    inverse = frame.inv()
-    anchor = inverse.apply(data.xanchor[joint])
-    if joint_kind(model, joint) == "ball":
-        axes = (inverse.rotation * _orientation(data, model.jnt_bodyid[joint])).as_matrix()
-        yield Factor("ball", axes, anchor, coordinates.ball(model.jnt_qposadr[joint]))
-        return
-    ratios, axis = coordinates.coupling[model.jnt_qposadr[joint]], inverse.rotation.apply(data.xaxis[joint])
-    for index in np.flatnonzero(ratios):
-        yield Factor(joint_kind(model, joint), axis[:, None], anchor, np.array([index]), float(ratios[index]))
+    model: mujoco.MjModel, data: mujoco.MjData, chain: Chain, inside: RigidTransform, coordinates: Coordinates
+) -> dict[int, list[Factor]]:
+    """Each joint as factors: one for each coordinate that moves it, since motions about one axis commute.
+
+    ``inside`` are the inverses of the N joint frames.
+    """
+    joints = [joint for group in chain.groups for joint in group]
+    local = inside[np.repeat(np.arange(len(chain.groups)), [*map(len, chain.groups)])]
+    anchors, axes = local.apply(data.xanchor[joints]), local.rotation.apply(data.xaxis[joints])
+    turned = (local.rotation * _orientations(data, model.jnt_bodyid[joints])).as_matrix()
+    result: dict[int, list[Factor]] = {}
+    for joint, anchor, axis, frame in zip(joints, anchors, axes, turned, strict=True):
+        kind, address = joint_kind(model, joint), model.jnt_qposadr[joint]
+        ratios = coordinates.coupling[address]
+        result[joint] = [
+            Factor(kind, axis[:, None], anchor, np.array([index]), float(ratios[index]))
+            for index in np.flatnonzero(ratios)
+        ]
+        if kind == "ball":
+            result[joint] = [Factor(kind, frame, anchor, coordinates.ball(address))]
+    return result
 
 
-def _orientation(data: mujoco.MjData, body: int) -> Rotation:
-    return scipy.spatial.transform.Rotation.from_matrix(data.xmat[body].reshape(3, 3))
+def _orientations(data: mujoco.MjData, bodies: NDArray[np.int_]) -> Rotation:
+    return scipy.spatial.transform.Rotation.from_matrix(data.xmat[bodies].reshape(-1, 3, 3))
 
 
 def _check_integrator(model: mujoco.MjModel, arm: str) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.frames import BodyFrames
 from lieednn_sim.arm.kinematics import CompoundJoints
@@ -234,7 +234,7 @@ class SerialArm:
         """
         last = as_count("link", link, -self.n_links, self.n_links - 1) % self.n_links
         q = as_floats("q", q, (self.n_joints,), batched=True)
-        flat, data = q.reshape(-1, self.n_joints), mujoco.MjData(self.model)
+        flat, data = q.reshape(-1, self.n_joints), scratch_data(self.model)
         twists = np.empty((len(flat), 6, self.model.nv))
         for twist, data.qpos[:] in zip(twists, self.space.to_qpos(flat), strict=True):
             mujoco.mj_kinematics(self.model, data)

@@ -6,7 +6,7 @@ import copy
 
 import numpy as np
 
-from lieednn_sim._mujoco import mujoco
+from lieednn_sim._mujoco import mujoco, scratch_data
 from lieednn_sim.values import Floats
 
 _GROWING = 1.01  # in one step, far more than rounding or a link that falls
@@ -22,7 +22,7 @@ def without_stops(model: mujoco.MjModel) -> mujoco.MjModel:
 
 def step_growth(model: mujoco.MjModel, qpos: Floats) -> float:
     """Spectral radius of one step of the whole model, at rest with the servos commanded to the configuration."""
-    data = mujoco.MjData(model)
+    data = scratch_data(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
     data.ctrl[:] = data.actuator_length

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim._mujoco import kinematics_at, mujoco, scratch_data
 from lieednn_sim.arm.checks import FREE, ancestry, check_numbers, joints_of
 from lieednn_sim.arm.compound_joints import Couplings, along_tendons, cut
 from lieednn_sim.arm.contacts import without_clearance
@@ -91,7 +91,7 @@ def read_view(
     within = dict(zip(own.dof_jntid[dependents.dofs].tolist(), dependents.follower_limits(), strict=True))
     if not frames:
         whole = joint_ranges(own, [[joint] for joint in joints_of_chain], couplings, [], qpos, within)
-        groups = cut(own, kinematics_at(own, qpos), joints_of_chain, whole, couplings)
+        groups = cut(own, kinematics_at(own, qpos, scratch_data(own)), joints_of_chain, whole, couplings)
         ends = [body_frame(own, int(own.jnt_bodyid[group[-1]])) for group in groups[:-1]]
         frames = (inner, *ends, end)
     _check_links(own, groups, couplings)

@@ -115,7 +115,7 @@ def test_a_four_bar_stays_on_its_branch_through_a_turn():
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=15)
+@settings(max_examples=8)
 def test_a_jump_ends_where_a_fine_path_does(seed):
     rng = np.random.default_rng(seed)
     try:

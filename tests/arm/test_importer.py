@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.importer import remarks
 from lieednn_sim.errors import FileError, InputError, LieEDNNError
 from lieednn_sim.evaluation import evaluate
 from lieednn_sim.planning import plan
@@ -385,12 +386,13 @@ def test_missing_and_broken_files_are_named(tmp_path):
         Arm.from_spec(3)
 
 
-def test_what_comes_near_on_straight_ways_is_counted_in_one_order_of_names():
+def test_what_comes_near_on_straight_ways_is_counted_in_one_order_of_names(monkeypatch):
     # From x = 0.424 to 0.776 of -1 to 1 the ball touches both posts: in 17.5 % of postures; to 11.2 % it passes them.
     posts = "".join(
         f'<body name="{name}" pos=".6 {y} 0"><geom size=".1"/></body>' for name, y in (("b", -0.1), ("a", 0.1))
     )
     hand = '<body name="hand"><joint type="slide" axis="1 0 0" range="-1 1"/><geom size=".1"/></body>'
+    monkeypatch.setattr(remarks, "_PATHS", 256)
     told = arm_of(f"<mujoco><worldbody>{posts}{hand}</worldbody></mujoco>")[1].notes
     at_end, before = (note for note in told if "within 2 mm of contact" in note)
     assert "between 'a' and 'hand' (51), 'b' and 'hand' (51): these cannot be targets" in at_end

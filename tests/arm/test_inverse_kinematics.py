@@ -21,7 +21,7 @@ def test_a_solution_takes_few_steps(arm, monkeypatch):
     """Convergence is quadratic: with turning, sliding, ball and dependent joints, and the slopes of regions."""
     steps, evaluate, taken = [], _Search._evaluate, []
     monkeypatch.setattr(_Search, "_evaluate", lambda search: steps.append(1) or evaluate(search))
-    for seed in range(10):
+    for seed in range(5):
         pose = arm.link_poses(ls.draw_target(arm, seed))[-1]
         region = TaskSpaceRegion(pose, np.zeros(6), np.zeros(6))
         steps.clear()

@@ -46,6 +46,7 @@ def page():
         target = session.aimed.position
         made._server.initial_camera.position = target + np.array([0.7, -1.0, 0.6])
         made._server.initial_camera.look_at = target
+        session.paused = True  # but in a browser: its thread takes what others need
         yield made
 
 
@@ -58,7 +59,9 @@ def browser(page, opened):
     # That it draws with the processor it tells in a corner, which may be where the mouse is to go.
     hide = "document.head.insertAdjacentHTML('beforeend', '<style>.mantine-Notifications-root{display:none}</style>')"
     driver.execute_script(hide)
-    return driver
+    page.session.paused = False
+    yield driver
+    page.session.paused = True
 
 
 def tip(page):

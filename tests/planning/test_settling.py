@@ -137,16 +137,10 @@ def test_least_energy_takes_the_swing_from_the_crane_on_its_path(crane):
     distance, _ = cKDTree(plan.motion.q).query(calm.motion.q)
     assert distance.max() < np.linalg.norm(np.diff(plan.motion.q, axis=0), axis=1).max()
     assert calm.proved
-    for mass, length, most in (
-        (1.0, 1.0, 0.02),
-        (0.8, 1.0, 0.05),
-        (1.2, 1.0, 0.05),
-        (1.0, 0.8, 0.15),
-        (1.0, 1.2, 0.15),
-    ):
+    for mass, length, most in ((1.0, 1.0, 0.02), (1.2, 1.0, 0.05), (1.0, 0.8, 0.15)):
         loaded = with_load(arm, mass, length)
-        uninformed = ls.simulate(loaded, task_cases.trapezoidal(plan.motion), hold=10.0)
-        assert task._swing(ls.simulate(loaded, calm, hold=10.0)) < most * task._swing(uninformed)
+        uninformed = ls.simulate(loaded, task_cases.trapezoidal(plan.motion), hold=5.0)
+        assert task._swing(ls.simulate(loaded, calm, hold=5.0)) < most * task._swing(uninformed)
 
 
 def test_after_the_fastest_motion_half_a_period_is_added():

@@ -255,8 +255,10 @@ def distances(arm, q):
     return np.array(result)
 
 
-@pytest.mark.parametrize("planner", ["minimum-jerk", "rrt-connect", "lieednn-certified", "lieednn-shaped"])
-@pytest.mark.parametrize("gap", [1e-3, 0.0, -5e-4, -9e-4])
+@pytest.mark.parametrize(
+    ("planner", "gap"),
+    [("minimum-jerk", 1e-3), ("rrt-connect", 0.0), ("lieednn-certified", -5e-4), ("lieednn-shaped", -9e-4)],
+)
 def test_a_motion_leaves_what_is_nearer_than_the_clearance_at_its_start(planner, gap):
     arm = finger_at(gap)
     planned = ls.plan(arm, [1.0, 0.05], planner=planner)

@@ -248,7 +248,7 @@ def test_at_limits_positions_and_rates_agree():
     arm, rng, rows = ls.Arm.load("telescopic_rrp"), np.random.default_rng(0), []
     policy, home, x = ChunkPolicy(arm, feedback=None), arm.keyframe("home"), np.minimum(np.arange(30) / 16.0, 1.0)
     policy.reset(home)
-    for _ in range(40):
+    for _ in range(20):
         end = arm.position_limits[np.arange(arm.n_joints), rng.integers(0, 2, arm.n_joints)]
         end = np.where(rng.random(arm.n_joints) < 0.4, end, policy.q)
         policy.accept(policy.q + np.outer(x, end - policy.q), policy.now - rng.uniform(0.0, 0.3), 0.05)

@@ -453,7 +453,7 @@ class Chaos(Robot):
         self.measured = self.bursts(often, "missing", "malformed", "read", "jump")
         self.late, self.written, self.aims = (self.bursts(0.3 * often, each) for each in ("late", "write", "target"))
         self.fate = ("freeze", "policy", "stop", "stop raises", "on_late", "Ctrl-C", "none")[seed % 7]
-        self.due = self.rng.integers(20, 300)
+        self.due = self.rng.integers(20, 150)
 
     def bursts(self, often, *kinds):
         while True:
@@ -508,7 +508,7 @@ class Chaos(Robot):
             raise ZeroDivisionError(self.fate)
 
 
-def test_two_thousand_random_faults(gantry, clock):
+def test_a_thousand_random_faults(gantry, clock):
     """All that went wrong is counted, references keep the limits, and every loop ends, for a reason and at rest."""
     total, ends = Counter(), Counter()
     for seed in itertools.count():
@@ -523,21 +523,21 @@ def test_two_thousand_random_faults(gantry, clock):
             robot,
             name=policy,
             target=robot.target,
-            duration=4.0,
+            duration=2.0,
             on_late=lambda *_, robot=robot: robot.fail("on_late"),
             stop=lambda robot=robot: robot.fail("stop raises") or robot.is_due("stop"),
         )
         assert report.faults == {kind: robot.done[kind] for kind in report.faults} | {"stale": report.faults["stale"]}
         assert report.missed == robot.done["late"]
         assert gantry.limit_excess(np.array(robot.q)).max() <= 0.0
-        assert len(report.lateness) < 5.0 * robot.rate
-        assert report.stopped or len(report.lateness) >= 4.0 * robot.rate
+        assert len(report.lateness) < 3.0 * robot.rate
+        assert report.stopped or len(report.lateness) >= 2.0 * robot.rate
         total += Counter(report.faults) + Counter(late=report.missed)
         ends[report.stopped.split("(")[0].strip("0123456789 ")[:12]] += 1
-        if sum(total.values()) > 2_000 and len(ends) == 7:
+        if sum(total.values()) > 1_000 and len(ends) == 7:
             break
         assert seed < 40, ends
     # Every kind, and every reason there is.
-    assert min(total[kind] for kind in ("missing", "malformed", "read", "jump", "late", "write", "target")) > 100
+    assert min(total[kind] for kind in ("missing", "malformed", "read", "jump", "late", "write", "target")) > 50
     assert total["raised"] > 4 < seed
     assert len(ends) == 7

@@ -100,7 +100,6 @@ def some_targets(arm):
     "kind",
     [
         ("telescopic_pr", "lieednn-shaped", 100.0),
-        ("telescopic_rrp", "lieednn-certified", 500.0),
         ("telescopic_compound", "linear-attractor", 100.0),
         ("gantry", "cascade", 20.0),
         ("odd", "linear", 200.0),
@@ -242,7 +241,7 @@ def test_no_fault_makes_the_reference_jump(name, tmp_path):
     code = Compiled(policy, tmp_path, policy.q)
     (low, high), gain = arm.position_limits.T, 1.0011 * 0.01 * arm.acceleration_limits
     q, qd, mean, target, ends, braking = code.q, code.qd, 0.0, targets[0], 0, 0
-    for _ in range(5_000):
+    for _ in range(2_000):
         if rng.random() < 0.02:
             target = targets[rng.integers(9)]
         wanted, measured = target, q + 3e-3 * rng.normal(size=len(q)) * arm.ranges
@@ -266,7 +265,7 @@ def test_no_fault_makes_the_reference_jump(name, tmp_path):
             assert not qd.any()
             assert code.start(q) == 0
             ends, mean = ends + 1, 0.0
-    assert ends > 10
+    assert ends > 4
 
 
 @compiled
@@ -276,7 +275,7 @@ def test_what_is_sent_is_what_the_loop_sends(name, tmp_path):
     arm, rng = Arm.load(name), np.random.default_rng(5)
     policy = make_policy("linear-attractor", arm, "home", rate=100, convergence_rate=20.0)
     code = Compiled(policy, tmp_path, policy.q)
-    for k in range(2_340):
+    for k in range(1_560):
         if k % 390 == 0:
             side = k // 390 % 2
             limit = arm.within_angles(arm.position_limits[:, side])

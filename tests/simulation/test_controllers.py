@@ -85,7 +85,7 @@ def test_no_joint_is_said_to_exert_more_than_its_limit(arm, travel, controller):
 def test_wrong_masses_leave_a_small_error_that_feedback_bounds(arm, seeded, controller):
     target, motion = seeded.motion(1)
     _, right = seeded.run(1, controller)
-    wrong = evaluate(simulate(arm, motion, target=target, controller=controller, disturbances=HEAVIER))
+    wrong = evaluate(simulate(arm, motion, target=target, controller=controller, disturbances=HEAVIER), clearance=False)
     assert wrong.end_effector.tracking_rms_mm > right.end_effector.tracking_rms_mm
     for frame in wrong.frames:
         assert frame.final_mm < 2.0
@@ -121,7 +121,7 @@ def test_ball_joints_gears_tendons_and_coupled_stages(small_arms, travel, name, 
     goal = low + 0.7 * (high - low) if name == "telescope" else 0.5 * high
     start = arm.coordinates(arm.model.key_qpos[0]) if name == "telescope" else -0.2 * high
     rollout = simulate(arm, travel(arm, start, goal), target=goal, controller=controller, hold=0.5)
-    result = evaluate(rollout)
+    result = evaluate(rollout, clearance=False)
     # The stages are tied by a soft constraint that no controller knows of.
     exact = controller in ("inverse-dynamics", "computed-torque") and name == "compound"
     for frame in result.frames:
@@ -189,7 +189,7 @@ def test_held_references_are_steps_for_the_controller_and_not_for_the_log(small_
     np.testing.assert_array_equal(held.q_ref, smooth.q_ref)
     if controller == "position-servo":
         np.testing.assert_array_equal(held.ctrl, np.repeat(smooth.ctrl[::5], 5, axis=0)[: len(held.t)])
-    lagging, following = (evaluate(rollout).end_effector for rollout in (held, smooth))
+    lagging, following = (evaluate(rollout, clearance=False).end_effector for rollout in (held, smooth))
     # The mean age of a sample is two of its five steps.
     speed = np.linalg.norm(np.diff(arm.link_poses(motion.q).translation[:, -1], axis=0), axis=1).max() / 0.002
     assert following.tracking_rms_mm < lagging.tracking_rms_mm < 1e3 * speed * 0.01

@@ -237,9 +237,15 @@ MOTOR, SERVO = (
 )
 
 
-@pytest.mark.parametrize("controller", ["feedback-linearisation", "computed-torque"])
-@pytest.mark.parametrize("second", [MOTOR, SERVO])
-@pytest.mark.parametrize("file", [False, True])
+@pytest.mark.parametrize(
+    ("controller", "second", "file"),
+    [
+        ("feedback-linearisation", MOTOR, False),
+        ("feedback-linearisation", SERVO, True),
+        ("computed-torque", MOTOR, True),
+        ("computed-torque", SERVO, False),
+    ],
+)
 def test_motors_exert_no_more_than_their_control_ranges_give_and_controls_can_be_replayed(controller, second, file):
     xml = WEAK.format(second)
     model = mujoco.MjModel.from_xml_string(xml)

@@ -22,7 +22,7 @@ CATALOGUE += [affine(group(name)) for name in ("C^x", "H^x", "GL(2)")]
 CLOSED_FORMS = [one for one in CATALOGUE if one.projection is not None]
 
 every_group = pytest.mark.parametrize("one", CATALOGUE, ids=lambda one: one.name)
-few = settings(max_examples=10)
+few = settings(max_examples=5)
 
 
 def coordinates(one: MatrixLieGroup, rng: np.random.Generator, shape=(), size=1.0):

@@ -108,16 +108,14 @@ def _straight_paths(arm: ModelArm, home: Floats) -> Iterator[str]:
     """The bodies between which straight paths from home to random configurations come near contact."""
     found, counts = (Counter[str](), Counter[str]()), Counter[tuple[bool, bool]]()
     fractions = np.linspace(1.0, 0.0, _LOOKS, endpoint=False)
-    targets = draw(arm, _PATHS, seed=1)
-    torn_there = np.asarray(np.isnan(arm.qpos(targets, strict=False)).any(axis=1))
-    counts[False, True] = int(torn_there.sum())
-    for target in targets[~torn_there]:
-        way = home + fractions[:, None] * (target - home)
-        unsolved = np.asarray(np.isnan(arm.qpos(way, strict=False)).any(axis=1))
-        for k, (torn, result) in enumerate(zip(unsolved.tolist(), arm.near_contacts_along(way), strict=True)):
-            if result:
+    ways = arm.qpos(home + fractions[:, None] * (draw(arm, _PATHS, seed=1)[:, None] - home), strict=False)
+    finder = arm.without_visuals.contact_finder(PLANNED_CLEARANCE)
+    for way, torn_at in zip(ways, np.asarray(np.isnan(ways).any(axis=-1)).tolist(), strict=True):
+        for k, torn in enumerate(torn_at):
+            close = [] if torn else finder.bodies(way[k])
+            if torn or close:
                 counts[k > 0, torn] += 1
-                found[k > 0].update({"{!r} and {!r}".format(*sorted(p)) for p in result} if not torn else ())
+                found[k > 0].update({"{!r} and {!r}".format(*sorted(pair)) for pair in close})
                 break
     others = _PATHS - counts[False, False] - counts[False, True]
     search = "there planners fail that do not search for a way around, as lieednn-shaped and rrt-connect do"

@@ -9,6 +9,7 @@ import numpy as np
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm import Arm
+from lieednn_sim.arm.equalities import least_squares
 from lieednn_sim.arm.forces import compensating_dofs, tangent_basis
 from lieednn_sim.simulation.actuators import Actuators
 from lieednn_sim.simulation.controllers.base import NATURAL_FREQUENCY, Controller
@@ -187,7 +188,7 @@ class LoopLinearisation(Controller):
         mujoco.mj_mulM(self._model, own, self._load, acceleration)
         load = self._load + own.qfrc_bias - own.qfrc_passive - np.where(self._compensated, own.qfrc_gravcomp, 0.0)
         transmission = actuators.moment @ basis
-        forces: Floats = np.linalg.lstsq(transmission.T, load @ basis, rcond=None)[0]
+        forces, _ = least_squares(transmission.T, load @ basis)
         # Servos are told the reference's lengths, so that they feed back; the others exert their forces alone.
         held = actuators.affine_controls(reference.qpos[now], reference.qvel[after], forces)
         direct = actuators.affine_controls(own.qpos, own.qvel, forces)

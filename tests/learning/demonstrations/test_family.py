@@ -140,7 +140,7 @@ def test_starts_touch_neither_the_certificate_nor_the_goal(posed, learned, tmp_p
 
 
 def test_several_motions_in_one_set(monkeypatch):
-    monkeypatch.setattr(paths, "SAMPLES", 100)
+    monkeypatch.setattr(paths, "SAMPLES", 50)
     shown = motions_in_one()
     family = ShapedMotion.fit(shown, options=OPTIONS)
     fading = ShapedMotion.fit(shown, options=OPTIONS, family=False)

@@ -57,7 +57,7 @@ def test_kept_goals_are_where_they_were():
 
 
 def test_the_shape_depends_on_the_goal(shown, learned, monkeypatch):
-    monkeypatch.setattr(paths, "SAMPLES", 100)
+    monkeypatch.setattr(paths, "SAMPLES", 50)
     kept, motion = learned
     aligned = align(shown, phase="time")
     today = ShapedMotion.fit(aligned, options=OPTIONS)
