@@ -124,7 +124,7 @@ def plan(
     """Plan a motion from rest to rest within the arm's limits and free of contact.
 
     It may take a minute of CPU time, or what a surrounding `time_limit` allows. Planners that draw a fixed number of
-    candidates tell those that `reporting` names of each.
+    candidates report progress (`budget.reporting`).
 
     Args:
         arm: the arm, in its scene.
