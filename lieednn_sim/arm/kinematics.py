@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim.lie.se3 import hat, left_jacobian_so3, logarithm, moving, skew, transforms
+from lieednn_sim.lie.se3 import hat, left_jacobian_so3, linear_part, logarithm, skew, transforms
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -227,7 +227,7 @@ class CompoundJoints:
             angle = np.sqrt(np.einsum("ib,ib->b", turn, turn))
             principal = 1.0 - 2.0 * np.pi * np.round(angle / (2.0 * np.pi)) / np.maximum(angle, 1.0)
             omega = principal * turn
-            found = np.concatenate([omega, moving(omega, total, difference) + principal * shift])
+            found = np.concatenate([omega, linear_part(omega, total, difference) + principal * shift])
             twists[..., once, :] = found.reshape(6, len(once), -1).T.reshape(*offset.shape[:-1], -1, 6)
         return twists
 

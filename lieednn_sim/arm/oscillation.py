@@ -161,7 +161,7 @@ class PassiveJoints:
 
         Raises:
             InputError: q is malformed.
-            NoSolutionError: as of `at_rest`.
+            NoSolutionError: as for `at_rest`.
         """
         position = as_floats("q", q, (self.arm.n_joints,))
         return self.modes_at(self.at_rest(self.arm.qpos(position)[None])[0]) if len(self.dofs) else ()

@@ -48,7 +48,7 @@ def read_view(
     limits: Mapping[str, Mapping[str, float]] | None = None,
     name: str = "arm",
 ) -> View:
-    """Some joints of a model as an arm, by their names or those of the links that they move; arguments as of `Arm.of`.
+    """Some joints of a model as an arm, by their names or those of the links that they move; arguments as for `Arm.of`.
 
     ``name`` is the arm's in messages.
 

@@ -213,7 +213,7 @@ class ComponentwiseNetwork(BlockNetwork):
 class HopfieldNetwork(ComponentwiseNetwork):
     """A network with any weight matrix W, of N neurons with d coordinates (Hopfield, PNAS 81, 1984).
 
-    It is x' = -gamma x + mu (W phi(x) + b), with fields as of `LieEDNN`, but a P of W itself, ``(dN,)``.
+    It is x' = -gamma x + mu (W phi(x) + b), with fields as in `LieEDNN`, but a P of W itself, ``(dN,)``.
     """
 
     matrix: Floats

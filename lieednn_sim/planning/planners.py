@@ -148,7 +148,7 @@ def plan(
         path_constraint: region in which the end effector stays on the way, such as a line or an orientation; start and
             target must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only
             some planners can keep one.
-        payload: mass at the end effector [kg], as of `Arm.with_payload`, with which the plan's arm is returned. Motions
+        payload: mass at the end effector [kg], see `Arm.with_payload`, with which the plan's arm is returned. Motions
             that need more force than the actuators have take longer, with or without one.
         settle: a name of `settling.METHODS` or `SettlingOptions`: another time law on the planned path, after which
             little of what hangs or is elastic swings and bends (`settling.settled`). It keeps the duration where the

@@ -37,7 +37,7 @@ class SwingModel:
         path: joints ``(K, n)`` and their slopes at parameters ``(K,)`` in [0, 1], called as ``path(s, order)``.
 
     Raises:
-        NoSolutionError: as of `PassiveJoints.at_rest`.
+        NoSolutionError: as for `PassiveJoints.at_rest`.
     """
 
     def __init__(self, arms: Sequence[Arm], path: Callable[[Floats, int], Floats]) -> None:
