@@ -86,9 +86,9 @@ def _check_methods(cls: type) -> None:
 
 
 def typechecked(function: Callable[..., Any], cls: type | None = None) -> Callable[..., Any]:
-    """A function, or a method of a class, that checks its arguments' types; itself if it does so already or needs not.
+    """A function, or a method of a class, that checks its arguments' types; itself if it does so already or need not.
 
-    A function whose docstring calls it unchecked, for inner loops, needs not. Annotations are read at the first call,
+    A function whose docstring calls it unchecked, for inner loops, need not. Annotations are read at the first call,
     when all modules are loaded.
     """
     annotations = {text for name, text in function.__annotations__.items() if name != "return"}

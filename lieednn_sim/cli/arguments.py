@@ -209,7 +209,7 @@ class Simulating:
 
 
 def still_look(look: Look) -> dict[str, Any]:
-    """What of the look pictures have, too."""
+    """The options of a look that pictures have, too."""
     return {name: value for name, value in look.items() if name != "fps"}
 
 

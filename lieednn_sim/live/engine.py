@@ -102,7 +102,7 @@ class Progress:
 
 
 class Made(NamedTuple):
-    """A policy and what belongs to it."""
+    """A policy, its settings, its motion, and what is proved about it."""
 
     settings: Settings  # for which it was made
     policy: Policy

@@ -170,7 +170,7 @@ class BlockNetwork(ABC):
 
     @cached_property
     def _of_weights(self) -> dict[str, Any]:
-        """What takes much time and memory to find of the weights, whichever of the networks that share them asks."""
+        """Cache of what takes long to compute from the weights alone, for all networks that share them."""
         return {}
 
     @cached_property

@@ -97,7 +97,7 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
 
 
 def least_stretch(still: Floats, damping: Floats, rest: Floats, bound: Floats | float) -> Floats:
-    """By how much time must be stretched for f0 + f1 / s + f2 / s^2 to stay below a bound; 0 where f0 does not."""
+    """The least factor s of time with which f0 + f1 / s + f2 / s^2 is below a bound; 0 where f0 alone is above it."""
     spare = bound - still
     root = np.sqrt(np.maximum(damping**2 + 4.0 * spare * rest, 0.0))
     return np.where(spare > 0.0, (damping + root) / (2.0 * np.where(spare > 0.0, spare, 1.0)), 0.0)
