@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 
-# As of NumPy, but without None: results are functions of their arguments.
+# As in NumPy, but without None: results are functions of their arguments.
 Seed = int | np.random.SeedSequence | np.random.Generator
 
 # Larger than any meaningful length, angle, rate or weight; products of three such numbers do not overflow.
