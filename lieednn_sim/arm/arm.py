@@ -95,7 +95,7 @@ class Arm(ModelArm):
     def from_spec(
         cls, spec: mujoco.MjSpec, source: Path = Path("a spec"), name: str = "arm", **options: Unpack[ImportOptions]
     ) -> Arm:
-        """The arm in a spec, which is not changed, as of `from_xml`.
+        """The arm in a spec, which is not changed, as for `from_xml`.
 
         Args:
             spec: the spec.

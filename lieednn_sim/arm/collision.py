@@ -171,7 +171,7 @@ class Collisions:
         return self.nearest_at(self.arm.qpos(rows))[0]
 
     def nearest_at(self, qpos: ArrayLike) -> tuple[float, int, tuple[int, ...]]:
-        """The same at positions ``(K, nq)`` of everything, at which of them, and the geoms' ids; none without pairs."""
+        """`clearance` at ``(K, nq)`` of everything, at which of them, and the geoms' ids, none without pairs."""
         rows, best = as_floats("qpos", qpos, ("K", self.arm.model.nq)), (np.inf, 0, -1)
 
         def look(some: NDArray[np.int_], cutoff: Floats | float) -> None:

@@ -90,7 +90,7 @@ class Dependents:
         self.has_loops = self._loops is not None
 
     def to_qpos(self, qpos: Floats, *, strict: bool = True) -> Floats:
-        """Rows ``(..., nq)`` with the independent joints set to rows with the dependent joints solved; others stay.
+        """Solve the dependent joints in rows ``(..., nq)`` in which the independent ones are set; all others stay.
 
         Where there are loops, rows along a path take the least time. If not ``strict``, rows without solution are NaN.
 

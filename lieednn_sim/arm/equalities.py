@@ -128,7 +128,7 @@ class Residuals:
 
 
 def involved_joints(model: mujoco.MjModel, equality: int) -> set[int]:
-    """The joints on whose positions an equality's residual depends; none for kinds without joints, as of flexes."""
+    """The joints on whose positions an equality's residual depends; none for those of flexes."""
     kind, ids = model.eq_type[equality], (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
     if kind == int(mujoco.mjtEq.mjEQ_JOINT):
         return {joint for joint in ids if joint >= 0}

@@ -100,7 +100,7 @@ def narrow_to_servos(
             lengths = -(gain[a] * control_ranges(model)[a] + constant[a]) / stiffness[a]
             low, high = np.sort(q[k] + (lengths - resting[a]) / rates[a, k])
             held[k] = max(low, held[k, 0]), min(high, held[k, 1])
-    narrower = ~np.isclose(held, limits, rtol=0.0, atol=1e-3)  # not by a file's rounding, as of 6.2831 for 2 pi
+    narrower = ~np.isclose(held, limits, rtol=0.0, atol=1e-3)  # not by a file's rounding, such as 6.2831 for 2 pi
     for k in np.flatnonzero(narrower.any(axis=1)).tolist():
         name, before, after = space.names[k], *("[{:.4g}, {:.4g}]".format(*span[k]) for span in (limits, held))
         if held[k, 0] >= held[k, 1]:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim.lie.se3 import hat, left_jacobian_so3, logarithm, moving, skew, transforms, turn_of
+from lieednn_sim.lie.se3 import hat, left_jacobian_so3, linear_part, logarithm, skew, transforms, turn_of
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ class CompoundJoints:
                 vectors[-len(anchors) :] += anchors
             *turns, total, difference = vectors.reshape(len(vectors) // (3 * len(once)), 3, -1)
             omega = turn_of(turns)
-            found = np.concatenate([omega, moving(omega, total, difference)])
+            found = np.concatenate([omega, linear_part(omega, total, difference)])
             twists[..., once, :] = found.reshape(6, len(once), -1).T.reshape(*offset.shape[:-1], len(once), 6)
         return twists
 

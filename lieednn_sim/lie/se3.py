@@ -86,7 +86,7 @@ def logarithm(rotation: Floats, translation: Floats) -> Floats:
     """`log` of rotations ``(..., 3, 3)`` and translations ``(..., 3)``: unchecked, in half of the time of SciPy's."""
     turn = scipy.spatial.transform.Rotation.from_matrix(rotation.reshape(-1, 3, 3), assume_valid=True)
     omega, p = rotation_vectors(turn).T.copy(), translation.reshape(-1, 3).T.copy()
-    return np.concatenate([omega, moving(omega, p, p)]).T.reshape(*translation.shape[:-1], 6)
+    return np.concatenate([omega, linear_part(omega, p, p)]).T.reshape(*translation.shape[:-1], 6)
 
 
 def rotation_vectors(rotation: Rotation) -> Floats:
@@ -114,7 +114,7 @@ def turn_of(turns: Sequence[Floats]) -> Floats:
     return np.asarray(np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / np.maximum(size, 1e-150) * part)
 
 
-def moving(omega: Floats, total: Floats, difference: Floats) -> Floats:
+def linear_part(omega: Floats, total: Floats, difference: Floats) -> Floats:
     """The v with J(omega) v = p + R q, in inner loops, from p + q and p - q; components ``(3, M)``, unchecked.
 
     J^-1 = I - hat(omega) / 2 + k hat(omega)^2, k = (1 - a/2 cot(a/2)) / a^2; in J^-1 R omega has the other sign.

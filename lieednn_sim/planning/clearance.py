@@ -212,7 +212,7 @@ def proved_clearance(
     """Bound the distances from contact along a motion, at every instant.
 
     Args:
-        arm, t, q, qd: as of `check_clearance`.
+        arm, t, q, qd: as for `check_clearance`.
         off: ``(K, n)`` how far joints may be from the motion at its samples, such as a run's tracking errors [rad, m].
         far: distance beyond which nothing is measured [m].
         own: whether the arm's own parts, its base included, count against each other.
@@ -259,7 +259,7 @@ class ProofAhead:
     """How far from its beginning a motion is proved to be clear of contact, found interval by interval.
 
     Args:
-        arm, t, q, qd, off: as of `proved_clearance`.
+        arm, t, q, qd, off: as for `proved_clearance`.
 
     Attributes:
         pair: names of the geoms that may touch where the proof ends for good; empty while it goes on.

@@ -45,7 +45,7 @@ class CodedPolicy(FeedbackPolicy):
     """Base class of policies along coded motions of one network; a subclass defines `_decide`.
 
     Args:
-        arm, rate, feedback: as of `FeedbackPolicy`.
+        arm, rate, feedback: as for `FeedbackPolicy`.
 
     Attributes:
         changes: number of codes taken since the reset.

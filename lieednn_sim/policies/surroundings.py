@@ -32,7 +32,7 @@ class Surroundings:
 
     Attributes:
         places: positions ``(3,)`` of the moving obstacles' bodies [m], by name; empty before any was seen.
-        velocities: those of the obstacles that move ``(3,)`` [m/s], as of the last `look`; may be set.
+        velocities: those of the obstacles that move ``(3,)`` [m/s], at the last `look`; may be set.
         touching: name of the one that touched the arm when it was to `leave`, if any.
     """
 
@@ -202,7 +202,7 @@ def evasion(
     of obstacles, as they move and as they are now; `PlanError` if there is none.
 
     Args:
-        places, velocities: of the obstacles ``(3,)`` [m, m/s], by name, as of `Surroundings`.
+        places, velocities: of the obstacles ``(3,)`` [m, m/s], by name, as in `Surroundings`.
         margin: distance to be kept from them where that is possible, else half of it [m].
         lead, horizon: times until the arm sets off, and for which obstacles are foreseen [s].
     """
