@@ -37,7 +37,7 @@ _INSTANTS = 201  # number of instants at which paths of probabilistic primitives
 
 
 @frozen
-class MovementPrimitive:
+class DynamicPrimitive:
     """A dynamic movement primitive, fitted to demonstrations."""
 
     weights: Floats  # (B, 6) for rotations [rad] and positions [m]; zero for entries that were not recorded
@@ -47,7 +47,7 @@ class MovementPrimitive:
     durations: ClassVar[float] = 1.0
 
     @classmethod
-    def fit(cls, demonstrations: Demonstrations, n_parameters: int) -> MovementPrimitive:
+    def fit(cls, demonstrations: Demonstrations, n_parameters: int) -> DynamicPrimitive:
         """Fit as many basis functions as there are parameters to spend, at least two.
 
         The path is linear in the weights except for the curvature of rotations, so that the least squares are in the
