@@ -170,7 +170,7 @@ def joint_scale(arm: Arm) -> Floats:
 def travelled(points: Floats) -> Floats:
     """Length ``(M,)`` of a path through points ``(M, ...)`` up to each of them."""
     steps = np.diff(points, axis=0).reshape(len(points) - 1, -1)
-    return np.append(0.0, np.cumsum(np.sqrt(np.einsum("ki,ki->k", steps, steps))))
+    return np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
 
 
 def rms_jerk(arm: Arm, motion: Motion) -> float:
