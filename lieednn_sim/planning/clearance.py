@@ -100,10 +100,12 @@ class Cubics:
 
     def __init__(self, step: float, q: Floats, qd: Floats, off: Floats | None = None) -> None:
         self._q, self._moved, self._off = q, step * qd, off
-        chords, before, after = 6.0 * (q[1:] - q[:-1]), self._moved[:-1], self._moved[1:]
+        chords, before, after = q[1:] - q[:-1], self._moved[:-1], self._moved[1:]
         # Accelerations at the ends of each step, times its square.
-        self._ends = np.array([chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - chords])
-        self._largest = np.abs(self._ends).max(axis=0)
+        self._ends = np.empty((2, *chords.shape))
+        np.subtract(6.0 * chords, 4.0 * before + 2.0 * after, out=self._ends[0])
+        np.subtract(4.0 * after + 2.0 * before, 6.0 * chords, out=self._ends[1])
+        self._largest = np.maximum(*np.abs(self._ends))
 
     def turns(self) -> Floats:
         """Instants ``(I,)`` between samples, counted in steps, at which a joint turns round."""
@@ -149,7 +151,7 @@ class Cubics:
         return at, half * rate, 0.5 * half**2 * widest + left, left
 
 
-def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
+def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics | None = None) -> None:
     """Check that a motion keeps the arm's `clearance`.
 
     It is proved over intervals. Those in which it cannot be are tested at their samples; where contact is not excluded
@@ -160,12 +162,13 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
         t: ``(K,)`` evenly spaced times [s].
         q: ``(K, n)`` joint positions [rad, m].
         qd: ``(K, n)`` their rates [rad/s, m/s].
+        cubics: those of the motion, if they are at hand.
 
     Raises:
         PlanError: something is nearer; the message names it, and the time.
     """
     bounds, step = bounds_of(arm), float(t[1] - t[0])
-    cubics = Cubics(step, q, qd)
+    cubics = Cubics(step, q, qd) if cubics is None else cubics
     begin, end = _edges(q)
     tested = 0
     # Most motions that touch something do so here, and a test costs a fiftieth of a bound.
@@ -295,7 +298,8 @@ class ProofAhead:
 def _edges(q: Floats, least: int = _FIRST) -> tuple[Floats, Floats]:
     """Begin and end of the first intervals of a motion ``(K, n)``, at least so many, in steps."""
     steps = q[1:] - q[:-1]
-    count = min(max(least, math.ceil(float(np.sqrt(np.vecdot(steps, steps)).sum()) / _WAY)), len(q) - 1)
+    way = float(np.sqrt(np.einsum("ki,ki->k", steps, steps)).sum())
+    count = min(max(least, math.ceil(way / _WAY)), len(q) - 1)
     edges = (np.arange(count + 1.0) * ((len(q) - 1) / count)).round()
     return edges[:-1], edges[1:]
 
