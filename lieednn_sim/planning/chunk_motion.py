@@ -162,6 +162,13 @@ class ChunkMotion(Transition):
         """Whether it is on the curve before that ends."""
         return self.fade <= float(self.base.x[-1])
 
+    def acceleration(self, time: float) -> Floats:
+        """Accelerations ``(n,)`` at a time, in a straight line between the two of 97 beside it."""
+        place = min(time / self.duration, 1.0) * (len(EVEN) - 1)
+        k = min(int(place), len(EVEN) - 2)
+        before, after = self.even[2][k : k + 2]
+        return np.asarray(before + (place - k) * (after - before))
+
     def _add_base(self, result: Floats, t: Floats) -> None:
         result += self.base.states(t, len(result))
 

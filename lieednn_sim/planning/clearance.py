@@ -141,13 +141,14 @@ class Cubics:
         middle, half = 0.5 * (begin + end), 0.5 * (end - begin)[:, None]
         at, rate = self.at(middle)
         # Steps that an interval touches.
-        edges = np.stack([np.floor(begin), np.maximum(np.ceil(end), np.floor(begin) + 1.0)], axis=1).astype(int)
-        edges = np.minimum(edges, len(self._largest) - np.array([1, 0]))
-        widest = np.array([self._largest[a:b].max(axis=0) for a, b in edges.tolist()]).reshape(at.shape)
-        left = np.zeros_like(at)
-        if self._off is not None:
+        count, ends = len(self._largest), zip(begin.tolist(), end.tolist(), strict=True)
+        steps = [(min(int(a), count - 1), min(max(math.ceil(b), int(a) + 1), count)) for a, b in ends]
+        widest = np.array([np.maximum.reduce(self._largest[a:b]) for a, b in steps]).reshape(at.shape)
+        if self._off is None:
+            left = np.zeros_like(at)
+        else:
             # What a chord is off its cubic, too.
-            left += 0.125 * widest + [self._off[a : b + 1].max(axis=0) for a, b in edges.tolist()]
+            left = 0.125 * widest + [np.maximum.reduce(self._off[a : b + 1]) for a, b in steps]
         return at, half * rate, 0.5 * half**2 * widest + left, left
 
 

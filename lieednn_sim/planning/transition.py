@@ -80,6 +80,10 @@ class Transition:
             self._add_base(result, t)
         return result
 
+    def acceleration(self, time: float) -> Floats:
+        """Accelerations ``(n,)`` at a time."""
+        return np.asarray(self(np.array([time]))[2, 0])
+
     def _sum(self, powers: Floats, orders: int = 3) -> Floats:
         """The corrections, or the whole motion, from powers of s ``(K, 6)``, the lowest first."""
         factors = self._factors[:, : orders * self.differences.shape[1]]
