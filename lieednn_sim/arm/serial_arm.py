@@ -122,8 +122,8 @@ class SerialArm:
         excess = np.maximum(low - q, q - high)
         balls = self.space.balls
         if len(balls):
-            turns = q[..., balls]
-            excess[..., balls] = np.sqrt(np.vecdot(turns, turns))[..., None] - high[balls]
+            x, y, z = (q[..., each] for each in balls.T)
+            excess[..., balls] = np.sqrt(x * x + y * y + z * z)[..., None] - high[balls]
         return excess
 
     def within_angles(self, q: Floats) -> Floats:

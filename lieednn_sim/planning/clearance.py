@@ -110,7 +110,7 @@ class Cubics:
     def turns(self) -> Floats:
         """Instants ``(I,)`` between samples, counted in steps, at which a joint turns round."""
         before, after = self._moved[:-1], self._moved[1:]
-        k, joint = np.nonzero(before * after < -1e-30)  # more than rounding
+        k, joint = np.divmod(np.flatnonzero(before * after < -1e-30), before.shape[1])  # more than rounding
         first, last, rate = *self._ends[:, k, joint], before[k, joint]
         # The one root of rate + first s + (last - first) s^2 / 2 in (0, 1), where the rate changes its sign.
         root = np.sqrt(first**2 - 2.0 * rate * (last - first))
@@ -119,8 +119,9 @@ class Cubics:
     def fastest(self) -> Floats:
         """Largest rates ``(K - 1, n)`` between samples times the step, 0 where those at the samples are larger."""
         first, last = self._ends
-        inside = first * last < 0.0
-        return np.where(inside, self._moved[:-1] - 0.5 * first**2 / np.where(inside, last - first, 1.0), 0.0)
+        inside, result = np.divmod(np.flatnonzero(first * last < 0.0), first.shape[1]), np.zeros_like(first)
+        result[inside] = self._moved[inside] - 0.5 * first[inside] ** 2 / (last[inside] - first[inside])
+        return result
 
     def at(self, times: ArrayLike) -> tuple[Floats, Floats]:
         """Joints at instants ``(I,)`` that count steps, and their rates times the step, each ``(I, n)``."""
