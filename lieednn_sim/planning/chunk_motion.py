@@ -172,15 +172,15 @@ class ChunkMotion(Transition):
     def _add_base(self, result: Floats, t: Floats) -> None:
         result += self.base.states(t, len(result))
 
-    def until(self, time: float) -> list[Floats]:
-        """Joint coordinates, rates and accelerations, each ``(K, n)``, at 21 to 97 times up to ``time``."""
+    def until(self, time: float) -> Floats:
+        """Joint coordinates, rates and accelerations ``(3, K, n)`` at 21 to 97 times up to ``time``."""
         count, faded = len(EVEN), time / self.duration
         if faded > 0.2:
-            return [part[: math.ceil((count - 1) * faded) + 1] for part in self.even]
+            return self.even[:, : math.ceil((count - 1) * faded) + 1]
         # With those that others ask for, at once.
-        states = self(np.append(self.duration * EVEN, time * EVEN[::3]))
-        vars(self)["even"] = tuple(part[:count] for part in states)
-        return [part[count:] for part in states]
+        states = self(np.concatenate([self.duration * EVEN, time * EVEN[::3]]))
+        vars(self)["even"] = states[:, :count]
+        return states[:, count:]
 
 
 def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float, fade: float) -> ChunkMotion:
@@ -217,7 +217,7 @@ def _joined(
     arm: Arm, now: Floats, curve: ChunkCurve, begin: float, end: float, fade: float, slows: bool
 ) -> ChunkMotion:
     """The transition that joins a curve at a time, and rests at another one; see `go_over`."""
-    v, a = limits = np.stack([arm.velocity_limits, arm.acceleration_limits])
+    v, a = limits = np.array([arm.velocity_limits, arm.acceleration_limits])
     (fast, *_), (bent, *_) = curve.excess(arm, begin)
     least, ramps = max(1.0, fast, math.sqrt(bent)), dict[float, float | None]()
     there, slope, turn = curve(np.array([begin]))[:, 0]
