@@ -211,6 +211,13 @@ def test_the_speeds_on_the_site_are_those_of_the_benchmark():
     ):
         median = next(ratio["median"] for name, ratio in ratios.items() if name.startswith(begins))
         assert re.search(rf"(^|[ ,]){re.escape(f'{median:.{digits}f}')}\b", said[row]), f"{row}: {median}"
+    steps = [ratio["median"] for name, ratio in ratios.items() if name.startswith("control step of follow")]
+    assert said["control step of `follow` with feedback"] == f"{min(steps):.0f} to {max(steps):.0f} us"
+    real = next(ratio["median"] for name, ratio in ratios.items() if name.startswith("real time"))
+    assert said["simulation"] == f"{round(real, -1):.0f} times as fast as real time"
+    index = (root / "docs/results/index.md").read_text(encoding="utf-8")
+    assert said["simulation"] in index
+    assert said["control step of `follow` with feedback"] in index
 
 
 def test_what_is_said_of_chunks_is_in_their_table():
@@ -278,3 +285,53 @@ def test_the_answers_on_the_site_are_in_the_tables():
         for figure in written:
             assert figure in table
             assert figure in answers
+
+
+def test_what_the_readme_and_the_learning_page_say_is_in_the_tables():
+    root = Path(benchmark.__file__).parents[1]
+
+    def text(path: str) -> str:
+        return " ".join((root / path).read_text(encoding="utf-8").replace(",", "").split())
+
+    def rows(name: str) -> list[list[str]]:
+        lines = (root / f"results/reference/{name}.md").read_text(encoding="utf-8").splitlines()
+        return [cells(line) for line in lines if line.startswith("| ")]
+
+    def total(counts: list[str]) -> str:
+        """Sums of `done of asked`."""
+        done, asked = np.sum([[int(n) for n in count.split(" of ")] for count in counts], axis=0)
+        return f"{done} of {asked}"
+
+    shaped_rows = [row[2] for row in rows("shaped") if row[0] == "all"]
+    robots = [row for row in rows("robots") if "/" in row[0]]
+    motions = [row for row in rows("comparison") if len(row) == 16 and row[0].startswith("telescopic")]
+    made, cases = total([row[3] for row in motions]).split(" of ")
+    passed: dict[str, list[str]] = {}
+    for row in rows("tasks"):
+        if re.fullmatch(r"[0-5] of 5", row[1]):
+            passed.setdefault(row[0], []).append(row[1])
+    ours = passed.pop("lieednn-shaped")
+    next_best = max(int(total(counts).split()[0]) for counts in passed.values() if len(counts) == 5)
+    timed = [row for row in rows("motion_bench_maker") if row[5][0] in "0123456789"]
+    times = {(row[0], row[1].strip("`")): float(row[5].split()[0]) for row in timed}
+    slower = [time / times[robot, "rrt-connect"] for (robot, name), time in times.items() if name == "lieednn-shaped"]
+    certified, straight = (total([row[column] for row in robots]) for column in (4, 5))
+    readme = text("README.md")
+    for said in (
+        f"[{total(shaped_rows)} planned motions have one]",
+        f"[{shaped_rows[0]} problems]",
+        f"[{len(robots)} robots tried]",
+        f"reaches {total([row[4] for row in robots if 'stretch' in row[0]])} targets",
+        f"planned {certified} motions minimum jerk {straight.split()[0]};",
+        f"[{len({row[2] for row in motions})} planners 3 arms {cases} cases: {made} planned",
+        f"passes {total(ours)} cases the next best {next_best};",
+        f"in {min(slower):.1f} to {max(slower):.1f} times RRT-Connect's mean time",
+    ):
+        assert said in readme, said
+    assert f"Of {cases} cases {made} were planned" in text("docs/results/comparison.md")
+    learned = {row[0]: row for row in rows("learning")}
+    minutes = [float(learned[name][-1]) for name in ("SAC", "PPO")]
+    page = text("docs/results/learning.md")
+    assert f"is {learned['PPO'][3]} mm from its target after 400000" in page
+    assert f"budgets of {min(minutes):.0f} to {np.ceil(max(minutes)):.0f} minutes" in page
+    assert f"in {learned['behaviour cloning'][2].split()[0]} % of the episodes" in page

@@ -51,9 +51,8 @@ def actuator_moments(model: mujoco.MjModel) -> Floats:
     mujoco.mj_tendon(model, data)
     mujoco.mj_transmission(model, data)
     if model.nu:
-        mujoco.mju_sparse2dense(
-            moments, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind
-        )
+        rows = data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        mujoco.mju_sparse2dense(moments, data.actuator_moment.ravel(), *rows)
     moments[disabled_actuators(model)] = 0.0
     return moments
 

@@ -68,7 +68,7 @@ def demo(
             written += _simulate(run, simulating)
             rollout, evaluation, files = _evaluate(run)
             arrival, clearance, written = evaluation.arrival, rollout.clearance or clearance, written + files
-            told = [evaluation] if verbose else evaluation.notes
+            told, head = [evaluation] if verbose else evaluation.notes, f"{head}; controller: {rollout.controller}"
         finally:
             print_plan(plan, head, clearance, arrival, verbose=verbose)
             for each in told:

@@ -48,6 +48,7 @@ def drawn(path: StrPath, width: float, height: float) -> Iterator[Figure]:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
+        figure.align_ylabels()
         save_figure(figure, path)
 
 

@@ -185,8 +185,9 @@ def plot_tracking(rollout: Rollout, path: StrPath) -> None:
         for (upper, lower), (what, unit, errors, distance, settled) in zip(axes.T, columns, strict=True):
             for name, error in zip(arm.link_names, errors.T, strict=True):
                 upper.plot(rollout.t, error, label=name)
-            # The axis extends to at least a tenth of the settled error, so that small errors look small.
-            upper.set_ylim(0.0, max(1.08 * float(errors.max()), 0.1 * settled))
+            # At least a tenth of the settled error, so that small errors look small; a line at 0 is not hidden.
+            top = max(1.08 * float(errors.max()), 0.1 * settled)
+            upper.set_ylim(-0.02 * top, top)
             _label(upper, unit, f"tracking error, {what}: planned to simulated frame")
             own = upper.lines[-1]  # the end effector's
             lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), c=own.get_color(), ls=own.get_linestyle())

@@ -189,9 +189,9 @@ def test_dry_friction_makes_no_servo_faster_and_the_report_says_what_it_costs():
     _, report = arm_of(CRANE.replace('name="s', 'frictionloss="400" name="s'))
     assert report.servos == plain
     _, report = arm_of(LIFT.format(compensation="", joint='frictionloss="8"'))
-    found = [note for note in report.notes if "dry friction of 8" in note]
-    cost = "leaves it up to 0.002 rad or m off; the controller inverse-dynamics compensates for it, servos='design'"
-    assert found == [f"lift: dry friction of 8 {cost} designs a new one"]
+    found = [note for note in report.notes if "dry friction" in note]
+    helps = "designed servos (servos='design', --servos design) or the controller inverse-dynamics"
+    assert found == [f"dry friction may hold servos off by: lift 2 mm; what helps: {helps}"]
 
 
 def test_soft_ties_between_stages_are_made_stiff_unless_somebody_chose_a_stiffness():

@@ -33,7 +33,11 @@ def read_joints(source: Path, notes: list[str]) -> Joints:
     except ElementTree.ParseError as error:
         notes.append(f"limits of velocities, and joints without limits, could not be read of the URDF: {error}")
         return {}
-    return {joint.get("name", ""): joint for joint in robot.iterfind("joint")} if robot.tag == "robot" else {}
+    joints = robot.findall("joint") if robot.tag == "robot" else []
+    names = [joint.get("name", "") for joint in joints]
+    if twice := ", ".join(sorted({repr(name) for name in names if names.count(name) > 1})):
+        raise InputError(f"several joints of the URDF have one name: {twice}; give each its own")
+    return dict(zip(names, joints, strict=True))
 
 
 def mend_joints(spec: mujoco.MjSpec, joints: Joints, notes: list[str]) -> None:
@@ -92,6 +96,8 @@ def velocities(joints: Joints, notes: list[str]) -> dict[str, float]:
     except ValueError as error:
         notes.append(f"velocity limits, if there are any, could not be read: {error}")
         return {}
+    if none := ", ".join(name for name, velocity in result.items() if velocity <= 0.0):
+        notes.append(f"velocity limits of 0 in the URDF count as none: {none}")
     return {name: velocity for name, velocity in result.items() if velocity > 0.0}
 
 

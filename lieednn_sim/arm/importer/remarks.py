@@ -23,11 +23,12 @@ _OFF = 3e-4  # worth a remark [rad, m]: over a few joints, a millimetre at an ar
 _PATHS, _LOOKS = 256, 20  # straight paths, and configurations on each
 _SHOWN = 4  # pairs of bodies in a remark
 _MANY_TURNS = 4.0  # of a hinge with limits
+_HUGE = 200.0  # no arm is as large [m]
 # Least singular value of a link's screws, of unit size, at which its pose still determines its joints; at the larger
 # `singularities.NEARLY_SINGULAR` paths begin to be straightened.
 _SINGULAR = 0.1
 _SLOW = 5.0  # worth a remark [Hz]
-_DESIGN = "servos='design' designs a new one"
+_DESIGN = "designed servos (servos='design', --servos design)"
 
 
 def facts(arm: ModelArm) -> Iterator[str]:
@@ -48,6 +49,8 @@ def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Ser
     for joint, (name, span, endless) in enumerate(turns):
         if arm.unit(joint) == "rad" and span > _MANY_TURNS * 2.0 * np.pi and not endless:
             yield f"{name} may turn {span / (2.0 * np.pi):.3g} times about: are its limits in degrees?"
+    if (size := arm.model.stat.extent) > _HUGE:
+        yield f"the model is {size:.3g} m large: are its lengths in millimetres?"
     yield from _half_turns(arm, groups, np.vstack([home, samples]))
     yield from _shapes(arm)
     yield from _drives(arm, servos, np.vstack([home, samples[:16]]))
@@ -88,14 +91,15 @@ def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
         yield unstable
     basis = arm.unit_rates()
     loads = required_forces(arm.model, arm.qpos(q, strict=False), limited=True) @ basis
-    for servo, friction, load in zip(servos, dry_friction(arm.model, basis), loads.T, strict=True):
-        if servo.kp and servo.frequency < _SLOW:
-            slow = f"its servo is slow, {servo.frequency:.2g} Hz, and follows motions badly"
-            yield f"{servo.name}: {slow}{f'; {_DESIGN}' if servo.kept else ''}"
-        if servo.kp and friction / servo.kp > _OFF:
-            off = f"dry friction of {friction:.3g} leaves it up to {friction / servo.kp:.2g} rad or m off"
-            helps = f"the controller inverse-dynamics compensates for it{f', {_DESIGN}' if servo.kept else ''}"
-            yield f"{servo.name}: {off}; {helps}"
+    frictions = dry_friction(arm.model, basis)
+    design = f"{_DESIGN} or " if any(servo.kept for servo in servos) else ""
+    if slow := ", ".join(f"{servo.name} {servo.frequency:.2g} Hz" for servo in servos if 0 < servo.frequency < _SLOW):
+        yield f"servos too slow to follow motions well: {slow}; what helps: {design}the controller inverse-dynamics"
+    held = [friction / servo.kp if servo.kp else 0.0 for servo, friction in zip(servos, frictions, strict=True)]
+    shown = (f"{1e3 * off:.2g} mm" if arm.unit(j) == "m" else f"{np.rad2deg(off):.2g} deg" for j, off in enumerate(held))
+    if stuck := ", ".join(f"{s.name} {by}" for s, by, off in zip(servos, shown, held, strict=True) if off > _OFF):
+        yield f"dry friction may hold servos off by: {stuck}; what helps: {design}the controller inverse-dynamics"
+    for servo, friction, load in zip(servos, frictions, loads.T, strict=True):
         limit = min(-servo.force_range[0], servo.force_range[1])
         if abs(load[0]) > limit + friction:
             yield f"{servo.name}: needs {load[0]:.4g} at home, more than its force limits allow"
