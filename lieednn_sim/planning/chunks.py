@@ -141,7 +141,8 @@ def judge(
             note("outlier", "is off its neighbours by", row + 1, joint, 0.5 * bends[row, joint], 0.5 * most[joint])
             mended[row + 1, joint] = 0.5 * (mended[row, joint] + mended[row + 2, joint])
         steps = np.diff(mended, axis=0)
-        usual = 0.5 * (np.concatenate([steps[1:], steps[-1:]]) + np.concatenate([steps[:1], steps[:-1]]))
+        # Of the first and the last step, what the one neighbour does.
+        usual = 0.5 * (np.concatenate([steps[1:], steps[-2:-1]]) + np.concatenate([steps[1:2], steps[:-1]]))
         jumps = (np.abs(steps) > 2.0 * step * speed) & (np.abs(steps - usual) > np.maximum(most, 0.5 * np.abs(steps)))
     for row, joint in _where(jumps):
         jump = abs(mended[row + 1, joint] - mended[row, joint])
