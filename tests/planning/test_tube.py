@@ -64,7 +64,7 @@ def contacts(arm, made, tube, count, seed, stride=1, batch=10):
     for _ in range(count // batch):
         offs = np.stack([corner(rng, tube) for _ in range(batch)])
         q = deviated(arm, made, offs, int(rng.integers(len(made.motion.t))), stride)
-        touched += sum(any(finder.any(one) for one in arm.qpos(path)) for path in np.swapaxes(q, 0, 1))
+        touched += sum(finder.first(arm.qpos(path)) is not None for path in np.swapaxes(q, 0, 1))
     return touched
 
 
