@@ -78,7 +78,7 @@ def worst(arm, made, tube, rounds=2):
         return np.clip(arm.within_angles(arm.decode(xi[None], start=q).q[0]), low, high)
 
     def touches(xi, q, deviation, factor):
-        return finder.any(arm.qpos(decoded(xi + factor * deviation, q)))
+        return finder.first(arm.qpos(decoded(xi + factor * deviation, q))[None]) is not None
 
     def directions(xi, q, near, found):
         """For the pairs near by, the corner that brings them together fastest, with the factor at first order."""
