@@ -138,8 +138,7 @@ class Collisions:
         center = places[:, self._used] + (used @ self._center[:, :, None])[..., 0]
         # The configurations last: whole rows are taken.
         parts = np.ascontiguousarray(center.transpose(2, 1, 0))
-        away = parts.take(second, axis=1)
-        away -= parts.take(first, axis=1)
+        away = parts.take(second, axis=1) - parts.take(first, axis=1)
         apart = np.ascontiguousarray(np.square(away, out=away).sum(axis=0).T)
         at, index = np.divmod(np.flatnonzero(apart < np.square(np.maximum(limits + self._reach, 0.0))), len(first))
         limits = np.broadcast_to(limits, apart.shape)
