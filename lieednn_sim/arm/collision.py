@@ -156,11 +156,10 @@ class Collisions:
         at, index, last = at[near], index[near], -1
         limits, distance, segments = limits[at, index], np.empty(len(at)), np.empty((len(at), 6))
         rows = zip(at.tolist(), self.pairs[index].tolist(), limits.tolist(), segments, strict=True)
-        model, data = self.arm.geometry, self._data
         for row, (k, pair, limit, segment) in enumerate(rows):
             if k != last:
-                data.geom_xpos[:], data.geom_xmat[:], last = places[k], turns[k].reshape(-1, 9), k
-            distance[row] = mujoco.mj_geomDistance(model, data, *pair, limit, segment)
+                self._data.geom_xpos[:], self._data.geom_xmat[:], last = places[k], turns[k].reshape(-1, 9), k
+            distance[row] = mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, limit, segment)
         kept = distance < limits
         return at[kept], index[kept], distance[kept], segments[kept].reshape(-1, 2, 3)
 
