@@ -138,8 +138,7 @@ class Collisions:
         center = places[:, self._used] + (used @ self._center[:, :, None])[..., 0]
         # The configurations last: whole rows are taken.
         parts = np.ascontiguousarray(center.transpose(2, 1, 0))
-        away = parts.take(second, axis=1)
-        away -= parts.take(first, axis=1)
+        away = parts.take(second, axis=1) - parts.take(first, axis=1)
         apart = np.ascontiguousarray(np.square(away, out=away).sum(axis=0).T)
         at, index = np.divmod(np.flatnonzero(apart < np.square(np.maximum(limits + self._reach, 0.0))), len(first))
         limits = np.broadcast_to(limits, apart.shape)[at, index]
@@ -160,11 +159,10 @@ class Collisions:
         at, index, limits, last = at[near], index[near], limits[near], -1
         distance, segments = np.empty(len(at)), np.empty((len(at), 6))
         rows = zip(at.tolist(), self.pairs[index].tolist(), limits.tolist(), segments, strict=True)
-        model, data = self.arm.geometry, self._data
         for row, (k, pair, limit, segment) in enumerate(rows):
             if k != last:
-                data.geom_xpos[:], data.geom_xmat[:], last = places[k], turns[k].reshape(-1, 9), k
-            distance[row] = mujoco.mj_geomDistance(model, data, *pair, limit, segment)
+                self._data.geom_xpos[:], self._data.geom_xmat[:], last = places[k], turns[k].reshape(-1, 9), k
+            distance[row] = mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, limit, segment)
         kept = distance < limits
         return at[kept], index[kept], distance[kept], segments[kept].reshape(-1, 2, 3)
 

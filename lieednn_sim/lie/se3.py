@@ -98,20 +98,16 @@ def rotation_vectors(rotation: Rotation) -> Floats:
 
 def turn_of(turns: Sequence[Floats]) -> Floats:
     """The rotation vectors ``(3, M)``, up to half a turn, of products of rotations by their ``(3, M)``; unchecked."""
-    first, *others = turns
-    angle = np.sqrt(np.einsum("ib,ib->b", first, first))
-    if not others:
-        return np.asarray((1.0 - 2.0 * np.pi * np.round(angle / (2.0 * np.pi)) / np.maximum(angle, 1.0)) * first)
-    # As quaternions.
-    real, part = np.cos(0.5 * angle), np.sin(0.5 * angle) / np.maximum(angle, 1e-150) * first
-    for turn in others:
-        angle = np.sqrt(np.einsum("ib,ib->b", turn, turn))
+    angles = [np.sqrt(np.einsum("ib,ib->b", turn, turn)) for turn in turns]
+    if len(turns) == 1:
+        return (1.0 - 2.0 * np.pi * np.round(angles[0] / (2.0 * np.pi)) / np.maximum(angles[0], 1.0)) * turns[0]
+    real, part = np.float64(1.0), np.zeros_like(turns[0])
+    for angle, turn in zip(angles, turns, strict=True):
         cosine, sine = np.cos(0.5 * angle), np.sin(0.5 * angle) / np.maximum(angle, 1e-150) * turn
         dot = np.einsum("ib,ib->b", part, sine)
-        part = real * sine + cosine * part + _cross(part, sine)
-        real = real * cosine - dot
+        real, part = real * cosine - dot, real * sine + cosine * part + _cross(part, sine)
     size = np.sqrt(np.einsum("ib,ib->b", part, part))
-    return np.asarray(np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / np.maximum(size, 1e-150) * part)
+    return np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / np.maximum(size, 1e-150) * part
 
 
 def linear_part(omega: Floats, total: Floats, difference: Floats) -> Floats:

@@ -102,9 +102,7 @@ class Cubics:
         self._q, self._moved, self._off = q, step * qd, off
         chords, before, after = q[1:] - q[:-1], self._moved[:-1], self._moved[1:]
         # Accelerations at the ends of each step, times its square.
-        self._ends = np.empty((2, *chords.shape))
-        np.subtract(6.0 * chords, 4.0 * before + 2.0 * after, out=self._ends[0])
-        np.subtract(4.0 * after + 2.0 * before, 6.0 * chords, out=self._ends[1])
+        self._ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
         self._largest = np.maximum(*np.abs(self._ends))
 
     def turns(self) -> Floats:
@@ -164,7 +162,7 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics |
         t: ``(K,)`` evenly spaced times [s].
         q: ``(K, n)`` joint positions [rad, m].
         qd: ``(K, n)`` their rates [rad/s, m/s].
-        cubics: those of the motion, if they are at hand.
+        cubics: its `Cubics`, if at hand.
 
     Raises:
         PlanError: something is nearer; the message names it, and the time.

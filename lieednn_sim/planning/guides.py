@@ -87,8 +87,7 @@ def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[
     begin = cpu_time()
     for attempt in range(seeds):
         refusals, others = list[str](), False
-        asked = replace(problem, seed=problem.seed + attempt) if attempt else problem
-        for name, solve in _motions(asked, options):
+        for name, solve in _motions(replace(problem, seed=problem.seed + attempt) if attempt else problem, options):
             try:
                 guide = Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begin)
                 # Minimum jerk is the same for all seeds.

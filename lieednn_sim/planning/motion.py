@@ -223,11 +223,7 @@ def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics | No
     network's state, the nearest one changes abruptly, and joints cannot follow.
 
     Args:
-        arm: the arm, in its scene.
-        t: ``(K,)`` evenly spaced times [s].
-        q: ``(K, n)`` joint positions [rad, m].
-        qd: ``(K, n)`` their rates [rad/s, m/s].
-        cubics: those of the motion, if they are at hand.
+        arm, t, q, qd, cubics: as of `clearance.check_clearance`.
 
     Raises:
         TooFastError: only velocity, acceleration or jerk is too high; it has the duration that keeps the limits.

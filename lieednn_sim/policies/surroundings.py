@@ -68,9 +68,8 @@ class Surroundings:
 
     def blocked(self, q: Floats, *, only_moving: bool = False) -> tuple[int, str] | None:
         """Index of the first of the configurations ``(K, n)`` at which something is in the way, and its body's name."""
-        positions, begin = self._arm.qpos(q), 0
-        if self._near is None and not only_moving:
-            begin = len(q) if (first := self._all.first(positions)) is None else first
+        positions = self._arm.qpos(q)
+        begin = 0 if self._near is not None or only_moving else self._all.first(positions)
         for index, qpos in enumerate(positions[begin:], begin):
             if (found := self._in_the_way(qpos, only_moving)) is not None:
                 return index, self._obstacle_of(found[1][0])
