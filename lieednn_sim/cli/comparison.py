@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -86,6 +87,8 @@ def compare(
             if reactions is not None:
                 reactions.write_csv(more[0])
                 write_reactions(more[1], reactions)
+    asked, arrived = (Counter(row.planner for row in table.rows.values() if row.success >= least) for least in (0, 1))
+    console.print(f"arrived: {', '.join(f'{planner} {arrived[planner]} of {asked[planner]}' for planner in asked)}")
     wrote(table.path, *outputs)
 
 

@@ -96,8 +96,9 @@ def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
     if slow := ", ".join(f"{servo.name} {servo.frequency:.2g} Hz" for servo in servos if 0 < servo.frequency < _SLOW):
         yield f"servos too slow to follow motions well: {slow}; what helps: {design}the controller inverse-dynamics"
     held = [friction / servo.kp if servo.kp else 0.0 for servo, friction in zip(servos, frictions, strict=True)]
-    shown = (f"{1e3 * off:.2g} mm" if arm.unit(j) == "m" else f"{np.rad2deg(off):.2g} deg" for j, off in enumerate(held))
-    if stuck := ", ".join(f"{s.name} {by}" for s, by, off in zip(servos, shown, held, strict=True) if off > _OFF):
+    units = ((1e3, "mm") if arm.unit(j) == "m" else (np.rad2deg(1.0), "deg") for j in range(len(held)))
+    shown = [f"{s.name} {k * off:.2g} {u}" for s, off, (k, u) in zip(servos, held, units, strict=True) if off > _OFF]
+    if stuck := ", ".join(shown):
         yield f"dry friction may hold servos off by: {stuck}; what helps: {design}the controller inverse-dynamics"
     for servo, friction, load in zip(servos, frictions, loads.T, strict=True):
         limit = min(-servo.force_range[0], servo.force_range[1])
