@@ -95,13 +95,10 @@ def compare(
 def _print_found(study: Comparison) -> None:
     """Print the user's own arms, scenes, planners and controllers in a comparison."""
     for file in study.user_files:
-        if file.kind == ARM:
-            arm = bare_arm(file.source)
-            what = f"{arm.n_links} links, {arm.n_joints} joints"
-        else:
-            what, _ = describe(load_obstacles(file.source))
+        arm = bare_arm(file.source) if file.kind == ARM else None
+        what = f"{arm.n_links} links, {arm.n_joints} joints" if arm else describe(load_obstacles(file.source))[0]
         console.print(f"{file.kind} {file.name}: {what}, from {file.source}", markup=False)
-        if file.kind == ARM:
+        if arm:
             print_import_report(arm)
     for line in PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers):
         console.print(line, markup=False)
