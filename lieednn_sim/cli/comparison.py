@@ -28,13 +28,13 @@ _OUTPUTS = ("comparison.csv", "comparison.md", "comparison.html", "reactions.csv
 def compare(
     *,
     cases: Annotated[dict[str, Any], Comparison],
-    shard: str | None = None,
-    merge: list[File] | None = None,
     output: Directory = "results/comparison",
     jobs: int | None = None,
     reactive: int = 0,
     views: int = 1,
     date: str = "",
+    shard: str | None = None,
+    merge: list[File] | None = None,
     line: CommandLine,
 ) -> None:
     """Compare planners on arms, scenes, controllers and seeds, in a table and a page.
@@ -43,13 +43,13 @@ def compare(
 
     Args:
         cases: the cases.
-        shard: run only the K-th of N parts of the cases, K/N.
-        merge: run nothing, but add the rows of the tables in other directories, such as those of --shard.
         output: directory of the table.
         jobs: number of worker processes (default: one for each core).
         reactive: number of seeds for a benchmark of policies that are pushed, loaded and given another target.
         views: number of problems that the page shows in 3D, with the motions of several planners.
         date: date to print at the top of the page (default: none).
+        shard: run only the K-th of N parts of the cases, K/N.
+        merge: run nothing, but add the rows of the tables in other directories, such as those of --shard.
         line: the words of the command, which the page shows.
     """
     study = Comparison(**cases, shard=None if shard is None else Shard.parse(shard))
