@@ -160,6 +160,10 @@ class SerialArm:
         """``"rad"`` or ``"m"``."""
         return self.space.units[as_count("joint", joint, 0, self.n_joints - 1)]
 
+    def amount(self, joint: int, value: float) -> str:
+        """The size of a change of a coordinate [rad, m], in words."""
+        return f"{1e3 * abs(value):.3g} mm" if self.unit(joint) == "m" else f"{np.rad2deg(abs(value)):.3g} degrees"
+
     def qpos(self, q: ArrayLike) -> Floats:
         """MuJoCo's generalised positions ``(..., nq)`` at joint coordinates ``(..., n)``."""
         return self.space.to_qpos(as_floats("q", q, (self.n_joints,), batched=True))

@@ -74,16 +74,13 @@ def demo(
             for each in told:
                 console.print(each)
             wrote(*written)
-        if page:
+        pictures = (("page", run.page, page, LieEDNNError), ("video", run.video, video, RenderingUnavailableError))
+        for what, path, wanted, failure in pictures:
             try:
-                _render(run, run.page, look)
-            except LieEDNNError as error:
-                console.print(f"no page: {error}")
-        if video:
-            try:
-                _render(run, run.video, look)
-            except RenderingUnavailableError as error:
-                console.print(f"no video: {error}")
+                if wanted:
+                    _render(run, path, look)
+            except failure as error:
+                console.print(f"no {what}: {error}")
     console.print(f"done in {time.perf_counter() - start:.1f} s; metrics: lieednn-sim evaluate {output}")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -27,13 +28,13 @@ _OUTPUTS = ("comparison.csv", "comparison.md", "comparison.html", "reactions.csv
 def compare(
     *,
     cases: Annotated[dict[str, Any], Comparison],
-    shard: str | None = None,
-    merge: list[File] | None = None,
     output: Directory = "results/comparison",
     jobs: int | None = None,
     reactive: int = 0,
     views: int = 1,
     date: str = "",
+    shard: str | None = None,
+    merge: list[File] | None = None,
     line: CommandLine,
 ) -> None:
     """Compare planners on arms, scenes, controllers and seeds, in a table and a page.
@@ -42,13 +43,13 @@ def compare(
 
     Args:
         cases: the cases.
-        shard: run only the K-th of N parts of the cases, K/N.
-        merge: run nothing, but add the rows of the tables in other directories, such as those of --shard.
         output: directory of the table.
         jobs: number of worker processes (default: one for each core).
         reactive: number of seeds for a benchmark of policies that are pushed, loaded and given another target.
         views: number of problems that the page shows in 3D, with the motions of several planners.
         date: date to print at the top of the page (default: none).
+        shard: run only the K-th of N parts of the cases, K/N.
+        merge: run nothing, but add the rows of the tables in other directories, such as those of --shard.
         line: the words of the command, which the page shows.
     """
     study = Comparison(**cases, shard=None if shard is None else Shard.parse(shard))
@@ -86,19 +87,18 @@ def compare(
             if reactions is not None:
                 reactions.write_csv(more[0])
                 write_reactions(more[1], reactions)
+    asked, arrived = (Counter(row.planner for row in table.rows.values() if row.success >= least) for least in (0, 1))
+    console.print(f"arrived: {', '.join(f'{planner} {arrived[planner]} of {asked[planner]}' for planner in asked)}")
     wrote(table.path, *outputs)
 
 
 def _print_found(study: Comparison) -> None:
     """Print the user's own arms, scenes, planners and controllers in a comparison."""
     for file in study.user_files:
-        if file.kind == ARM:
-            arm = bare_arm(file.source)
-            what = f"{arm.n_links} links, {arm.n_joints} joints"
-        else:
-            what, _ = describe(load_obstacles(file.source))
+        arm = bare_arm(file.source) if file.kind == ARM else None
+        what = f"{arm.n_links} links, {arm.n_joints} joints" if arm else describe(load_obstacles(file.source))[0]
         console.print(f"{file.kind} {file.name}: {what}, from {file.source}", markup=False)
-        if file.kind == ARM:
+        if arm:
             print_import_report(arm)
     for line in PLANNERS.origins(study.planners) + CONTROLLERS.origins(study.controllers):
         console.print(line, markup=False)

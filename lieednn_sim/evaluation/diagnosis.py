@@ -7,7 +7,6 @@ import copy
 import numpy as np
 
 from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm import Arm
 from lieednn_sim.arm.contacts import fixed_body, geom_name
 from lieednn_sim.arm.equalities import equality_name
 from lieednn_sim.arm.forces import (
@@ -48,7 +47,7 @@ def error_causes(rollout: Rollout) -> tuple[str, ...]:
     ranked = np.argsort(-matters, kind="stable")[: max(1, int((matters > 1.0).sum()))]
     result, helpful = _reasons(rollout, error)
     lines = [
-        f"joint {arm.joint_names[j]!r} ends {_amount(arm, j, error[j])} off, which alone moves a link by "
+        f"joint {arm.joint_names[j]!r} ends {arm.amount(j, error[j])} off, which alone moves a link by "
         f"{1e3 * distance[j]:.3g} mm and {np.rad2deg(angle[j]):.3g} degrees: "
         + ("; ".join(result[j]) or "no contact, range, friction, load or force limit of the model explains it")
         for j in map(int, ranked)
@@ -106,7 +105,7 @@ def _reasons(rollout: Rollout, error: Floats) -> tuple[list[list[str]], list[lis
             (sag[j], "its load of", "pulls it off by"),
         ):
             if force > _LEAST_EXPLAINED * stiffness[j] * off:
-                far, gain = _amount(arm, j, force / stiffness[j]), "kp" if served[j] else "M w^2"
+                far, gain = arm.amount(j, force / stiffness[j]), "kp" if served[j] else "M w^2"
                 reasons[j].append(f"{says} {force:.3g} {unit} / {gain} {stiffness[j]:.4g} {does} {far}")
                 helpful[j] += [compensates] * (arm.dependents is None) + stiffer
         if slow[j]:
@@ -162,7 +161,3 @@ def _pace(rollout: Rollout) -> tuple[Floats, Floats]:
     damping = (kv + model.dof_damping @ basis**2) / (2.0 * mass)
     roots = -damping + np.sqrt((damping**2 - kp / mass).astype(complex))
     return np.maximum(-roots.real, 1e-9), mass
-
-
-def _amount(arm: Arm, joint: int, value: float) -> str:
-    return f"{1e3 * abs(value):.3g} mm" if arm.unit(joint) == "m" else f"{np.rad2deg(abs(value)):.3g} degrees"

@@ -186,8 +186,7 @@ def plot_tracking(rollout: Rollout, path: StrPath) -> None:
             for name, error in zip(arm.link_names, errors.T, strict=True):
                 upper.plot(rollout.t, error, label=name)
             # At least a tenth of the settled error, so that small errors look small; a line at 0 is not hidden.
-            top = max(1.08 * float(errors.max()), 0.1 * settled)
-            upper.set_ylim(-0.02 * top, top)
+            upper.set_ylim(np.array([-0.02, 1.0]) * max(1.08 * float(errors.max()), 0.1 * settled))
             _label(upper, unit, f"tracking error, {what}: planned to simulated frame")
             own = upper.lines[-1]  # the end effector's
             lower.semilogy(rollout.t, np.maximum(distance, 1e-3 * settled), c=own.get_color(), ls=own.get_linestyle())
@@ -307,12 +306,10 @@ def _plot_joints(axes: Any, rollout: Rollout, joints: range) -> None:
             (row[3], rollout.force, arm.force_limits, "N m" if angular[j] else "N"),
         ):
             limited = np.isfinite(limits)
-            if limited[j]:
-                axis.plot(rollout.t, 100.0 * values[:, j] / limits[j], color=COLOURS[0])
-                _from_zero(axis, 100.0 * values[:, limited] / limits[limited], _LEAST_PERCENT)
-            else:
-                axis.plot(rollout.t, values[:, j], color=COLOURS[0])
-                _from_zero(axis, values[:, alike & ~limited], 0.0)
+            drawn_alike, least = (limited, _LEAST_PERCENT) if limited[j] else (alike & ~limited, 0.0)
+            scaled = np.where(limited, 100.0 / limits, 1.0) * values
+            axis.plot(rollout.t, scaled[:, j], color=COLOURS[0])
+            _from_zero(axis, scaled[:, drawn_alike], least)
             _label(axis, "[%]" if limited[j] else f"[{unit}]")
         for axis in row:
             _mark_events(axis, rollout)

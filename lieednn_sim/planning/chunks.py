@@ -88,7 +88,7 @@ def read(
     elif begin < newest:
         old = f"it begins at {begin:.3f} s, one that begins at {newest:.3f} s came before"
     elif last > now + _FARTHEST:
-        kind, old = "times", f"its last target is for {last:.1f} s, it is {now:.1f} s; t0 counts as policy.now"
+        kind, old = "times", f"its last target is for {last:.1f} s, now is {now:.1f} s; t0 is as policy.now, dt in s"
     if old:
         raise RefusedError(Finding(kind, old))
     return targets, begin, step

@@ -93,7 +93,10 @@ class Policy(ABC):
                     raise InputError("it is not known where the arm is: call reset(q), or give measured joints")
                 self.reset(seen)
             self._target = goal.copy()
-        q, qd = self.act(seen, self._target)
+        parts = [np.asarray(part) for part in self.act(seen, self._target)]
+        if [part.shape for part in parts] != [shape, shape]:
+            raise InputError(f"a policy's act must return two arrays, joints and rates, of {shape[0]} numbers each")
+        q, qd = parts
         q.flags.writeable = qd.flags.writeable = False
         self.q, self.qd = q, qd
         return q, qd

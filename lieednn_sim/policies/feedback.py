@@ -20,7 +20,7 @@ import numpy as np
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.policies.base import Policy
-from lieednn_sim.validation import as_nonnegative, as_positive
+from lieednn_sim.validation import as_floats, as_nonnegative, as_positive
 from lieednn_sim.values import Floats, check_fields
 
 
@@ -133,7 +133,7 @@ class JointPolicy(FeedbackPolicy):
     def act(self, measured: Floats | None, target: Floats) -> tuple[Floats, Floats]:
         """See `Policy`; unchecked."""
         waiting, strength = self._response(measured, self.y)
-        desired = waiting * self.velocity(target, waiting)
+        desired = waiting * as_floats("the policy's velocity", self.velocity(target, waiting), target.shape)
         if measured is not None:
             desired = desired + strength * (measured - self.y)
         slower = 1.0 / max(1.0, float((np.abs(desired) / self.allowed()).max()))
@@ -144,7 +144,7 @@ class JointPolicy(FeedbackPolicy):
 
     @abstractmethod
     def velocity(self, target: Floats, waiting: float) -> Floats:
-        """The velocity v ``(n,)`` towards a target ``(n,)``, where time runs at the rate s; unchecked."""
+        """The velocity v ``(n,)`` towards a target ``(n,)``, where time runs at the rate s [rad/s, m/s]."""
 
     def elapse(self, time: float) -> None:
         """Advance the policy's own time [s]; unchecked."""

@@ -261,6 +261,15 @@ def test_an_urdf_with_mimic_joints_is_an_arm(tmp_path):
     np.testing.assert_allclose(tip, [0.0, 0.3 + 0.2 + 0.5 * 0.2 + 0.01, 0.4], atol=1e-12)
 
 
+def test_faults_that_drawings_leave_in_an_urdf_are_named(tmp_path):
+    path = tmp_path / "derrick.urdf"
+    path.write_text(URDF.replace('name="out2"', 'name="turn"'))
+    with pytest.raises(InputError, match="several joints of the URDF have one name: 'turn'; give each its own"):
+        Arm.load(path)
+    path.write_text(URDF.replace('xyz=".3 0 .4"', 'xyz="300 0 400"'))
+    assert any("m large: are its lengths in millimetres?" in remark for remark in Arm.load(path).import_report.remarks)
+
+
 def test_an_arm_that_cannot_be_seen_or_touched_says_so(tmp_path):
     def notes(xml: str) -> list[str]:
         path = tmp_path / ("derrick.urdf" if "<robot" in xml else "robot.xml")
@@ -289,7 +298,7 @@ def test_efforts_and_velocities_of_an_urdf_are_limits(tmp_path):
         np.testing.assert_allclose(arm.velocity_limits, [np.inf, velocity])
         np.testing.assert_allclose(arm.force_limits, [np.inf, 100.0])
         np.testing.assert_allclose(arm.acceleration_limits, [np.inf, 0.5 * 100.0 / 3.25])
-        assert f"velocity limits of the URDF [rad/s, m/s]: out1 {velocity:.3g}" in arm.import_report.notes
+        assert f"velocity limits of the URDF [rad/s, m/s]: turn none, out1 {velocity:.3g}" in arm.import_report.notes
     path.write_text(URDF.replace('effort="100" velocity="1"', 'effort="0" velocity="0"'))
     arm = Arm.load(path)
     assert np.isinf([arm.velocity_limits, arm.force_limits, arm.acceleration_limits]).all()

@@ -11,9 +11,10 @@ ARGUMENTS = ["--planners", "minimum-jerk", "--arms", "telescopic_pr", "--scenes"
 ARGUMENTS += ["--controllers", "computed-torque", "--duration", "1", "--hold", "0.1", "--jobs", "1", "--output"]
 
 
-def test_the_command_writes_table_summary_and_page(tmp_path):
+def test_the_command_writes_table_summary_and_page(tmp_path, capsys):
     words = [*ARGUMENTS, str(tmp_path / "out"), "--mass-scale", "1.2", "--time-budget", "50"]
     assert main(["compare", *words]) == 0
+    assert "arrived: minimum-jerk 1 of 1" in capsys.readouterr().out
     names = {"comparison.sqlite", "comparison.csv", "comparison.md", "comparison.html", "lieednn_sim.json"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
     table = Comparison.read(tmp_path / "out")

@@ -39,13 +39,14 @@ def test_a_signal_during_an_import_ends_the_command_cleanly(tmp_path, monkeypatc
     """While plots are imported a signal comes, and the module makes an error of its own of what that raises."""
     original = builtins.__import__
 
-    def hook(name, namespace=None, local=None, wanted=(), level=0):
+    def hook(name, *how, **named):
+        wanted = named.get("fromlist", how[2] if len(how) > 2 else ())
         if name == "lieednn_sim.evaluation" and "plots" in (wanted or ()):
             try:
                 signal.raise_signal(signal.SIGTERM)
             except BaseException:
                 raise ImportError("cannot load the library") from None
-        return original(name, namespace, local, wanted, level)
+        return original(name, *how, **named)
 
     words = "demo --no-page --no-video --target random:3 --planner minimum-jerk --hold 0 --output"
     with monkeypatch.context() as patch:

@@ -167,7 +167,7 @@ def test_the_tracking_plot_ends_where_nothing_matters(arm, drawn):
     plots.plot_tracking(rollout_of(arm, q, q), "tracking.png")
     upper, lower = drawn[0].axes[:2], drawn[0].axes[2:]
     # Errors of rounding: the axes still span a tenth of what counts as settled, 1 mm and 0.1 degrees.
-    assert [axis.get_ylim() for axis in upper] == [(0.0, 0.1), (0.0, pytest.approx(0.01))]
+    assert [axis.get_ylim() for axis in upper] == [pytest.approx((-0.002, 0.1)), pytest.approx((-0.0002, 0.01))]
     assert [axis.get_ylim()[0] for axis in lower] == pytest.approx([0.01, 0.001])
     assert [axis.get_ylabel() for axis in drawn[0].axes] == ["[mm]", "[deg]"] * 2
     assert {"end of the motion", "push"} <= {text.get_text() for text in drawn[0].legends[0].texts}

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lieednn_sim.policies import Feedback, JointPolicy
+from lieednn_sim.errors import InputError
+from lieednn_sim.policies import Feedback, JointPolicy, Policy
 
 STILL = np.zeros(4)
 
@@ -53,3 +54,19 @@ def test_it_rests_at_a_limit(side, gantry):
     q, qd = policy.step(None, STILL)
     np.testing.assert_array_equal(q, [side, 0.002 * side, 0.0, 0.0])
     np.testing.assert_array_equal(qd, [0.0, 0.1 * side, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("wrong", [np.zeros(3), np.full(4, np.nan)])
+def test_what_an_own_policy_returns_is_checked(gantry, wrong):
+    class Own(JointPolicy):
+        def velocity(self, target, waiting):
+            return wrong
+
+    class Bare(Policy):
+        def act(self, measured, target):
+            return measured
+
+    with pytest.raises(InputError, match="the policy's velocity must"):
+        Own(gantry, 100.0).step(STILL, STILL)
+    with pytest.raises(InputError, match="act must return two arrays, joints and rates, of 4 numbers"):
+        Bare(gantry, 100.0).step(STILL, STILL)

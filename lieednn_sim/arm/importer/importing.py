@@ -116,7 +116,8 @@ def _limits(
         most = np.minimum(most, np.divide(velocity, rates, out=np.full(len(space), np.inf), where=rates > 0.0))
     limits = {name: {"velocity": float(v)} for name, v in zip(space.names, most, strict=True) if np.isfinite(v)}
     if limits:
-        shown = ", ".join(f"{name} {limit['velocity']:.3g}" for name, limit in limits.items())
+        speeds = [f"{v:.3g}" if np.isfinite(v) else "none" for v in most]
+        shown = ", ".join(map("{} {}".format, space.names, speeds))
         notes.append(f"velocity limits of the URDF [rad/s, m/s]: {shown}")
     return {name: {**limits.get(name, {}), **given.get(name, {})} for name in {**limits, **given}}
 

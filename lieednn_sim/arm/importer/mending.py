@@ -96,8 +96,6 @@ def velocities(joints: Joints, notes: list[str]) -> dict[str, float]:
     except ValueError as error:
         notes.append(f"velocity limits, if there are any, could not be read: {error}")
         return {}
-    if none := ", ".join(name for name, velocity in result.items() if velocity <= 0.0):
-        notes.append(f"velocity limits of 0 in the URDF count as none: {none}")
     return {name: velocity for name, velocity in result.items() if velocity > 0.0}
 
 

@@ -23,12 +23,10 @@ _OFF = 3e-4  # worth a remark [rad, m]: over a few joints, a millimetre at an ar
 _PATHS, _LOOKS = 256, 20  # straight paths, and configurations on each
 _SHOWN = 4  # pairs of bodies in a remark
 _MANY_TURNS = 4.0  # of a hinge with limits
-_HUGE = 200.0  # no arm is as large [m]
 # Least singular value of a link's screws, of unit size, at which its pose still determines its joints; at the larger
 # `singularities.NEARLY_SINGULAR` paths begin to be straightened.
 _SINGULAR = 0.1
 _SLOW = 5.0  # worth a remark [Hz]
-_DESIGN = "designed servos (servos='design', --servos design)"
 
 
 def facts(arm: ModelArm) -> Iterator[str]:
@@ -49,7 +47,7 @@ def remarks(arm: ModelArm, groups: Sequence[Sequence[str]], servos: Sequence[Ser
     for joint, (name, span, endless) in enumerate(turns):
         if arm.unit(joint) == "rad" and span > _MANY_TURNS * 2.0 * np.pi and not endless:
             yield f"{name} may turn {span / (2.0 * np.pi):.3g} times about: are its limits in degrees?"
-    if (size := arm.model.stat.extent) > _HUGE:
+    if (size := arm.model.stat.extent) > 200.0:  # [m]
         yield f"the model is {size:.3g} m large: are its lengths in millimetres?"
     yield from _half_turns(arm, groups, np.vstack([home, samples]))
     yield from _shapes(arm)
@@ -92,14 +90,11 @@ def _drives(arm: ModelArm, servos: Sequence[Servo], q: Floats) -> Iterator[str]:
     basis = arm.unit_rates()
     loads = required_forces(arm.model, arm.qpos(q, strict=False), limited=True) @ basis
     frictions = dry_friction(arm.model, basis)
-    design = f"{_DESIGN} or " if any(servo.kept for servo in servos) else ""
+    design = "designed servos (servos='design', --servos design) or " if any(servo.kept for servo in servos) else ""
     if slow := ", ".join(f"{servo.name} {servo.frequency:.2g} Hz" for servo in servos if 0 < servo.frequency < _SLOW):
         yield f"servos too slow to follow motions well: {slow}; what helps: {design}the controller inverse-dynamics"
-    held = [friction / servo.kp if servo.kp else 0.0 for servo, friction in zip(servos, frictions, strict=True)]
-    shown = (
-        f"{1e3 * off:.2g} mm" if arm.unit(j) == "m" else f"{np.rad2deg(off):.2g} deg" for j, off in enumerate(held)
-    )
-    if stuck := ", ".join(f"{s.name} {by}" for s, by, off in zip(servos, shown, held, strict=True) if off > _OFF):
+    held = [by / servo.kp if servo.kp else 0.0 for servo, by in zip(servos, frictions, strict=True)]
+    if stuck := ", ".join(f"{servos[j].name} {arm.amount(j, off)}" for j, off in enumerate(held) if off > _OFF):
         yield f"dry friction may hold servos off by: {stuck}; what helps: {design}the controller inverse-dynamics"
     for servo, friction, load in zip(servos, frictions, loads.T, strict=True):
         limit = min(-servo.force_range[0], servo.force_range[1])
@@ -125,19 +120,15 @@ def _straight_paths(arm: ModelArm, home: Floats) -> Iterator[str]:
                 break
     others = _PATHS - counts[False, False] - counts[False, True]
     search = "there planners fail that do not search for a way around, as lieednn-shaped and rrt-connect do"
-    near, apart = f"within {1e3 * PLANNED_CLEARANCE:g} mm of contact", "where closed loops stay open"
-    for (between, torn), what, then in (
-        ((False, False), f"{_PATHS} random configurations are {near}", "these cannot be targets"),
-        ((False, True), f"{_PATHS} random configurations are {apart}", "these cannot be targets"),
-        ((True, False), f"{others} straight paths from home to the others come {near}", search),
-        ((True, True), f"{others} straight paths from home to the others pass {apart}", search),
-    ):
+    some, paths = f"{_PATHS} random configurations are", f"{others} straight paths from home to the others"
+    for (between, torn), count in sorted(counts.items()):
         # Sets have no order: ties are broken by name.
         most = sorted(found[between].items(), key=lambda item: (-item[1], item[0]))
         shown = ", ".join(f"{pair} ({times})" for pair, times in most[:_SHOWN])
         shown += f" and {len(most) - _SHOWN} more" if len(most) > _SHOWN else ""
-        if count := counts[between, torn]:
-            yield f"{count} of {what}{'' if torn else f', between {shown}'}: {then}"
+        what, then = (f"{paths} {'pass' if torn else 'come'}", search) if between else (some, "these cannot be targets")
+        near = f"within {1e3 * PLANNED_CLEARANCE:g} mm of contact, between {shown}"
+        yield f"{count} of {what} {'where closed loops stay open' if torn else near}: {then}"
 
 
 def _singular_links(arm: ModelArm, groups: Sequence[Sequence[str]], home: Floats, samples: Floats) -> Iterator[str]:

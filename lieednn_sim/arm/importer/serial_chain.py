@@ -108,8 +108,8 @@ def longest_chain(model: mujoco.MjModel, base: str | None, tip: int | None = Non
                 "where its joints determine all others"
             )
         raise InputError(
-            f"{len(best)} chains have {max(tips.values())} joints each, they end in {ends}; name the tip or the links "
-            "of one of them, or its base"
+            f"{len(best)} chains have {max(tips.values())} joints each, they end in {ends}; name the tip or links "
+            "of one of them, or its base (tip=, --tip)"
         )
     path = ancestry(model, best[0])
     first = next(body for body in (path if start is None else path[path.index(start.body) + 1 :]) if weight[body])
