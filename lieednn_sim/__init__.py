@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-# As of `typing`, which takes milliseconds to import, in which Ctrl-C would end a command with a traceback.
+# As in `typing`, which takes milliseconds to import, in which Ctrl-C would end a command with a traceback.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any

@@ -1,4 +1,4 @@
-"""Time budgets and progress: limits on the CPU time of a piece of work, checked in its loops, and who is told of it.
+"""Time budgets and progress: limits on the CPU time of a piece of work, checked in its loops, and progress callbacks.
 
     with time_limit(10.0):
         ...  # every loop inside calls `check_time`, which raises `OutOfTimeError` once ten seconds are spent
@@ -69,7 +69,7 @@ def reporting(progress: Callable[[int, int], object]) -> Iterator[None]:
 
 
 def report(done: int, total: int) -> None:
-    """Tell how much of the present work is done, to whom `reporting` names."""
+    """Pass the amounts of work done and in all to the callback of `reporting`, if there is one."""
     if (progress := _REPORT.get()) is not None:
         progress(done, total)
 

@@ -462,7 +462,7 @@ _BIAS_RULES = {
 BIAS_RULES = Registry("bias rule", _BIAS_RULES)
 
 _RIVALS = {
-    "dmp": Entry("learning.demonstrations.primitives:MovementPrimitive.fit", "a dynamic movement primitive"),
+    "dmp": Entry("learning.demonstrations.primitives:DynamicPrimitive.fit", "a dynamic movement primitive"),
     "promp": Entry(
         "learning.demonstrations.primitives:ProbabilisticPrimitive.fit", "a probabilistic movement primitive"
     ),

@@ -1,9 +1,9 @@
 """Arguments of public functions checked against their annotations, which say what is wanted anyway.
 
-A module that users import from ends with ``typecheck_public(globals())``. From then on the functions and classes in its
-``__all__`` refuse an argument of another type with an `InputError` that names it. Modules of this package import
-functions from where they are defined, past these checks; methods are checked for everyone. Shapes and entries of arrays
-are for `validation.as_floats`, where the arrays are used.
+A module that users import from ends with ``typecheck_public(globals())``. From then on its public functions and classes
+refuse an argument of another type with an `InputError` that names it. Modules of this package import functions from
+where they are defined, past these checks; methods are checked for everyone. Shapes and entries of arrays are for
+`validation.as_floats`, where the arrays are used.
 """
 
 from __future__ import annotations
@@ -53,12 +53,14 @@ class Array:
 
 
 def typecheck_public(namespace: dict[str, Any]) -> None:
-    """Let all functions and classes in a module's ``__all__`` check the types of their arguments.
+    """Let all public functions and classes of a module check the types of their arguments.
 
-    The namespace is the module's ``globals()``. Functions are replaced there, and are from then on this module's, where
-    pickle finds them; methods are replaced in their classes.
+    The namespace is the module's ``globals()``. Public is what its ``__all__`` names; without one, as in the
+    ``__init__`` of a subpackage, all that it imports, which is put there. Functions are replaced in the namespace, and
+    are from then on this module's, where pickle finds them; methods are replaced in their classes.
     """
-    for name in namespace["__all__"]:
+    imported = [name for name, value in namespace.items() if not (name.startswith("_") or inspect.ismodule(value))]
+    for name in namespace.setdefault("__all__", sorted({*imported} - {typecheck_public.__name__})):
         value = namespace[name]
         if isinstance(value, types.FunctionType):
             namespace[name] = checked = typechecked(value)
@@ -84,9 +86,9 @@ def _check_methods(cls: type) -> None:
 
 
 def typechecked(function: Callable[..., Any], cls: type | None = None) -> Callable[..., Any]:
-    """A function, or a method of a class, that checks its arguments' types; itself if it does so already or needs not.
+    """A function, or a method of a class, that checks its arguments' types; itself if it does so already or need not.
 
-    A function whose docstring calls it unchecked, for inner loops, needs not. Annotations are read at the first call,
+    A function whose docstring calls it unchecked, for inner loops, need not. Annotations are read at the first call,
     when all modules are loaded.
     """
     annotations = {text for name, text in function.__annotations__.items() if name != "return"}

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieednn_sim.errors import InputError
 
-# As of NumPy, but without None: results are functions of their arguments.
+# As in NumPy, but without None: results are functions of their arguments.
 Seed = int | np.random.SeedSequence | np.random.Generator
 
 # Larger than any meaningful length, angle, rate or weight; products of three such numbers do not overflow.
@@ -210,7 +210,7 @@ def as_workers(name: str, value: int) -> int:
 
 
 def as_seed(name: str, seed: Seed) -> int:
-    """Return ``seed``, which a generator draws, as a whole number of at most 128 bits, or raise `InputError`."""
+    """Return ``seed``, or what it draws if it is a generator, as a whole number below 2^128, or raise `InputError`."""
     if isinstance(seed, np.random.Generator | np.random.SeedSequence):
         return int(np.random.default_rng(seed).integers(2**63))
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:

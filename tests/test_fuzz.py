@@ -17,6 +17,7 @@ from lieednn_sim import lie, stability, theory
 from lieednn_sim.arm import Arm
 from lieednn_sim.errors import LieEDNNError
 from lieednn_sim.learning.demonstrations import Demonstration, align
+from lieednn_sim.learning.demonstrations.alignment import in_world
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.policies import SafetyFilter
 from lieednn_sim.registry import BIAS_RULES
@@ -121,7 +122,7 @@ def check_demonstration(phase, samples, t, length):
         samples[:, 3:] = [[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], *np.eye(4)[1:]]
     times = t if length < 0.5 else np.arange(5.0) if length < 5.0 else None
     shown = align([check(Demonstration.from_samples, samples, times, length)] * 2, samples=7, phase=phase)
-    check(shown.to_world, shown.mean)
+    check(in_world, shown.mean, shown.goal)
     assert np.isfinite(shown.displaced).all()
 
 

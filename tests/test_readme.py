@@ -46,7 +46,7 @@ SHORTER = {
     "docs/howto/swinging_loads.md": (
         ("hold=5.0", "hold=0.2"),
         ("(0.8, 1.2)", "(0.8,)"),
-        ("duration=10.0", "duration=5.0"),
+        ("[1.2, 0.8, 1.0], duration=10.0", "[0.2, 0.6, 0.6], duration=3.0"),
     ),
     "docs/howto/demonstrations.md": (("duration=12.0", "duration=2.0"),),
 }

@@ -67,9 +67,10 @@ class Arm(ModelArm):
             InputError: an unknown arm or scene, or the file holds no arm.
         """
         model = find_model(name, options)
-        own = model.path.is_relative_to(models_directory()) and not model.options
-        arm = copy.deepcopy(_own(*model[:2])) if own else cls.from_xml(model.path, model.name, **model.options)
-        return arm.with_scene(scene, seed)
+        if model.options or not model.path.is_relative_to(models_directory()):
+            return cls.from_xml(*model[:2], **model.options).with_scene(scene, seed)
+        recipe = (("from_xml", model[:2], ImportOptions()),)  # of the package's own files, which do not change
+        return copy.deepcopy(_loaded(pickle.dumps(recipe))).with_scene(scene, seed)
 
     @classmethod
     def from_xml(cls, path: StrPath, name: str | None = None, **options: Unpack[ImportOptions]) -> Arm:
@@ -95,7 +96,7 @@ class Arm(ModelArm):
     def from_spec(
         cls, spec: mujoco.MjSpec, source: Path = Path("a spec"), name: str = "arm", **options: Unpack[ImportOptions]
     ) -> Arm:
-        """The arm in a spec, which is not changed, as of `from_xml`.
+        """The arm in a spec, which is not changed, as for `from_xml`.
 
         Args:
             spec: the spec.
@@ -352,12 +353,6 @@ class Arm(ModelArm):
     def fingerprint(self) -> str:
         """Fingerprint of this arm and its obstacles, see `fingerprint.arm_fingerprint`."""
         return arm_fingerprint(self)
-
-
-@lru_cache(maxsize=8)
-def _own(path: Path, name: str) -> Arm:
-    """An arm of the package, whose file does not change; to be copied."""
-    return Arm.from_xml(path, name)
 
 
 @lru_cache(maxsize=8)

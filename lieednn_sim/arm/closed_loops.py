@@ -10,16 +10,7 @@ import scipy
 
 from lieednn_sim._mujoco import mujoco
 from lieednn_sim.arm.checks import SCALAR
-from lieednn_sim.arm.equalities import (
-    EXACT,
-    Indices,
-    Residuals,
-    dof_addresses,
-    least_squares,
-    names,
-    position_addresses,
-    turns,
-)
+from lieednn_sim.arm.equalities import EXACT, Indices, Residuals, dof_addresses, names, position_addresses, turns
 from lieednn_sim.errors import InputError, NoSolutionError
 from lieednn_sim.values import Floats
 
@@ -117,8 +108,7 @@ class ClosedLoops:
         if the configuration is a dead centre.
         """
         jacobian, given = self._residuals.at(qpos)[1], self._residuals.known
-        right = -jacobian[:, given] @ known[given]
-        result, singular = least_squares(jacobian[:, self.dofs], right)
+        result, singular = self._residuals.least_squares(jacobian, jacobian[:, given] @ known[given])
         if len(singular) and singular[-1] <= SINGULAR * singular[0]:
             raise NoSolutionError(
                 f"joints {names(self._model, self._joints)} are at a dead centre (singular) where "
@@ -133,7 +123,7 @@ class ClosedLoops:
         """
         jacobian = self._residuals.at(self._reference.qpos)[1]
         given = jacobian[:, self._residuals.known] @ known[self._residuals.known]
-        left = given + jacobian[:, self.dofs] @ self._residuals.least_squares(jacobian, given)
+        left = given + jacobian[:, self.dofs] @ self._residuals.least_squares(jacobian, given)[0]
         large = np.abs(left) > 1e-6 * max(1.0, np.abs(given).max(initial=0.0))
         # Stretched loops let joints move at first, but no further.
         large[:, [self._stuck(rates) for rates in known.T]] = True
@@ -179,7 +169,7 @@ class ClosedLoops:
             error = np.abs(residual).max(initial=0.0)
             if error < EXACT:
                 return jacobian
-            step = self._residuals.least_squares(jacobian, residual)
+            step, _ = self._residuals.least_squares(jacobian, residual)
             size = float(np.linalg.norm(step))
             if size > 0.25 * moved or size == 0.0:
                 return jacobian if error < CLOSED else None
@@ -198,7 +188,7 @@ class ClosedLoops:
             final = size >= 1.0 - reached
             motion = change * min(size, 1.0 - reached)
             rates = solution.jacobian[:, known] @ motion[known]
-            motion[self.dofs] = self._residuals.least_squares(solution.jacobian, rates)
+            motion[self.dofs], _ = self._residuals.least_squares(solution.jacobian, rates)
             jacobian = None
             if np.abs(motion[turning]).max(initial=0.0) <= 1.001 * LARGEST_TURN:
                 qpos = solution.qpos.copy()

@@ -138,30 +138,31 @@ class Collisions:
         center = places[:, self._used] + (used @ self._center[:, :, None])[..., 0]
         # The configurations last: whole rows are taken.
         parts = np.ascontiguousarray(center.transpose(2, 1, 0))
-        away = parts.take(second, axis=1)
-        away -= parts.take(first, axis=1)
+        away = parts.take(second, axis=1) - parts.take(first, axis=1)
         apart = np.ascontiguousarray(np.square(away, out=away).sum(axis=0).T)
         at, index = np.divmod(np.flatnonzero(apart < np.square(np.maximum(limits + self._reach, 0.0))), len(first))
-        limits = np.broadcast_to(limits, apart.shape)
-        # Boxes along the normals of the faces of each.
-        one, other = first[index], second[index]
-        between = center[at, other] - center[at, one]
-        beyond = np.abs(np.vecmat(between, used[at, one])) - self._half[one]
-        near = beyond.max(axis=1) - self._radius[other] < limits[at, index] + _SLACK
-        at, index, one, other, between, beyond = (part[near] for part in (at, index, one, other, between, beyond))
-        back = np.abs(np.vecmat(between, used[at, other])) - self._half[other]
-        cosines = np.abs(np.swapaxes(used[at, one], -1, -2) @ used[at, other])
-        beyond -= np.matvec(cosines, self._half[other])
-        back -= np.vecmat(self._half[one], cosines)
-        near = np.maximum(beyond.max(axis=1), back.max(axis=1)) < limits[at, index] + _SLACK
-        at, index, last = at[near], index[near], -1
-        limits, distance, segments = limits[at, index], np.empty(len(at)), np.empty((len(at), 6))
+        limits = np.broadcast_to(limits, apart.shape)[at, index]
+        # Boxes along the normals of the faces of each; `take` is a third of the time of indexing.
+        centers, frames = center.reshape(-1, 3), used.reshape(-1, 3, 3)
+        one, other = first.take(index), second.take(index)
+        between = centers.take(at * len(self._used) + other, axis=0) - centers.take(at * len(self._used) + one, axis=0)
+        frame = frames.take(at * len(self._used) + one, axis=0)
+        beyond = np.abs(np.vecmat(between, frame)) - self._half.take(one, axis=0)
+        near = np.flatnonzero(beyond.max(axis=1) - self._radius.take(other) < limits + _SLACK)
+        at, index, one, other = (part.take(near) for part in (at, index, one, other))
+        limits, between, beyond, frame = (part.take(near, axis=0) for part in (limits, between, beyond, frame))
+        facing, half = frames.take(at * len(self._used) + other, axis=0), self._half.take(other, axis=0)
+        back, cosines = np.abs(np.vecmat(between, facing)) - half, np.abs(np.swapaxes(frame, -1, -2) @ facing)
+        beyond -= np.matvec(cosines, half)
+        back -= np.vecmat(self._half.take(one, axis=0), cosines)
+        near = np.flatnonzero(np.maximum(beyond, back).max(axis=1) < limits + _SLACK)
+        at, index, limits, last = at[near], index[near], limits[near], -1
+        distance, segments = np.empty(len(at)), np.empty((len(at), 6))
         rows = zip(at.tolist(), self.pairs[index].tolist(), limits.tolist(), segments, strict=True)
-        model, data = self.arm.geometry, self._data
         for row, (k, pair, limit, segment) in enumerate(rows):
             if k != last:
-                data.geom_xpos[:], data.geom_xmat[:], last = places[k], turns[k].reshape(-1, 9), k
-            distance[row] = mujoco.mj_geomDistance(model, data, *pair, limit, segment)
+                self._data.geom_xpos[:], self._data.geom_xmat[:], last = places[k], turns[k].reshape(-1, 9), k
+            distance[row] = mujoco.mj_geomDistance(self.arm.geometry, self._data, *pair, limit, segment)
         kept = distance < limits
         return at[kept], index[kept], distance[kept], segments[kept].reshape(-1, 2, 3)
 
@@ -171,7 +172,7 @@ class Collisions:
         return self.nearest_at(self.arm.qpos(rows))[0]
 
     def nearest_at(self, qpos: ArrayLike) -> tuple[float, int, tuple[int, ...]]:
-        """The same at positions ``(K, nq)`` of everything, at which of them, and the geoms' ids; none without pairs."""
+        """`clearance` at ``(K, nq)`` of everything, at which of them, and the geoms' ids, none without pairs."""
         rows, best = as_floats("qpos", qpos, ("K", self.arm.model.nq)), (np.inf, 0, -1)
 
         def look(some: NDArray[np.int_], cutoff: Floats | float) -> None:

@@ -134,16 +134,15 @@ class ContactFinder:
         # The last one is for all others.
         return distance + still * np.append(self._lack, 0.0)[self._leaving(contact.geom)]
 
-    def first(self, qpos: Floats) -> int | None:
-        """Index of the first of MuJoCo's positions ``(K, nq)`` at which geoms are closer than the margin, or None."""
-        model, data, move, collide = self._model, self._data, mujoco.mj_kinematics, mujoco.mj_collision
-        place = data.qpos
+    def first(self, qpos: Floats) -> int:
+        """Index of the first of MuJoCo's positions ``(K, nq)`` at which geoms are closer than the margin, or K."""
+        model, data, place = self._model, self._data, self._data.qpos
         for index, place[:] in enumerate(qpos):
-            move(model, data)
-            collide(model, data)
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
             if data.ncon and self._distances().min() < self._margin:
                 return index
-        return None
+        return len(qpos)
 
     def _found(self, qpos: Floats) -> int:
         """The number of contacts, which are then in ``_data``."""

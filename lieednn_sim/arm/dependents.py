@@ -90,7 +90,7 @@ class Dependents:
         self.has_loops = self._loops is not None
 
     def to_qpos(self, qpos: Floats, *, strict: bool = True) -> Floats:
-        """Rows ``(..., nq)`` with the independent joints set to rows with the dependent joints solved; others stay.
+        """Solve the dependent joints in rows ``(..., nq)`` in which the independent ones are set; all others stay.
 
         Where there are loops, rows along a path take the least time. If not ``strict``, rows without solution are NaN.
 
@@ -191,7 +191,7 @@ class Dependents:
         address = self._model.jnt_qposadr
         for follower in self._followers:
             x = 0.0 if follower.leader is None else qpos[..., address[follower.leader]] - follower.x0
-            qpos[..., address[follower.joint]] = _polynomial(follower.coefficients, x)
+            qpos[..., address[follower.joint]] = np.polynomial.polynomial.polyval(x, follower.coefficients)
 
     def _closed_form_basis(self, qpos: Floats) -> Floats:
         """`basis` without the loops; ``qpos`` is ``(..., nq)``."""
@@ -202,19 +202,10 @@ class Dependents:
             if follower.leader is not None:
                 x = qpos[..., model.jnt_qposadr[follower.leader]] - follower.x0
                 slopes = [k * coefficient for k, coefficient in enumerate(follower.coefficients)][1:] or [0.0]
-                slope = np.asarray(_polynomial(slopes, x))
+                slope = np.asarray(np.polynomial.polynomial.polyval(x, slopes))
                 rates = result[..., model.jnt_dofadr[follower.leader], :]
                 result[..., model.jnt_dofadr[follower.joint], :] = slope[..., None] * rates
         return result
-
-
-def _polynomial(coefficients: Sequence[float], x: Floats | float) -> Floats | float:
-    """By Horner's rule, without the checks of `numpy.polynomial`, which take ten times as long for one number."""
-    *lower, highest = coefficients
-    value = highest + 0.0 * x
-    for coefficient in reversed(lower):
-        value = coefficient + value * x
-    return value
 
 
 def independent_joints(model: mujoco.MjModel, chosen: Sequence[int]) -> list[int]:

@@ -19,18 +19,16 @@ Indices = NDArray[np.int_]
 EXACT = 1e-12
 
 
-def least_squares(matrix: Floats, right: Floats, least: float = 1e-15) -> tuple[Floats, Floats]:
+def least_squares(matrix: Floats, right: Floats) -> tuple[Floats, Floats]:
     """The least x ``(n, ...)`` with the least |A x - b| of A ``(m, n)`` and b ``(m, ...)``, and singular values of A.
 
-    Those below ``least`` times the largest count as zero. As `numpy.linalg.lstsq`, whose checks of its arguments take
-    most of its time for matrices this small.
+    As `numpy.linalg.lstsq`, whose checks take most of its time for matrices this small; redundant rows do no harm.
     """
-    padded = np.zeros((max(matrix.shape), *right.shape[1:]))
-    padded[: len(right)] = right
-    if not padded.size or not matrix.size:
-        return padded[: matrix.shape[1]], np.zeros(0)
-    _, solution, singular, *_ = scipy.linalg.lapack.dgelss(matrix, padded, least)
-    return np.asarray(solution[: matrix.shape[1]]), singular
+    solution, singular = np.zeros((max(matrix.shape), *right.shape[1:])), np.zeros(0)
+    solution[: len(right)] = right
+    if solution.size and matrix.size:
+        _, solution, singular, *_ = scipy.linalg.lapack.dgelss(matrix, solution, 1e-10)
+    return solution[: matrix.shape[1]], singular
 
 
 class Residuals:
@@ -82,9 +80,9 @@ class Residuals:
             mujoco.mju_sparse2dense(jacobian, data.efc_J.ravel(), *row, data.efc_J_colind.ravel())
         return data.efc_pos[:count].copy(), jacobian
 
-    def least_squares(self, jacobian: Floats, residual: Floats) -> Floats:
-        """The change ``(D, ...)`` of the dependent dofs that undoes a residual; redundant rows do no harm."""
-        return least_squares(jacobian[:, self.dofs], -residual, 1e-10)[0]
+    def least_squares(self, jacobian: Floats, residual: Floats) -> tuple[Floats, Floats]:
+        """The change ``(D, ...)`` of the dependent dofs that undoes a residual, and the Jacobian's singular values."""
+        return least_squares(jacobian[:, self.dofs], -residual)
 
     def move(self, qpos: Floats, step: Floats) -> None:
         """Move the dependent dofs of ``(nq,)`` by a step ``(D,)``, in place."""
@@ -128,7 +126,7 @@ class Residuals:
 
 
 def involved_joints(model: mujoco.MjModel, equality: int) -> set[int]:
-    """The joints on whose positions an equality's residual depends; none for kinds without joints, as of flexes."""
+    """The joints on whose positions an equality's residual depends; none for those of flexes."""
     kind, ids = model.eq_type[equality], (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
     if kind == int(mujoco.mjtEq.mjEQ_JOINT):
         return {joint for joint in ids if joint >= 0}

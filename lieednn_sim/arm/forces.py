@@ -51,9 +51,8 @@ def actuator_moments(model: mujoco.MjModel) -> Floats:
     mujoco.mj_tendon(model, data)
     mujoco.mj_transmission(model, data)
     if model.nu:
-        mujoco.mju_sparse2dense(
-            moments, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind
-        )
+        rows = data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        mujoco.mju_sparse2dense(moments, data.actuator_moment.ravel(), *rows)
     moments[disabled_actuators(model)] = 0.0
     return moments
 
@@ -146,12 +145,13 @@ def required_forces(
         limited: whether forces that ``actuatorfrcrange`` limits are meant: it limits compensation by actuators as well.
         grasp: a free body whose forces the body that carries it exerts.
     """
-    data = scratch_data(model)
-    by_actuator = compensating_dofs(model)
-    if limited:
-        by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0
-    forces, compensated = np.empty((len(qpos), model.nv)), bool(by_actuator.any())
-    qvel, qacc = (np.broadcast_to(rates, forces.shape) for rates in (qvel, qacc))
+    data, compensated = scratch_data(model), bool(model.jnt_actgravcomp.any())
+    if compensated:
+        by_actuator = compensating_dofs(model)
+        if limited:
+            by_actuator &= model.jnt_actfrclimited[model.dof_jntid] == 0
+    forces = np.zeros((len(qpos), model.nv))
+    qvel, qacc = forces + qvel, forces + qacc
     inertial, (linear, angular) = np.zeros(model.nv), np.zeros((2, 3, model.nv))
     bias, passive, compensation = data.qfrc_bias, data.qfrc_passive, data.qfrc_gravcomp
     for force, data.qpos[:], data.qvel[:], acceleration in zip(forces, qpos, qvel, qacc, strict=True):

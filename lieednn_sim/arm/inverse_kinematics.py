@@ -57,7 +57,7 @@ def ik_candidates(
     seed: Seed = 0,
     path_constraint: TaskSpaceRegion | None = None,
 ) -> list[Floats]:
-    """Several joint positions ``(n,)`` as of `solve_ik`, the one that is reached soonest first.
+    """Several joint positions ``(n,)`` as from `solve_ik`, the one that is reached soonest first.
 
     The measure is the time that the slowest joint needs at its velocity limit, or at its range in a second where it has
     none. The search ends with four different positions, or after 32 attempts; after 8 if none of them came near.

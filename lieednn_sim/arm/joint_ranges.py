@@ -85,11 +85,10 @@ def narrow_to_servos(
     count that act on one coordinate, on which nothing else acts, where they are at ``qpos`` ``(nq,)``. `InputError` if
     nothing is left of a range.
     """
+    rates, q, held = constant_moments(model) @ tangent_basis(space), space.from_qpos(qpos), limits.copy()
     data = scratch_data(model)
     data.qpos[:] = qpos
     mujoco.mj_fwdPosition(model, data)
-    resting = data.actuator_length.copy()
-    rates, q, held = constant_moments(model) @ tangent_basis(space), space.from_qpos(qpos), limits.copy()
     gain, (constant, stiffness) = model.actuator_gainprm[:, 0], model.actuator_biasprm[:, :2].T
     servos = affine_actuators(model) & (stiffness * gain < 0.0)
     servos &= model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
@@ -98,9 +97,9 @@ def narrow_to_servos(
         k = int(acts[a].argmax())
         if k in space.scalars and acts[:, k].sum() == 1:
             lengths = -(gain[a] * control_ranges(model)[a] + constant[a]) / stiffness[a]
-            low, high = np.sort(q[k] + (lengths - resting[a]) / rates[a, k])
+            low, high = np.sort(q[k] + (lengths - data.actuator_length[a]) / rates[a, k])
             held[k] = max(low, held[k, 0]), min(high, held[k, 1])
-    narrower = ~np.isclose(held, limits, rtol=0.0, atol=1e-3)  # not by a file's rounding, as of 6.2831 for 2 pi
+    narrower = ~np.isclose(held, limits, rtol=0.0, atol=1e-3)  # not by a file's rounding, such as 6.2831 for 2 pi
     for k in np.flatnonzero(narrower.any(axis=1)).tolist():
         name, before, after = space.names[k], *("[{:.4g}, {:.4g}]".format(*span[k]) for span in (limits, held))
         if held[k, 0] >= held[k, 1]:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from lieednn_sim.lie.se3 import hat, left_jacobian_so3, logarithm, moving, skew, transforms, turn_of
+from lieednn_sim.lie.se3 import hat, left_jacobian_so3, linear_part, logarithm, skew, transforms, turn_of
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
@@ -224,11 +224,9 @@ class CompoundJoints:
                 twists[..., links, :] = logarithm(*self._poses(offset, links, coordinates))
         if once:
             vectors = parts @ offset.reshape(-1, offset.shape[-1]).T
-            if len(anchors):
-                vectors[-len(anchors) :] += anchors
-            *turns, total, difference = vectors.reshape(len(vectors) // (3 * len(once)), 3, -1)
+            *turns, total, difference = (vectors + anchors).reshape(len(vectors) // (3 * len(once)), 3, -1)
             omega = turn_of(turns)
-            found = np.concatenate([omega, moving(omega, total, difference)])
+            found = np.concatenate([omega, linear_part(omega, total, difference)])
             twists[..., once, :] = found.reshape(6, len(once), -1).T.reshape(*offset.shape[:-1], len(once), 6)
         return twists
 
@@ -253,7 +251,7 @@ class CompoundJoints:
 
         With their rotation R, slides p before and q after it, and the point c, the translation is (p + c) + R (q - c).
         The parts ``((3 T + 6) J, n)`` map displacements to the at most T rotation vectors, p + q and p - q of all J
-        joints, component by component; 2 c ``(3 J, 1)`` is to be added to the last, if that is not zero.
+        joints, component by component; to the last, 2 c is to be added.
         """
         n, turning = len(self.reference), {}
         for i, joint in enumerate(self.joints):
@@ -263,17 +261,18 @@ class CompoundJoints:
             if in_a_row and not np.ptp(points, axis=0).any():
                 turning[i] = places
         most = max(map(len, turning.values()), default=0)
-        parts, anchors = np.zeros((most + 2, 3, len(turning), n)), np.zeros((3, len(turning), 1))
+        parts = np.zeros((most + 2, 3, len(turning), n))
+        anchors = np.zeros((*parts.shape[:3], 1))
         for k, (i, places) in enumerate(turning.items()):
             factors = self.joints[i].factors
-            anchors[:, k, 0] = 2.0 * factors[places[0]].anchor
+            anchors[-1, :, k, 0] = 2.0 * factors[places[0]].anchor
             for f, factor in enumerate(factors):
                 omega, v = (twist.T for twist in factor.twists(np.zeros(n)))
                 if f in places:
                     parts[f - places[0], :, k, factor.indices] = omega.T
                 else:
                     parts[most:, :, k, factor.indices] += np.stack([v, v if f < places[0] else -v])
-        return list(turning), parts.reshape(-1, n), anchors.reshape(-1, 1) if anchors.any() else anchors[:0]
+        return list(turning), parts.reshape(-1, n), anchors.reshape(-1, 1)
 
 
 def least_singular_value(jacobian: Floats, least: float = 1e-300) -> Floats:

@@ -143,7 +143,7 @@ class ModelArm(SerialArm):
 
     @property
     def offsets(self) -> dict[tuple[int, int], float]:
-        """Offsets of pairs of geoms that are not the model's own, as of `contacts.ContactOffsets`."""
+        """Offsets of pairs of geoms that are not the model's own, see `contacts.ContactOffsets`."""
         return self._groups[1] if self.grasp is None else {**self._groups[1], **self.grasp.offsets}
 
     @cached_property

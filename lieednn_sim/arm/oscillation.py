@@ -161,13 +161,13 @@ class PassiveJoints:
 
         Raises:
             InputError: q is malformed.
-            NoSolutionError: as of `at_rest`.
+            NoSolutionError: as for `at_rest`.
         """
         position = as_floats("q", q, (self.arm.n_joints,))
         return self.modes_at(self.at_rest(self.arm.qpos(position)[None])[0]) if len(self.dofs) else ()
 
     def modes_at(self, rest: Floats) -> tuple[Mode, ...]:
-        """The same at positions ``(nq,)`` of `at_rest`, for one passive joint at least."""
+        """`modes` at positions ``(nq,)`` of `at_rest`, for one passive joint at least."""
         m, kinds = len(self.dofs), ("position", "velocity", "acceleration")
         stiffness, damping, inertia = (self.slopes(kind, rest[None])[0] for kind in kinds)
         system = np.eye(2 * m, k=m)

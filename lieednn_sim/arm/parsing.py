@@ -26,7 +26,7 @@ from lieednn_sim.errors import InputError
 from lieednn_sim.values import Floats
 
 if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform, Rotation
+    from scipy.spatial.transform import RigidTransform
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,12 +154,12 @@ def read_joints(
     reference = coordinates.from_qpos(model.qpos0)
     data = kinematics_at(model, coordinates.to_qpos(reference), scratch_data(model))
     places, turns = BodyFrames.of(chain.frames).poses(data.xpos, data.xmat)
-    turned = scipy.spatial.transform.Rotation.from_matrix(turns)
-    world = scipy.spatial.transform.RigidTransform.from_components(places, turned)
+    oriented, posed = scipy.spatial.transform.Rotation.from_matrix, scipy.spatial.transform.RigidTransform
+    world = posed.from_components(places, oriented(turns))
     # The joint frame sits on the last axis that turns and takes the axes of the first moving body.
     last = [sorted(group, key=lambda joint: joint_kind(model, joint) != "slide")[-1] for group in chain.groups]
-    turns = _orientations(data, model.jnt_bodyid[[group[0] for group in chain.groups]])
-    frames = scipy.spatial.transform.RigidTransform.from_components(data.xanchor[last], turns)
+    turned = oriented(data.xmat[model.jnt_bodyid[[group[0] for group in chain.groups]]].reshape(-1, 3, 3))
+    frames = posed.from_components(data.xanchor[last], turned)
     inside = frames.inv()
     factors = _factors(model, data, chain, inside, coordinates)
     joints = [CompoundJoint(tuple(factor for joint in group for factor in factors[joint])) for group in chain.groups]
@@ -170,11 +170,8 @@ def read_joints(
                 _check_turn(model, arm, joint, ranges[joint])
         if not shared:
             _check_independent(compound, len(coordinates), f"link {i} of arm {arm!r}")
-    mounts, tips = (
-        scipy.spatial.transform.RigidTransform.from_matrix(poses.as_matrix())
-        for poses in (world[:-1].inv() * frames, inside * world[1:])
-    )
-    return CompoundJoints(tuple(joints), reference), world[0], mounts, tips
+    around = (posed.from_matrix(poses.as_matrix()) for poses in (world[:-1].inv() * frames, inside * world[1:]))
+    return CompoundJoints(tuple(joints), reference), world[0], *around
 
 
 def read_position_limits(
@@ -210,36 +207,24 @@ def _leaders(model: mujoco.MjModel, arm: str, joints: list[int]) -> dict[int, Li
 def _factors(
     model: mujoco.MjModel, data: mujoco.MjData, chain: Chain, inside: RigidTransform, coordinates: Coordinates
 ) -> dict[int, list[Factor]]:
-    """Each joint as factors: one for each coordinate that moves it, since motions about one axis commute.
-
-    ``inside`` are the inverses of the N joint frames.
-    """
+    """Each joint as factors, one for each coordinate, whose motions commute; inverses of the N joint frames given."""
     joints = [joint for group in chain.groups for joint in group]
     local = inside[np.repeat(np.arange(len(chain.groups)), [*map(len, chain.groups)])]
     anchors, axes = local.apply(data.xanchor[joints]), local.rotation.apply(data.xaxis[joints])
-    turned = (local.rotation * _orientations(data, model.jnt_bodyid[joints])).as_matrix()
+    bodies = scipy.spatial.transform.Rotation.from_matrix(data.xmat[model.jnt_bodyid[joints]].reshape(-1, 3, 3))
+    turned = (local.rotation * bodies).as_matrix()
     result: dict[int, list[Factor]] = {}
     for joint, anchor, axis, frame in zip(joints, anchors, axes, turned, strict=True):
-        kind, address = joint_kind(model, joint), model.jnt_qposadr[joint]
-        ratios = coordinates.coupling[address]
-        result[joint] = [
-            Factor(kind, axis[:, None], anchor, np.array([index]), float(ratios[index]))
-            for index in np.flatnonzero(ratios)
-        ]
+        kind, ratios = joint_kind(model, joint), coordinates.coupling[model.jnt_qposadr[joint]]
+        alone = [(np.array([k]), float(ratios[k])) for k in np.flatnonzero(ratios)]
         if kind == "ball":
-            result[joint] = [Factor(kind, frame, anchor, coordinates.ball(address))]
+            axis, alone = frame, [(coordinates.ball(model.jnt_qposadr[joint]), 1.0)]
+        result[joint] = [Factor(kind, axis.reshape(3, -1), anchor, *where) for where in alone]
     return result
 
 
-def _orientations(data: mujoco.MjData, bodies: NDArray[np.int_]) -> Rotation:
-    return scipy.spatial.transform.Rotation.from_matrix(data.xmat[bodies].reshape(-1, 3, 3))
-
-
 def _check_integrator(model: mujoco.MjModel, arm: str) -> None:
-    """Raise `InputError` for RK4: MuJoCo can neither split its step, as controllers need, nor invert it.
-
-    `mj_step1` and `mj_step2` would silently integrate with Euler's method; inverse dynamics would fail.
-    """
+    """Raise `InputError` for RK4: MuJoCo would silently integrate split steps, as of controllers, by Euler's method."""
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         raise InputError(
             f"arm {arm!r} asks for the integrator RK4, which can neither be stepped in halves nor inverted; set "

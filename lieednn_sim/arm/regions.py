@@ -187,7 +187,7 @@ class TaskSpaceRegion:
         return TaskSpaceRegion(self.pose, self.lower + inset, self.upper - inset, self.offset)
 
     def excess_slopes(self, pose: RigidTransform) -> Floats:
-        """Derivatives ``(..., 6, 6)`` of `excess` along twists (omega, v) of the end effector, as of `Arm.jacobian`.
+        """Derivatives ``(..., 6, 6)`` of `excess` along twists (omega, v) of the end effector, as in `Arm.jacobian`.
 
         They are zero where a coordinate is inside its bounds.
         """

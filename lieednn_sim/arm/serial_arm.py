@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieednn_sim._mujoco import mujoco, scratch_data
+from lieednn_sim._mujoco import kinematics_at, mujoco, scratch_data
 from lieednn_sim.arm.coordinates import Coordinates
 from lieednn_sim.arm.frames import BodyFrames
 from lieednn_sim.arm.kinematics import CompoundJoints
@@ -122,8 +122,8 @@ class SerialArm:
         excess = np.maximum(low - q, q - high)
         balls = self.space.balls
         if len(balls):
-            turns = q[..., balls]
-            excess[..., balls] = np.sqrt(np.vecdot(turns, turns))[..., None] - high[balls]
+            x, y, z = (q[..., each] for each in balls.T)
+            excess[..., balls] = np.sqrt(x * x + y * y + z * z)[..., None] - high[balls]
         return excess
 
     def within_angles(self, q: Floats) -> Floats:
@@ -240,9 +240,8 @@ class SerialArm:
         q = as_floats("q", q, (self.n_joints,), batched=True)
         flat, data = q.reshape(-1, self.n_joints), scratch_data(self.model)
         twists = np.empty((len(flat), 6, self.model.nv))
-        for twist, data.qpos[:] in zip(twists, self.space.to_qpos(flat), strict=True):
-            mujoco.mj_kinematics(self.model, data)
-            mujoco.mj_comPos(self.model, data)
+        for twist, row in zip(twists, self.space.to_qpos(flat), strict=True):
+            mujoco.mj_comPos(self.model, kinematics_at(self.model, row, data))
             twist.reshape(2, 3, -1)[::-1] = self.frames.jacobian(self.model, data, last)
         rates = self.space.to_qvel(flat[:, None], np.eye(self.n_joints))
         return (twists @ np.swapaxes(rates, -1, -2)).reshape(*q.shape[:-1], 6, self.n_joints)

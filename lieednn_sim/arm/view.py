@@ -29,7 +29,7 @@ from lieednn_sim.values import Floats
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What `read_view` reads."""
+    """Some joints of a model as an arm, as `read_view` finds them."""
 
     fields: dict[str, Any]  # those of an `Arm` that some joints of a model determine
     held: str | None  # name of a free body that the end effector holds by an active weld, if any
@@ -48,7 +48,7 @@ def read_view(
     limits: Mapping[str, Mapping[str, float]] | None = None,
     name: str = "arm",
 ) -> View:
-    """Some joints of a model as an arm, by their names or those of the links that they move; arguments as of `Arm.of`.
+    """Some joints of a model as an arm, by their names or those of the links that they move; arguments as for `Arm.of`.
 
     ``name`` is the arm's in messages.
 

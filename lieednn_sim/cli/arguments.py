@@ -14,7 +14,7 @@ import scipy
 
 from lieednn_sim.arm import Arm, TaskSpaceRegion, solve_ik
 from lieednn_sim.arm.importer.report import ImportOptions
-from lieednn_sim.arm.models import chosen, is_arm_file
+from lieednn_sim.arm.models import is_arm_file
 from lieednn_sim.arm.obstacles import is_scene_file
 from lieednn_sim.arm.targets import draw_target, goes_to_extended
 from lieednn_sim.budget import DEFAULT_TIME_BUDGET
@@ -71,7 +71,7 @@ class ChosenArm:
             duration=duration,
             scene=str(Path(self.scene).resolve()) if is_scene_file(self.scene) else arm.scene,
             scene_seed=arm.scene_seed,
-            imported=chosen(self.imported),
+            imported=self.imported,
             seed=seed,
             model=arm.fingerprint,
             **more,
@@ -209,7 +209,7 @@ class Simulating:
 
 
 def still_look(look: Look) -> dict[str, Any]:
-    """What of the look pictures have, too."""
+    """The options of a look that pictures have, too."""
     return {name: value for name, value in look.items() if name != "fps"}
 
 

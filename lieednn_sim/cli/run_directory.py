@@ -16,6 +16,7 @@ from typing import Any
 from lieednn_sim import io
 from lieednn_sim.arm import Arm
 from lieednn_sim.arm.importer.report import ImportOptions
+from lieednn_sim.arm.models import chosen
 from lieednn_sim.errors import FileError, InputError
 from lieednn_sim.learning.training import History
 from lieednn_sim.network import BlockNetwork
@@ -36,7 +37,7 @@ _PLOTS = ("demonstrations", "starts", "training", "network", "tracking", "joints
 
 @dataclass(frozen=True)
 class Task:
-    """The task of a run, which makes it reproducible; arm, scene, seed and import options are as of `Arm.load`."""
+    """The task of a run, which makes it reproducible; arm, scene, seed and import options are as for `Arm.load`."""
 
     arm: str
     start: tuple[float, ...]  # joint position at rest [rad, m]
@@ -59,8 +60,7 @@ class Task:
         check_fields(self, as_seed, "scene_seed", "seed")
         for name in ("start", "target"):
             set_fields(self, **{name: tuple(as_floats(name, getattr(self, name), ("n",)).tolist())})
-        if unknown := self.imported.keys() - ImportOptions.__optional_keys__:
-            raise InputError(f"no options of an import: {', '.join(sorted(unknown))}")
+        set_fields(self, imported=chosen(self.imported))
 
     def fingerprint(self, motion: Motion) -> str:
         """Fingerprint of all values and of a motion for them; see `io.fingerprint`."""

@@ -60,7 +60,7 @@ class Commands:
         return of_start * start + of_end * end + constant
 
     def _coefficients(self) -> tuple[NDArray[np.int_], Floats, Floats, Floats] | None:
-        """What `_any_controls` multiplies each actuator's joint with, if each has one: a third of the time of that."""
+        """The coefficients of `_any_controls`, for a third of its time; None if an actuator moves several joints."""
         n = self._arm.n_joints
         unit, zero = np.eye(n), np.zeros((n, n))
         constant = self._any_controls(zero[0], zero[0])

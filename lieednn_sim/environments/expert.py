@@ -9,7 +9,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.environments.base import ArmTask
-from lieednn_sim.environments.tasks import Track, pace
+from lieednn_sim.environments.tasks import Track, slowdown
 from lieednn_sim.errors import InputError
 from lieednn_sim.planning import plan
 from lieednn_sim.policies import MotionTracker, Policy, make_policy
@@ -114,7 +114,7 @@ def planned(
     result = plan(arm, target, planner=planner, duration=_PLANNING_DURATION, seed=seed)
     motion, certificate = result.motion, "" if result.network is None else str(result.network.certificate)
     # The rest of the limits is left to the servos. Nothing moves if it is already there.
-    factor = pace(arm, motion.t, motion.qd, 0.9) or 1.0
+    factor = slowdown(arm, motion.t, motion.qd, 0.9) or 1.0
     return CubicHermiteSpline(motion.t * factor, motion.q, motion.qd / factor), certificate
 
 

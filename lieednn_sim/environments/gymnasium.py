@@ -139,7 +139,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[Any, Floats, Any]):
 
     Args:
         num_envs: number of environments, B.
-        task, arm, scene, flat, options: as of `Environment`.
+        task, arm, scene, flat, options: as for `Environment`.
         autoreset_mode: when the next episode begins, see Gymnasium.
         threads: number of threads; by default, the number of processors.
 

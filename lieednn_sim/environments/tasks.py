@@ -159,8 +159,7 @@ def band_limited(arm: Arm, rng: np.random.Generator, duration: float) -> CubicHe
     q(t) = home + r(t) (m + h u(t) - home), elementwise, where u is a sum of three sines of 0.1 to 0.5 Hz with random
     weights, frequencies and phases, |u| <= 1; m - h and m + h are random positions within the limits; r rises from 0,
     at rest at ``home``, to 1 by the minimum-jerk law. If it exceeds half the velocity or acceleration limits, it is
-    slowed down as a whole.
-    `NoSolutionError` if every attempt touches something.
+    slowed down as a whole. `NoSolutionError` if every attempt touches something.
     """
     total = as_positive("duration", duration)
     # A fraction of the joint ranges, which is reduced after a contact.
@@ -194,11 +193,11 @@ def _draw(arm: Arm, rng: np.random.Generator, home: Floats, total: float, spread
     onset = min(1.5, total)
     rise, slope = (values[:, None] for values in minimum_jerk_law(np.minimum(t / onset, 1.0)))
     q, qd = home + rise * wave, slope / onset * wave + rise * wave_rate
-    slowdown = max(1.0, pace(arm, t, qd, 0.5))
-    return CubicHermiteSpline(t * slowdown, q, qd / slowdown)
+    factor = max(1.0, slowdown(arm, t, qd, 0.5))
+    return CubicHermiteSpline(t * factor, q, qd / factor)
 
 
-def pace(arm: Arm, t: Floats, qd: Floats, fraction: float) -> float:
+def slowdown(arm: Arm, t: Floats, qd: Floats, fraction: float) -> float:
     """Factor of time with which the fastest joint reaches a fraction of its limits; 0 if nothing moves."""
     velocity = (np.abs(qd) / arm.velocity_limits).max()
     acceleration = (np.abs(np.gradient(qd, t, axis=0)) / arm.acceleration_limits).max()

@@ -5,23 +5,15 @@ the manifold of the weights, and can learn a certificate with them. Learning fro
 `lieednn_sim.learning.demonstrations`.
 """
 
-from lieednn_sim.learning.algorithms import train
-from lieednn_sim.learning.options import RiemannianOptions, TrainingOptions
-from lieednn_sim.learning.sensitivity import Sensitivity, sensitivity
-from lieednn_sim.learning.training import History, StopReason, TrainingResult
-from lieednn_sim.registry import ALGORITHMS
+from lieednn_sim.learning.algorithms import train as train
+from lieednn_sim.learning.options import RiemannianOptions as RiemannianOptions
+from lieednn_sim.learning.options import TrainingOptions as TrainingOptions
+from lieednn_sim.learning.sensitivity import Sensitivity as Sensitivity
+from lieednn_sim.learning.sensitivity import sensitivity as sensitivity
+from lieednn_sim.learning.training import History as History
+from lieednn_sim.learning.training import StopReason as StopReason
+from lieednn_sim.learning.training import TrainingResult as TrainingResult
+from lieednn_sim.registry import ALGORITHMS as ALGORITHMS
 from lieednn_sim.typecheck import typecheck_public
-
-__all__ = [
-    "ALGORITHMS",
-    "History",
-    "RiemannianOptions",
-    "Sensitivity",
-    "StopReason",
-    "TrainingOptions",
-    "TrainingResult",
-    "sensitivity",
-    "train",
-]
 
 typecheck_public(globals())

@@ -43,7 +43,7 @@ def train(
 
     `TrainingOptions` ask for the paper's Algorithm 1 and its variants, which project the weights onto the manifold
     every few epochs; `RiemannianOptions` for steps on the manifold itself, which may learn a certificate as well.
-    Who `reporting` names is told of the epochs done, and of their largest number.
+    Progress in epochs is reported (`budget.reporting`).
 
     A single neuron reaches few targets, since one block rotates omega and v together and keeps the angle between them.
 

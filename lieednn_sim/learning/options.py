@@ -115,11 +115,11 @@ class TrainingOptions(LearningOptions):
 
     @property
     def most_epochs(self) -> int:
-        """As of `LearningOptions`."""
+        """As in `LearningOptions`."""
         return self.max_epochs
 
     def end(self, start: int, epoch: int) -> int:
-        """As of `LearningOptions`; the last start may have all epochs that are left."""
+        """As in `LearningOptions`; the last start may have all epochs that are left."""
         return self.max_epochs if start == self.restarts else min(self.max_epochs, super().end(start, epoch))
 
     @classmethod

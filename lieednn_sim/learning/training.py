@@ -157,7 +157,7 @@ _Options = TypeVar("_Options", bound=LearningOptions)
 
 
 class Iterate(NamedTuple):
-    """Weights of a training, and what goes with them."""
+    """Weights of a training with their equilibrium, the learning rate, and the error before."""
 
     weight: Floats  # (Nd, Nd)
     alpha: Floats  # (N, N) learned strengths

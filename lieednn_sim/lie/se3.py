@@ -86,7 +86,7 @@ def logarithm(rotation: Floats, translation: Floats) -> Floats:
     """`log` of rotations ``(..., 3, 3)`` and translations ``(..., 3)``: unchecked, in half of the time of SciPy's."""
     turn = scipy.spatial.transform.Rotation.from_matrix(rotation.reshape(-1, 3, 3), assume_valid=True)
     omega, p = rotation_vectors(turn).T.copy(), translation.reshape(-1, 3).T.copy()
-    return np.concatenate([omega, moving(omega, p, p)]).T.reshape(*translation.shape[:-1], 6)
+    return np.concatenate([omega, linear_part(omega, p, p)]).T.reshape(*translation.shape[:-1], 6)
 
 
 def rotation_vectors(rotation: Rotation) -> Floats:
@@ -98,23 +98,19 @@ def rotation_vectors(rotation: Rotation) -> Floats:
 
 def turn_of(turns: Sequence[Floats]) -> Floats:
     """The rotation vectors ``(3, M)``, up to half a turn, of products of rotations by their ``(3, M)``; unchecked."""
-    first, *others = turns
-    angle = np.sqrt(np.einsum("ib,ib->b", first, first))
-    if not others:
-        return np.asarray((1.0 - 2.0 * np.pi * np.round(angle / (2.0 * np.pi)) / np.maximum(angle, 1.0)) * first)
-    # As quaternions.
-    real, part = np.cos(0.5 * angle), np.sin(0.5 * angle) / np.maximum(angle, 1e-150) * first
-    for turn in others:
-        angle = np.sqrt(np.einsum("ib,ib->b", turn, turn))
+    angles = [np.sqrt(np.einsum("ib,ib->b", turn, turn)) for turn in turns]
+    if len(turns) == 1:
+        return (1.0 - 2.0 * np.pi * np.round(angles[0] / (2.0 * np.pi)) / np.maximum(angles[0], 1.0)) * turns[0]
+    real, part = np.float64(1.0), np.zeros_like(turns[0])
+    for angle, turn in zip(angles, turns, strict=True):
         cosine, sine = np.cos(0.5 * angle), np.sin(0.5 * angle) / np.maximum(angle, 1e-150) * turn
         dot = np.einsum("ib,ib->b", part, sine)
-        part = real * sine + cosine * part + _cross(part, sine)
-        real = real * cosine - dot
+        real, part = real * cosine - dot, real * sine + cosine * part + _cross(part, sine)
     size = np.sqrt(np.einsum("ib,ib->b", part, part))
-    return np.asarray(np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / np.maximum(size, 1e-150) * part)
+    return np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / np.maximum(size, 1e-150) * part
 
 
-def moving(omega: Floats, total: Floats, difference: Floats) -> Floats:
+def linear_part(omega: Floats, total: Floats, difference: Floats) -> Floats:
     """The v with J(omega) v = p + R q, in inner loops, from p + q and p - q; components ``(3, M)``, unchecked.
 
     J^-1 = I - hat(omega) / 2 + k hat(omega)^2, k = (1 - a/2 cot(a/2)) / a^2; in J^-1 R omega has the other sign.

@@ -102,7 +102,7 @@ class Progress:
 
 
 class Made(NamedTuple):
-    """A policy and what belongs to it."""
+    """A policy, its settings, its motion, and what is proved about it."""
 
     settings: Settings  # for which it was made
     policy: Policy
@@ -128,7 +128,7 @@ def make_for(arm: Arm, settings: Settings, start: Floats, target: Floats, *, rat
 def foreseen(
     arm: Arm, policy: Policy, motion: Motion | None, progress: Progress | None, q: Floats, target: Floats
 ) -> tuple[Floats, Floats, Floats] | None:
-    """Samples t, q and qd of a policy's way to its target, as of a motion, where that is known; else None.
+    """Samples t, q and qd of a policy's way to its target, like those of a motion, where that is known; else None.
 
     Of a network it is its own orbit from the present state, which limits and a slow arm only slow down, in points that
     are one unit of t apart.

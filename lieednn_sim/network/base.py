@@ -30,7 +30,7 @@ class BlockNetwork(ABC):
         bias: ``(N, d)``.
         gamma, mu: decay rate and scale of the interaction, positive.
         lyapunov_diagonal: a diagonal P that certifies `certifiable_weight`, or None. Checked by `certificate`.
-        hidden_start, n_clock, start_gain, start_reference, goal_gain: as of `LieEDNN`, with d in place of 6.
+        hidden_start, n_clock, start_gain, start_reference, goal_gain: as in `LieEDNN`, with d in place of 6.
     """
 
     bias: Floats
@@ -170,7 +170,7 @@ class BlockNetwork(ABC):
 
     @cached_property
     def _of_weights(self) -> dict[str, Any]:
-        """What takes much time and memory to find of the weights, whichever of the networks that share them asks."""
+        """Cache of what takes long to compute from the weights alone, for all networks that share them."""
         return {}
 
     @cached_property

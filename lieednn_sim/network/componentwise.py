@@ -70,7 +70,7 @@ class Activation:
 
 
 def _values(name: str, function: Callable[[Floats], Floats], x: Floats) -> Floats:
-    """What a function of the user makes of an array, if that is an array alike; else `InputError`."""
+    """What a function of the user makes of an array; `InputError` if that is no array of the same shape."""
     try:
         with np.errstate(all="ignore"):
             return as_floats(f"{name} of an array", function(x), x.shape)
@@ -213,7 +213,7 @@ class ComponentwiseNetwork(BlockNetwork):
 class HopfieldNetwork(ComponentwiseNetwork):
     """A network with any weight matrix W, of N neurons with d coordinates (Hopfield, PNAS 81, 1984).
 
-    It is x' = -gamma x + mu (W phi(x) + b), with fields as of `LieEDNN`, but a P of W itself, ``(dN,)``.
+    It is x' = -gamma x + mu (W phi(x) + b), with fields as in `LieEDNN`, but a P of W itself, ``(dN,)``.
     """
 
     matrix: Floats

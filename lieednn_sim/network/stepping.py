@@ -16,7 +16,6 @@ The integrand vanishes at rest, so x_d is kept exactly; Gauss's rule with three 
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import numpy as np
 
@@ -83,8 +82,8 @@ class RungeKuttaStepper:
 class UndrivenState:
     """The state of a network whose hidden neurons have no inputs, from visible neurons ``(N, 6)`` and its hidden start.
 
-    Of the visible neurons ``x`` is the state, and ``target`` the equilibrium x_d, both ``(6N,)``. `InputError` if
-    hidden neurons have inputs, or visible ones have some from each other.
+    Of the visible neurons ``x`` is the state, ``target`` the equilibrium x_d, and ``flow`` after `advance` the field
+    per unit of z, all ``(6N,)``. `InputError` if hidden neurons have inputs, or visible ones have some from each other.
     """
 
     def __init__(self, network: LieEDNN, visible: Floats) -> None:
@@ -112,12 +111,6 @@ class UndrivenState:
     def _begin(self, hidden_start: Floats, target: Floats, visible: Floats) -> None:
         self._off, self.target, self.x = hidden_start.ravel()[self._drivers] - self._rest, target, visible.ravel()
         self._left = 1.0
-        vars(self).pop("flow", None)
-
-    @cached_property
-    def flow(self) -> Floats:
-        """The field per unit of z ``(6N,)``."""
-        return np.asarray(self._input(np.ones(1))[0] + self.target - self.x)
 
     def _input(self, left: Floats) -> Floats:
         """U(h) - x_d ``(m, 6N)`` where e^-z is ``(m,)``."""

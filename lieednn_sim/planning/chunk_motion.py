@@ -162,18 +162,25 @@ class ChunkMotion(Transition):
         """Whether it is on the curve before that ends."""
         return self.fade <= float(self.base.x[-1])
 
+    def acceleration(self, time: float) -> Floats:
+        """Accelerations ``(n,)`` at a time, in a straight line between the two of 97 beside it."""
+        place = min(time / self.duration, 1.0) * (len(EVEN) - 1)
+        k = min(int(place), len(EVEN) - 2)
+        before, after = self.even[2][k : k + 2]
+        return np.asarray(before + (place - k) * (after - before))
+
     def _add_base(self, result: Floats, t: Floats) -> None:
         result += self.base.states(t, len(result))
 
-    def until(self, time: float) -> list[Floats]:
-        """Joint coordinates, rates and accelerations, each ``(K, n)``, at 21 to 97 times up to ``time``."""
+    def until(self, time: float) -> Floats:
+        """Joint coordinates, rates and accelerations ``(3, K, n)`` at 21 to 97 times up to ``time``."""
         count, faded = len(EVEN), time / self.duration
         if faded > 0.2:
-            return [part[: math.ceil((count - 1) * faded) + 1] for part in self.even]
+            return self.even[:, : math.ceil((count - 1) * faded) + 1]
         # With those that others ask for, at once.
-        states = self(np.append(self.duration * EVEN, time * EVEN[::3]))
-        vars(self)["even"] = tuple(part[:count] for part in states)
-        return [part[count:] for part in states]
+        states = self(np.concatenate([self.duration * EVEN, time * EVEN[::3]]))
+        vars(self)["even"] = states[:, :count]
+        return states[:, count:]
 
 
 def go_over(arm: Arm, now: Floats, curve: ChunkCurve, begin: float, most: float, fade: float) -> ChunkMotion:
@@ -210,7 +217,7 @@ def _joined(
     arm: Arm, now: Floats, curve: ChunkCurve, begin: float, end: float, fade: float, slows: bool
 ) -> ChunkMotion:
     """The transition that joins a curve at a time, and rests at another one; see `go_over`."""
-    v, a = limits = np.stack([arm.velocity_limits, arm.acceleration_limits])
+    v, a = limits = np.array([arm.velocity_limits, arm.acceleration_limits])
     (fast, *_), (bent, *_) = curve.excess(arm, begin)
     least, ramps = max(1.0, fast, math.sqrt(bent)), dict[float, float | None]()
     there, slope, turn = curve(np.array([begin]))[:, 0]

@@ -123,10 +123,11 @@ def judge(
 
     low, high = arm.position_limits.T
     mended = np.minimum(np.maximum(arm.within_angles(targets), low), high)
-    beyond, far = (np.abs(mended - targets) > most for most in (LIMIT_TOLERANCE, arm.ranges))
-    if far.any():  # these are named, and not a smaller one before them
+    moved = np.abs(mended - targets)
+    beyond = _where(moved > LIMIT_TOLERANCE)
+    if far := beyond and _where(moved > arm.ranges):  # these are named, and not a smaller one before them
         beyond, repaired = far, [kind for kind in repaired if kind != "limits"]
-    for row, joint in _where(beyond):
+    for row, joint in beyond:
         note("limits", "is at", row, joint, targets[row, joint], mended[row, joint])
     speed = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
     most = np.minimum(2.0 * step * arm.acceleration_limits, speed) * step
@@ -140,7 +141,8 @@ def judge(
             note("outlier", "is off its neighbours by", row + 1, joint, 0.5 * bends[row, joint], 0.5 * most[joint])
             mended[row + 1, joint] = 0.5 * (mended[row, joint] + mended[row + 2, joint])
         steps = np.diff(mended, axis=0)
-        usual = 0.5 * (np.concatenate([steps[1:], steps[-1:]]) + np.concatenate([steps[:1], steps[:-1]]))
+        # Of the first and the last step, what the one neighbour does.
+        usual = 0.5 * (np.concatenate([steps[1:], steps[-2:-1]]) + np.concatenate([steps[1:2], steps[:-1]]))
         jumps = (np.abs(steps) > 2.0 * step * speed) & (np.abs(steps - usual) > np.maximum(most, 0.5 * np.abs(steps)))
     for row, joint in _where(jumps):
         jump = abs(mended[row + 1, joint] - mended[row, joint])

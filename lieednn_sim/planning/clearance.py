@@ -100,15 +100,15 @@ class Cubics:
 
     def __init__(self, step: float, q: Floats, qd: Floats, off: Floats | None = None) -> None:
         self._q, self._moved, self._off = q, step * qd, off
-        chords, before, after = 6.0 * (q[1:] - q[:-1]), self._moved[:-1], self._moved[1:]
+        chords, before, after = q[1:] - q[:-1], self._moved[:-1], self._moved[1:]
         # Accelerations at the ends of each step, times its square.
-        self._ends = np.array([chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - chords])
-        self._largest = np.abs(self._ends).max(axis=0)
+        self._ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
+        self._largest = np.maximum(*np.abs(self._ends))
 
     def turns(self) -> Floats:
         """Instants ``(I,)`` between samples, counted in steps, at which a joint turns round."""
         before, after = self._moved[:-1], self._moved[1:]
-        k, joint = np.nonzero(before * after < -1e-30)  # more than rounding
+        k, joint = np.divmod(np.flatnonzero(before * after < -1e-30), before.shape[1])  # more than rounding
         first, last, rate = *self._ends[:, k, joint], before[k, joint]
         # The one root of rate + first s + (last - first) s^2 / 2 in (0, 1), where the rate changes its sign.
         root = np.sqrt(first**2 - 2.0 * rate * (last - first))
@@ -117,8 +117,9 @@ class Cubics:
     def fastest(self) -> Floats:
         """Largest rates ``(K - 1, n)`` between samples times the step, 0 where those at the samples are larger."""
         first, last = self._ends
-        inside = first * last < 0.0
-        return np.where(inside, self._moved[:-1] - 0.5 * first**2 / np.where(inside, last - first, 1.0), 0.0)
+        inside, result = np.divmod(np.flatnonzero(first * last < 0.0), first.shape[1]), np.zeros_like(first)
+        result[inside] = self._moved[inside] - 0.5 * first[inside] ** 2 / (last[inside] - first[inside])
+        return result
 
     def at(self, times: ArrayLike) -> tuple[Floats, Floats]:
         """Joints at instants ``(I,)`` that count steps, and their rates times the step, each ``(I, n)``."""
@@ -139,17 +140,18 @@ class Cubics:
         middle, half = 0.5 * (begin + end), 0.5 * (end - begin)[:, None]
         at, rate = self.at(middle)
         # Steps that an interval touches.
-        edges = np.stack([np.floor(begin), np.maximum(np.ceil(end), np.floor(begin) + 1.0)], axis=1).astype(int)
-        edges = np.minimum(edges, len(self._largest) - np.array([1, 0]))
-        widest = np.array([self._largest[a:b].max(axis=0) for a, b in edges.tolist()]).reshape(at.shape)
-        left = np.zeros_like(at)
-        if self._off is not None:
+        count, ends = len(self._largest), zip(begin.tolist(), end.tolist(), strict=True)
+        steps = [(min(int(a), count - 1), min(max(math.ceil(b), int(a) + 1), count)) for a, b in ends]
+        widest = np.array([np.maximum.reduce(self._largest[a:b]) for a, b in steps]).reshape(at.shape)
+        if self._off is None:
+            left = np.zeros_like(at)
+        else:
             # What a chord is off its cubic, too.
-            left += 0.125 * widest + [self._off[a : b + 1].max(axis=0) for a, b in edges.tolist()]
+            left = 0.125 * widest + [np.maximum.reduce(self._off[a : b + 1]) for a, b in steps]
         return at, half * rate, 0.5 * half**2 * widest + left, left
 
 
-def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
+def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics | None = None) -> None:
     """Check that a motion keeps the arm's `clearance`.
 
     It is proved over intervals. Those in which it cannot be are tested at their samples; where contact is not excluded
@@ -160,12 +162,13 @@ def check_clearance(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
         t: ``(K,)`` evenly spaced times [s].
         q: ``(K, n)`` joint positions [rad, m].
         qd: ``(K, n)`` their rates [rad/s, m/s].
+        cubics: its `Cubics`, if at hand.
 
     Raises:
         PlanError: something is nearer; the message names it, and the time.
     """
     bounds, step = bounds_of(arm), float(t[1] - t[0])
-    cubics = Cubics(step, q, qd)
+    cubics = Cubics(step, q, qd) if cubics is None else cubics
     begin, end = _edges(q)
     tested = 0
     # Most motions that touch something do so here, and a test costs a fiftieth of a bound.
@@ -212,7 +215,7 @@ def proved_clearance(
     """Bound the distances from contact along a motion, at every instant.
 
     Args:
-        arm, t, q, qd: as of `check_clearance`.
+        arm, t, q, qd: as for `check_clearance`.
         off: ``(K, n)`` how far joints may be from the motion at its samples, such as a run's tracking errors [rad, m].
         far: distance beyond which nothing is measured [m].
         own: whether the arm's own parts, its base included, count against each other.
@@ -259,7 +262,7 @@ class ProofAhead:
     """How far from its beginning a motion is proved to be clear of contact, found interval by interval.
 
     Args:
-        arm, t, q, qd, off: as of `proved_clearance`.
+        arm, t, q, qd, off: as for `proved_clearance`.
 
     Attributes:
         pair: names of the geoms that may touch where the proof ends for good; empty while it goes on.
@@ -295,7 +298,8 @@ class ProofAhead:
 def _edges(q: Floats, least: int = _FIRST) -> tuple[Floats, Floats]:
     """Begin and end of the first intervals of a motion ``(K, n)``, at least so many, in steps."""
     steps = q[1:] - q[:-1]
-    count = min(max(least, math.ceil(float(np.sqrt(np.vecdot(steps, steps)).sum()) / _WAY)), len(q) - 1)
+    way = float(np.sqrt(np.einsum("ki,ki->k", steps, steps)).sum())
+    count = min(max(least, math.ceil(way / _WAY)), len(q) - 1)
     edges = (np.arange(count + 1.0) * ((len(q) - 1) / count)).round()
     return edges[:-1], edges[1:]
 

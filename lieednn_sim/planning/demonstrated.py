@@ -66,7 +66,7 @@ class JointDemonstrations:
             rate: sampling rate of files without times [1/s].
             phase: a name of `PHASES`; see `align`.
             goals: ``"aligned"``, all end at one goal, or ``"kept"``, each at its own.
-            time_unit: as of `load_demonstrations`.
+            time_unit: as for `load_demonstrations`.
 
         Raises:
             FileError: a file cannot be read, or is none of these.
@@ -143,7 +143,7 @@ class JointMotion:
     duration: float  # of the demonstrations [s]
     law: Law  # their time law
     shaping: Shaping  # the search that found the network of their mean
-    response: Response | None = None  # as of `ShapedMotion`, in `units`
+    response: Response | None = None  # as in `ShapedMotion`, in `units`
 
     @classmethod
     def fit(
@@ -160,7 +160,7 @@ class JointMotion:
             deviation: largest deviation from their mean, in their `units` [m]; by default `DEVIATION` times its length.
                 Neurons are added until it is met; see `Shaping.success`.
             options: options of the search.
-            family: as of `ShapedMotion.fit`.
+            family: as for `ShapedMotion.fit`.
 
         Raises:
             InputError: the mean does not move.

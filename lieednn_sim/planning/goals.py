@@ -21,7 +21,7 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-#: A goal, as of `plan`, or a set of goals; the type of whoever takes any.
+#: A goal or a set of goals, as `plan` takes them.
 Goal: TypeAlias = "ArrayLike | str | RigidTransform | TaskSpaceRegion | Sequence[Any]"
 Single: TypeAlias = "Floats | str | RigidTransform | TaskSpaceRegion"
 
@@ -69,7 +69,7 @@ def candidates(
 
     Args:
         arm: the arm, in its scene.
-        target: a goal or a set of goals, as of `plan`.
+        target: a goal or a set of goals.
         start: ``(n,)`` where the motion begins.
         seed: seed of the inverse kinematics.
         path_constraint: a region in which the end effector must be, too.

@@ -87,7 +87,7 @@ def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[
     begin = cpu_time()
     for attempt in range(seeds):
         refusals, others = list[str](), False
-        for name, solve in _motions(replace(problem, seed=problem.seed + attempt), options):
+        for name, solve in _motions(replace(problem, seed=problem.seed + attempt) if attempt else problem, options):
             try:
                 guide = Plan(solve(), target=problem.target, planner=name, cpu_time=cpu_time() - begin)
                 # Minimum jerk is the same for all seeds.
@@ -103,7 +103,7 @@ def followed(problem: PlanningProblem, options: GuideOptions, follow: Callable[[
 
 
 def _motions(problem: PlanningProblem, options: GuideOptions) -> Iterator[tuple[str, Callable[[], Motion]]]:
-    """What makes a guide's motion, by the name of its planner, the one to ask first at the beginning."""
+    """Names of planners, each with a function that makes a guide's motion, in the order in which they are asked."""
     yield "minimum-jerk", partial(_straight, problem)
     if options.optimised or problem.path_constraint is not None:
         search = _Search(problem, options)

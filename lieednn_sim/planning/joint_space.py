@@ -42,11 +42,10 @@ class ClearanceTest:
         # Converted at once and unchecked: checking each configuration would cost as much as its collision pass.
         positions = self._arm.qpos(q, strict=False)
         beyond = self._beyond(positions)
-        outside = np.flatnonzero(beyond > 0.0)[:1].tolist() if beyond is not None else []
-        first = self._finder.first(positions[: outside[0]] if outside else positions)
-        first = outside[0] if first is None and outside else first
-        self.tests += len(q) if first is None else first + 1
-        return first
+        end = len(q) if beyond is None else int(np.append(beyond > 0.0, True).argmax())
+        first = self._finder.first(positions[:end])
+        self.tests += min(first + 1, len(q))
+        return first if first < len(q) else None
 
     def _beyond(self, positions: Floats) -> Floats | None:
         """How far the arm's stops, if it has any, are exceeded at MuJoCo's positions ``(K, nq)``."""

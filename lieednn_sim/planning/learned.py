@@ -57,14 +57,14 @@ def plan_learned(
 
     Args:
         arm: the arm, in its scene.
-        learned: the motion, as of `ShapedMotion.fit` or `LearnedMotion.load`.
+        learned: the motion, from `ShapedMotion.fit` or `LearnedMotion.load`.
         start: joint position ``(n,)`` at rest [rad, m], or a keyframe's name, from which the end effector goes as it
             was learned; by default one where the recordings began.
         goal: pose of the end effector at the end in the world, or its position ``(3,)`` [m], with the rotation of the
             recordings' end; by default that of the recordings.
         turning: whether the end effector turns as was recorded, if it was; else its orientation is free.
-        duration: as of `plan`; by default that of the recordings, and at most three times as long.
-        fastest: as of `plan`.
+        duration: as for `plan`; by default that of the recordings, and at most three times as long.
+        fastest: as for `plan`.
         seed: seed of the inverse kinematics.
 
     Raises:

@@ -47,7 +47,7 @@ def load_clearance(arm: Arm, motion: Motion, *, swinging: bool = True) -> Cleara
 
 
 def check_load(arm: Arm, motion: Motion) -> None:
-    """Check that what hangs keeps the arm's clearance; arguments are as of `load_clearance`.
+    """Check that what hangs keeps the arm's clearance; arguments are as for `load_clearance`.
 
     Raises:
         TooFastError: it does not, since it swings; slower it swings less.

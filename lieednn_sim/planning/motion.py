@@ -46,13 +46,14 @@ class Motion:
     gap_rotation: Floats
 
     def __post_init__(self) -> None:
-        k = len(as_times("t", self.t))
-        n = len(as_floats("xi_target", self.xi_target, ("N", 6)))
-        joints = as_floats("q", self.q, (k, "n")).shape[1]
-        check_fields(self, as_floats, "t", "tau", shape=(k,))
+        check_fields(self, as_times, "t")
+        k = len(self.t)
+        check_fields(self, as_floats, "xi_target", shape=("N", 6))
+        check_fields(self, as_floats, "q", shape=(k, "n"))
+        n, joints = len(self.xi_target), self.q.shape[1]
+        check_fields(self, as_floats, "tau", shape=(k,))
         check_fields(self, as_floats, "xi", shape=(k, n, 6))
-        check_fields(self, as_floats, "xi_target", shape=(n, 6))
-        check_fields(self, as_floats, "q", "qd", shape=(k, joints))
+        check_fields(self, as_floats, "qd", shape=(k, joints))
         check_fields(self, as_floats, "gap_translation", "gap_rotation", shape=(k, n))
 
     def __repr__(self) -> str:
@@ -203,15 +204,16 @@ def check_joints(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
 
     Raises what these do, and `clearance.check_clearance`; `TooFastError` also where only forces are beyond a limit.
     """
-    check_limits(arm, t, q, qd)
+    cubics = Cubics(t[1] - t[0], q, qd)
+    check_limits(arm, t, q, qd, cubics)
     if (short := check_forces(arm, t, q, qd)) is not None:
         raise _too_fast(*short)
-    check_clearance(arm, t, q, qd)
+    check_clearance(arm, t, q, qd, cubics)
     if arm.leaves is not None:
         _check_leaving(arm, t, q)
 
 
-def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
+def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics | None = None) -> None:
     """Check limits of position, velocity, acceleration and jerk along a motion.
 
     Positions and velocities at all instants, by the extrema of the cubics between samples; accelerations as the mean
@@ -221,10 +223,7 @@ def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
     network's state, the nearest one changes abruptly, and joints cannot follow.
 
     Args:
-        arm: the arm, in its scene.
-        t: ``(K,)`` evenly spaced times [s].
-        q: ``(K, n)`` joint positions [rad, m].
-        qd: ``(K, n)`` their rates [rad/s, m/s].
+        arm, t, q, qd, cubics: as of `clearance.check_clearance`.
 
     Raises:
         TooFastError: only velocity, acceleration or jerk is too high; it has the duration that keeps the limits.
@@ -241,7 +240,7 @@ def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats) -> None:
             f"joint {arm.joint_names[joint]!r} would jump by {step[k, joint]:.3g} {arm.unit(joint)} at "
             f"t = {t[k + 1]:.2f} s, where the nearest configuration changes abruptly"
         )
-    cubics = Cubics(timestep, q, qd)
+    cubics = Cubics(timestep, q, qd) if cubics is None else cubics
     if len(turns := cubics.turns()):
         _check_positions(arm, timestep * turns, cubics.at(turns)[0])
     too_fast: list[tuple[float, str]] = []

@@ -139,7 +139,7 @@ class NetworkPath:
             arm: decodes states to joint positions.
             network: the universal network (`synthesis.CurveEncoder`) with the code of a curve.
             given: the motion, whose joint positions are the guesses from which the path is decoded.
-            units: as of `integrate`.
+            units: as for `integrate`.
 
         Raises:
             InputError: the network is another one.

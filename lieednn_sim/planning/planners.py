@@ -124,7 +124,7 @@ def plan(
     """Plan a motion from rest to rest within the arm's limits and free of contact.
 
     It may take a minute of CPU time, or what a surrounding `time_limit` allows. Planners that draw a fixed number of
-    candidates tell those that `reporting` names of each.
+    candidates report progress (`budget.reporting`).
 
     Args:
         arm: the arm, in its scene.
@@ -148,7 +148,7 @@ def plan(
         path_constraint: region in which the end effector stays on the way, such as a line or an orientation; start and
             target must be in it. Up to 0.5 mm and 0.1 degrees outside it are allowed, and checked at every sample. Only
             some planners can keep one.
-        payload: mass at the end effector [kg], as of `Arm.with_payload`, with which the plan's arm is returned. Motions
+        payload: mass at the end effector [kg], see `Arm.with_payload`, with which the plan's arm is returned. Motions
             that need more force than the actuators have take longer, with or without one.
         settle: a name of `settling.METHODS` or `SettlingOptions`: another time law on the planned path, after which
             little of what hangs or is elastic swings and bends (`settling.settled`). It keeps the duration where the

@@ -154,7 +154,7 @@ class Plan:
 
     @cached_property
     def load_clearance(self) -> Clearance | None:
-        """The same of what hangs, as it swings by a linear model; None where nothing does."""
+        """`clearance` of what hangs, as it swings by a linear model; None where nothing does."""
         return load_clearance(self._of_arm(), self.motion)
 
     @property

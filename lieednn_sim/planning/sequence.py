@@ -100,7 +100,7 @@ def plan_sequence(
     Args:
         arm: a view (`Arm.of`), from whose state the first step starts, at rest.
         steps: the steps.
-        planner, duration, options, fastest, settle: as of `plan`, for each move that has no other.
+        planner, duration, options, fastest, settle: as for `plan`, for each move that has no other.
         seed: seed of all moves.
 
     Raises:

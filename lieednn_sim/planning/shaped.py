@@ -116,7 +116,7 @@ def followed_guide(problem: PlanningProblem, options: ShapedOptions, guide: Plan
 
 
 def _network(arm: Arm, options: ShapedOptions, curve: Floats, units: Floats) -> tuple[LieEDNN, bool]:
-    """A network along a curve ``(K, N, 6)``, with ``units`` as of `lever_units`, and whether it is the universal."""
+    """A network along a curve ``(K, N, 6)``, with ``units`` as from `lever_units`, and whether it is the universal."""
     if options.rate == 1.0:
         # Other curves are too long or too sharply bent for a code.
         for strength in _STRENGTHS:

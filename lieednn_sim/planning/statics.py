@@ -22,7 +22,7 @@ class TooWeakError(PlanError, InputError):
 
 
 def force_use(arm: Arm, t: Floats, q: Floats, qd: Floats) -> float:
-    """Largest force that a motion needs of the actuators, in units of its limit; arguments are as of `check_forces`."""
+    """Largest force that a motion needs of the actuators, in units of its limit; arguments as for `check_forces`."""
     return float(_use(_along(arm, t, q, qd, np.arange(len(t) - 1))).max())
 
 
@@ -56,7 +56,7 @@ def check_held(arm: Arm, q: Floats, where: Sequence[str]) -> None:
 def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str] | None:
     """Compare the forces that a motion needs with those that the arm's actuators have, by inverse dynamics.
 
-    The arm is taken with its payload and what it holds; arguments are as of `motion.check_joints`.
+    The arm is taken with its payload and what it holds; arguments are as for `motion.check_joints`.
     Dry friction acts against the motion; contacts are left out. Some samples are looked at, and those with the largest
     accelerations; all of them if any of these needs 0.7 of a limit.
 
@@ -97,7 +97,7 @@ def check_forces(arm: Arm, t: Floats, q: Floats, qd: Floats) -> tuple[float, str
 
 
 def least_stretch(still: Floats, damping: Floats, rest: Floats, bound: Floats | float) -> Floats:
-    """By how much time must be stretched for f0 + f1 / s + f2 / s^2 to stay below a bound; 0 where f0 does not."""
+    """The least factor s of time with which f0 + f1 / s + f2 / s^2 is below a bound; 0 where f0 alone is above it."""
     spare = bound - still
     root = np.sqrt(np.maximum(damping**2 + 4.0 * spare * rest, 0.0))
     return np.where(spare > 0.0, (damping + root) / (2.0 * np.where(spare > 0.0, spare, 1.0)), 0.0)
@@ -109,12 +109,12 @@ def _limited(arm: Arm) -> bool:
 
 
 def _bounds(arm: Arm) -> tuple[Floats, Floats]:
-    """Least and largest forces ``(m,)``, of the coordinates or of the actuators as of `_needed`."""
+    """Least and largest forces ``(m,)``, of the coordinates or of the actuators as in `_needed`."""
     return (-arm.force_limits, arm.force_limits) if arm.dependents is None else tuple(actuator_ranges(arm.model).T)
 
 
 def _parts(arm: Arm, q: Floats, qd: Floats, qvel: Floats, qacc: Floats) -> Floats:
-    """Forces of gravity, springs and dry friction, of dampers, and the rest, ``(3, S, m)``, as of `_needed`."""
+    """Forces of gravity, springs and dry friction, of dampers, and the rest, ``(3, S, m)``, as in `_needed`."""
     # Dampers push the other way when the rates are reversed.
     still, along, back = (_needed(arm, q, qd, *rates)[0] for rates in ((0.0, 0.0), (qvel, qacc), (-qvel, qacc)))
     return np.stack([still, 0.5 * (along - back), 0.5 * (along + back) - still])

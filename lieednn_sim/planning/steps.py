@@ -35,7 +35,7 @@ class Move:
         name: what the move is called, by default the goal if that is a name.
         holding: name of the free body that the tip carries, from where it then is.
         touching: names of bodies that the held one may touch, besides what it stands on at the beginning.
-        planner, duration, seed, options, fastest, settle: as of `plan`; None for those of the sequence.
+        planner, duration, seed, options, fastest, settle: as for `plan`; None for those of the sequence.
         clearance: distance that it keeps from contact [m]; None for the arm's.
         path_constraint: region in which the tip stays on the way; none if it may go anywhere.
     """

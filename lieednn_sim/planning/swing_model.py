@@ -37,7 +37,7 @@ class SwingModel:
         path: joints ``(K, n)`` and their slopes at parameters ``(K,)`` in [0, 1], called as ``path(s, order)``.
 
     Raises:
-        NoSolutionError: as of `PassiveJoints.at_rest`.
+        NoSolutionError: as for `PassiveJoints.at_rest`.
     """
 
     def __init__(self, arms: Sequence[Arm], path: Callable[[Floats, int], Floats]) -> None:
@@ -109,11 +109,11 @@ class SwingModel:
         return t, self.hung(law(np.minimum(t, end)), states[:, :m]), off
 
     def hung(self, s: Floats, away: Floats | float = 0.0) -> Floats:
-        """Positions ``(K, nq)`` along the path, with the first load so far from where it rests, ``(K, m)``."""
+        """Positions ``(K, nq)`` along the path, with the first load ``away`` ``(K, m)`` from where it rests."""
         return self._passive.moved(self._qpos(s), self._hanging(s) + away)
 
     def _missing(self, step: float, law: Sequence[Floats], states: Floats) -> Floats:
-        """What forces of the first load ``(K, 1, m)`` lack of zero, in steps [s] between states ``(K + 1, 2 m)``."""
+        """Forces ``(K, 1, m)`` that the first load lacks for states ``(K + 1, 2 m)``, in the steps [s] between them."""
         (s, rate, bend), passive, m = law, self._passive, self._m
         place, speed = np.split(0.5 * (states[1:] + states[:-1]), 2, axis=1)
         velocities = self._rates(s) * rate[:, None]
@@ -138,10 +138,10 @@ class SwingModel:
         return change, np.concatenate([step * push, 2.0 * push], axis=-2), -whole[..., -1]
 
     def left(self, step: float, law: Sequence[Floats], *, corrected: bool = False) -> tuple[Floats, Floats]:
-        """What a law leaves ``(L, 2 m)``, whose squares are twice energies, and its slopes ``(L, 2 m, N)``.
+        """States at the end of a law ``(L, 2 m)``, whose squares are twice energies, and their slopes ``(L, 2 m, N)``.
 
         The law is s, s' and s'' in the middle of K time steps [s], each ``(K, 1 + N)`` with the N changes.
-        What is left can be ``corrected`` as in `swing`, once and by the first load's forces; its slopes are not.
+        The states can be ``corrected`` as in `swing`, once and by the first load's forces; the slopes are not.
         """
         (s, more), (rate, more_rate), (bend, more_bend) = ((part[:, 0], part[:, 1:]) for part in law)
         one, none, m, table, slope = np.ones_like(s), np.zeros_like(s), self._m, self._table(s), self._table(s, 1)

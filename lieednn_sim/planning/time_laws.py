@@ -193,7 +193,7 @@ class TimedCurve:
         return min(laws, key=lambda item: float(item.x[-1]))
 
     def _switching(self, near: CubicHermiteSpline | None = None) -> CubicHermiteSpline:
-        """The fastest law within velocity and acceleration limits, and those of force, which are taken near a law."""
+        """The fastest law within the limits of velocity and acceleration and, given a law near it, of force."""
         topp = optional_module("toppra")
         constraint, algorithm = optional_module("toppra.constraint"), optional_module("toppra.algorithm")
         # The solver wants numbers about one, also for a motion of a micrometre: each joint in units of what its

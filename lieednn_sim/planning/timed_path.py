@@ -68,7 +68,7 @@ class Clock:
         return -3.0 * math.log(y) + (t - inside) * rate, rate
 
     def times(self, left: Floats) -> Floats:
-        """Times ``(L,)`` at which e^-z is ``(L,)``; the duration where it is never."""
+        """Times ``(L,)`` at which e^-z has the values ``left`` ``(L,)``; the duration for those that it never has."""
         t, y = self._inverse
         return np.interp(-np.cbrt(left), y, t)
 

@@ -32,9 +32,7 @@ _FADING = np.array(
 _POWERS = np.arange(6.0)[:, None]
 # From the coefficients of a polynomial, the lowest power first, to its own and those of its first two derivatives:
 # ``(18, 6)``, for each power of theirs.
-_DERIVATIVES = np.stack([np.linalg.matrix_power(np.diag(np.arange(1.0, 6.0), 1), k) for k in range(3)], 1).reshape(
-    18, 6
-)
+_DERIVATIVES = np.hstack([np.linalg.matrix_power(np.diag(np.arange(1.0, 6.0), 1), k) for k in range(3)]).reshape(18, 6)
 # Fraction of the limits of velocity and acceleration that a base may take; together with the corrections.
 BASE_FRACTION, FRACTION = 0.5, 0.8
 # What is tried: factors on the base's duration, and durations of the fade over the transition's.
@@ -79,6 +77,10 @@ class Transition:
         if not self._one:
             self._add_base(result, t)
         return result
+
+    def acceleration(self, time: float) -> Floats:
+        """Accelerations ``(n,)`` at a time."""
+        return np.asarray(self(np.array([time]))[2, 0])
 
     def _sum(self, powers: Floats, orders: int = 3) -> Floats:
         """The corrections, or the whole motion, from powers of s ``(K, 6)``, the lowest first."""

@@ -45,7 +45,7 @@ class CodedPolicy(FeedbackPolicy):
     """Base class of policies along coded motions of one network; a subclass defines `_decide`.
 
     Args:
-        arm, rate, feedback: as of `FeedbackPolicy`.
+        arm, rate, feedback: as for `FeedbackPolicy`.
 
     Attributes:
         changes: number of codes taken since the reset.
@@ -143,9 +143,8 @@ class CodedPolicy(FeedbackPolicy):
         # The state of the joints in the time of a motion that begins now, at this pace.
         pace = max(self._waiting, self.pace, RESTS)
         ratio = self.pace / pace
-        _, _, bend = self.course.transition(np.array([self.time]))
         limits = self._taken_over * self.arm.acceleration_limits
-        qdd = ratio**2 * bend[0] + self._pace_rate / pace**2 * self._velocity
+        qdd = ratio**2 * self.course.transition.acceleration(self.time) + self._pace_rate / pace**2 * self._velocity
         now = np.array([self.drawn, ratio * self._velocity, np.minimum(np.maximum(qdd, -limits), limits)])
         try:
             course = TimedPath(self.arm, self._encoder, make(now), self.state, most)

@@ -43,7 +43,7 @@ class Fabric(JointPolicy):
     of its distance at the start and at the target.
 
     Args:
-        arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
+        arm, rate, feedback: as for `JointPolicy`; the arm is in its scene.
     """
 
     def __init__(

@@ -84,7 +84,7 @@ def control_loop(
     in it.
 
     At last the reference brakes to rest, straight ahead, within the limits of acceleration: after the duration, when
-    more goes wrong than the options put up with, when the policy, `stop` or `on_late` raises, and at Ctrl-C in the main
+    more faults occur than the options tolerate, when the policy, `stop` or `on_late` raises, and at Ctrl-C in the main
     thread, unless that has a handler of one's own; a second Ctrl-C ends at once. What goes wrong once the loop runs is
     not raised but reported. Only if `write` fails the last reference may not be at rest.
 
@@ -99,7 +99,7 @@ def control_loop(
         stop_outside: whether to stop in the first period at whose beginning the measured joints are too far from the
             policy's plan for the proof of its clearance. What the arm does then is not proved.
         stop: called once a period; the loop stops when it returns something true, as `threading.Event.is_set` does.
-        options: what the loop puts up with.
+        options: the faults that the loop tolerates.
 
     Raises:
         InputError: a value is malformed, or the policy cannot start where the joints are; or the loop is to stop

@@ -1,4 +1,4 @@
-"""What `control_loop` puts up with, and what it does beyond that."""
+"""The faults of a `control_loop`: which it tolerates, and how it goes on or stops."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _RESTS = 1e-9  # rates below are none [rad/s, m/s]
 
 @dataclass(frozen=True)
 class LoopOptions(PlannerOptions):
-    """What `control_loop` puts up with before it stops; periods are counted in a row.
+    """The faults that `control_loop` tolerates before it stops; periods are counted in a row.
 
     Attributes:
         missing: periods without a usable measurement, in which the policy goes on without feedback.

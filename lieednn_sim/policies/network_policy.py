@@ -133,7 +133,7 @@ class NetworkPolicy(FeedbackPolicy):
                 replaced.
 
         Raises:
-            InputError: the arm's joints move others that have ranges of their own; or as of `LieEDNN.to_c`.
+            InputError: the arm's joints move others that have ranges of their own; or as for `LieEDNN.to_c`.
             FileError: the files cannot be written.
         """
         settings = {

@@ -129,7 +129,7 @@ class PathIntegral(JointPolicy):
     u = c e minimises it. Noise shrinks with the distance from the target, so that the arm comes to rest there.
 
     Args:
-        arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
+        arm, rate, feedback: as for `JointPolicy`; the arm is in its scene.
         convergence_rate: c [1/s].
         seed: seed of the noise.
     """

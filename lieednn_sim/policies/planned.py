@@ -117,7 +117,7 @@ class MovementPrimitive(JointPolicy):
     moves, so does the attractor, but not the forces. During a push the phase waits too.
 
     Args:
-        arm, rate, feedback: as of `JointPolicy`.
+        arm, rate, feedback: as for `JointPolicy`.
         motion: motion to imitate.
     """
 

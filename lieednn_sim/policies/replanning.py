@@ -73,7 +73,7 @@ class ReplanningPolicy(CodedPolicy):
     ``evading``, 1 while it evades one, and -1 while it should and cannot.
 
     Args:
-        arm, rate, feedback: as of `JointPolicy`; the arm is in its scene.
+        arm, rate, feedback: as for `JointPolicy`; the arm is in its scene.
         motion: motion for the first target, from start to target; by default, and from elsewhere, it goes straight.
         seed: seed of the searches.
 

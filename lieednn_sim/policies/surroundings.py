@@ -32,7 +32,7 @@ class Surroundings:
 
     Attributes:
         places: positions ``(3,)`` of the moving obstacles' bodies [m], by name; empty before any was seen.
-        velocities: those of the obstacles that move ``(3,)`` [m/s], as of the last `look`; may be set.
+        velocities: those of the obstacles that move ``(3,)`` [m/s], at the last `look`; may be set.
         touching: name of the one that touched the arm when it was to `leave`, if any.
     """
 
@@ -68,9 +68,8 @@ class Surroundings:
 
     def blocked(self, q: Floats, *, only_moving: bool = False) -> tuple[int, str] | None:
         """Index of the first of the configurations ``(K, n)`` at which something is in the way, and its body's name."""
-        positions, begin = self._arm.qpos(q), 0
-        if self._near is None and not only_moving:
-            begin = len(q) if (first := self._all.first(positions)) is None else first
+        positions = self._arm.qpos(q)
+        begin = 0 if self._near is not None or only_moving else self._all.first(positions)
         for index, qpos in enumerate(positions[begin:], begin):
             if (found := self._in_the_way(qpos, only_moving)) is not None:
                 return index, self._obstacle_of(found[1][0])
@@ -202,7 +201,7 @@ def evasion(
     of obstacles, as they move and as they are now; `PlanError` if there is none.
 
     Args:
-        places, velocities: of the obstacles ``(3,)`` [m, m/s], by name, as of `Surroundings`.
+        places, velocities: of the obstacles ``(3,)`` [m, m/s], by name, as in `Surroundings`.
         margin: distance to be kept from them where that is possible, else half of it [m].
         lead, horizon: times until the arm sets off, and for which obstacles are foreseen [s].
     """

@@ -84,7 +84,7 @@ def free_side(
     """Azimuth and elevation [deg] from which most of a path ``(K, 3)`` is seen, at positions ``(I, nq)`` of the model.
 
     What is seen is the length of the path in the picture where nothing is before it, in the mean over the instants. The
-    first side that sees nearly as much as the best one is taken. The others are as of `around`.
+    first side that sees nearly as much as the best one is taken. The others are as for `around`.
     """
     data, steps = [kinematics_at(model, qpos) for qpos in instants], np.diff(path, axis=0)
     sides, seen = list(product(_AZIMUTHS, _ELEVATIONS)), []

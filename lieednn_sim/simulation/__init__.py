@@ -4,37 +4,23 @@
 `follow` runs a policy. Each returns the log of what happened.
 """
 
-from lieednn_sim.registry import CONTROLLERS
-from lieednn_sim.simulation.controllers import register_controller
-from lieednn_sim.simulation.controllers.base import Controller
-from lieednn_sim.simulation.disturbances import Disturbances, MovingObstacle, Push
-from lieednn_sim.simulation.following import Following, follow
-from lieednn_sim.simulation.log import Channel, Log
-from lieednn_sim.simulation.many import Rollouts, simulate_many
-from lieednn_sim.simulation.rollout import Rollout
-from lieednn_sim.simulation.simulation import Simulation
-from lieednn_sim.simulation.tracking import default_controller, simulate
-from lieednn_sim.simulation.tracking_bound import tracking_bound
+from lieednn_sim.registry import CONTROLLERS as CONTROLLERS
+from lieednn_sim.simulation.controllers import register_controller as register_controller
+from lieednn_sim.simulation.controllers.base import Controller as Controller
+from lieednn_sim.simulation.disturbances import Disturbances as Disturbances
+from lieednn_sim.simulation.disturbances import MovingObstacle as MovingObstacle
+from lieednn_sim.simulation.disturbances import Push as Push
+from lieednn_sim.simulation.following import Following as Following
+from lieednn_sim.simulation.following import follow as follow
+from lieednn_sim.simulation.log import Channel as Channel
+from lieednn_sim.simulation.log import Log as Log
+from lieednn_sim.simulation.many import Rollouts as Rollouts
+from lieednn_sim.simulation.many import simulate_many as simulate_many
+from lieednn_sim.simulation.rollout import Rollout as Rollout
+from lieednn_sim.simulation.simulation import Simulation as Simulation
+from lieednn_sim.simulation.tracking import default_controller as default_controller
+from lieednn_sim.simulation.tracking import simulate as simulate
+from lieednn_sim.simulation.tracking_bound import tracking_bound as tracking_bound
 from lieednn_sim.typecheck import typecheck_public
-
-__all__ = [
-    "CONTROLLERS",
-    "Channel",
-    "Controller",
-    "Disturbances",
-    "Following",
-    "Log",
-    "MovingObstacle",
-    "Push",
-    "Rollout",
-    "Rollouts",
-    "Simulation",
-    "default_controller",
-    "follow",
-    "register_controller",
-    "simulate",
-    "simulate_many",
-    "tracking_bound",
-]
 
 typecheck_public(globals())

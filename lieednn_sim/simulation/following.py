@@ -143,7 +143,7 @@ class ClosedLoop:
     Args:
         policy: its rate must divide the rate of the simulation; between periods, another one of the same arm and rate
             may take its place.
-        controller, disturbances: as of `follow`.
+        controller, disturbances: as for `follow`.
         rows: number of simulation steps of the whole run; by default it has no end, and old references are forgotten.
 
     Attributes:

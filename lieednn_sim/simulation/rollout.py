@@ -49,7 +49,7 @@ class Rollout:
         contacts: ``(K,)`` number of contacts; of a view, those of what the arm moves or carries with anything that it
             does not move along, fingers around a free body included.
         contact_force: ``(K,)`` largest normal force among the contacts [N].
-        channels: ``(K, ...)`` further logs of controllers and disturbances by name, such as of `MocapWelds` and
+        channels: ``(K, ...)`` further logs of controllers and disturbances by name, such as those of `MocapWelds` and
             `Pushes`.
         channel_units: units of the channels, by name.
         motion_end: time at which the reference comes to rest [s].

@@ -106,11 +106,6 @@ class Verdict:
         held = [condition for condition in self.conditions if condition.holds]
         return max(held, key=lambda condition: (condition.scope == "global", condition.rate), default=None)
 
-    @property
-    def best_rate(self) -> float:
-        """Highest rate proved from every start; 0 when global stability is not proved."""
-        return max(condition.rate for condition in self.conditions if condition.scope == "global")
-
     def __getitem__(self, name: str) -> Condition:
         """The condition with this name; `InputError` if there is none."""
         known = {condition.name: condition for condition in self.conditions}

@@ -65,7 +65,7 @@ class Study(ABC, Generic[R]):
 def compute(study: Study[R], directory: StrPath, *, jobs: int = 1, console: Console | None = None) -> Table[R]:
     """The table of a directory, with the rows that it lacked computed; finished cases are kept when interrupted.
 
-    Who `reporting` names is told of the cases done.
+    Progress in cases is reported (`budget.reporting`).
 
     Args:
         directory: directory of the table.
@@ -128,10 +128,9 @@ def run_each(
 ) -> None:
     """Run tasks on worker processes, or in this process where one is enough; `LieEDNNError` if a worker died.
 
-    Who `reporting` names is told of the tasks done.
-
-    ``todo`` holds each task's arguments, with which, its result and its exception ``done`` is called here when it ends,
-    in any order. What goes to worker processes and back must be picklable.
+    ``todo`` holds the arguments of each task. When one ends, in any order, ``done`` is called in this process with its
+    arguments, its result and its exception, and progress is reported (`budget.reporting`). Arguments and results must
+    be picklable.
     """
     workers = min(workers, len(todo))
     with worker_pool(workers) if workers > 1 else contextlib.nullcontext() as pool:

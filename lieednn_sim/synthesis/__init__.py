@@ -5,24 +5,16 @@ end, by hidden neurons. `CurveEncoder` has one network for all curves, and encod
 hidden neurons start.
 """
 
-from lieednn_sim.registry import BIAS_RULES
-from lieednn_sim.synthesis.bias import bias_for
-from lieednn_sim.synthesis.certified import RESIDUAL_TOLERANCE, Synthesis, synthesize, synthesize_many
-from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
-from lieednn_sim.synthesis.shaping.shaping import Shaping, ShapingOptions, shape
+from lieednn_sim.registry import BIAS_RULES as BIAS_RULES
+from lieednn_sim.synthesis.bias import bias_for as bias_for
+from lieednn_sim.synthesis.certified import RESIDUAL_TOLERANCE as RESIDUAL_TOLERANCE
+from lieednn_sim.synthesis.certified import Synthesis as Synthesis
+from lieednn_sim.synthesis.certified import synthesize as synthesize
+from lieednn_sim.synthesis.certified import synthesize_many as synthesize_many
+from lieednn_sim.synthesis.shaping.encoder import CurveEncoder as CurveEncoder
+from lieednn_sim.synthesis.shaping.shaping import Shaping as Shaping
+from lieednn_sim.synthesis.shaping.shaping import ShapingOptions as ShapingOptions
+from lieednn_sim.synthesis.shaping.shaping import shape as shape
 from lieednn_sim.typecheck import typecheck_public
-
-__all__ = [
-    "BIAS_RULES",
-    "RESIDUAL_TOLERANCE",
-    "CurveEncoder",
-    "Shaping",
-    "ShapingOptions",
-    "Synthesis",
-    "bias_for",
-    "shape",
-    "synthesize",
-    "synthesize_many",
-]
 
 typecheck_public(globals())

@@ -178,7 +178,7 @@ def polish(
     |t| stays small: a step of theirs of the size ``quaternion_weight`` counts as much as a unit translation.
 
     The unknowns ``(B, 4 N^2 + 3N)`` of the problems meet the rotational equations roughly; ``state`` and ``required``
-    are as of `random_starts`.
+    are as for `random_starts`.
     """
     n, count = problem.n_neurons, len(unknowns)
     best, best_translation = unknowns.copy(), np.zeros((count, n, n, 3))

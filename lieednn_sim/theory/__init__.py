@@ -5,37 +5,21 @@ special cases; `EquivariantLieEDNN` has an activation that commutes with Ad. `tr
 planner needs this subpackage.
 """
 
-from lieednn_sim.theory.groups import GROUPS, affine, group
-from lieednn_sim.theory.matrix_group import MatrixLieGroup
-from lieednn_sim.theory.networks import (
-    EquivariantLieEDNN,
-    GroupLieEDNN,
-    complex_network,
-    complex_state,
-    complex_values,
-    quaternion_network,
-    quaternion_state,
-    quaternion_values,
-)
-from lieednn_sim.theory.smoothness import SmoothnessBounds, curvature, smoothness_bounds
+from lieednn_sim.theory.groups import GROUPS as GROUPS
+from lieednn_sim.theory.groups import affine as affine
+from lieednn_sim.theory.groups import group as group
+from lieednn_sim.theory.matrix_group import MatrixLieGroup as MatrixLieGroup
+from lieednn_sim.theory.networks import EquivariantLieEDNN as EquivariantLieEDNN
+from lieednn_sim.theory.networks import GroupLieEDNN as GroupLieEDNN
+from lieednn_sim.theory.networks import complex_network as complex_network
+from lieednn_sim.theory.networks import complex_state as complex_state
+from lieednn_sim.theory.networks import complex_values as complex_values
+from lieednn_sim.theory.networks import quaternion_network as quaternion_network
+from lieednn_sim.theory.networks import quaternion_state as quaternion_state
+from lieednn_sim.theory.networks import quaternion_values as quaternion_values
+from lieednn_sim.theory.smoothness import SmoothnessBounds as SmoothnessBounds
+from lieednn_sim.theory.smoothness import curvature as curvature
+from lieednn_sim.theory.smoothness import smoothness_bounds as smoothness_bounds
 from lieednn_sim.typecheck import typecheck_public
-
-__all__ = [
-    "GROUPS",
-    "EquivariantLieEDNN",
-    "GroupLieEDNN",
-    "MatrixLieGroup",
-    "SmoothnessBounds",
-    "affine",
-    "complex_network",
-    "complex_state",
-    "complex_values",
-    "curvature",
-    "group",
-    "quaternion_network",
-    "quaternion_state",
-    "quaternion_values",
-    "smoothness_bounds",
-]
 
 typecheck_public(globals())

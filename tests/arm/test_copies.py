@@ -75,6 +75,17 @@ def test_an_arm_whose_file_has_changed_is_refused(folder):
         pickle.loads(pickled)
 
 
+def test_what_is_changed_in_an_arm_of_the_package_is_in_no_other_one():
+    arm, fresh = ls.Arm.load("telescopic_pr"), ls.Arm.from_xml(ls.arm.scene_path("telescopic_pr"))
+    arm.position_limits[:] = arm.force_limits[:] = 0.0
+    arm.model.body_mass[:] = 0.0
+    arm.spec.delete(arm.spec.body("link1"))
+    again = ls.Arm.load("telescopic_pr")
+    assert again.with_payload(1.0).fingerprint == fresh.with_payload(1.0).fingerprint
+    for limits in ("position_limits", "force_limits"):
+        np.testing.assert_array_equal(getattr(again, limits), getattr(fresh, limits))
+
+
 def test_an_arm_from_a_spec_says_that_it_cannot_be_pickled(folder):
     arm = ls.Arm.load("turner.xml")
     made = ls.Arm.from_spec(arm.spec.copy(), arm.source, "made")

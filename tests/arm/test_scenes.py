@@ -22,7 +22,7 @@ def obstacles(arm):
 
 @pytest.mark.parametrize("name", BARE)
 def test_home_is_free_and_targets_are_behind_the_obstacles(name):
-    blocked, cases = 0, [(scene, seed) for scene in SCENES if scene != "free" for seed in range(2)]
+    blocked, cases = 0, [(scene, seed) for scene in SCENES if scene != "free" for seed in range(3)]
     for scene, seed in cases:
         arm = BARE[name].with_scene(scene, seed)
         collisions, home = Collisions(arm), arm.keyframe("home")

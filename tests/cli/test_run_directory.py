@@ -318,7 +318,7 @@ def test_a_command_waits_for_no_other_but_says_that_one_is_at_work(tmp_path, mad
         ({"target": [10**400]}, "target must be an array of numbers"),
         ({"duration": math.inf}, "duration must be finite"),
         ({"seed": 1.5}, "seed must be a whole number"),
-        ({"imported": {"link": []}}, "no options of an import: link"),
+        ({"imported": {"link": []}}, "no option 'link' of an import"),
         ({"options": []}, "options must be a dictionary"),
         ({"model": None}, "model must be a string"),
     ],

@@ -213,7 +213,7 @@ def test_the_pace_is_of_the_hardest_limit_by_hand(gantry):
     # A steady gain of x, whose limits are 1 m/s and 10 m/s^2: to 1.8 m/s in a second, or at 22.5 m/s^2 to 0.225 m/s.
     for duration, gain, expected in ((1.0, 1.8, 2.0), (0.01, 22.5, np.sqrt(2.5))):
         t = np.linspace(0.0, duration, 11)
-        assert tasks.pace(gantry, t, gain * t[:, None] * np.eye(4)[0], 0.9) == pytest.approx(expected)
+        assert tasks.slowdown(gantry, t, gain * t[:, None] * np.eye(4)[0], 0.9) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("planner", [None, "minimum-jerk"])

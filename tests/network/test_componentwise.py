@@ -28,7 +28,7 @@ def test_verdict_uses_the_network_s_own_proof_and_equilibrium():
     assert verdict.globally_stable
     np.testing.assert_array_equal(verdict.certificate.lyapunov_diagonal, network.certificate.lyapunov_diagonal)
     assert verdict["local"].rate == pytest.approx(-network.equilibrium(target).spectral_abscissa)
-    assert verdict.best_rate <= verdict["local"].rate
+    assert verdict.strongest.rate <= verdict["local"].rate
     report = str(verdict)
     assert report.startswith("globally stable by the")
     assert len(report.splitlines()) == 1 + len(stability.CONDITIONS)

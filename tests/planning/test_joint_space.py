@@ -38,6 +38,17 @@ def test_what_pairs_lack_is_counted_once_each(gantry, monkeypatch):
     assert clear.tests == 2
 
 
+@pytest.mark.parametrize(
+    ("contact", "stop", "first", "tests"), [(5, 5, None, 5), (2, 5, 2, 3), (5, 3, 3, 4), (2, 3, 2, 3), (4, 1, 1, 2)]
+)
+def test_the_first_of_contact_and_a_stop_is_found(gantry, monkeypatch, contact, stop, first, tests):
+    finder = SimpleNamespace(first=lambda qpos: min(contact, len(qpos)))
+    monkeypatch.setattr(Arm, "contact_finder", lambda *_: finder)
+    clear = ClearanceTest(gantry, 0.0)
+    monkeypatch.setattr(clear, "_beyond", lambda qpos: np.where(np.arange(5) >= stop, 1.0, -1.0))
+    assert (clear.first_blocked(np.zeros((5, 4))), clear.tests) == (first, tests)
+
+
 def test_joints_without_a_velocity_limit_are_measured_by_their_range(gantry):
     arm = replace(gantry, velocity_limits=np.array([1.0, np.inf, 4.0, np.inf]))
     np.testing.assert_array_equal(joint_scale(arm), [1.0, 4.0, 4.0, 6.0])

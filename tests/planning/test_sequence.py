@@ -178,7 +178,7 @@ def test_what_it_stands_on_may_be_touched_but_not_entered_and_nothing_else(grasp
         ),
     ):
         with pytest.raises(ls.LieEDNNError, match=message):
-            planned_in(model, state, goal, holding=holding, **how)
+            planned_in(model, state, goal, holding=holding, planner="minimum-jerk", **how)
     # It may also stand on what is fixed beside the arm's own base.
     own = cell()[0]
     own.body_rootid[own.body("table").id] = own.body("column").id

@@ -144,6 +144,7 @@ def test_the_network_follows_the_transition_from_its_first_velocity_on(name, gan
     course = TimedPath(arm, encoder, made, arm.encode(home))
     assert course.network.certificate is encoder.network.certificate
     z, rate = course.clock(0.0)
+    course.state.advance(z)
     h = 1e-4
     near = arm.encode(made(np.array([0.0, h, 2.0 * h]))[0]).reshape(3, -1)
     assert z == pytest.approx(0.0, abs=1e-12)

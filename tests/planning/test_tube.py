@@ -64,7 +64,7 @@ def contacts(arm, made, tube, count, seed, stride=1, batch=10):
     for _ in range(count // batch):
         offs = np.stack([corner(rng, tube) for _ in range(batch)])
         q = deviated(arm, made, offs, int(rng.integers(len(made.motion.t))), stride)
-        touched += sum(any(finder.any(one) for one in arm.qpos(path)) for path in np.swapaxes(q, 0, 1))
+        touched += sum(finder.first(arm.qpos(path)) < len(path) for path in np.swapaxes(q, 0, 1))
     return touched
 
 
@@ -78,7 +78,7 @@ def worst(arm, made, tube, rounds=2):
         return np.clip(arm.within_angles(arm.decode(xi[None], start=q).q[0]), low, high)
 
     def touches(xi, q, deviation, factor):
-        return finder.any(arm.qpos(decoded(xi + factor * deviation, q)))
+        return finder.first(arm.qpos(decoded(xi + factor * deviation, q))[None]) < 1
 
     def directions(xi, q, near, found):
         """For the pairs near by, the corner that brings them together fastest, with the factor at first order."""

@@ -100,6 +100,7 @@ def some_targets(arm):
     "kind",
     [
         ("telescopic_pr", "lieednn-shaped", 100.0),
+        ("telescopic_rrp", "lieednn-certified", 500.0),
         ("telescopic_compound", "linear-attractor", 100.0),
         ("gantry", "cascade", 20.0),
         ("odd", "linear", 200.0),

@@ -97,8 +97,9 @@ def test_edges_are_sharp_and_curved_sides_smooth():
         assert mesh.volume == pytest.approx({24: 8.0}.get(len(mesh.vertices), np.pi * 2.0), rel=0.02)
 
 
-def test_two_arms_side_by_side_share_their_geometry(rollout, one):
-    two = record([rollout, rollout], ["one", "other"])
+def test_two_arms_side_by_side_share_their_geometry(gantry):
+    rollout = make_rollout(gantry)
+    one, two = record([rollout]), record([rollout, rollout], ["one", "other"])
     assert len(two.content) < 1.35 * len(one.content)
     assert 1.0 <= one.ratio <= two.ratio == pytest.approx(16 / 9)
 
@@ -130,16 +131,9 @@ def test_the_caption_says_what_is_proved(rollout, tmp_path, monkeypatch, clearan
 
 
 @pytest.fixture(scope="module")
-def one(rollout):
-    return record([rollout])
-
-
-@pytest.fixture(scope="module")
-def address(rollout, one, tmp_path_factory):
+def address(rollout, tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "motion.html"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "record", lambda *_, **__: one)
-        render_page(rollout, path, title="by <hand>")
+    render_page(rollout, path, title="by <hand>")
     return path.as_uri()
 
 

@@ -26,7 +26,7 @@ MARGIN = 0.05  # fraction of its range that home keeps away from each limit
 def choose_home(
     spec: mujoco.MjSpec, model: mujoco.MjModel, keyframe: str | None, home: Mapping[str, float], notes: list[str]
 ) -> tuple[str, int | None, Floats]:
-    """What it is in words, the keyframe's number if it is one, and the positions ``(nq,)``.
+    """Home in words, the number of its keyframe if it is one, and its positions ``(nq,)``.
 
     `InputError` if there is no such keyframe or joint (the message lists those there are), or a position is invalid.
     """

@@ -95,10 +95,6 @@ class Demonstrations:
         kept = np.arange(len(self)) != as_count("index", index, 0, len(self) - 1)
         return replace(self, twists=self.twists[kept])
 
-    def to_world(self, twists: Floats) -> RigidTransform:
-        """World poses of twists ``(..., 6)``."""
-        return in_world(twists, self.goal)
-
 
 def align(
     demonstrations: Sequence[Demonstration],

@@ -156,7 +156,7 @@ class CodeSpread:
     """Normal distribution of the codes of one visible neuron's motions about those that their start gives.
 
     At u from the mean start (and the mean goal, if there are several), in metres, the covariance is
-    (1 + 1/n + u^T A u) F F^T: noise, and the doubt about the mean and about the response (as of a Bayesian linear
+    (1 + 1/n + u^T A u) F F^T: noise, and the doubt about the mean and about the response (as in a Bayesian linear
     regression, whose prior is the ridge).
     """
 

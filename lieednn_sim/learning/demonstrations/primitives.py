@@ -37,8 +37,8 @@ _INSTANTS = 201  # number of instants at which paths of probabilistic primitives
 
 
 @frozen
-class MovementPrimitive:
-    """A fitted primitive."""
+class DynamicPrimitive:
+    """A dynamic movement primitive, fitted to demonstrations."""
 
     weights: Floats  # (B, 6) for rotations [rad] and positions [m]; zero for entries that were not recorded
     duration: float  # mean duration of the demonstrations [s]
@@ -47,7 +47,7 @@ class MovementPrimitive:
     durations: ClassVar[float] = 1.0
 
     @classmethod
-    def fit(cls, demonstrations: Demonstrations, n_parameters: int) -> MovementPrimitive:
+    def fit(cls, demonstrations: Demonstrations, n_parameters: int) -> DynamicPrimitive:
         """Fit as many basis functions as there are parameters to spend, at least two.
 
         The path is linear in the weights except for the curvature of rotations, so that the least squares are in the
@@ -130,7 +130,7 @@ def responses(forces: Floats, step: float) -> Floats:
 
 @frozen
 class ProbabilisticPrimitive:
-    """A fitted primitive: the mean motion given the start and the goal, which is affine in the start."""
+    """A fitted probabilistic primitive: the mean motion given the start and the goal, which is affine in the start."""
 
     path: Floats  # (K, 6) rotations and positions from a start at the goal [rad, m], at equal steps of the duration
     response: Floats  # (K, 6, 6) derivatives of the path in the coordinates of the start

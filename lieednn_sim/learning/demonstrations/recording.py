@@ -38,7 +38,7 @@ def as_dof(dof: int) -> int:
 
 @frozen
 class Demonstration:
-    """A recorded motion of a frame, such as of an end effector.
+    """A recorded motion of a frame, such as an end effector's.
 
     Attributes:
         t: ``(K,)`` times, starting at 0 [s].

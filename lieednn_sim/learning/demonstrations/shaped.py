@@ -105,7 +105,7 @@ class ShapedMotion(LearnedMotion):
             t: ``(K,)`` increasing times from 0 [s].
 
         Raises:
-            InputError: as of `reproduce`, or there is no spread.
+            InputError: as for `reproduce`, or there is no spread.
         """
         (spread, *_), tau = self._family(), self._network_times(t)
         scale = spread.scale(self._inputs(as_floats("start", start, (6,), batched=True)))

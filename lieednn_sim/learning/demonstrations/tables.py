@@ -73,7 +73,7 @@ def as_recording(source: str, samples: ArrayLike, t: ArrayLike | None, layout: L
 
 
 def read_tables(files: Iterable[StrPath], layout: Layout) -> list[tuple[str, Floats, Floats]]:
-    """The source of each table in the files, its samples and times as of `as_recording`.
+    """The source of each table in the files, its samples and times as `as_recording` takes them.
 
     `FileError` if a file cannot be read, or is of another kind; `InputError` also if there is no table.
     """

@@ -1,6 +1,6 @@
 """Planners on published problems.
 
-Metrics have their names from robometrics (A. Fishman et al., github.com/fishbotics/robometrics); skipped problems are
+Columns have their names from robometrics (A. Fishman et al., github.com/fishbotics/robometrics); skipped problems are
 counted apart from failed ones.
 """
 
@@ -14,7 +14,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from lieednn_sim.arm import Arm
 from lieednn_sim.budget import as_time_budget, cpu_time, one_blas_thread, time_limit
@@ -22,7 +21,7 @@ from lieednn_sim.errors import InputError, LieEDNNError, PlanError
 from lieednn_sim.planning import Plan, plan, retime
 from lieednn_sim.planning.baselines.sampling import RrtConnectOptions
 from lieednn_sim.planning.guides import GuideOptions
-from lieednn_sim.planning.motion import Motion, least_duration
+from lieednn_sim.planning.motion import least_duration
 from lieednn_sim.planning.options import PlannerOptions
 from lieednn_sim.planning.shaped import ShapedOptions
 from lieednn_sim.registry import PLANNERS
@@ -70,7 +69,6 @@ class Solution(TableRow):
     planner: str
     success: bool = outcome()  # whether there is a motion within all limits and free of contact
     reason: str = ""
-    guide: str = ""  # for a shaped network, the planner whose motion it follows
     solve_time: float | None = column(
         "solve time [s]",
         "CPU time of the planner, stopped at its budget; the one column that differs between runs",
@@ -80,9 +78,6 @@ class Solution(TableRow):
     cspace_path_length: float | None = column(
         "C-space path [rad]", "Euclidean length of the path in joint coordinates, of slides in metres"
     )
-    eef_position_path_length: float | None = column("effector path [m]", "length of the end effector's path")
-    eef_orientation_path_length: float | None = column("effector turn [deg]", "angle that the end effector turns by")
-    jerk: float | None = column("jerk [rad/s³]", "largest jerk of a joint")
     proved_fraction: float | None = column(
         "proved", "fraction of the motion's time over which it is proved, for every instant, that nothing touches"
     )
@@ -112,7 +107,7 @@ def solve(folder: str, name: str, number: int, planner: str, budget: float) -> l
         except LieEDNNError as error:
             return failed(folder, name, number, planner, budget, f"plan: {error}")
         result = replace(result, cpu_time=cpu_time() - started)
-        return [Solution(name, number, planner, **measured(arm, result))]
+        return [Solution(name, number, planner, **measured(result))]
 
 
 def _planned(arm: Arm, start: Floats, goal: Floats, planner: str) -> Plan:
@@ -138,20 +133,13 @@ def failed(_folder: str, name: str, number: int, planner: str, _budget: float, r
 _sets = lru_cache(maxsize=1)(ProblemSets)
 
 
-def measured(arm: Arm, result: Plan) -> dict[str, Any]:
-    """The measured columns of a plan, and its guide."""
-    motion: Motion = result.motion
-    tips = arm.link_poses(motion.q).as_matrix()[:, -1]
-    turns = Rotation.from_matrix(tips[:, :3, :3])
-    jerk = np.diff(motion.qd, n=2, axis=0) / motion.timestep**2
+def measured(result: Plan) -> dict[str, Any]:
+    """The measured columns of a plan."""
+    motion = result.motion
     return {
-        "guide": result.guide.planner if result.guide else "",
         "solve_time": result.cpu_time,
         "motion_time": float(motion.t[-1]),
         "cspace_path_length": float(np.linalg.norm(np.diff(motion.q, axis=0), axis=1).sum()),
-        "eef_position_path_length": float(np.linalg.norm(np.diff(tips[:, :3, 3], axis=0), axis=1).sum()),
-        "eef_orientation_path_length": float(np.rad2deg((turns[:-1].inv() * turns[1:]).magnitude().sum())),
-        "jerk": float(np.abs(jerk).max()),
         "proved_fraction": result.clearance.proved_fraction,
     }
 

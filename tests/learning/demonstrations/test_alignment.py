@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations import Demonstration, align
-from lieednn_sim.learning.demonstrations.alignment import displacement
+from lieednn_sim.learning.demonstrations.alignment import displacement, in_world
 
 
 def recorded(position, vectors=None, t=None):
@@ -52,7 +52,7 @@ def test_the_world_and_back(seed):
     rng = np.random.default_rng(seed)
     position, vectors = np.cumsum(rng.normal(size=(2, 5, 3)), axis=1)
     one = recorded(position, 0.5 * vectors)
-    poses = align([one], samples=2).to_world(one.twists)
+    poses = in_world(one.twists, align([one], samples=2).goal)
     np.testing.assert_allclose(poses.translation, position, atol=1e-9)
     np.testing.assert_allclose(poses.rotation.as_matrix(), one.rotation, atol=1e-9)
 

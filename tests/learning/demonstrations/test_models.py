@@ -10,7 +10,7 @@ import pytest
 from lieednn_sim.errors import InputError
 from lieednn_sim.learning.demonstrations.alignment import displacement, twist_of
 from lieednn_sim.learning.demonstrations.models import LinearAttractor, StableMixture, at_times, even_grid, run_field
-from lieednn_sim.learning.demonstrations.primitives import MovementPrimitive, ProbabilisticPrimitive
+from lieednn_sim.learning.demonstrations.primitives import DynamicPrimitive, ProbabilisticPrimitive
 from lieednn_sim.learning.demonstrations.shaped import ShapedMotion
 from lieednn_sim.synthesis import ShapingOptions
 
@@ -33,7 +33,7 @@ def test_runge_and_kutta_on_a_rotation():
 
 def test_a_primitive_without_forcing_is_critically_damped():
     # p'' = 25 (-6.25 p - p') from rest at 1: (1 + 12.5 t) e^(-12.5 t), which is 0.29 at a fifth of the duration.
-    model = MovementPrimitive(np.zeros((3, 6)), 2.0, 3)
+    model = DynamicPrimitive(np.zeros((3, 6)), 2.0, 3)
     path = model.reproduce(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]), np.array([0.0, 0.4, 2.0]))
     np.testing.assert_allclose(path[:, 3], [1.0, 3.5 * np.exp(-2.5), 13.5 * np.exp(-12.5)], atol=2e-2)
     np.testing.assert_allclose(path[:, [0, 1, 2, 4, 5]], 0.0)
@@ -42,7 +42,7 @@ def test_a_primitive_without_forcing_is_critically_damped():
 @pytest.mark.parametrize("name", ["planar", "posed"])
 def test_a_primitive_follows_the_mean_in_time(name, request):
     shown = request.getfixturevalue(name)
-    model = MovementPrimitive.fit(shown, 60)
+    model = DynamicPrimitive.fit(shown, 60)
     assert model.n_parameters == 60
     t = np.linspace(0.0, shown.duration, 50)
     wanted = displacement(at_times(shown.mean[None], shown.t, t))[0]

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import motion_bench_maker
-import numpy as np
 import pytest
 
 from lieednn_sim.arm.collision import Collisions
@@ -15,7 +14,7 @@ from lieednn_sim.planning import plan
 from lieednn_sim.planning.motion import least_duration
 from lieednn_sim.studies.problems import study
 from lieednn_sim.studies.problems.motion_bench_maker import ProblemSets
-from lieednn_sim.studies.problems.study import OPTIONS, PublishedProblems, Solution, measured, solve
+from lieednn_sim.studies.problems.study import OPTIONS, PublishedProblems, Solution, solve
 from lieednn_sim.studies.study import compute
 from lieednn_sim.studies.table import Table
 
@@ -24,15 +23,10 @@ def test_a_straight_way_is_measured_by_hand(tiny: Path, monkeypatch: pytest.Monk
     # Without toppra the planner's own law stays.
     monkeypatch.setattr(study, "_TIMED", False)
     (row,) = solve(str(tiny), "easy", 1, "minimum-jerk", 10.0)
-    assert (row.success, row.skipped, row.guide) == (True, False, "")
+    assert (row.success, row.skipped) == (True, False)
     # The shoulder turns by 1.2 rad at 1 rad/s at most, and minimum jerk peaks at 15/8 of the mean: 2.25 s, and 2 %.
     assert row.cspace_path_length == pytest.approx(1.2, rel=1e-6)
     assert row.motion_time == pytest.approx(1.02 * 1.2 * 15.0 / 8.0, rel=0.02)
-    assert row.eef_orientation_path_length == pytest.approx(np.rad2deg(1.2), rel=1e-5)
-    # The elbow is straight: the fore's frame is 0.4 m from the shoulder.
-    assert row.eef_position_path_length == pytest.approx(0.4 * 1.2, rel=1e-5)
-    # Minimum jerk's is largest at both ends: 60 ways over the time cubed.
-    assert row.jerk == pytest.approx(60.0 * 1.2 / row.motion_time**3, rel=0.02)
 
 
 def test_paths_are_run_through_at_the_limits(tiny: Path) -> None:
@@ -79,7 +73,6 @@ def test_a_shaped_network_goes_around_as_its_guide_does(tiny: Path) -> None:
     )
     assert made.guide is not None
     assert made.guide.planner == "rrt-connect"
-    assert measured(arm, made)["guide"] == "rrt-connect"
     collisions = Collisions(arm)
     assert min(collisions.clearance(q) for q in made.motion.q[::8]) > 0.0
 
