@@ -209,7 +209,7 @@ class Arm(ModelArm):
         """
         seed = as_seed("seed", seed)
         own = is_scene_file(scene)
-        label = scene_label(scene) if own else as_choice("scene", scene, SCENES)  # type: ignore[arg-type]
+        label = scene_label(scene) if own else as_choice("scene", scene, SCENES, "or a file")  # type: ignore[arg-type]
         if label == "free":
             return self
         if self.scene != "free":

@@ -113,7 +113,7 @@ class FollowingErrors:
     the delay that explains most of the end effector's distance: sum(e . v) / sum(v . v) over the steps at which the
     target does not jump, with e from the simulated to the target position and v the target's velocity; None when it
     does not move. ``settling_s`` has, for each jump of the target, the time until all frames stay within 1 mm and
-    0.1 deg of it until the next jump, or None when they do not.
+    0.1 deg of it until the next jump, or None when they do not; ``arrives_s`` is when they do so until the end.
     """
 
     rms_mm: float
@@ -122,9 +122,11 @@ class FollowingErrors:
     worst_deg: float
     lag_s: float | None
     settling_s: tuple[float | None, ...]
+    arrives_s: float | None
 
     def __str__(self) -> str:
-        lag = "the target does not move" if self.lag_s is None else f"{1e3 * self.lag_s:.3g} ms behind the target"
+        lag = "never arrives" if self.arrives_s is None else f"arrives after {self.arrives_s:.3g} s"
+        lag = f"{lag}; on the way" if self.lag_s is None else f"{1e3 * self.lag_s:.3g} ms behind the target"
         off = f"end effector {rounded(self.rms_mm)} mm and {rounded(self.rms_deg)} degrees off (RMS)"
         worst = f"a link at most {rounded(self.worst_mm)} mm and {rounded(self.worst_deg)} degrees"
         waits = ", ".join("never" if wait is None else f"in {wait:.2f} s" for wait in self.settling_s)
@@ -153,6 +155,7 @@ def evaluate_following(following: Following) -> FollowingErrors:
         worst_deg=float(np.rad2deg(angle.max())),
         lag_s=float((behind * velocity)[steady].sum()) / moved if moved > 0.0 else None,
         settling_s=tuple(None if time is None else time - float(t[begin]) for begin, time in spans),
+        arrives_s=settled(t, distance, angle),
     )
 
 
@@ -182,9 +185,8 @@ def frame_errors(
 def settled(t: Floats, distance: Floats, angle: Floats) -> float | None:
     """Time from which errors ``(K, N)`` stay within the bounds, None when they do not."""
     outside = np.flatnonzero(((distance > SETTLED_TRANSLATION) | (angle > SETTLED_ROTATION)).any(axis=1))
-    if outside.size == 0:
-        return float(t[0])
-    return float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
+    first = outside[-1] + 1 if outside.size else 0
+    return float(t[first]) if first < len(t) else None
 
 
 def motion_metrics(arm: Arm, motion: Motion) -> MotionMetrics:
@@ -217,11 +219,9 @@ def rms_curvature(path: ArrayLike, timestep: float) -> float | None:
     velocity = (points[2:] - points[:-2]) / (2.0 * step)
     acceleration = (points[2:] - 2.0 * points[1:-1] + points[:-2]) / step**2
     speed = np.linalg.norm(velocity, axis=1)
-    # At rest [m/s].
-    if speed.max() < 1e-9:
+    if speed.max() < 1e-9:  # at rest [m/s]
         return None
-    # Near rest the direction of the path is noise.
-    moving = speed > 0.05 * speed.max()
+    moving = speed > 0.05 * speed.max()  # near rest the direction of the path is noise
     speed = speed[moving]
     kappa = np.linalg.norm(np.cross(velocity[moving], acceleration[moving]), axis=1) / speed**3
     return float(np.sqrt((kappa**2 * speed).sum() / speed.sum()))

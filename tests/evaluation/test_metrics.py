@@ -270,6 +270,7 @@ def test_following_errors_by_hand(gantry):
     # Of the steps without the jump nine are 10 mm late, two 60 mm and eight on time, all at 0.5 m/s.
     assert errors.lag_s == pytest.approx((9 * 0.01 + 2 * 0.06) * 0.5 / (19 * 0.25))
     assert errors.settling_s == (pytest.approx(0.06),)
+    assert errors.arrives_s == pytest.approx(0.16)
     # Before the next jump nothing stays there; after it all does.
     later = np.where(t > 0.155, 0.1, 0.0)[:, None] * np.eye(4)[0]
     there = dataclasses.replace(rollout, link_position=rollout.link_position + later[:, None, :3])
@@ -280,6 +281,7 @@ def test_following_errors_by_hand(gantry):
     assert evaluate_following(dataclasses.replace(following, rollout=away)).settling_s == (None,)
     rest = dataclasses.replace(following, target=np.zeros((21, 4)))
     assert evaluate_following(rest).lag_s is None
+    assert str(evaluate_following(rest)).startswith("never arrives; on the way, end effector ")
 
 
 @pytest.mark.parametrize(
