@@ -94,8 +94,8 @@ class Policy(ABC):
                 self.reset(seen)
             self._target = goal.copy()
         parts = [np.asarray(part) for part in self.act(seen, self._target)]
-        if [part.shape for part in parts] != [shape, shape]:
-            raise InputError(f"a policy's act must return two arrays, joints and rates, of {shape[0]} numbers each")
+        if (given := [part.shape for part in parts]) != [shape, shape]:
+            raise InputError(f"a policy's act must return joints and rates, two arrays of shape {shape}, got {given}")
         q, qd = parts
         q.flags.writeable = qd.flags.writeable = False
         self.q, self.qd = q, qd
