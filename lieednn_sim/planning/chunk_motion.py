@@ -58,6 +58,7 @@ class ChunkCurve:
         self._control, self.step, self._last = control, step, len(control) - 4
         self._segment, self._excess = _SEGMENT / step**_ORDERS, dict[int, list[tuple[float, int, int]]]()
         self.duration = step * (self._last + 1)
+        self._at: tuple[float, Floats] = (math.nan, control[:0])
         self.end = np.asarray(control[-3] + 4.0 * control[-2] + control[-1]) / 6.0
 
     @classmethod
@@ -87,6 +88,12 @@ class ChunkCurve:
         factors = self._segment[:, : 4 * orders]
         weights = (np.multiply.accumulate(powers, axis=1, out=powers) @ factors).reshape(-1, orders, 4)
         return (weights @ self._control[segment[:, None] + _FOUR]).swapaxes(0, 1)
+
+    def at(self, u: float) -> Floats:
+        """What a call returns at one time, ``(3, n)``; the last one is kept."""
+        if u != self._at[0]:
+            self._at = u, self(np.array([u]))[:, 0]
+        return self._at[1]
 
     @property
     def values(self) -> Floats:
@@ -173,9 +180,9 @@ class ChunkMotion(Transition):
         result += self.base.states(t, len(result))
 
     def until(self, time: float) -> Floats:
-        """Joint coordinates, rates and accelerations ``(3, K, n)`` at 21 to 97 times up to ``time``."""
+        """Joint coordinates, rates and accelerations ``(3, K, n)`` at 13 to 97 times up to ``time``."""
         count, faded = len(EVEN), time / self.duration
-        if faded > 0.2:
+        if faded > 0.12:
             return self.even[:, : math.ceil((count - 1) * faded) + 1]
         # With those that others ask for, at once.
         states = self(np.concatenate([self.duration * EVEN, time * EVEN[::3]]))
@@ -220,7 +227,7 @@ def _joined(
     v, a = limits = np.array([arm.velocity_limits, arm.acceleration_limits])
     (fast, *_), (bent, *_) = curve.excess(arm, begin)
     least, ramps = max(1.0, fast, math.sqrt(bent)), dict[float, float | None]()
-    there, slope, turn = curve(np.array([begin]))[:, 0]
+    there, slope, turn = curve.at(begin)
     for more, longer in _TRIED:
         slower = least * more
         if more not in ramps:

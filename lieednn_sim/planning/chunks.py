@@ -154,7 +154,7 @@ def judge(
         findings["motion", -1] = Finding("motion", text)
     for begin, curve in [part for part in parts if part[0] <= passed][-1:]:
         u = min(passed - begin, curve.duration)
-        away = np.abs(curve(np.array([u]), 1)[0, 0] - reference)
+        away = np.abs(curve.at(u)[0] - reference)
         for joint in np.flatnonzero(away > step * speed).tolist():
             note("jump", "begins away by", round((begin + u) / step), joint, away[joint], step * speed[joint])
     for (begin, curve), (a, b) in zip(parts, pairwise(edges), strict=False):

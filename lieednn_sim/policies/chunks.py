@@ -177,7 +177,8 @@ class ChunkPolicy(ReplanningPolicy):
             findings.append(refused.finding)
         more = (motion.base.slower, motion.fade) if isinstance(motion, ChunkMotion) and passed >= -1e-9 else ()
         self.verdict = ChunkVerdict(motion is not None, tuple(findings), dropped, *more)
-        self.counts.update([*(finding.kind for finding in findings), "accepted" if motion else "refused"])
+        for kind in (*(finding.kind for finding in findings), "accepted" if motion else "refused"):
+            self.counts[kind] += 1
         return self.verdict
 
     def _blended(self, targets: Floats, begin: float, step: float) -> Floats:
@@ -214,7 +215,8 @@ class ChunkPolicy(ReplanningPolicy):
         """Follow the last part whose time has come, and the later ones then; raises `RefusedError`."""
         due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
         for begin, curve in parts[due:]:
-            self._require_clear(curve(np.linspace(0.0, curve.duration, _LOOKS), 1)[0], begin - self.now, curve.duration)
+            u = np.linspace(0.0, curve.duration, _LOOKS)
+            self._require_clear(curve(u, 1)[0], begin - self.now + u)
         if due:
             begin, curve = parts[due - 1]
             self._join(curve, min(self.now - begin, curve.duration), whole=True)
@@ -231,10 +233,11 @@ class ChunkPolicy(ReplanningPolicy):
         def onto(now: Floats) -> ChunkMotion:
             motion = go_over(self.arm, now, curve, begin, horizon, _FADE)
             end, last = motion.base.end, curve.duration
-            self._require_clear(motion.even[0][::4], 0.0, motion.duration)
+            q, times = motion.even[0][::4], motion.duration * EVEN[::4]
             if whole and end < last:
-                count = math.ceil(_LOOKS * (last - end) / (last - begin)) + 1
-                self._require_clear(curve(np.linspace(end, last, count), 1)[0], motion.duration, last - end)
+                u = np.linspace(end, last, math.ceil(_LOOKS * (last - end) / (last - begin)) + 1)
+                q, times = np.concatenate([q, curve(u, 1)[0]]), np.append(times, motion.duration + u - end)
+            self._require_clear(q, times)
             return motion
 
         # A shorter part has a smaller code, which is nearer to it. The rest comes back to it by further codes.
@@ -258,12 +261,11 @@ class ChunkPolicy(ReplanningPolicy):
             off = _TOLERANCE * np.minimum(t / _FADE, 1.0)[:, None] + beyond
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
-    def _require_clear(self, q: Floats, begin: float, duration: float) -> None:
-        """Raise `RefusedError` where something is in the way at samples ``(K, n)`` of what begins soon [s]."""
+    def _require_clear(self, q: Floats, after: Floats) -> None:
+        """Raise `RefusedError` where something is in the way at configurations ``(K, n)`` after times ``(K,)`` [s]."""
         if (result := self._surroundings.blocked(q)) is not None:
             first, second, distance = self._surroundings.nearest(q[result[0]])
-            time = begin + duration * result[0] / (len(q) - 1)
-            text = f"{first!r} would be {1e3 * distance:.3g} mm from {second!r} {time:.2f} s from now"
+            text = f"{first!r} would be {1e3 * distance:.3g} mm from {second!r} {after[result[0]]:.2f} s from now"
             raise RefusedError(Finding("contact", text, value=distance, limit=self.arm.clearance))
 
     def _prove(self) -> None:

@@ -101,7 +101,9 @@ class CodedPolicy(FeedbackPolicy):
         pull, pull_rate = pulled or (0.0, np.zeros_like(self.drawn))
         course, ahead = self.course, self.rest_at - self.time
         wish = self._waiting * min(1.0, math.sqrt(2.0 * self._braking * max(ahead, 0.0)))
-        guess = self._within_acceleration(wish, pull_rate)
+        most, change = self._used * self._max_gain, self.qd - pull_rate
+        bounds = (change - most).tolist(), (change + most).tolist()
+        guess = self._within_acceleration(wish, *bounds)
         self.time += 0.5 * self.period * (self.pace + guess)
         z, rate = course.clock(self.time)
         course.state.x = course.state.x + self.period * pull
@@ -110,7 +112,7 @@ class CodedPolicy(FeedbackPolicy):
         self._retraction.q = self.drawn + self.period * (guess * self._velocity + pull_rate)
         drawn, slope = self._retraction(course.state.x.reshape(-1, 6), course.state.flow.reshape(-1, 6))
         self._velocity = rate * slope
-        pace = self._within_acceleration(wish, pull_rate)
+        pace = self._within_acceleration(wish, *bounds)
         desired = pace * self._velocity + pull_rate
         slower = 1.0 / max(1.0, float((np.abs(desired) / self.allowed()).max()))
         self._limited = slower * pace < 0.99 * self._waiting
@@ -118,14 +120,11 @@ class CodedPolicy(FeedbackPolicy):
         self.drawn, inside, self._rate = drawn, self._within_limits(drawn), slower * desired
         return inside, np.where(inside == drawn, self._rate, 0.0)
 
-    def _within_acceleration(self, wish: float, extra: Floats) -> float:
-        """The pace nearest to a wish with which no joint's velocity changes by more than its limit in a period."""
-        most, change = self._used * self._max_gain, extra - self.qd
+    def _within_acceleration(self, wish: float, least: list[float], most: list[float]) -> float:
+        """The pace nearest to a wish at which the joints' velocities along the motion are within bounds."""
         low, high = 0.0, math.inf
         # For a few joints quicker than arrays.
-        for v, below, above in zip(
-            *map(np.ndarray.tolist, (self._velocity, -most - change, most - change)), strict=True
-        ):
+        for v, below, above in zip(self._velocity.tolist(), least, most, strict=True):
             if abs(v) > 1e-9:
                 low, high = max(low, min(below / v, above / v)), min(high, max(below / v, above / v))
         # Where no pace keeps all limits, since the arm is pulled, one between those that keep some of them.
