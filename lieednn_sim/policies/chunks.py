@@ -235,7 +235,7 @@ class ChunkPolicy(ReplanningPolicy):
             end, last = motion.base.end, curve.duration
             q, times = motion.even[0][::4], motion.duration * EVEN[::4]
             if whole and end < last:
-                u = np.linspace(end, last, math.ceil(_LOOKS * (last - end) / (last - begin)) + 1)
+                u = np.linspace(end, last, math.ceil(_LOOKS * (last - end) / (last - motion.base.begin)) + 1)
                 q, times = np.concatenate([q, curve(u, 1)[0]]), np.append(times, motion.duration + u - end)
             self._require_clear(q, times)
             return motion

@@ -59,6 +59,16 @@ def test_clean_chunks_are_followed_as_they_are_and_the_last_to_its_end(delay, ga
     assert policy.counts == {"accepted": 20}
 
 
+def test_a_chunk_that_is_over_now_is_joined_earlier_and_looked_at_to_its_end(gantry):
+    """It is so far ahead that it is followed from 1.875 s before its end, of which 1.5 s are coded at once."""
+    policy, end = made(gantry), np.array([0.8, 1.6, 1.5, 2.4])
+    verdict = policy.accept(np.linspace(0.0, 1.0, 31)[:, None] * end, -7.5, 0.25)
+    assert verdict.accepted
+    assert verdict.dropped == 30
+    assert policy.course.transition.base.end < 7.5
+    np.testing.assert_allclose(run(policy, 600)[-1], [end, HOME], atol=1e-6)
+
+
 def test_a_source_gives_chunks_while_an_arm_follows(gantry):
     policy, seen = made(gantry), []
 
