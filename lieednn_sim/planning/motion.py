@@ -223,7 +223,7 @@ def check_limits(arm: Arm, t: Floats, q: Floats, qd: Floats, cubics: Cubics | No
     network's state, the nearest one changes abruptly, and joints cannot follow.
 
     Args:
-        arm, t, q, qd, cubics: as of `clearance.check_clearance`.
+        arm, t, q, qd, cubics: as for `clearance.check_clearance`.
 
     Raises:
         TooFastError: only velocity, acceleration or jerk is too high; it has the duration that keeps the limits.

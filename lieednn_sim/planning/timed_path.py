@@ -20,6 +20,7 @@ from lieednn_sim.arm import Arm
 from lieednn_sim.lie import continued
 from lieednn_sim.network import LieEDNN
 from lieednn_sim.planning.motion import joint_scale
+from lieednn_sim.planning.time_laws import minimum_jerk_law
 from lieednn_sim.planning.transition import Transition
 from lieednn_sim.synthesis.shaping.encoder import CurveEncoder
 from lieednn_sim.values import Floats
@@ -102,8 +103,7 @@ class TimedPath:
         q = transition(times, 1)[0]
         states = continued(np.concatenate([visible[None], arm.joints.twists(q) / arm.twist_units]))[1:]
         # What the state lacks of a configuration, a mechanism gap, fades.
-        gone = np.minimum(times / duration, 1.0)
-        left = 1.0 - gone * gone * gone * (10.0 - 15.0 * gone + 6.0 * gone * gone)
+        left = 1.0 - minimum_jerk_law(np.minimum(times / duration, 1.0))[0]
         states += left[:, None, None] * (visible - states[0])
         near, rest, target = states[:4], states[4:-1], states[-1]
         velocity = (-1.5 * near[0] + 2.0 * near[1] - 0.5 * near[2]) / h
