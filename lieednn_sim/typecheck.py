@@ -106,8 +106,10 @@ def typechecked(function: Callable[..., Any], cls: type | None = None) -> Callab
         if not hints:
             hints.update((name, _hint(kind)) for name, kind in annotations_of(function, cls).items())
         for name, value in chain(zip(positional, arguments, strict=False), options.items()):
-            if name in hints:
-                _require(name, hints[name], value)
+            hint = hints.get(name)
+            # Most values have no parts, and are what they should be.
+            if hint and (hint.parts or not hint.accepts(value)):
+                _require(name, hint, value)
         return function(*arguments, **options)
 
     checking.__typechecked__ = True  # type: ignore[attr-defined]

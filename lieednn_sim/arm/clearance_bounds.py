@@ -69,7 +69,9 @@ class ClearanceBounds:
         self._moves = np.array(moves, dtype=bool).reshape(-1, model.njnt)[which]
         self._hulls, self._counts, self._round = _hulls(model)
         self._radius = np.linalg.norm(self._hulls, axis=-1).max(axis=1) + self._round
-        self._first, self._second = self._collisions.pairs.T
+        # Which joints do not move a geom, and where a pair is in a table of all geoms.
+        self._still, (first, second) = (~self._moves.T).astype(float), self._collisions.pairs.T
+        self._place = first * model.ngeom + second
         parts = moving_geoms(model) | np.isin(model.geom_bodyid, ancestry(model, int(arm.frames.bodies[-1]))[1:])
         self._parts, self._counted = parts, np.asarray(~parts[self._collisions.pairs].all(axis=1) | own)
 
@@ -135,9 +137,9 @@ class ClearanceBounds:
         x, y, z = (place.geoms[..., k, None] - place.anchors[:, None, :, k] for k in range(3))
         levers = np.sqrt(x * x + y * y + z * z) + self._radius[:, None]
         reach = np.where(self._turns, levers, 1.0) * self._moves
-        table = (reach * widest[:, None]) @ ~self._moves.T
-        table += np.swapaxes(table, 1, 2)
-        moved = table.reshape(len(q), -1).take(self._first * table.shape[1] + self._second, axis=1)
+        table = (reach * widest[:, None]) @ self._still
+        table += table.swapaxes(1, 2)
+        moved = table.reshape(len(q), -1).take(self._place, axis=1)
         at, index, gaps, points = self._collisions.separations(
             place.geoms, place.turns, moved + (cutoff + self._margin)
         )

@@ -76,7 +76,7 @@ class SerialArm:
     @property
     def n_joints(self) -> int:
         """Number n of joint coordinates."""
-        return len(self.space)
+        return len(self.position_limits)
 
     @property
     def timestep(self) -> float:
@@ -131,9 +131,11 @@ class SerialArm:
         q = as_floats("q", q, (self.n_joints,), batched=True)
         high, inside, balls = self.position_limits[:, 1], q.copy(), self.space.balls
         if len(balls):
-            angle = np.linalg.norm(q[..., balls], axis=-1, keepdims=True)
-            # To a little less, so that rounding does not lead beyond it.
-            inside[..., balls] *= np.where(angle > high[balls], (1.0 - 1e-15) * high[balls] / (angle + 1e-300), 1.0)
+            x, y, z = (q[..., each] for each in balls.T)
+            angle = np.sqrt(x * x + y * y + z * z)[..., None]
+            if (beyond := angle > high[balls]).any():
+                # To a little less, so that rounding does not lead beyond it.
+                inside[..., balls] *= np.where(beyond, (1.0 - 1e-15) * high[balls] / (angle + 1e-300), 1.0)
         return inside
 
     def check_position(self, q: ArrayLike | str, what: str = "q") -> Floats:

@@ -65,7 +65,7 @@ def exp(twist: ArrayLike) -> RigidTransform:
     flat = np.require(array.reshape(-1, 6), requirements="W")
     omega, v = flat.T.copy().reshape(2, 3, -1)
     # Cancellation in the coefficients costs nothing here, where they multiply as small products; nor does underflow.
-    square = np.maximum(np.einsum("ib,ib->b", omega, omega), 1e-200)
+    square = np.maximum(np.add.reduce(omega * omega), 1e-200)
     angle = np.sqrt(square)
     half_sine, turned = np.sin(0.5 * angle), _cross(omega, v)
     b, c = 2.0 * half_sine * half_sine / square, (1.0 - np.sin(angle) / angle) / square
@@ -98,15 +98,15 @@ def rotation_vectors(rotation: Rotation) -> Floats:
 
 def turn_of(turns: Sequence[Floats]) -> Floats:
     """The rotation vectors ``(3, M)``, up to half a turn, of products of rotations by their ``(3, M)``; unchecked."""
-    angles = [np.sqrt(np.einsum("ib,ib->b", turn, turn)) for turn in turns]
+    angles = [np.sqrt(np.add.reduce(turn * turn)) for turn in turns]
     if len(turns) == 1:
         return (1.0 - 2.0 * np.pi * np.round(angles[0] / (2.0 * np.pi)) / np.maximum(angles[0], 1.0)) * turns[0]
     real, part = np.float64(1.0), np.zeros_like(turns[0])
     for angle, turn in zip(angles, turns, strict=True):
         cosine, sine = np.cos(0.5 * angle), np.sin(0.5 * angle) / np.maximum(angle, 1e-150) * turn
-        dot = np.einsum("ib,ib->b", part, sine)
+        dot = np.add.reduce(part * sine)
         real, part = real * cosine - dot, real * sine + cosine * part + _cross(part, sine)
-    size = np.sqrt(np.einsum("ib,ib->b", part, part))
+    size = np.sqrt(np.add.reduce(part * part))
     return np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / np.maximum(size, 1e-150) * part
 
 
@@ -115,11 +115,11 @@ def linear_part(omega: Floats, total: Floats, difference: Floats) -> Floats:
 
     J^-1 = I - hat(omega) / 2 + k hat(omega)^2, k = (1 - a/2 cot(a/2)) / a^2; in J^-1 R omega has the other sign.
     """
-    square = np.einsum("ib,ib->b", omega, omega)
+    square = np.add.reduce(omega * omega)
     # Cancellation in the coefficient costs nothing here either.
     safe = np.maximum(square, 1e-8)
     half = 0.5 * np.sqrt(safe)
-    twice = np.einsum("ib,ib->b", omega, total) * omega - square * total
+    twice = np.add.reduce(omega * total) * omega - square * total
     return np.asarray(total - 0.5 * _cross(omega, difference) + (1.0 - half / np.tan(half)) / safe * twice)
 
 
@@ -130,7 +130,7 @@ def continued(twists: Floats) -> Floats:
     in any unit. Near a turn of 2 pi there is no continuous logarithm.
     """
     steps = twists[1:, ..., :3] - twists[:-1, ..., :3]
-    turned = np.einsum("...i,...i", steps, steps) > np.pi**2
+    turned = np.vecdot(steps, steps) > np.pi**2
     if not turned.any():
         return twists
     beyond = np.concatenate([np.zeros_like(turned[:1]), np.cumsum(turned, axis=0) % 2 == 1])
@@ -221,7 +221,7 @@ def spatial_twist(twist: ArrayLike, rate: ArrayLike) -> Floats:
     change = as_floats("rate", rate, vector.shape)
     w, v = vector.reshape(-1, 6).T.copy().reshape(2, 3, -1)
     plain = change.reshape(-1, 6).T.copy().reshape(2, 3, -1)
-    b, c, d, e = _coefficients(np.sqrt(np.einsum("ib,ib->b", w, w)), 2, 3, 4, 5)
+    b, c, d, e = _coefficients(np.sqrt(np.add.reduce(w * w)), 2, 3, 4, 5)
     f = 0.5 * (d - 3.0 * e)
     # Both parts of the rate, multiplied by hat(omega) not at all, once and twice.
     once = _cross(w, plain)

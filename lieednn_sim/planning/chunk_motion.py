@@ -38,14 +38,11 @@ _WEIGHTS, _NEARLY = np.logspace(-3.0, 7.0, 21), 1.3
 _TRIED = sorted(product((1.0, 1.15, 1.4, 2.0, 3.0, 5.0, 8.0), (1.0, 1.4, 2.0, 3.0, 5.0)), key=math.prod)
 
 
-def _ramp(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Of a ramp from speed 1 to rest at x from 0 to 1: its way, its speed and the derivative of that."""
-    square = x * x
-    cube, left = square * x, x - square
-    return x - cube * x * (2.5 - x * (3.0 - x)), 1.0 - cube * (10.0 - x * (15.0 - 6.0 * x)), -30.0 * left * left
-
-
-_RAMP = _ramp(np.linspace(0.0, 1.0, 9))
+# Of a ramp from speed 1 to rest at x from 0 to 1: way, speed and the derivative of that, from the powers of x; and of
+# nine places what is left of the way, the squared speed and that derivative.
+_RAMP = np.array([[0, 1, 0, 0, -2.5, 3, -1], [1, 0, 0, -10, 15, -6, 0], [0, 0, -30, 60, -30, 0, 0]])
+_WAY, _SPEED, _BEND = _RAMP @ np.linspace(0.0, 1.0, 9) ** np.arange(7.0)[:, None]
+_LEFT, _SQUARE = 0.5 - _WAY, (_SPEED**2)[:, None]
 
 
 class ChunkCurve:
@@ -56,10 +53,12 @@ class ChunkCurve:
 
     def __init__(self, control: Floats, step: float) -> None:
         self._control, self.step, self._last = control, step, len(control) - 4
+        #: Configurations ``(H, n)`` at the times of the targets.
+        self.values: Floats = (control[:-2] + 4.0 * control[1:-1] + control[2:]) / 6.0
         self._segment, self._excess = _SEGMENT / step**_ORDERS, dict[int, list[tuple[float, int, int]]]()
         self.duration = step * (self._last + 1)
         self._at: tuple[float, Floats] = (math.nan, control[:0])
-        self.end = np.asarray(control[-3] + 4.0 * control[-2] + control[-1]) / 6.0
+        self.end = self.values[-1]
 
     @classmethod
     def through(cls, arm: Arm, targets: Floats, step: float) -> ChunkCurve:
@@ -83,8 +82,8 @@ class ChunkCurve:
         """Configurations and their first derivatives in u ``(orders, K, n)``, at times ``(K,)``."""
         parts = u / self.step
         segment = np.minimum(parts.astype(int), self._last)
-        powers = np.ones((len(u), 4))
-        powers[:, 1:] = (parts - segment)[:, None]
+        powers = np.empty((len(u), 4))
+        powers[:, 0], powers[:, 1:] = 1.0, (parts - segment)[:, None]
         factors = self._segment[:, : 4 * orders]
         weights = (np.multiply.accumulate(powers, axis=1, out=powers) @ factors).reshape(-1, orders, 4)
         return (weights @ self._control[segment[:, None] + _FOUR]).swapaxes(0, 1)
@@ -92,13 +91,10 @@ class ChunkCurve:
     def at(self, u: float) -> Floats:
         """What a call returns at one time, ``(3, n)``; the last one is kept."""
         if u != self._at[0]:
-            self._at = u, self(np.array([u]))[:, 0]
+            segment = min(int(u / self.step), self._last)
+            weights = ((u / self.step - segment) ** _FOUR) @ self._segment
+            self._at = u, weights.reshape(3, 4) @ self._control[segment : segment + 4]
         return self._at[1]
-
-    @property
-    def values(self) -> Floats:
-        """Configurations ``(H, n)`` at the times of the targets."""
-        return np.asarray(self._control[:-2] + 4.0 * self._control[1:-1] + self._control[2:]) / 6.0
 
     def nearest(self, q: Floats, latest: float) -> float:
         """The time of the curve, of 65 up to a latest one, at which it is nearest to a configuration ``(n,)``."""
@@ -131,21 +127,24 @@ class Ramped:
         self.curve, self.begin, self.end, self.slower, self._ramp = curve, begin, end, slower, max(ramp, 1e-9)
         self.ramps_at = max((end - begin) * slower - 0.5 * self._ramp, 0.0)
         self._full, self.x = 1.0 / slower if ramp else 0.0, np.array([0.0, self.ramps_at + self._ramp])
+        self._factors = self._full * _RAMP * [[self._ramp], [1.0], [1.0 / self._ramp]]
 
-    def clock(self, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """The curve's own time u ``(K,)`` at times ``(K,)``, and its first two derivatives."""
-        full, ramp = self._full, self._ramp
-        way, rate, bend = _ramp(np.minimum(np.maximum((t - self.ramps_at) / ramp, 0.0), 1.0))
-        u = self.begin + full * (np.minimum(t, self.ramps_at) + ramp * way)
-        return np.minimum(u, self.end), full * rate, full / ramp * bend
+    def clock(self, t: Floats, orders: int = 3) -> Floats:
+        """The curve's own time u at times ``(K,)``, and its first two derivatives ``(3, K)``, or the first of these."""
+        powers = np.empty((7, len(t)))
+        powers[0], powers[1:] = 1.0, np.minimum(np.maximum((t - self.ramps_at) / self._ramp, 0.0), 1.0)
+        result = self._factors[:orders] @ np.multiply.accumulate(powers, out=powers)
+        result[0] += self.begin + self._full * np.minimum(t, self.ramps_at)
+        np.minimum(result[0], self.end, out=result[0])
+        return result
 
     def states(self, t: Floats, orders: int = 3) -> Floats:
         """Joint coordinates, rates and accelerations ``(3, K, n)`` at times ``(K,)`` from 0 on, or coordinates."""
-        u, rate, bend = self.clock(t)
+        u, *rates = self.clock(t, orders)
+        states = self.curve(u, orders)
         if orders == 1:
-            return self.curve(u, 1)
-        states = self.curve(u)
-        _, slope, turn = states
+            return states
+        (rate, bend), (_, slope, turn) = rates, states
         turn *= (rate * rate)[:, None]
         turn += slope * bend[:, None]
         slope *= rate[:, None]
@@ -266,11 +265,10 @@ def _shortest_ramp(arm: Arm, curve: ChunkCurve, begin: float, end: float, slower
         return 0.0
     # From the shortest on, at least 0.04 s.
     tried = most * 0.75 ** np.arange(max(math.log(most / 0.04) / math.log(4.0 / 3.0), 0.0) // 1.0 + 1.0)[::-1]
-    gone, rate, bend = _RAMP
     times = tried[:, None] / slower
-    _, slope, turn = curve(np.maximum(end - times * (0.5 - gone), begin).ravel()).reshape(3, len(tried), 9, -1)
-    qdd = (turn * (rate**2)[:, None] + slope * (bend / times)[..., None]) / slower**2
-    fits = (np.abs(qdd) <= arm.acceleration_limits).all(axis=(1, 2))
+    _, slope, turn = curve(np.maximum(end - times * _LEFT, begin).ravel()).reshape(3, len(tried), 9, -1)
+    qdd = turn * _SQUARE + slope * (_BEND / times)[..., None]
+    fits = (np.abs(qdd) <= slower**2 * arm.acceleration_limits).all(axis=(1, 2))
     return float(tried[fits.argmax()]) if fits.any() else None
 
 

@@ -114,10 +114,10 @@ def judge(
     Returns:
         For each part the time of its first target and its curve; and the findings, at most one of a kind and joint.
     """
-    names, findings = arm.joint_names, dict[tuple[str, int], Finding]()
+    findings = dict[tuple[str, int], Finding]()
 
     def note(kind: str, text: str, row: int, joint: int, value: float, limit: float, unit: str = "") -> None:
-        name, unit = names[joint], arm.unit(joint) + unit
+        name, unit = arm.joint_names[joint], arm.unit(joint) + unit
         said = f"joint {name!r} {text} {value:.3g} {unit} in row {row}, allowed is {limit:.3g} {unit}"
         findings.setdefault((kind, joint), Finding(kind, said, kind in repaired, row, name, value, limit))
 
@@ -131,7 +131,8 @@ def judge(
         note("limits", "is at", row, joint, targets[row, joint], mended[row, joint])
     speed = np.where(np.isfinite(arm.velocity_limits), arm.velocity_limits, 10.0)
     most = np.minimum(2.0 * step * arm.acceleration_limits, speed) * step
-    bends, jumps = np.abs(np.diff(mended, n=2, axis=0)), np.zeros((len(mended) - 1, arm.n_joints), dtype=bool)
+    steps, jumps = mended[1:] - mended[:-1], list[list[int]]()
+    bends = np.abs(steps[1:] - steps[:-1])
     # Where nothing bends more than that, nothing jumps either.
     if (bends > most).any():
         most, across = most + 6.0 * np.median(bends, axis=0), np.abs(mended[2:] - mended[:-2])
@@ -143,11 +144,12 @@ def judge(
         steps = np.diff(mended, axis=0)
         # Of the first and the last step, what the one neighbour does.
         usual = 0.5 * (np.concatenate([steps[1:], steps[-2:-1]]) + np.concatenate([steps[1:2], steps[:-1]]))
-        jumps = (np.abs(steps) > 2.0 * step * speed) & (np.abs(steps - usual) > np.maximum(most, 0.5 * np.abs(steps)))
-    for row, joint in _where(jumps):
+        sizes = np.abs(steps)
+        jumps = _where((sizes > 2.0 * step * speed) & (np.abs(steps - usual) > np.maximum(most, 0.5 * sizes)))
+    for row, joint in jumps:
         jump = abs(mended[row + 1, joint] - mended[row, joint])
         note("jump", "jumps by", row + 1, joint, jump, step * speed[joint])
-    edges = [0, *(np.flatnonzero(jumps.any(axis=1)) + 1).tolist(), len(mended)]
+    edges = [0, *sorted({row + 1 for row, _ in jumps}), len(mended)]
     parts = [(a * step, ChunkCurve.through(arm, mended[a:b], step)) for a, b in pairwise(edges[: MOST_JUMPS + 2])]
     if len(edges) > MOST_JUMPS + 2:
         text = f"it jumps {len(edges) - 2} times, more than {MOST_JUMPS} are no motion"
@@ -155,7 +157,7 @@ def judge(
     for begin, curve in [part for part in parts if part[0] <= passed][-1:]:
         u = min(passed - begin, curve.duration)
         away = np.abs(curve.at(u)[0] - reference)
-        for joint in np.flatnonzero(away > step * speed).tolist():
+        for [joint] in _where(away > step * speed):
             note("jump", "begins away by", round((begin + u) / step), joint, away[joint], step * speed[joint])
     for (begin, curve), (a, b) in zip(parts, pairwise(edges), strict=False):
         off = np.abs(curve.values[: b - a] - mended[a:b])

@@ -102,7 +102,7 @@ class Cubics:
         self._q, self._moved, self._off = q, step * qd, off
         chords, before, after = q[1:] - q[:-1], self._moved[:-1], self._moved[1:]
         # Accelerations at the ends of each step, times its square.
-        self._ends = np.stack([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
+        self._ends = np.array([6.0 * chords - 4.0 * before - 2.0 * after, 4.0 * after + 2.0 * before - 6.0 * chords])
         self._largest = np.maximum(*np.abs(self._ends))
 
     def turns(self) -> Floats:
@@ -269,7 +269,8 @@ class ProofAhead:
     """
 
     def __init__(self, arm: Arm, t: Floats, q: Floats, qd: Floats, off: Floats) -> None:
-        self._arm, self._step, self._cubics = arm, float(t[1] - t[0]), Cubics(float(t[1] - t[0]), q, qd, off)
+        self._arm, self._step = arm, float(t[1] - t[0])
+        self._cubics = Cubics(self._step, q, qd, off)
         # In the order of time, the next ones last.
         self._left = list(zip(*(edge[::-1].tolist() for edge in _edges(q, 4)), strict=True))
         self.pair: tuple[str, ...] = ()
@@ -298,7 +299,7 @@ class ProofAhead:
 def _edges(q: Floats, least: int = _FIRST) -> tuple[Floats, Floats]:
     """Begin and end of the first intervals of a motion ``(K, n)``, at least so many, in steps."""
     steps = q[1:] - q[:-1]
-    way = float(np.sqrt(np.einsum("ki,ki->k", steps, steps)).sum())
+    way = float(np.sqrt(np.vecdot(steps, steps)).sum())
     count = min(max(least, math.ceil(way / _WAY)), len(q) - 1)
     edges = (np.arange(count + 1.0) * ((len(q) - 1) / count)).round()
     return edges[:-1], edges[1:]

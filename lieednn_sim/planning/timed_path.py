@@ -28,6 +28,8 @@ from lieednn_sim.values import Floats
 # Hermite's cubics, the lowest power first, of values and slopes at both ends of a step; and their values in between.
 _HERMITE = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-3.0, -2.0, 3.0, -1.0], [2.0, 1.0, -2.0, 1.0]])
 _QUARTERS = np.linspace(0.0, 0.75, 4)[:, None] ** np.arange(4)
+# Weights of four values in steps of one in the first two derivatives at the first.
+_AHEAD = np.array([[-1.5, 2.0, -0.5, 0.0], [2.0, -5.0, 4.0, -1.0]])
 
 
 class Clock:
@@ -50,7 +52,7 @@ class Clock:
         np.add.accumulate((rate[1:] + rate[:-1])[::-1], out=left[-2::-1])
         y = np.cbrt(left / left[0])
         # The rate stays as it is where a ten-thousandth of the way is left.
-        y = y[: np.count_nonzero(y >= 0.05)]
+        y = y[: len(y) - int(y[::-1].searchsorted(0.05))]
         slope = rate[: len(y)] / (-1.5 * left[0] * y * y)
         ends = np.array([y[:-1], slope[:-1], y[1:], slope[1:]])
         self._cubics, self._step, self._last = _HERMITE @ ends, step, step * (len(y) - 1)
@@ -106,12 +108,11 @@ class TimedPath:
         left = 1.0 - minimum_jerk_law(np.minimum(times / duration, 1.0))[0]
         states += left[:, None, None] * (visible - states[0])
         near, rest, target = states[:4], states[4:-1], states[-1]
-        velocity = (-1.5 * near[0] + 2.0 * near[1] - 0.5 * near[2]) / h
-        acceleration = (2.0 * near[0] - 5.0 * near[1] + 4.0 * near[2] - near[3]) / h**2
+        velocity, acceleration = (_AHEAD @ near.reshape(4, -1)).reshape(2, *visible.shape)
         (_, rate), (_, after) = self.clock(0.0), self.clock(h)
         # x'' = r^2 d^2x/dz^2 + r' dx/dz.
-        along = velocity / rate
-        bend = (acceleration - (after - rate) / h * along) / rate**2
+        along = velocity / (h * rate)
+        bend = (acceleration / h**2 - (after - rate) / h * along) / rate**2
         self._encoder, self._target = encoder, target
         self._code = encoder.code_at(rest, visible, target, along, bend, most)
         self.state = encoder.still.begun(self._code, target, visible)

@@ -71,8 +71,8 @@ class Transition:
 
         It rests after its end.
         """
-        powers = np.ones((6, len(t)))
-        powers[1:] = np.minimum(np.maximum(t / self.fade, 0.0), 1.0)
+        powers = np.empty((6, len(t)))
+        powers[0], powers[1:] = 1.0, np.minimum(np.maximum(t / self.fade, 0.0), 1.0)
         result = self._sum(np.multiply.accumulate(powers, out=powers).T, orders)
         if not self._one:
             self._add_base(result, t)

@@ -43,9 +43,9 @@ from lieednn_sim.values import Floats
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-# Kinds of findings that are repaired by default; and samples at which contact is looked for, a quarter of a motion's.
+# Kinds of findings that are repaired by default; and the way between samples at which contact is looked for [rad, m].
 _REPAIRED = ("limits", "outlier", "jump", "speed", "acceleration")
-_LOOKS = 25
+_APART = 0.05
 # The part of the limits of acceleration with which it brakes before what is not proved.
 _HARD = 0.8
 # Least time in which the reference goes over to a chunk, and the longest part of one that is coded at once [s].
@@ -164,8 +164,7 @@ class ChunkPolicy(ReplanningPolicy):
             raise InputError("the policy was never reset: call reset(q), or step with measured joints, before accept")
         findings, dropped, motion = list[Finding](), 0, None
         try:
-            near = self._within_limits(self.drawn)
-            targets, begin, step = read(self.arm, chunk, t0, dt, near, self.now, self._newest)
+            targets, begin, step = read(self.arm, chunk, t0, dt, self.q, self.now, self._newest)
             passed = self.now - begin
             dropped = min(max(math.ceil(passed / step - 1e-9), 0), len(targets))
             blended, repaired = self._blended(targets, begin, step), self._options.repaired
@@ -215,8 +214,8 @@ class ChunkPolicy(ReplanningPolicy):
         """Follow the last part whose time has come, and the later ones then; raises `RefusedError`."""
         due = sum(begin <= self.now + 1e-9 for begin, _ in parts)
         for begin, curve in parts[due:]:
-            u = np.linspace(0.0, curve.duration, _LOOKS)
-            self._require_clear(curve(u, 1)[0], begin - self.now + u)
+            times = begin - self.now + np.linspace(0.0, curve.duration, len(curve.values))
+            self._require_clear(curve.values, times)
         if due:
             begin, curve = parts[due - 1]
             self._join(curve, min(self.now - begin, curve.duration), whole=True)
@@ -232,11 +231,11 @@ class ChunkPolicy(ReplanningPolicy):
 
         def onto(now: Floats) -> ChunkMotion:
             motion = go_over(self.arm, now, curve, begin, horizon, _FADE)
-            end, last = motion.base.end, curve.duration
-            q, times = motion.even[0][::4], motion.duration * EVEN[::4]
-            if whole and end < last:
-                u = np.linspace(end, last, math.ceil(_LOOKS * (last - end) / (last - motion.base.begin)) + 1)
-                q, times = np.concatenate([q, curve(u, 1)[0]]), np.append(times, motion.duration + u - end)
+            q, times, end = motion.even[0], motion.duration * EVEN, motion.base.end
+            if whole and end < curve.duration:
+                left = np.arange(math.ceil(end / curve.step), len(curve.values))
+                q = np.concatenate([q, curve.values[left]])
+                times = np.concatenate([times, motion.duration - end + curve.step * left])
             self._require_clear(q, times)
             return motion
 
@@ -262,10 +261,17 @@ class ChunkPolicy(ReplanningPolicy):
             self._proof = ProofAhead(self.arm, t, q, qd, off)
 
     def _require_clear(self, q: Floats, after: Floats) -> None:
-        """Raise `RefusedError` where something is in the way at configurations ``(K, n)`` after times ``(K,)`` [s]."""
-        if (result := self._surroundings.blocked(q)) is not None:
-            first, second, distance = self._surroundings.nearest(q[result[0]])
-            text = f"{first!r} would be {1e3 * distance:.3g} mm from {second!r} {after[result[0]]:.2f} s from now"
+        """Raise `RefusedError` where something is in the way at configurations ``(K, n)`` after times ``(K,)`` [s].
+
+        Of these it looks at some, of which neighbours are about `_APART` from each other.
+        """
+        steps = q[1:] - q[:-1]
+        count = (np.add.accumulate(np.sqrt(np.vecdot(steps, steps))) / _APART).astype(int)
+        seen = np.concatenate([[0], (count[1:] > count[:-1]).nonzero()[0] + 1, [len(q) - 1]])
+        if (result := self._surroundings.blocked(q[seen])) is not None:
+            row = int(seen[result[0]])
+            first, second, distance = self._surroundings.nearest(q[row])
+            text = f"{first!r} would be {1e3 * distance:.3g} mm from {second!r} {after[row]:.2f} s from now"
             raise RefusedError(Finding("contact", text, value=distance, limit=self.arm.clearance))
 
     def _prove(self) -> None:
@@ -353,7 +359,7 @@ class ChunkPolicy(ReplanningPolicy):
             most = (0.5 if self.time < base.ramps_at else 1.0) * _TOLERANCE
             # The code may not be near enough, or joints pull.
             if ends or (looks and np.abs(motion(at, 1)[0] - self.drawn).max() > most):
-                self._join(base.curve, float(base.clock(at)[0][0]), 1.0 if ends else 0.5)
+                self._join(base.curve, float(base.clock(at, 1)[0, 0]), 1.0 if ends else 0.5)
 
     @property
     def message(self) -> str:
