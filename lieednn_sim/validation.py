@@ -53,6 +53,8 @@ def as_floats(
     # Fast path for inner loops.
     if type(value) is np.ndarray and value.dtype == np.float64:
         array = value
+    elif type(value) in (float, np.float64):
+        array = np.asarray(value)
     else:
         array = _converted(name, value, shape, batched)
     _require_shape(name, array.shape, shape, batched)
