@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from lieednn_sim import io
-from lieednn_sim._mujoco import mujoco
-from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, colliding_geoms, moving_geoms
+from lieednn_sim._mujoco import kinematics_at, mujoco
+from lieednn_sim.arm.contacts import PLANNED_CLEARANCE, ContactFinder, colliding_geoms, geom_name, moving_geoms
 from lieednn_sim.arm.fingerprint import model_fingerprint
 from lieednn_sim.arm.importer.floor import AUTO, FLOOR, NONE, add_plane, as_floor, collision_bits
 from lieednn_sim.arm.importer.loading import compile_spec, load_spec, unused
@@ -29,6 +29,7 @@ SCENE_SUFFIXES = (".xml", ".yaml", ".yml", ".json")  # suffixes that tell a file
 _MOST = 10_000
 _GOAL = GOAL_PREFIX.removeprefix(PREFIX)
 _HIDDEN = 5  # MuJoCo draws groups 0 to 2 by default
+_FARTHEST = 200.0  # from the origin [m]
 # The entries of each shape, besides its pose.
 _SHAPES = {
     "box": {"size"},
@@ -81,6 +82,10 @@ def load_obstacles(path: StrPath) -> mujoco.MjSpec:
         raise FileError(f"{source}: {error}") from None
     if moving := [model.joint(j).name for j in range(model.njnt)]:
         raise InputError(f"{source}: obstacles must not move, but it has joints: {', '.join(moving[:5])}")
+    away = np.linalg.norm(kinematics_at(model, model.qpos0).geom_xpos, axis=-1)
+    if away.max(initial=0.0) > _FARTHEST:
+        name = geom_name(model, int(away.argmax()))
+        raise InputError(f"{source}: {name!r} is {away.max():.3g} m away; lengths are in metres, not millimetres")
     if not colliding_geoms(model).any() and not spec.texts:
         raise InputError(f"{source} holds no obstacle: no geom of it collides with anything")
     if flat := [model.site(s).name for s in _goals(model) if model.site_type[s] != mujoco.mjtGeom.mjGEOM_BOX]:

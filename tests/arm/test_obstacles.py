@@ -156,6 +156,11 @@ def test_targets_are_in_the_goals_of_a_file_or_anywhere_free(gantry, tmp_path):
             InputError,
             "obstacle 'pole' of scene 'own' is within 2 mm of 'ball' of arm 'gantry' at home; move it",
         ),
+        (
+            {"obstacles": [{**POLE, "position": [600.0, 0.0, 450.0]}]},
+            InputError,
+            "'pole' is 750 m away; lengths are in metres, not millimetres",
+        ),
         (MJCF.format(more=""), FileError, "files of the model are missing: .*wedge.obj"),
         ("<mujoco/>", InputError, "holds no obstacle"),
         (
