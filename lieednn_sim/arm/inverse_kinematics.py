@@ -189,7 +189,13 @@ class _Search:
         which = np.append(np.arange(len(q)), balls[:, 0])
         (low, high), widths = arm.position_limits.T[:, which], spread[which]
         rows, rates, own = np.zeros((len(balls), len(q))), np.empty(arm.model.nv), arm.space.own_rate_addresses
+        each, n = np.arange(len(balls))[:, None], len(q)
+
+        def turned(q: Floats) -> Floats:
+            return np.sqrt(np.add.reduce(np.square(q[balls]), axis=1))
+
         q, distance = arm.within_angles(q), np.inf
+        angles = turned(q)
         # Of the chain alone: other joints do not move the end effector.
         data.qpos[:] = arm.space.to_qpos(q)
         for _ in range(_STEPS):
@@ -200,7 +206,7 @@ class _Search:
             slopes = slopes * spread
             # At most that at 3 m or rad, so that steps to what is far away are long.
             hessian, gradient, damping = slopes.T @ slopes, slopes.T @ error, min(square, 9.0) + 1e-9
-            hessian.flat[:: len(q) + 1] += damping
+            hessian.flat[:: n + 1] += damping
             # Of the many solutions of a redundant arm, one that is near: until it is close, part of the damping is from
             # there. Without that, the last steps lead to the next solution.
             if square > 1e-4:
@@ -208,9 +214,8 @@ class _Search:
             bounded = q
             if len(balls):
                 # An angle changes by the step along its axis.
-                angles = np.linalg.norm(q[balls], axis=1, keepdims=True)
-                rows[np.arange(len(balls))[:, None], balls] = q[balls] / np.maximum(angles, 1e-9)
-                bounded = np.append(q, angles)
+                rows[each, balls] = q[balls] / np.maximum(angles, 1e-9)[:, None]
+                bounded = np.concatenate([q, angles])
             step, *_ = daqp.solve(hessian, gradient, rows, (high - bounded) / widths, (low - bounded) / widths)
             left = error + slopes @ step
             # No solution lies ahead where a step leaves nearly all of the error.
@@ -220,9 +225,10 @@ class _Search:
             # The coordinates, at a tenth of the cost of `from_qpos` where there are ball joints.
             mujoco.mj_differentiatePos(arm.model, rates, 1.0, self._zero, data.qpos)
             moved = rates[own]
-            q = np.clip(moved, low[: len(q)], high[: len(q)])
-            if len(balls):
+            q = np.minimum(np.maximum(moved, low[:n]), high[:n])
+            if len(balls) and ((angles := turned(q)) > high[n:]).any():
                 q = arm.within_angles(q)
+                angles = turned(q)
             if (q != moved).any():
                 data.qpos[:] = arm.space.to_qpos(q)
         return q, distance
