@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
@@ -158,10 +158,10 @@ class Ramped:
 class ChunkMotion(Transition):
     """A transition onto a chunk's curve; ``base`` is a `Ramped`."""
 
-    @property
+    @cached_property
     def duration(self) -> float:
         """Duration [s]; the fade may outlast the base."""
-        return max(super().duration, self.fade)
+        return max(float(self.base.x[-1]) * self.slower, self.fade)
 
     @property
     def in_time(self) -> bool:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -51,7 +51,7 @@ class Transition:
     differences: Floats  # ``(3, n)`` e, v and a
     fade: float  # T_c [s]
 
-    @property
+    @cached_property
     def duration(self) -> float:
         """Duration [s]."""
         return float(self.base.x[-1]) * self.slower
@@ -128,13 +128,15 @@ def transition(arm: Arm, now: Floats, base: PPoly, clear: Callable[[Floats], str
     differences[:2] -= base.c[:-3:-1, 0]
     refusal, looked = "no transition keeps the limits of the joints", EVEN[::2]
 
-    @cache
+    # Where nothing is left of the corrections, all transitions take the way of the base: what blocks it after a share.
+    known: dict[float, str | None] = {_SHARES[0]: None}
+
     def blocked_after(share: float) -> str | None:
-        # Where nothing is left of the corrections, all transitions take the way of the base.
-        if clear is None or share == _SHARES[0]:
-            return None
-        before = _SHARES[_SHARES.index(share) - 1]
-        return blocked_after(before) or clear(base(base.x[-1] * looked[(share < looked) & (looked <= before)]))
+        if clear is not None and share not in known:
+            before = _SHARES[_SHARES.index(share) - 1]
+            rest = base.x[-1] * looked[(share < looked) & (looked <= before)]
+            known[share] = blocked_after(before) or clear(base(rest))
+        return known.get(share)
 
     moves = bool((np.abs(differences) > 1e-12).any())
     limits = FRACTION * np.array([arm.velocity_limits, arm.acceleration_limits])[:, None]

@@ -87,7 +87,8 @@ class Policy(ABC):
         goal = as_floats("target", target, shape)
         # A target at rest is held against the limits once.
         if self._target is None or goal.tolist() != self._target.tolist():
-            self.arm.check_position(goal, "target")
+            if (self.arm.limit_excess(goal) > 0.0).any():
+                self.arm.check_position(goal, "target")  # which says what is wrong, and takes longer
             if "q" not in vars(self):
                 if seen is None:
                     raise InputError("it is not known where the arm is: call reset(q), or give measured joints")
