@@ -58,6 +58,11 @@ class Coordinates:
         addresses[self.scalars], addresses[self.balls] = self.scalar_rate_addresses, self.ball_rate_addresses
         return addresses
 
+    def angles(self, q: Floats) -> Floats:
+        """Angles ``(..., B)`` of the ball joints at ``(..., n)`` [rad]."""
+        x, y, z = (q[..., each] for each in self.balls.T)
+        return np.asarray(np.sqrt(x * x + y * y + z * z))
+
     def ball(self, address: int) -> NDArray[np.int_]:
         """Indices in q ``(3,)`` of the ball joint at an address in qpos."""
         return self.balls[np.flatnonzero(self.ball_addresses[:, 0] == address)[0]]

@@ -190,12 +190,8 @@ class _Search:
         (low, high), widths = arm.position_limits.T[:, which], spread[which]
         rows, rates, own = np.zeros((len(balls), len(q))), np.empty(arm.model.nv), arm.space.own_rate_addresses
         each, n = np.arange(len(balls))[:, None], len(q)
-
-        def turned(q: Floats) -> Floats:
-            return np.sqrt(np.add.reduce(np.square(q[balls]), axis=1))
-
         q, distance = arm.within_angles(q), np.inf
-        angles = turned(q)
+        angles = arm.space.angles(q)
         # Of the chain alone: other joints do not move the end effector.
         data.qpos[:] = arm.space.to_qpos(q)
         for _ in range(_STEPS):
@@ -226,9 +222,9 @@ class _Search:
             mujoco.mj_differentiatePos(arm.model, rates, 1.0, self._zero, data.qpos)
             moved = rates[own]
             q = np.minimum(np.maximum(moved, low[:n]), high[:n])
-            if len(balls) and ((angles := turned(q)) > high[n:]).any():
+            if len(balls) and ((angles := arm.space.angles(q)) > high[n:]).any():
                 q = arm.within_angles(q)
-                angles = turned(q)
+                angles = arm.space.angles(q)
             if (q != moved).any():
                 data.qpos[:] = arm.space.to_qpos(q)
         return q, distance

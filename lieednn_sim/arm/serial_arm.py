@@ -122,8 +122,7 @@ class SerialArm:
         excess = np.maximum(low - q, q - high)
         balls = self.space.balls
         if len(balls):
-            x, y, z = (q[..., each] for each in balls.T)
-            excess[..., balls] = np.sqrt(x * x + y * y + z * z)[..., None] - high[balls]
+            excess[..., balls] = self.space.angles(q)[..., None] - high[balls]
         return excess
 
     def within_angles(self, q: Floats) -> Floats:
@@ -131,8 +130,7 @@ class SerialArm:
         q = as_floats("q", q, (self.n_joints,), batched=True)
         high, inside, balls = self.position_limits[:, 1], q.copy(), self.space.balls
         if len(balls):
-            x, y, z = (q[..., each] for each in balls.T)
-            angle = np.sqrt(x * x + y * y + z * z)[..., None]
+            angle = self.space.angles(q)[..., None]
             if (beyond := angle > high[balls]).any():
                 # To a little less, so that rounding does not lead beyond it.
                 inside[..., balls] *= np.where(beyond, (1.0 - 1e-15) * high[balls] / (angle + 1e-300), 1.0)

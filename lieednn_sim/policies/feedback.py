@@ -94,7 +94,7 @@ class FeedbackPolicy(Policy):
         """Joint coordinates ``(n,)`` at the position limits where they are beyond."""
         (low, high), balls = self.arm.position_limits.T, self.arm.space.balls
         # Joints seldom are beyond, and the check of what is given takes longer than this.
-        if len(balls) and (np.sqrt(np.add.reduce(np.square(q[balls]), axis=1)) > high[balls[:, 0]]).any():
+        if len(balls) and (self.arm.space.angles(q) > high[balls[:, 0]]).any():
             q = self.arm.within_angles(q)
         return np.minimum(np.maximum(q, low), high)
 
