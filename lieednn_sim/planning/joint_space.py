@@ -39,8 +39,7 @@ class ClearanceTest:
 
         One beyond the arm's stops, or at which loops cannot be closed, counts as well.
         """
-        # Converted at once and unchecked: checking each configuration would cost as much as its collision pass.
-        positions = self._arm.qpos(q, strict=False)
+        positions = self._arm.to_qpos(q)
         beyond = self._beyond(positions)
         end = len(q) if beyond is None else int(np.append(beyond > 0.0, True).argmax())
         first = self._finder.first(positions[:end])
