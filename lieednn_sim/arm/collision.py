@@ -307,7 +307,8 @@ def _colliding_pairs(model: mujoco.MjModel) -> Pairs:
     apart &= ~np.isin((bodies.min(axis=0).astype(np.int64) << 16) + bodies.max(axis=0), model.exclude_signature)
     implicit = np.stack([first[apart], second[apart]], axis=1)
     explicit = np.sort(np.stack([model.pair_geom1, model.pair_geom2], axis=1).astype(int), axis=1)
-    pairs = np.unique(np.concatenate([implicit, explicit]), axis=0)
+    numbers = np.unique(np.concatenate([implicit, explicit]) @ [model.ngeom, 1])
+    pairs = np.stack(np.divmod(numbers, model.ngeom), axis=1)
     pairs.setflags(write=False)
     return pairs
 

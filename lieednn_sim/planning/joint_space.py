@@ -79,8 +79,9 @@ class Workspace:
 
     def __init__(self, problem: PlanningProblem, margin: float) -> None:
         self.collisions = Collisions(problem.arm)
-        #: Least distance of start and target from everything [m].
-        self.ends = min(map(self.collisions.clearance, (problem.start, problem.target)))
+        #: Distances of start and target from everything [m], and the least.
+        self.distances = tuple(map(self.collisions.clearance, (problem.start, problem.target)))
+        self.ends = min(self.distances)
         kept_fraction = 0.8  # of the distance of start and target, where these are closer than the margin
         # The clearance that motions are checked for is kept.
         self.clear = ClearanceTest(problem.arm, min(margin, max(kept_fraction * self.ends, problem.arm.clearance)))

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -171,6 +172,11 @@ class TimedCurve:
         density = even + cumulative_trapezoid(bend / max(bend.mean(), 1e-300), even, initial=0.0)
         self._grid = np.interp(np.linspace(0.0, density[-1], _GRID + 1), density, even)
 
+    @cached_property
+    def _states(self) -> CubicSpline:
+        """The network's states along the path, as `q`."""
+        return CubicSpline(self._fraction, self._motion.xi[self._kept])
+
     def fastest(self) -> CubicHermiteSpline:
         """The law with the shortest duration, from time to the fraction of the path's length."""
         law, window = self._switching(), 0.002
@@ -286,7 +292,7 @@ class TimedCurve:
         fraction = np.clip(law(t * pace), 0.0, 1.0)
         q, qd = self.q(fraction), self.q(fraction, 1) * (law(t * pace, 1) * pace)[:, None]
         q[[0, -1]], qd[[0, -1]] = old.q[[0, -1]], 0.0
-        xi = CubicSpline(self._fraction, old.xi[kept])(fraction)
+        xi = self._states(fraction)
         xi[[0, -1]] = old.xi[[0, -1]]
         tau, translation, rotation = (
             make_interp_spline(self._fraction, values[kept], k=1)(fraction)

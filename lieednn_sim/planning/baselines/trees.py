@@ -9,7 +9,7 @@ nodes that all fail to reach the other tree.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ def connected(
     """
     if onto is None and clear(start, target):
         return np.stack([start, target])
-    rng, low, size = np.random.default_rng(seed), bounds[:, 0], np.ptp(bounds, axis=1)
+    samples_of = _samples(bounds, seed)
     first = grown = _Tree(start)
     other = _Tree(target)
 
@@ -53,7 +53,7 @@ def connected(
 
     def extension() -> tuple[int, Floats] | None:
         """A node and the new point that it can be extended to, or None if no extension succeeds."""
-        samples = low + size * rng.random((64, len(low)))
+        samples = next(samples_of)
         near, distance = grown.nearest(samples)
         # Towards those within the domains of their nearest nodes in turn, or else the one that is least outside.
         radius = grown.radius[near]
@@ -98,6 +98,13 @@ def connected(
             corners = np.concatenate([grown.branch(node)[:-1], other.branch(met)[::-1]])
             return corners if grown is first else corners[::-1]
     return None
+
+
+def _samples(bounds: Floats, seed: int | np.random.SeedSequence) -> Iterator[Floats]:
+    """Samples ``(64, n)`` within bounds ``(n, 2)``, drawn for some extensions at once."""
+    rng = np.random.default_rng(seed)
+    while True:
+        yield from bounds[:, 0] + np.ptp(bounds, axis=1) * rng.random((16, 64, len(bounds)))
 
 
 class _Tree:
