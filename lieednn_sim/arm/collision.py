@@ -61,11 +61,11 @@ class Collisions:
         # The model as it was given, once obstacles have moved.
         self._scene: mujoco.MjModel | None = None
         self.own = np.asarray(moving_geoms(arm.geometry)[self.pairs].all(axis=1))
-        used, index = np.unique(self.pairs, return_inverse=True)
-        self._used, self._first, self._second = used, *index.reshape(-1, 2).T
         model = arm.geometry
+        used = np.flatnonzero(np.bincount(self.pairs.ravel(), minlength=model.ngeom))
+        self._used, (self._first, self._second) = used, np.searchsorted(used, self.pairs.T)
         self._center, self._half = model.geom_aabb[used, :3].copy(), model.geom_aabb[used, 3:].copy()
-        planes = model.geom_type[used] == mujoco.mjtGeom.mjGEOM_PLANE
+        planes = model.geom_type[used] == int(mujoco.mjtGeom.mjGEOM_PLANE)
         self._center[planes], self._half[planes] = (0.0, 0.0, -_PLANE_SIZE), _PLANE_SIZE
         self._radius = np.linalg.norm(self._half, axis=1)
         # MuJoCo's bounding sphere is smaller than the box's, but centred at the geom's frame: used where these agree.
@@ -314,8 +314,8 @@ def _colliding_pairs(model: mujoco.MjModel) -> Pairs:
     apart &= ~np.isin((bodies.min(axis=0).astype(np.int64) << 16) + bodies.max(axis=0), model.exclude_signature)
     implicit = np.stack([first[apart], second[apart]], axis=1)
     explicit = np.sort(np.stack([model.pair_geom1, model.pair_geom2], axis=1).astype(int), axis=1)
-    numbers = np.unique(np.concatenate([implicit, explicit]) @ [model.ngeom, 1])
-    pairs = np.stack(np.divmod(numbers, model.ngeom), axis=1)
+    numbers = np.sort(np.concatenate([implicit, explicit]) @ [model.ngeom, 1])
+    pairs = np.stack(np.divmod(numbers[np.diff(numbers, prepend=-1) > 0], model.ngeom), axis=1)
     pairs.setflags(write=False)
     return pairs
 

@@ -198,10 +198,10 @@ class TimedCurve:
                     break
         return min(laws, key=lambda item: float(item.x[-1]))
 
-    def _switching(self, near: CubicHermiteSpline | None = None) -> CubicHermiteSpline:
-        """The fastest law within the limits of velocity and acceleration and, given a law near it, of force."""
-        topp = optional_module("toppra")
-        constraint, algorithm = optional_module("toppra.constraint"), optional_module("toppra.algorithm")
+    @cached_property
+    def _rate_limited(self) -> tuple[float, Any, list[Any]]:
+        """A unit of time [s], and toppra's path and limits of velocity and acceleration in it."""
+        constraint = optional_module("toppra.constraint")
         # The solver wants numbers about one, also for a motion of a micrometre: each joint in units of what its
         # acceleration limit gives in the unit of time, which is about the motion's duration.
         q, velocity, acceleration = self._motion.q[self._kept], self._arm.velocity_limits, self._arm.acceleration_limits
@@ -210,14 +210,14 @@ class TimedCurve:
         # It wants bounds in place of missing limits, too, far above all rates.
         limits = [np.minimum(bound, 1e6)[:, None] * [-1.0, 1.0] for bound in (velocity * unit / size, 0.0 * size + 1.0)]
         constraints = [constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1])]
-        if near is not None:
-            constraints.append(self._force_constraint(near, unit))
-        solver = algorithm.TOPPRA(
-            constraints,
-            topp.SplineInterpolator(self._fraction, (q - q[0]) / size),
-            gridpoints=self._grid,
-            solver_wrapper="seidel",
-        )
+        return unit, optional_module("toppra").SplineInterpolator(self._fraction, (q - q[0]) / size), constraints
+
+    def _switching(self, near: CubicHermiteSpline | None = None) -> CubicHermiteSpline:
+        """The fastest law within the limits of velocity and acceleration and, given a law near it, of force."""
+        unit, path, limits = self._rate_limited
+        constraints = [*limits, *([] if near is None else [self._force_constraint(near, unit)])]
+        topp = optional_module("toppra.algorithm").TOPPRA
+        solver = topp(constraints, path, gridpoints=self._grid, solver_wrapper="seidel")
         _, rate, _ = solver.compute_parameterization(0.0, 0.0)
         if rate is None or not np.isfinite(rate).all():
             raise PlanError("toppra finds no time law for this path; it turns too sharply")

@@ -5,6 +5,7 @@ Points are joint coordinates over velocity limits, so the length of a path is a 
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from functools import cache, lru_cache
@@ -44,6 +45,13 @@ class EdgeTest:
         self._balls = len(arm.space.balls) > 0
         self._known, self._looks = set[bytes](), itertools.count()
 
+    def weighted(self) -> EdgeTest:
+        """The same for points times `weight`."""
+        result = copy.copy(self)
+        result.scale, result.bounds = self.scale / self.weight, self.weight[:, None] * self.bounds
+        result._density, result._known = self._density / self.weight, set()
+        return result
+
     def _inside(self, point: Floats) -> bool:
         # No exception may pass through the library; when time is out nothing is free, so that it ends soon. Samples are
         # drawn within the box of the limits, but the angle limit of a ball joint is not a box. It is convex, so an edge
@@ -65,9 +73,9 @@ class EdgeTest:
         count = max(1, math.ceil(float(np.abs(change) @ self._density)))
         # An end found clear before is not tested again, but counts as work.
         end = second.tobytes()
-        fractions = bisecting(count)[end in self._known :]
+        fractions = bisecting(count)[end in self._known :, None]
         self._clear.tests += end in self._known
-        if self._clear.first_blocked(self.scale * (first + fractions[:, None] * change)) is not None:
+        if self._clear.first_blocked(self.scale * (first + fractions * change)) is not None:
             return False
         self._known.add(end)
         return True

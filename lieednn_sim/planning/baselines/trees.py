@@ -56,12 +56,12 @@ def connected(
         samples = next(samples_of)
         near, distance = grown.nearest(samples)
         # Towards those within the domains of their nearest nodes in turn, or else the one that is least outside.
-        radius = grown.radius[near]
-        inside = distance <= radius
-        for index in inside.nonzero()[0] if inside.any() else [(distance / radius).argmin()]:
+        outside = distance / grown.radius[near]
+        inside = (outside <= 1.0).nonzero()[0]
+        for index in inside if len(inside) else [outside.argmin()]:
             node, length = near[index], distance[index]
             # The domain may have shrunk meanwhile.
-            if inside[index] and length > grown.radius[node]:
+            if len(inside) and length > grown.radius[node]:
                 continue
             if over():
                 break
